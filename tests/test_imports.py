@@ -60,8 +60,8 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("dpv1/master",),
     ("profile/model",),
     ("profile/channel",),
-    ("profile/simulator",),
     ("profile/record47",),
+    ("profile/simulator",),
     ("profile/master",),
     ("profile",),
     ("sim",),
@@ -89,18 +89,6 @@ UPWARDS: dict[str, set[str]] = {
     "api.server.simulation": {"api.bus.compose", "api.bus.events_json"},
     "drivers.shutdown": {"drivers.line.echo", "drivers.line.select_loop", "drivers.line.select_runtime"},
     "drivers.virtual.runtime": {"drivers.line.port_latency"},
-    "fdl.events": {"fdl.active.cycle_window"},
-    "fdl.livelist": {"fdl.active.las_gap"},
-    "profile.model.drive_profile": {
-        "profile.channel.base",
-        "profile.master.core",
-        "profile.master.settings",
-        "profile.record47.drive_access",
-        "profile.simulator.device",
-    },
-    "profile.model.standard_telegrams": {"profile.channel.base"},
-    "profile.model.status": {"profile.master.settings"},
-    "profile.simulator.device": {"profile.record47.server"},
 }
 #: profile sees only these modules of dp: its public slave application and image types, and records.
 PROFILE_MAY_OF_DP = {

@@ -2,6 +2,7 @@
 
 - ``active/``: The active station: token, exchange, ring
 - ``passive/``: Passive stations
+- ``allowance``: The share of the bus time that polls of addresses may take where nobody may be
 - ``baud_evidence``: What a baud rate is recognised by: the confidence rule
 - ``baud_search``: Finding the baud rate by listening only
 - ``codec``: Telegrams to octets and back: SD1, SD2, SD3, SD4 and SC, the FC octet, address extension octets, FCS

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
-from dpstack.fdl.active.cycle_window import PATIENCE
 from dpstack.fdl.telegram import StationType
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ms_text
+
+#: what fits into no gap waits for so many cycles, and one in so many may be put at risk
+PATIENCE: Final = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

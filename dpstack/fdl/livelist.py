@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from dpstack.fdl.active.las_gap import Allowance
+from dpstack.fdl.allowance import Allowance
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Req, StationType, Telegram

@@ -6,6 +6,7 @@
 - ``record47/``: PROFIdrive's parameter channel over DP-V1, record 47: both ends as pure machines
 - ``simulator/``: The simulated drive
 - ``declared``: A plugin as a declaration: words, scales, states, safe outputs, texts and parameters
+- ``drive_profile``: One drive as a frozen object: what the bus, the configuration and the simulation must know of it
 - ``registry``: Drives by name, found by the entry point group ``dpstack.drives``; any installed package can add one
 """
 
@@ -14,29 +15,28 @@ from dpstack.dp.slave.device import Leave
 from dpstack.dpv1.slave.device import Device
 from dpstack.errors import ConfigError
 from dpstack.profile import record47
-from dpstack.profile.channel.base import CHANNEL_LEN, ChannelServer, ParameterChannel, ParamKey
+from dpstack.profile.channel.base import ChannelServer, ParameterChannel, ParamKey
 from dpstack.profile.channel.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
 from dpstack.profile.channel.pkw_access import RETRY_NS, ParamRef, PkwAccess, PkwChannel
 from dpstack.profile.channel.read_many import per_request
 from dpstack.profile.declared import PLAIN_PKW, Declaration, DeclaredCore, plain_resolver, plain_server
-from dpstack.profile.master.core import OPS, DriveCore
-from dpstack.profile.master.fault_lookup import Lookup
+from dpstack.profile.drive_profile import DriveProfile, OptionSpec, RateSetting
+from dpstack.profile.master.core import OPS, DriveCore, Lookup, settled
 from dpstack.profile.master.mapped_core import MAP_OPS, MappedCore
-from dpstack.profile.master.motion import settled
-from dpstack.profile.master.settings import Setting, SettingsState, equal, same
+from dpstack.profile.master.settings import Setting, equal, same
 from dpstack.profile.model import drivecom_states, process_data_map, profidrive_states, standard_telegrams
-from dpstack.profile.model.drive_profile import DriveProfile, OptionSpec, RateSetting, TelegramFamily, TelegramSpec
+from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramFamily, TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, Steps
 from dpstack.profile.model.param_errors import PARAMETER_ERRORS, error_text
 from dpstack.profile.model.param_listing import ListedParam, listing
+from dpstack.profile.model.param_store import ParamStore
 from dpstack.profile.model.params import ParamSpec, ParamTable, count_of
 from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
-from dpstack.profile.model.status import DriveStatus
+from dpstack.profile.model.status import DriveStatus, SettingsState
 from dpstack.profile.model.words import N4, SPEED, Scale, Word, signed16
 from dpstack.profile.registry import broken, find, known, refresh
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.profile.simulator.motor import AT_ONCE, NEAR, Motor, ramp
-from dpstack.profile.simulator.param_store import ParamStore
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s, s_to_ns
 
 __all__ = [

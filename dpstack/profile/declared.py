@@ -5,7 +5,7 @@ hooks of :class:`~dpstack.profile.master.core.DriveCore`.
 
 Its parameter channel is that of a drive without peculiarities: every parameter by its PNU, PROFIdrive's error numbers.
 Both ends are here: :func:`plain_resolver` for :class:`~dpstack.profile.channel.pkw_access.PkwAccess`,
-:func:`plain_server` over a :class:`~dpstack.profile.simulator.param_store.ParamStore`. Source: PROFIdrive V2, parameter
+:func:`plain_server` over a :class:`~dpstack.profile.model.param_store.ParamStore`. Source: PROFIdrive V2, parameter
 channel.
 """
 
@@ -16,20 +16,21 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
-from dpstack.profile.channel.base import CHANNEL_LEN, ParamKey
+from dpstack.profile.channel.base import ParamKey
 from dpstack.profile.channel.pkw import Order, Pkw, PkwDialect, PkwServer, Reply
 from dpstack.profile.channel.pkw_access import ParamRef, PkwAccess, Resolver
+from dpstack.profile.drive_profile import DriveProfile
 from dpstack.profile.master.core import DriveCore
-from dpstack.profile.model.drive_profile import DriveProfile, TelegramSpec
+from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
 from dpstack.profile.model.jobs import CommandError
 from dpstack.profile.model.param_errors import PARAMETER_ERRORS
 from dpstack.profile.model.param_listing import ListedParam, listing
+from dpstack.profile.model.param_store import ParamStore
 from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.profile.model.states import FAULTED, ControlTable
 from dpstack.profile.model.words import SPEED, Scale
 from dpstack.profile.record47.client import PLUGIN, ParameterClient
 from dpstack.profile.record47.drive_access import AcyclicAccess, plain_places
-from dpstack.profile.simulator.param_store import ParamStore
 
 #: words and double words, no arrays, no data sets
 PLAIN_PKW: Final = PkwDialect(

@@ -8,7 +8,7 @@ from importlib import metadata
 from typing import Final
 
 from dpstack.errors import ConfigError
-from dpstack.profile.model.drive_profile import DriveProfile
+from dpstack.profile.drive_profile import DriveProfile
 
 GROUP: Final = "dpstack.drives"
 

@@ -9,12 +9,8 @@ waiting first, in every eighth cycle at most: the start it may delay is the mast
 
 from __future__ import annotations
 
-from typing import Final
-
+from dpstack.fdl.events import PATIENCE
 from dpstack.units import NEVER
-
-#: what fits into no gap waits for so many cycles, and one in so many may be put at risk
-PATIENCE: Final = 8
 
 #: function, DA and DSAP of a request: what waits
 Key = tuple[int, int, int | None]

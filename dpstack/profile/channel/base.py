@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Protocol
 
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.params import ParamSpec, ParamTable
-
-#: octets of a parameter channel in front of the process data, the same for every drive that has one
-CHANNEL_LEN: Final = 8
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,25 +8,86 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from typing import Any, Final, Generic, TypeVar
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
-from dpstack.profile.channel.base import CHANNEL_LEN, ParameterChannel
-from dpstack.profile.master import fault_lookup, motion, param_orders
+from dpstack.profile.channel.base import ParameterChannel, ParamKey
+from dpstack.profile.channel.read_many import read_many
 from dpstack.profile.master.settings import Setting, SettingsCheck
-from dpstack.profile.model.drive_profile import TelegramSpec
+from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, Job, Orders, Steps
 from dpstack.profile.model.param_listing import ListedParam
-from dpstack.profile.model.states import FAULTED, ControlTable, Goal, State
+from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State
 from dpstack.profile.model.status import DriveStatus
 from dpstack.profile.model.words import SPEED, Scale
 from dpstack.units import NS_PER_MS, NS_PER_S
 
+_MOTION: Final = ("start", "stop", "quick_stop", "coast", "acknowledge")
+
+#: default time-outs in s; 15 s of them is the time some drives lock a fault
+_TIMEOUTS: Final = {"start": 5.0, "stop": 60.0, "quick_stop": 60.0, "coast": 5.0, "acknowledge": 20.0}
+#: of the reference, for a drive that has no bit for it
+_CLOSE: Final = 0.01
+#: of the reference: how far the actual speed may be from the set point where the drive's bit says that it is reached.
+#: More than the rounding of any drive; a wrong scale or source of the set point is off by more at most set points
+_BELIEVED: Final = 0.02
+_GOALS: Final = {"stop": Goal.STOP, "quick_stop": Goal.QUICK_STOP, "coast": Goal.COAST}
+_PARAMETERS: Final = ("read_many", "read", "write")
+#: where an order says nothing, in seconds
+_PARAMETER_TIMEOUT: Final = 5.0
 #: The orders every drive knows, with the ones that move it first.
-OPS: Final = (*motion.OPS, "speed", "frequency", "reached", "settled", *param_orders.OPS)
+OPS: Final = (*_MOTION, "speed", "frequency", "reached", "settled", *_PARAMETERS)
 
 _LEAST_NS: Final = 20 * NS_PER_MS
 _LOST: Final = "the drive left data exchange"
+T = TypeVar("T")
+
+
+class Lookup(Generic[T]):
+    """Asked once while ``when()`` is true: ``ask(deadline)``. ``value`` is None until the drive has told.
+
+    Asked again after the drive was away, and after a time-out; an answer never counts for what came later.
+    """
+
+    __slots__ = ("_ask", "_asked", "_turn", "_when", "value")
+
+    def __init__(self, when: Callable[[], bool], ask: Callable[[int], Steps[T]]) -> None:
+        self._when = when
+        self._ask = ask
+        self._asked = False
+        self._turn = 0
+        self.value: T | None = None
+
+    def reset(self) -> None:
+        """Nothing is known, nothing was asked."""
+        if self._asked:
+            self._asked = False
+            self._turn += 1
+            self.value = None
+
+    def watch(self, core: DriveCore) -> None:
+        """Inputs have come."""
+        if not self._when():
+            self.reset()
+        elif not self._asked:
+            self._asked = True
+            core.spawn("lookup", self._run(core, self._turn))
+
+    def _run(self, core: DriveCore, turn: int) -> Steps[dict[str, object]]:
+        try:
+            value = yield from self._ask(core.now + NS_PER_S)
+        except CommandError as error:
+            if error.kind == "timeout" and turn == self._turn:
+                self.reset()
+            raise
+        if turn == self._turn:
+            self.value = value
+            core.update()
+        return {}
+
+
+#: all that one drive is asked
+Lookups = tuple[Lookup[Any], ...]
 
 
 class DriveCore:
@@ -67,7 +128,7 @@ class DriveCore:
         self.access: ParameterChannel | None = None
         self.records: RecordQueue | None = None  # what it asks its slave by Read and Write
         #: what is asked over ``access`` while it stands in the status word
-        self.lookups: fault_lookup.Lookups = ()
+        self.lookups: Lookups = ()
         self.now = 0
         #: inputs are of a drive in data exchange
         self.online = False
@@ -114,7 +175,8 @@ class DriveCore:
             self.received()
             if begins:
                 self.settings_check.begin()
-            fault_lookup.watch(self)
+            for lookup in self.lookups:
+                lookup.watch(self)
             self.update()
         access = self.access
         if access is not None and access.busy and self.online:
@@ -133,7 +195,8 @@ class DriveCore:
         self._orders.end("lost", _LOST)
         if self.access is not None:
             self.access.reset()
-        fault_lookup.reset(self)
+        for lookup in self.lookups:
+            lookup.reset()
         self.settings_check.reset()
         self._inputs = b""
         self.set_goal(Goal.IDLE)
@@ -169,7 +232,7 @@ class DriveCore:
         return DriveStatus(
             state=self.state,
             running=self.state is State.RUNNING,
-            reached=bits.told(word, "reached") if "reached" in bits.bits else motion.near(self, speed),
+            reached=bits.told(word, "reached") if "reached" in bits.bits else _near(self, speed),
             remote="remote" not in bits.bits or bits.told(word, "remote"),
             setpoint=self.setpoint,
             speed=speed,
@@ -226,7 +289,7 @@ class DriveCore:
             ):
                 self._achieved = False
                 self.goal = Goal.IDLE
-                self.spawn("left", motion.left(self))
+                self.spawn("left", _left(self))
             control = self.table.word(self.goal, raw)
             self.state = self.table.state(status, control)
         else:
@@ -369,21 +432,21 @@ class DriveCore:
             self._orders.tell({"type": "status", **self.status().as_dict()})
 
     def _job(self, op: str, args: Args, token: int) -> Job:
-        if op in motion.OPS:
+        if op in _MOTION:
             if (why := self.cannot(op)) is not None:
                 raise CommandError("usage", why)
-            return motion.job(self, op, args, token)
+            return _motion_job(self, op, args, token)
         match op:
             case "speed":
                 steps = self._speed(args.number("value"))
             case "frequency":
                 steps = self._speed(args.number("value") / self.reference_hz)
             case "reached":
-                steps = motion.reached(self, self.now + args.timeout_ns(60.0), args.optional("tolerance"))
+                steps = _reached(self, self.now + args.timeout_ns(60.0), args.optional("tolerance"))
             case "settled":
-                steps = motion.told(self, self.now + args.timeout_ns(5.0))
+                steps = _told(self, self.now + args.timeout_ns(5.0))
             case "read" | "write" | "read_many":
-                steps = param_orders.steps(self, op, args)
+                steps = _parameter_steps(self, op, args)
             case "cancel":
                 steps = self._cancel(args.integer("order"))
             case _:
@@ -405,3 +468,211 @@ class DriveCore:
         yield from ()
         self.set_speed(fraction)
         return {"value": fraction, "frequency_hz": fraction * self.reference_hz}
+
+
+# --- the orders that move a drive ---
+def _motion_job(core: DriveCore, op: str, args: Args, token: int) -> Job:
+    """The job of one order of :data:`_MOTION`. Raises CommandError."""
+    deadline = core.now + args.timeout_ns(_TIMEOUTS[op])
+    args.done()
+    if op == "start":
+        steps = _start(core, deadline)
+    elif op == "acknowledge":
+        steps = _acknowledge(core, deadline)
+    else:
+        steps = _halt(core, op, deadline)
+    return Job(op, token, steps, motion=True)
+
+
+def _start(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
+    """Walk to RUNNING. On any failure the goal falls back to IDLE: a drive never starts later by surprise."""
+    try:
+        yield from _online(core, deadline)
+        yield from settled(core, lambda: core.raw_state not in FAULTED, deadline)
+        if core.raw_state in FAULTED:
+            text = yield from _named(core, deadline)
+            raise CommandError("fault", f"{text}; acknowledge it first")
+        yield from core.prepare(deadline)
+        yield from core.settings_check.known(deadline)
+        # a status word that says running already may be older than our last stop
+        trust = core.now + (core.settle_ns if core.raw_state in MOVING else 0)
+        core.set_goal(Goal.RUN)
+        since: int | None = None
+        while core.state is not State.RUNNING or core.now < trust:
+            if core.raw_state in FAULTED:
+                raise CommandError("fault", (yield from _named(core, deadline)))
+            if core.now >= deadline:
+                raise CommandError(
+                    "timeout", core.obstacle() or f"the drive reports {core.raw_state}, not running{core.start_hint}"
+                )
+            if core.obstacle() is None:
+                since = None
+            elif since is None:
+                since = core.now
+            elif core.now >= since + core.settle_ns:
+                yield from core.prepare(deadline)  # raises when it is there to stay
+                since = None
+            yield
+    except BaseException:
+        core.set_goal(Goal.IDLE)
+        raise
+    core.achieved()
+    return {"value": str(core.state)}
+
+
+def _halt(core: DriveCore, op: str, deadline: int) -> Steps[dict[str, object]]:
+    """Ramp, quick stop or coast; done when the drive reports that the power stage is off."""
+    core.set_goal(_GOALS[op])
+    yield from _online(core, deadline)
+    trust = core.now + core.settle_ns
+    while core.state in MOVING or core.now < trust:
+        if core.now >= deadline:
+            speed = core.status().speed
+            still = "" if speed is None else f" at {speed:.1%}"
+            raise CommandError("timeout", f"the drive still reports {core.raw_state}{still}")
+        yield
+    value = str(core.state)
+    yield from core.halted(deadline)
+    return {"value": value}
+
+
+def _acknowledge(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
+    """Edges of the acknowledge bit until the fault is gone; a drive may lock it for a while."""
+    yield from _online(core, deadline)
+    yield from settled(core, lambda: core.raw_state in FAULTED, deadline)
+    if core.raw_state not in FAULTED:
+        return {"value": str(core.state)}
+    yield from core.before_acknowledge(deadline)
+    try:
+        while core.raw_state in FAULTED:
+            for goal in (Goal.ACK_HIGH, Goal.ACK_LOW):
+                core.set_goal(goal)
+                until = core.now + core.settle_ns
+                while core.now < until:
+                    yield
+            if core.now >= deadline and core.raw_state in FAULTED:
+                raise CommandError("fault", f"{_fault_text(core)} cannot be acknowledged{core.lock_hint}")
+    finally:
+        core.set_goal(Goal.IDLE)
+    return {"value": str(core.state)}
+
+
+def _reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[dict[str, object]]:
+    """The drive says that it has reached its reference, and its actual speed (where it tells one) agrees within 2 % of
+    the reference. With ``tolerance``, or where the drive has no bit for it: by its speed alone.
+    """
+    yield from _online(core, deadline)
+    if tolerance is None and "reached" not in core.table.status.bits:
+        tolerance = _CLOSE
+    if tolerance is not None and core.measured()[0] is None:
+        raise CommandError("usage", "the drive does not tell its speed, so nobody knows when it is reached")
+    while True:
+        if core.raw_state in FAULTED:
+            raise CommandError("fault", (yield from _named(core, deadline)))
+        if core.state is not State.RUNNING and core.goal is not Goal.RUN:
+            raise CommandError("usage", f"the drive is not running (it reports {core.state}): start it first")
+        status = core.status()
+        speed = status.speed
+        off = None if speed is None else abs(speed - core.wanted_speed())
+        if tolerance is not None:
+            done = off is not None and off <= tolerance
+        else:
+            # the bit may still belong to the last set point
+            near = off is not None and off <= 0.001
+            done = status.reached and (near or core.now >= core.setpoint_at + core.settle_ns)
+            done = done and (off is None or off <= _BELIEVED)
+        if done and status.running:
+            return {"value": speed}
+        if core.now >= deadline:
+            at = "" if speed is None else f", at {speed:.1%}"
+            if tolerance is None and status.reached:
+                at += (
+                    f" (the drive itself reports its set point as reached; more than {_BELIEVED:.0%} of the reference "
+                    "lie between: are scale and source of the set point right, or is it limited?)"
+                )
+            raise CommandError("timeout", f"{core.wanted_speed():.1%} not reached{at}")
+        yield
+
+
+def _told(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
+    """What the drive tells is about what it is given now, and a fault has its name, as far as it tells one."""
+    yield from _online(core, deadline)
+    yield from settled(core, lambda: False, deadline)
+    if core.raw_state in FAULTED:
+        yield from _named(core, deadline)
+    return {"value": str(core.state)}
+
+
+def _near(core: DriveCore, speed: float | None, tolerance: float = _CLOSE) -> bool:
+    """Running, and with this speed close to its set point."""
+    return core.state is State.RUNNING and speed is not None and abs(speed - core.wanted_speed()) <= tolerance
+
+
+def _left(core: DriveCore) -> Steps[dict[str, object]]:
+    """Tell, as soon as it has a name, why the drive left RUNNING by itself."""
+    if core.raw_state in FAULTED:
+        why = yield from _named(core, core.now + NS_PER_S)
+    else:
+        reports = f"it reports {core.raw_state}"
+        why = (yield from core.why_left()) or reports
+    core.notice(f"left the running state by itself: {why}; it stays off until the next start")
+    return {}
+
+
+def settled(core: DriveCore, wanted: Callable[[], bool], deadline: int) -> Steps[None]:
+    """Wait until ``wanted()`` is true, at most until the inputs belong to the present outputs."""
+    until = min(core.now + core.settle_ns, deadline)
+    while not wanted() and core.now < until:
+        yield
+
+
+def _fault_text(core: DriveCore) -> str:
+    """The present fault by name."""
+    return f"fault {', '.join(core.faults()) or 'without a name'}"
+
+
+def _online(core: DriveCore, deadline: int) -> Steps[None]:
+    while not core.online:
+        if core.now >= deadline:
+            raise CommandError("lost", "the drive is not in data exchange")
+        yield
+
+
+def _named(core: DriveCore, deadline: int) -> Steps[str]:
+    """The fault's text; some drives tell its number only some cycles later."""
+    until = min(core.now + 4 * core.settle_ns, deadline)
+    while core.raw_state in FAULTED and not core.fault_named() and core.now < until:
+        yield
+    return _fault_text(core)
+
+
+# --- orders over the parameter channel ---
+def _parameter_steps(core: DriveCore, op: str, args: Args) -> Steps[dict[str, object]]:
+    """What ``core`` does for the order ``op``, one of :data:`_PARAMETERS`. Raises CommandError."""
+    access = core.access
+    if access is None:
+        raise CommandError("usage", f"{core.telegram.name} of {core.drive} has no parameter channel")
+    deadline = core.now + args.timeout_ns(_PARAMETER_TIMEOUT)
+    if op == "read_many":
+        return _several(access, [_listed(one) for one in args.tables("parameters")], deadline)
+    number, data_set, index = args.name_or_number("number"), args.integer("data_set"), args.integer("index")
+    if op == "read":
+        return access.read(ParamKey(number, data_set, index), deadline)
+    key = ParamKey(number, data_set, index, args.flag("ram"))
+    return _written(core, access.write(key, args.number("value"), deadline))
+
+
+def _written(core: DriveCore, writing: Steps[dict[str, object]]) -> Steps[dict[str, object]]:
+    outcome = yield from writing
+    core.settings_check.changed()
+    return outcome
+
+
+def _listed(one: Args) -> ParamKey:
+    key = ParamKey(one.name_or_number("number"), one.integer("data_set"), one.integer("index"))
+    one.done()
+    return key
+
+
+def _several(access: ParameterChannel, keys: list[ParamKey], deadline: int) -> Steps[dict[str, object]]:
+    return {"values": (yield from read_many(access, keys, deadline))}

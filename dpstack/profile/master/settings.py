@@ -8,32 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import TYPE_CHECKING, Final
+from typing import Final, Protocol
 
-from dpstack.profile.channel.base import ParamKey
+from dpstack.profile.channel.base import ParameterChannel, ParamKey
 from dpstack.profile.channel.read_many import per_request, read_many
+from dpstack.profile.model.drive_type import CHECK_SETTINGS, TelegramSpec
 from dpstack.profile.model.jobs import CommandError, Steps
+from dpstack.profile.model.status import SettingsState
 from dpstack.units import NS_PER_S
 
-if TYPE_CHECKING:
-    from dpstack.profile.master.core import DriveCore
-
-#: the option of every drive that switches the comparison off
-OPTION: Final = "check_settings"
 #: for one request: record 47 takes 1.4 s for one element at 9.6 kbit/s beside four drives
 _ANSWER_NS: Final = 5 * NS_PER_S
 _NO_ANSWER: Final = "the drive has not yet answered"
-
-
-class SettingsState(StrEnum):
-    """How far the comparison is; the values are those of the JSON lines."""
-
-    NONE = "none"  # the plugin relies on none, or nothing is known of the drive
-    CHECKING = "checking"
-    CHECKED = "checked"  # all are as the plugin expects them
-    DIFFERENT = "different"
-    NOT_CHECKED = "not_checked"  # at least one could not be read, the others are as expected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,8 +56,23 @@ def same(value: float, expected: float) -> bool:
     return abs(value - expected) < 0.01
 
 
+class CheckedCore(Protocol):
+    """What the comparison needs of the master's end of a drive (:class:`~dpstack.profile.master.core.DriveCore`)."""
+
+    telegram: TelegramSpec
+    access: ParameterChannel | None
+    now: int
+
+    def settings(self) -> Sequence[Setting]: ...
+    def before_settings(self, deadline: int) -> Steps[None]: ...
+    def answers_until(self, deadline: int) -> int: ...
+    def spawn(self, op: str, steps: Steps[dict[str, object]]) -> None: ...
+    def update(self) -> None: ...
+    def notice(self, text: str) -> None: ...
+
+
 class SettingsCheck:
-    """The comparison for one drive. ``enabled``: the option :data:`OPTION`."""
+    """The comparison for one drive. ``enabled``: the option ``check_settings``."""
 
     __slots__ = (
         "_busy",
@@ -86,7 +87,7 @@ class SettingsCheck:
         "enabled",
     )
 
-    def __init__(self, core: DriveCore) -> None:
+    def __init__(self, core: CheckedCore) -> None:
         self._core = core
         self.enabled = True
         self._busy = False
@@ -122,7 +123,7 @@ class SettingsCheck:
         if not settings:
             return
         if not self.enabled:
-            self._end([_not_checked(f"the option {OPTION} is false", settings)])
+            self._end([_not_checked(f"the option {CHECK_SETTINGS} is false", settings)])
         elif core.access is None:
             self._end([_not_checked(f"{core.telegram.name} has no parameter channel", settings)])
         else:

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
-from dpstack.profile.channel.base import CHANNEL_LEN
 from dpstack.profile.model import process_data_map
+from dpstack.profile.model.drive_type import CHANNEL_LEN
 from dpstack.profile.model.words import N4, SPEED, Scale
 
 

@@ -4,9 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from enum import StrEnum
 
-from dpstack.profile.master.settings import SettingsState
 from dpstack.profile.model.states import State
+
+
+class SettingsState(StrEnum):
+    """How far the comparison is; the values are those of the JSON lines."""
+
+    NONE = "none"  # the plugin relies on none, or nothing is known of the drive
+    CHECKING = "checking"
+    CHECKED = "checked"  # all are as the plugin expects them
+    DIFFERENT = "different"
+    NOT_CHECKED = "not_checked"  # at least one could not be read, the others are as expected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

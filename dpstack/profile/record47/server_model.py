@@ -1,4 +1,4 @@
-"""A drive's parameters over its :class:`~dpstack.profile.simulator.param_store.ParamStore` as record 47 shows them.
+"""A drive's parameters over its :class:`~dpstack.profile.model.param_store.ParamStore` as record 47 shows them.
 
 Parameters stand at their number; data sets, and subindexes that the table fixes, are elements. Beside them the drive's
 limits (974) and the lists of its parameters (980 to 989: 300 elements each, the last one names the next list, 0 ends).
@@ -21,6 +21,7 @@ from dpstack.profile.model.param_errors import (
     OPERATING_STATE,
     READ_ONLY,
 )
+from dpstack.profile.model.param_store import ParamStore
 from dpstack.profile.model.params import ParamSpec
 from dpstack.profile.record47.formats import (
     DOUBLE_WORD,
@@ -37,7 +38,6 @@ from dpstack.profile.record47.formats import (
 from dpstack.profile.record47.param_lists import FIRST_LIST, LAST_LIST, PNU_LIMITS, Description
 from dpstack.profile.record47.pdu import Address, ErrorValue, Result, Values
 from dpstack.profile.record47.split import Limits
-from dpstack.profile.simulator.param_store import ParamStore
 from dpstack.units import NS_PER_MS
 
 _LIST_LEN: Final = 300

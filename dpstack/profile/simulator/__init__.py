@@ -2,5 +2,4 @@
 
 - ``device``: The common part of a simulated drive: a DP device with an internal scan, a motor and a parameter channel
 - ``motor``: The simulated motor: first order, per unit of the rated values
-- ``param_store``: The parameters of a simulated drive: RAM and EEPROM values, data sets, a count of EEPROM writes
 """

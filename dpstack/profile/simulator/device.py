@@ -19,12 +19,12 @@ from dpstack.dp.slave.device import Leave
 from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport
 from dpstack.dpv1.slave.device import Device
 from dpstack.errors import AlarmError
-from dpstack.profile.channel.base import CHANNEL_LEN, ChannelServer
+from dpstack.profile.channel.base import ChannelServer
 from dpstack.profile.channel.pkw import READS, Pkw, Reply
-from dpstack.profile.model.drive_profile import DriveProfile, TelegramSpec
+from dpstack.profile.model.drive_type import CHANNEL_LEN, DriveType, TelegramSpec
+from dpstack.profile.model.param_store import ParamStore
 from dpstack.profile.record47.server import ParameterServer
 from dpstack.profile.simulator.motor import Motor
-from dpstack.profile.simulator.param_store import ParamStore
 from dpstack.units import NEVER, NS_PER_MS
 
 #: from a setting that restarts the station to the restart: the answer to it is fetched meanwhile (made up)
@@ -50,7 +50,7 @@ class DriveDevice(Device):
     write_errors: frozenset[int] = frozenset()
     store: ParamStore
 
-    def __init__(self, profile: DriveProfile, telegram: TelegramSpec, motor: Motor) -> None:
+    def __init__(self, profile: DriveType, telegram: TelegramSpec, motor: Motor) -> None:
         self.profile = profile
         self.ident = profile.ident
         self.name = profile.name

@@ -11,7 +11,7 @@ from dpstack.dp.acyclic.class2_services import Service, ServiceDone
 from dpstack.dp.plan.cycle_check import Verdict, least_ns
 from dpstack.dp.plan.rotation_time import figures
 from dpstack.drivers.stack import acyclic_services
-from dpstack.fdl.active.cycle_window import PATIENCE
+from dpstack.fdl.events import PATIENCE
 from dpstack.params import BusParams
 from dpstack.units import NS_PER_US
 

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ring_bus import ListUser
 
-from dpstack.fdl.active.cycle_window import PATIENCE, Budget
+from dpstack.fdl.active.cycle_window import Budget
 from dpstack.fdl.active.exchange import ends_at, in_vain_until
 from dpstack.fdl.active.station import ActiveStation
+from dpstack.fdl.events import PATIENCE
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Req
 from dpstack.params import BusParams

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.fdl.active.las_gap import Allowance, Gap, Ring, distance
+from dpstack.fdl.active.las_gap import Gap, Ring, distance
+from dpstack.fdl.allowance import Allowance
 from dpstack.fdl.telegram import StationType
 from dpstack.params import BusParams
 

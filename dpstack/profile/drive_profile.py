@@ -5,56 +5,16 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.errors import ConfigError
-from dpstack.profile.channel.base import CHANNEL_LEN
-from dpstack.profile.master.settings import OPTION as CHECK_SETTINGS
+from dpstack.profile.master.core import DriveCore
+from dpstack.profile.model.drive_type import CHECK_SETTINGS, DriveType, TelegramSpec
 from dpstack.profile.model.jobs import LARGEST
-from dpstack.profile.record47.drive_access import ChosenAccess
-
-if TYPE_CHECKING:
-    from dpstack.dpv1.master.plugin_queue import RecordQueue
-    from dpstack.profile.master.core import DriveCore
-    from dpstack.profile.record47.drive_access import AcyclicAccess
-    from dpstack.profile.simulator.device import DriveDevice
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TelegramSpec:
-    """One telegram of a drive: identifier octets, octets each way, whether a parameter channel leads.
-
-    ``outputs``, ``inputs``: octets of process data behind the parameter channel. ``made_up``: the identifiers are in
-    no manual.
-    """
-
-    name: str
-    config: bytes
-    outputs: int
-    inputs: int
-    channel: bool = False
-    made_up: bool = False
-
-    @property
-    def output_octets(self) -> int:
-        """All octets of the outputs."""
-        return self.outputs + (CHANNEL_LEN if self.channel else 0)
-
-    @property
-    def input_octets(self) -> int:
-        """All octets of the inputs."""
-        return self.inputs + (CHANNEL_LEN if self.channel else 0)
-
-
-class TelegramFamily(NamedTuple):
-    """Telegrams too many to list, made when they are asked for.
-
-    ``named``: from a name, raises ConfigError. ``of_config``: from identifier octets, None where they are none.
-    """
-
-    named: Callable[[str], TelegramSpec]
-    of_config: Callable[[bytes], TelegramSpec | None]
+from dpstack.profile.record47.drive_access import AcyclicAccess, ChosenAccess
+from dpstack.profile.simulator.device import DriveDevice
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +52,7 @@ DeviceFactory = Callable[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveProfile:
+class DriveProfile(DriveType):
     """A drive: found by the entry point group ``dpstack.drives`` under ``name``.
 
     ``max_tsdr``: bit times by baud rate, empty where the manual gives none. ``reference_hz``: what 100 % speed is
@@ -102,25 +62,18 @@ class DriveProfile:
     only the rate that it is set to. ``record_access``: how it is reached over record 47; None where it has none.
     """
 
-    name: str
     title: str
-    ident: int
-    telegrams: Mapping[str, TelegramSpec]
-    default_telegram: str
     reference_hz: float
     on_loss: str
     core_factory: CoreFactory
     device_factory: DeviceFactory
     ident_made_up: bool = False
-    user_prm: bytes = b""
     baud_rates: tuple[int, ...] = ()
     max_tsdr: Mapping[int, int] = field(default_factory=dict)
     min_slave_interval_ns: int = 0
-    fail_safe: bool = False
     core_options: Mapping[str, OptionSpec] = field(default_factory=dict)
     device_options: Mapping[str, OptionSpec] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    family: TelegramFamily | None = None
     simulated_options: Mapping[str, object] = field(default_factory=dict)
     gsd: str | None = None
     rate_setting: RateSetting | None = None
@@ -134,23 +87,6 @@ class DriveProfile:
         value = options.get(setting.option, self.core_options[setting.option].default)
         assert isinstance(value, (int, float))
         return (setting.rates[int(value)],)
-
-    def telegram(self, name: str | None = None) -> TelegramSpec:
-        """A telegram by name (any case), the default one for None. Raises ConfigError naming those there are."""
-        wanted = self.default_telegram if name is None else name.strip().upper()
-        for spec in self.telegrams.values():
-            if spec.name.upper() == wanted.upper():
-                return spec
-        if self.family is not None:
-            return self.family.named(wanted)
-        raise ConfigError(f"{self.name} has no telegram {name!r}; it has {', '.join(self.telegrams)}")
-
-    def telegrams_of(self, config: bytes) -> tuple[TelegramSpec, ...]:
-        """The telegrams with these identifier octets; none where the drive does not know them."""
-        found = tuple(spec for spec in self.telegrams.values() if spec.config == config)
-        if not found and self.family is not None and (made := self.family.of_config(config)) is not None:
-            return (made,)
-        return found
 
     def described(self, telegram: TelegramSpec, params: SlaveParams, baud_rates: tuple[int, ...]) -> DriveProfile:
         """The drive with ``telegram`` by default, as a GSD file describes it; what that says is not made up.

@@ -1,0 +1,80 @@
+"""What a drive is on the bus: its ident number and telegrams."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from dpstack.errors import ConfigError
+
+#: octets of a parameter channel in front of the process data, the same for every drive that has one
+CHANNEL_LEN: Final = 8
+#: the option of every drive that switches the comparison off
+CHECK_SETTINGS: Final = "check_settings"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TelegramSpec:
+    """One telegram of a drive: identifier octets, octets each way, whether a parameter channel leads.
+
+    ``outputs``, ``inputs``: octets of process data behind the parameter channel. ``made_up``: the identifiers are in
+    no manual.
+    """
+
+    name: str
+    config: bytes
+    outputs: int
+    inputs: int
+    channel: bool = False
+    made_up: bool = False
+
+    @property
+    def output_octets(self) -> int:
+        """All octets of the outputs."""
+        return self.outputs + (CHANNEL_LEN if self.channel else 0)
+
+    @property
+    def input_octets(self) -> int:
+        """All octets of the inputs."""
+        return self.inputs + (CHANNEL_LEN if self.channel else 0)
+
+
+class TelegramFamily(NamedTuple):
+    """Telegrams too many to list, made when they are asked for.
+
+    ``named``: from a name, raises ConfigError. ``of_config``: from identifier octets, None where they are none.
+    """
+
+    named: Callable[[str], TelegramSpec]
+    of_config: Callable[[bytes], TelegramSpec | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveType:
+    """``family``: telegrams too many to list; ``fail_safe``: empty frames in Clear are understood."""
+
+    name: str
+    ident: int
+    telegrams: Mapping[str, TelegramSpec]
+    default_telegram: str
+    user_prm: bytes = b""
+    fail_safe: bool = False
+    family: TelegramFamily | None = None
+
+    def telegram(self, name: str | None = None) -> TelegramSpec:
+        """A telegram by name (any case), the default one for None. Raises ConfigError naming those there are."""
+        wanted = self.default_telegram if name is None else name.strip().upper()
+        for spec in self.telegrams.values():
+            if spec.name.upper() == wanted.upper():
+                return spec
+        if self.family is not None:
+            return self.family.named(wanted)
+        raise ConfigError(f"{self.name} has no telegram {name!r}; it has {', '.join(self.telegrams)}")
+
+    def telegrams_of(self, config: bytes) -> tuple[TelegramSpec, ...]:
+        """The telegrams with these identifier octets; none where the drive does not know them."""
+        found = tuple(spec for spec in self.telegrams.values() if spec.config == config)
+        if not found and self.family is not None and (made := self.family.of_config(config)) is not None:
+            return (made,)
+        return found
