@@ -1,8 +1,9 @@
-"""UART timing: silence on the line, the gates built on it, and patience with ports.
+"""UART timing: silence and idle times on the line, patience with late ports, noise, the UART model.
 
-- ``line``: The line as one station knows it: when it fell silent, and what may start when
-- ``neighbours``: What a late port asks of the other masters on its bus, which know no slack
-- ``noise``: Noise on a wire: bits inverted by chance. Seeded, so that a run can be repeated
-- ``patience``: Patience by consequence: how much later than the wire's deadline a port may deliver
-- ``uart``: The UART of a station: octets as levels on the line, and what a receiver at any rate makes of them
+- ``line``: Silence on the line as one station knows it, and the idle times after which it may send
+- ``neighbours``: The T_SL and T_TO that other masters need beside a port that delivers late
+- ``noise``: Noise on a wire: random bit errors, with a seed so that a run can be repeated
+- ``patience``: Patience: the slack added to a deadline for octets that a port delivers late, by kind of port and
+  station
+- ``uart``: UART model: octets as levels on the line, and the characters that a receiver at any rate samples
 """

@@ -1,8 +1,8 @@
-"""The line as one station knows it: when it fell silent, and what may start when.
+"""Silence on the line as one station knows it, and the idle times after which it may send.
 
-The only judge of starts. Silence is counted from the end of the last activity that this station knows of: octets heard
-or its own transmission. Over USB or a pty neither the 33-bit pause nor gaps between characters can be seen, so
-what is heard late only makes the wait longer, never shorter.
+Silence counts from the end of the last activity that this station knows: received octets or its own transmission. Over
+USB or a pty neither the 33-bit pause nor gaps between characters are visible, so octets that are delivered late make
+the wait longer, never shorter.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from dpstack.units import BITS_PER_CHAR
 
 
 class Line:
-    """Silence and gates of one station. Times in ns, gates converted once from the bus parameters."""
+    """Silence and idle times of one station in ns, converted once from the bus parameters."""
 
     __slots__ = ("_baud", "idle_since", "t_id1_ns", "t_id2_ns", "t_sdr_ns", "t_sl_ns", "t_stall_ns", "t_to_ns")
 
     def __init__(self, params: BusParams, now: int = 0) -> None:
-        #: end of the last activity; the line has been silent since then as far as is known
+        #: end of the last known activity: the line has been silent since then
         self.idle_since = now
         self.set_params(params)
 
     def set_params(self, params: BusParams) -> None:
-        """Take the gates from ``params`` (also after a change of the baud rate)."""
+        """Convert the times of ``params`` (also after a change of the baud rate)."""
         self._baud = params.baud
         self.t_id1_ns = params.ns(params.t_id1)
         self.t_id2_ns = params.ns(params.t_id2)
@@ -43,6 +43,6 @@ class Line:
         self.idle_since = at
 
     def cut(self, now: int) -> None:
-        """Octets arrived before the port's estimate of 'sent': receiving while sending implies sent."""
+        """Octets arrived before the estimated end of this station's transmission: so it has ended."""
         if now < self.idle_since:
             self.idle_since = now

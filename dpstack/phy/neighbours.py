@@ -1,10 +1,10 @@
-"""What a late port asks of the other masters on its bus: they judge by their own T_SL and T_TO and know no slack.
+"""The T_SL and T_TO that other masters need beside a port that delivers late.
 
-A port that delivers late by ``unknown_ns`` (there and back) shows twice. The first octet of its station after a token,
-or the answer of a simulated slave, begins so much later: within T_SL, else the token is taken back and the request
-repeated. And while the station holds the token it waits with its slack for those who do not answer: a master n claims
-the token after a silence of T_TO = (6 + 2 n) T_SL (docs/protocol.md#t_to). All masters of a bus have the same T_SL, so
-the sums are made for one.
+The other masters know nothing of this delay ``unknown_ns`` (there and back), which matters twice. The first octet of
+the station after a token, or the answer of a simulated slave, begins so much later. It has to begin within T_SL, else
+the other master passes the token on or repeats the request. And while the station holds the token it waits longer for
+stations that do not answer: a master n claims the token after a silence of T_TO = (6 + 2 n) T_SL
+(docs/protocol.md#t_to). All masters of a bus have the same T_SL, so one calculation is enough.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _MARGIN: Final = 15
 
 
 def t_sl_of_answers(params: BusParams, patience: Patience) -> int:
-    """T_SL in bit times that a master needs for whom a station on such a port answers or takes the token.
+    """T_SL in bit times that a master needs if a station on such a port answers it or receives its token.
 
-    0 where there is no wire (``sending_ns`` 0): the others are programs on ports like this one, with a slack of theirs.
+    0 where there is no wire (``sending_ns`` 0): the others are programs on such ports, with a slack of their own.
     """
     if not patience.sending_ns:
         return 0
@@ -32,7 +32,7 @@ def t_sl_of_answers(params: BusParams, patience: Patience) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Neighbours:
-    """What other masters need beside a master with ``params`` and ``patience``; ``lowest`` is the lowest of them."""
+    """Needs of the other masters beside a master with ``params`` and ``patience``; ``lowest``: their lowest address."""
 
     params: BusParams
     patience: Patience
@@ -40,7 +40,7 @@ class Neighbours:
 
     @property
     def t_sl(self) -> int:
-        """T_SL in bit times for all masters of the bus, 0 where nothing is asked of them."""
+        """T_SL in bit times for all masters of the bus, 0 where any T_SL will do."""
         answers = t_sl_of_answers(self.params, self.patience)
         if not answers:
             return 0
@@ -55,11 +55,11 @@ class Neighbours:
 
     @property
     def t_to_ns(self) -> int:
-        """After such a silence the lowest of them claims the token, where its T_SL is that of ``params``."""
+        """The silence after which the lowest of them claims the token, with the T_SL of ``params``."""
         return self.params.ns((6 + 2 * self.lowest) * self.params.t_sl)
 
     def advice(self) -> str:
-        """One line for people with the figures, and what to do; empty where T_SL of ``params`` is enough."""
+        """Advice for people with the figures; empty where T_SL of ``params`` is enough."""
         need, params = self.t_sl, self.params
         if need <= params.t_sl:
             return ""

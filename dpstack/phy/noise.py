@@ -1,4 +1,4 @@
-"""Noise on a wire: bits inverted by chance. Seeded, so that a run can be repeated."""
+"""Noise on a wire: random bit errors, with a seed so that a run can be repeated."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from dpstack.units import BITS_PER_CHAR
 class BitNoise:
     """Inverts each bit with the probability ``per_bit`` (0 <= P < 1), independently of the others.
 
-    Geometric: what is drawn is the number of sound bits before the next error, so that sound telegrams cost one
-    comparison.
+    The random number is the distance to the next error (geometric distribution), so that a telegram without errors
+    costs one comparison.
     """
 
     __slots__ = ("_rng", "_sound_bits", "per_bit")

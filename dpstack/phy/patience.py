@@ -1,13 +1,13 @@
-"""Patience by consequence: how much later than the wire's deadline a port may deliver, and for whom we wait.
+"""Patience: the slack added to a deadline for octets that a port delivers late, by kind of port and station.
 
-Host slack enters deadlines only, never minimum gaps. It is paid for every silent address, and too little of it loses
-slaves when a virtual machine stalls 10 to 30 ms: so a station whose silence has consequences (in data exchange, or
-just given the token) is given ``known_ns``, an address that never answered ``unknown_ns``. A master's absent slaves may
-take 1/``unknown_share`` of the bus time in silence.
+Host slack is added to deadlines only, never to idle times. Every silent address costs it, and too little of it loses
+slaves when a virtual machine stalls for 10 to 30 ms. So a station whose silence has consequences (in data exchange, or
+with the token) gets ``known_ns``, an address that never answered ``unknown_ns``. Polls of a master's absent slaves may
+take 1/``unknown_share`` of the bus time.
 
-The GAP has an account of its own, else a few absent slaves would keep every other master out of the ring. It is counted
-by the pass, because a pass is what a newcomer waits for: every silent address is asked about once in 3 s, for which the
-GAP takes 1 % to 10 % of the bus. With 1 % alone a second master on a pty (HSA 126, 187.5 kbit/s, 2.6 ms a silent poll)
+The GAP has a share of its own, else a few absent slaves would keep every other master out of the ring. It is counted
+by the pass, because a new master waits for a pass: every silent address is polled once in 3 s, for which the GAP takes
+1 % to 10 % of the bus. With 1 % alone a second master on a pty (HSA 126, 187.5 kbit/s, 2.6 ms a silent poll)
 waited 22 to 32 s (measured), on an adapter not yet measured 4 minutes; 10 % means 3.3 s and 26 s. It is less than
 hardware masters take, which poll in every rotation, and the median of the rotation does not show it. In a ring each
 master asks its own part of the addresses, so all of them together take little more than one.
@@ -21,33 +21,32 @@ from typing import Final
 from dpstack.params import BusParams
 from dpstack.units import BITS_PER_CHAR, NS_PER_MS, NS_PER_S
 
-#: every silent address of the GAP is asked about so often, ...
+#: every silent address of the GAP is polled once in this time, ...
 _GAP_PASS_NS: Final = 3 * NS_PER_S
-#: ... for which 1/10 of the bus time is the most
+#: ... for which the GAP takes 1/10 of the bus time at most
 _GAP_SHARE: Final = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Patience:
-    """Slack in ns added to deadlines. The default is none: virtual time, where everything arrives exactly."""
+    """Slack in ns added to deadlines. The default is none: virtual time, where octets arrive exactly."""
 
     known_ns: int = 0
     unknown_ns: int = 0
-    #: silent polls of absent slaves may take 1/unknown_share of the bus time; the GAP has that at least (see above).
-    #: 0 = no limit
+    #: polls of absent slaves may take 1/unknown_share of the bus time, the GAP at least as much; 0 = no limit
     unknown_share: int = 0
     #: added to the stall time of a telegram that arrives in pieces
     stall_ns: int = 0
-    #: what is given to the port may go on the wire so much later. The end of an own telegram that nobody answers is
-    #: known no better, so idle times count from its latest: else the next one would follow without a pause
+    #: the port may send octets so much later. Idle times after a telegram without answer count from its latest
+    #: possible end, else the next telegram would follow without a pause
     sending_ns: int = 0
 
     def silent_ns(self, params: BusParams) -> int:
-        """How long a poll of an address that never answered waits. Ports show octets at their end, hence one more."""
+        """Time-out in ns of a poll of an address that never answered. Ports deliver an octet at its end: one more."""
         return params.ns(params.t_sl + BITS_PER_CHAR) + self.unknown_ns
 
     def gap_share(self, polls: int, cost_ns: int) -> int:
-        """Silent GAP polls may take 1/this of the bus time where a pass has ``polls`` of ``cost_ns``; 0 = no limit."""
+        """Divisor of the bus time for GAP polls where a pass has ``polls`` of ``cost_ns``; 0 = no limit."""
         if not self.unknown_share:
             return 0
         in_time = _GAP_PASS_NS // max(1, polls * cost_ns)
@@ -69,7 +68,7 @@ ADAPTER: Final = Patience(
     sending_ns=NS_PER_MS,
 )
 
-#: The least that a measured adapter is given: one whose 16 ms timer comes back does not lose its slaves.
+#: The least for a measured adapter: it keeps its slaves when its latency timer is 16 ms again.
 _LEAST_KNOWN_NS: Final = 20 * NS_PER_MS
 _LEAST_UNKNOWN_NS: Final = 2 * NS_PER_MS
 
@@ -77,8 +76,8 @@ _LEAST_UNKNOWN_NS: Final = 2 * NS_PER_MS
 def measured(p999_ns: int) -> Patience:
     """Patience for an adapter whose answers are ``p999_ns`` late in 999 of 1000 cases.
 
-    Three times that for stations that matter, once for addresses that never answered; never more than before it was
-    measured, because the slaves' watchdogs were told that.
+    Three times that for known stations, once for addresses that never answered; never more than :data:`ADAPTER`,
+    because the slaves' watchdogs were set for that.
     """
     return replace(
         ADAPTER,
@@ -88,9 +87,9 @@ def measured(p999_ns: int) -> Patience:
 
 
 def slack(known_ns: int, port: Patience = EXACT) -> Patience:
-    """Patience from the user's ``host_slack_ms``: the same for everyone, silent polls still bounded.
+    """Patience from the user's ``host_slack_ms``: the same for all stations, polls of absent slaves still limited.
 
-    When the port really sends is not the user's to say: that is taken from ``port``, the patience of its kind.
+    ``sending_ns`` belongs to the kind of port: it comes from ``port``.
     """
     return Patience(
         known_ns=known_ns, unknown_ns=known_ns, unknown_share=100, stall_ns=known_ns, sending_ns=port.sending_ns

@@ -1,8 +1,8 @@
-"""The UART of a station: octets as levels on the line, and what a receiver at any rate makes of them.
+"""UART model: octets as levels on the line, and the characters that a receiver at any rate samples.
 
 8E1: start bit (space), eight data bits with the lowest first, even parity, stop bit (mark); an idle line is mark. A
-receiver is started by a falling edge, looks at half a bit whether it was a start bit, then samples in the middle of
-each of its own bits. After a bad stop bit it waits for mark before it looks for the next edge. All in integers: where a
+falling edge starts a receiver. It checks the start bit after half a bit, then samples in the middle of each of its own
+bits. After a bad stop bit it waits for mark before it looks for the next edge. All in integers: where a
 sample falls among the sender's bits is floor((2 i + 1) x sent rate / (2 x own rate)).
 """
 
@@ -25,7 +25,7 @@ STOP_BIT: Final = 0x400
 
 
 class Character(NamedTuple):
-    """A character as a receiver has it: end of its stop bit in ns, the data bits, and what is wrong with it."""
+    """A received character: end of its stop bit in ns, data bits, errors."""
 
     at_ns: int
     octet: int
@@ -34,7 +34,7 @@ class Character(NamedTuple):
 
     @property
     def good(self) -> bool:
-        """Neither error: what is left of it where damaged characters are dropped (IGNPAR)."""
+        """Whether it has no error, so that a port with IGNPAR delivers it."""
         return not (self.parity_error or self.framing_error)
 
 
@@ -66,27 +66,27 @@ def waveform(octets: bytes, flips: dict[int, int] | None = None) -> bytes:
 class Receiver:
     """The receiving half of a UART at ``baud`` bit/s that is switched on at ``since_ns``.
 
-    It is told of every transmission on the line, in order and not overlapping; between them the line is mark. A
-    character may reach beyond the end of a transmission, and into the next one: it is given out once it is complete,
-    by the next :meth:`hear` or by :meth:`idle`.
+    The caller passes every transmission on the line, in order and not overlapping; between them the line is mark. A
+    character may reach beyond the end of a transmission, and into the next one: the next :meth:`hear` or
+    :meth:`idle` returns it once it is complete.
     """
 
     __slots__ = ("_edge_ns", "_places", "_ready_ns", "_sampled", "baud")
 
     def __init__(self, baud: int, since_ns: int = 0) -> None:
         self.baud = baud
-        self._ready_ns = since_ns  # edges before this are none
-        self._edge_ns = 0  # of the character under way
+        self._ready_ns = since_ns  # earlier edges do not count
+        self._edge_ns = 0  # of the current character
         self._sampled: bytes | None = None  # its bits so far, start bit first
         self._places: dict[int, tuple[int, ...]] = {}
 
     @property
     def due(self) -> int:
-        """When the character under way is complete if the line stays mark, in ns; NEVER when there is none."""
+        """The end in ns of the current character if the line stays mark; NEVER when there is none."""
         return self._edge_ns + bits_to_ns(BITS_PER_CHAR, self.baud) if self._sampled else NEVER
 
     def idle(self, now: int) -> list[Character]:
-        """The line has been mark since the last transmission: what is complete at ``now`` (at most one)."""
+        """The characters complete at ``now`` (at most one); the line has been mark since the last transmission."""
         if self._sampled and self.due <= now:
             return [self._finished(self._sampled.ljust(BITS_PER_CHAR, b"1"))]
         return []
@@ -95,7 +95,7 @@ class Receiver:
         self._sampled = None
 
     def hear(self, start_ns: int, levels: bytes, baud: int) -> list[Character]:
-        """``levels`` (see :func:`waveform`) are sent from ``start_ns`` on at ``baud``: the characters then complete."""
+        """The characters complete after ``levels`` (see :func:`waveform`) sent from ``start_ns`` on at ``baud``."""
         found: list[Character] = []
         places = self._places.get(baud)
         if places is None:
@@ -130,7 +130,7 @@ class Receiver:
         return 0 if levels[:1] == b"0" else _next_edge(levels, 0)
 
     def _go_on(self, start_ns: int, levels: bytes, baud: int, found: list[Character]) -> int:
-        """Sample on in the character under way; returns where the next one begins, -1: nowhere."""
+        """Continue the current character; returns where the next one begins, -1: nowhere."""
         bits = self._sampled or b""
         place = -1
         while len(bits) < BITS_PER_CHAR:
@@ -163,7 +163,7 @@ def _next_edge(levels: bytes, at: int) -> int:
 
 
 def flipped(octet: int, flips: int) -> int | None:
-    """What is received of ``octet`` when the bits ``flips`` of its character are inverted; None = dropped.
+    """The octet received when the bits ``flips`` of the character of ``octet`` are inverted; None = dropped.
 
     Bit 0 of ``flips`` is the start bit, 1..8 the data bits, 9 parity, 10 stop. An odd number of errors in data and
     parity is a parity error, a wrong stop bit a framing error, without its start bit a character is not seen.

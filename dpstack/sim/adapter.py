@@ -1,8 +1,8 @@
-"""A station behind a USB serial adapter, in virtual time: what the adapter does to octets and to time.
+"""A station behind a USB serial adapter, in virtual time: delay and packing of octets.
 
-The station (the host's side) is pumped as a driver on a serial port would pump it; the adapter is what is plugged into
-the world. Received octets wait for a packet to fill up or for the latency timer, and for the next USB frame; what the
-host sends waits for a USB frame too, while the host believes that it went on the wire at once.
+The adapter pumps its station as a driver on a serial port would; the adapter is added to the world. Received octets
+wait for a full packet or for the latency timer, and for the next USB frame. Octets that the host sends wait for a USB
+frame too, while the host assumes that they went on the wire at once.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from dpstack.units import NEVER, NOW, NS_PER_MS, chars_to_ns
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Habits:
-    """What an adapter does. Times in ns; the default is none of it but full-speed USB frames.
+    """The behaviour of an adapter. Times in ns; the default has full-speed USB frames and a latency timer of 1 ms.
 
-    ``frame_ns``: octets change hands only at multiples of this. ``latency_ns``: a packet that is not full is handed
-    over so long after the one before it. ``packet``: octets in a full one. ``echo``: the station hears what it sends.
+    ``frame_ns``: octets go to and from the host only at multiples of this. ``latency_ns``: a packet that is not full
+    goes to the host so long after the one before it. ``packet``: octets of a full one. ``echo``: the station hears what
+    it sends.
     """
 
     frame_ns: int = NS_PER_MS
@@ -46,7 +47,7 @@ FTDI_LOW_LATENCY: Final = Habits()
 
 
 class OwnOctets(Protocol):
-    """Takes a station's own octets out of what an adapter with echo delivers (drivers have one)."""
+    """Removes a station's own octets from those that an adapter with echo delivers (drivers have one)."""
 
     def sent(self, octets: bytes) -> None:
         """``octets`` go out now."""
@@ -54,14 +55,14 @@ class OwnOctets(Protocol):
     def strip(self, chunk: bytes) -> bytes: ...
 
     def release(self) -> bytes:
-        """What was held back: a deadline is due."""
+        """The octets held back, when a deadline is due."""
 
 
 class Adapter:
-    """``station`` on an adapter with ``habits``: plug this into the world, give orders to it too.
+    """``station`` on an adapter with ``habits``. A BusStation: add it to the world, send commands to it.
 
-    ``own``: what removes the echo, where there is one. ``cost`` counts how long after the first octet of a packet was
-    on the wire the host was given it. A BusStation.
+    ``own``: removes the echo, where there is one. ``cost``: the time from the first octet of a packet on the wire to
+    the delivery of the packet to the host.
     """
 
     def __init__(self, station: BusStation, habits: Habits = FTDI_LOW_LATENCY, *, own: OwnOctets | None = None) -> None:
@@ -76,7 +77,7 @@ class Adapter:
         self._busy_until = 0  # end of the transmission under way
         self._host_at = NOW  # the station's deadline
 
-    # --- what the world asks ---
+    # --- properties of the station ---
     @property
     def address(self) -> int:
         return self.station.address
@@ -96,14 +97,12 @@ class Adapter:
 
     @property
     def by_octets(self) -> bool:
-        """A port knows nothing of telegrams."""
         return True
 
     def activity(self, now: int) -> None:
-        """A port does not tell edges."""
+        """Nothing: a port does not report edges."""
 
     def telegram(self, telegram: Telegram, now: int) -> None:
-        """Never called: it is given octets."""
         raise RuntimeError(f"an adapter was handed {telegram}: it takes octets only")
 
     def take_events(self) -> list[Event]:
@@ -118,27 +117,27 @@ class Adapter:
         self._fifo.extend((now, octet) for octet in chunk)
 
     def take_tx(self, now: int) -> bytes | None:
-        """What the host sent, once a USB frame has brought it and the transmitter is free."""
+        """The host's octets, once a USB frame has brought them and the transmitter is free."""
         if not self._out or now < self._start_at():
             return None
         self._sending = self._out.popleft()[1]
         return self._sending
 
     def sent(self, at: int) -> None:
-        """The last bit will be on the wire at ``at``; with echo the octets come back until then."""
+        """The last bit will be on the wire at ``at``; with echo the octets come back by then."""
         self._busy_until = at
         if self.habits.echo:
             size = len(self._sending)
             self._fifo.extend((at - chars_to_ns(size - n - 1, self.baud), o) for n, o in enumerate(self._sending))
 
     def wake_at(self) -> int:
-        """A packet for the host, octets for the wire, or the host's own deadline."""
+        """The next packet for the host, octets for the wire, or the host's own deadline."""
         return min(self._due(), self._start_at() if self._out else NEVER, self._host_at)
 
     def wake(self, now: int) -> None:
-        """Hand over what is due; octets before timers, as a driver does."""
+        """Deliver what is due; octets before timers, as a driver does."""
         while self._due() <= now:
-            self._hand_over(now)
+            self._deliver(now)
         if self._host_at <= now:
             held = self._own.release() if self._own is not None else b""
             self._pump(held, now)
@@ -153,7 +152,7 @@ class Adapter:
         return -(-at // frame_ns) * frame_ns
 
     def _due(self) -> int:
-        """When the next packet goes to the host: full, or by the latency timer, which never rests."""
+        """When the next packet goes to the host: full, or at the latency timer, which always runs."""
         fifo, habits = self._fifo, self.habits
         if not fifo:
             return NEVER
@@ -166,7 +165,7 @@ class Adapter:
             at = min(at, self._frame(fifo[habits.packet - 1][0]))
         return at
 
-    def _hand_over(self, now: int) -> None:
+    def _deliver(self, now: int) -> None:
         fifo = self._fifo
         first = fifo[0][0]
         chunk = bytearray()
@@ -183,7 +182,7 @@ class Adapter:
             self._host_at = pump(self.station, b"", now, self._write)
 
     def _write(self, octets: bytes, now: int) -> int:
-        """The host's send: returns at once, with what a driver can know of the end."""
+        """Send for the host: returns at once, with the end as a driver would estimate it."""
         if self._own is not None:
             self._own.sent(octets)
         self._out.append((self._frame(now), octets))

@@ -1,4 +1,4 @@
-"""Faults on the medium, all from one seed: bit noise, and what happens to chosen transmissions."""
+"""Faults on the medium, all from one seed: bit noise; chosen transmissions dropped, damaged or delayed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DATA_BIT_0: Final = 0x002
 
 @dataclass(slots=True)
 class _Order:
-    """What to do with the next ``left`` transmissions that ``which`` chooses; None = all of them."""
+    """A fault for the next ``left`` transmissions that ``which`` chooses; None = all of them."""
 
     which: Which
     act: Callable[[Transmission], None]
@@ -30,7 +30,7 @@ class _Order:
 
 
 class Faults:
-    """The faults of one world. ``armed`` is False while there are none, so that a sound bus costs nothing."""
+    """The faults of one world. ``armed`` is False while there are none, so that a bus without faults costs nothing."""
 
     def __init__(self, seed: int) -> None:
         self.armed = False
@@ -38,7 +38,7 @@ class Faults:
         self._orders: list[_Order] = []
         self._noise: BitNoise | None = None
 
-    # --- what can be ordered ---
+    # --- commands ---
     def noise(self, per_bit: float) -> None:
         """From now on each bit on the wire is inverted with the probability ``per_bit`` (0..0.5); 0 ends it."""
         if not 0.0 <= per_bit <= 0.5:
@@ -47,7 +47,7 @@ class Faults:
         self._rearm()
 
     def drop(self, which: Which, *, times: int | None = 1) -> None:
-        """Nobody hears the next ``times`` transmissions that ``which`` chooses (None = all); the sender believes so."""
+        """Nobody hears the next ``times`` transmissions that ``which`` chooses (None = all)."""
         self._order(which, _lose, times)
 
     def damage(
@@ -87,9 +87,9 @@ class Faults:
         self._noise = None
         self._rearm()
 
-    # --- what the medium asks ---
+    # --- called by the medium ---
     def judge(self, tx: Transmission) -> None:
-        """Mark what happens to ``tx``: ``lost``, ``flips``, a later start."""
+        """Apply the faults to ``tx``: ``lost``, ``flips``, a later start."""
         for order in list(self._orders):
             if not order.which(tx):
                 continue

@@ -1,8 +1,8 @@
-"""The shared medium: who sends when, and who hears what of it.
+"""The shared medium: transmissions, collisions, and the delivery of telegrams and octets to the stations.
 
-A telegram that reaches everybody intact is decoded once and handed over whole when its last bit is on the line. Octets
-go one by one where receivers differ from that: noise, a collision, another baud rate, octets that are no telegram,
-a sender that is cut off.
+A telegram that reaches everybody intact is decoded once and delivered whole when its last bit is on the line. In other
+cases octets are delivered one by one: noise, a collision, another baud rate, octets that are no telegram, a sender that
+is cut off.
 """
 
 from __future__ import annotations
@@ -13,14 +13,13 @@ from typing import Any, Final, Protocol
 
 from dpstack.params import BROADCAST
 from dpstack.phy.uart import Receiver, waveform
-from dpstack.sim import uart
 from dpstack.sim.faults import Faults
 from dpstack.sim.nodes import Node, Nodes
-from dpstack.sim.transmission import Transmission
+from dpstack.sim.transmission import Heard, Transmission, complete, garbled, receive
 from dpstack.trace import WireEntry, WireLog
 from dpstack.units import NEVER, chars_to_ns
 
-# Order of what falls on the same nanosecond: octets, ends of transmissions, orders from outside, timers, start edges.
+# Order of events in the same nanosecond: octets, ends of transmissions, commands from outside, timers, start edges.
 # A start edge cannot hold back a station whose timer ends at the same instant: both send.
 OCTETS: Final = 0
 ENDS: Final = 1 << 59
@@ -33,17 +32,17 @@ _NEW: Final = tuple.__new__  # NamedTuple's own constructor costs twice as much
 
 
 class Watcher(Protocol):
-    """Who judges what is on the wire."""
+    """Checks the transmissions (see :mod:`dpstack.sim.referee`)."""
 
     def heard(self, tx: Transmission) -> None:
-        """``tx`` is over (whole, damaged, cut off or collided); the watcher may add to its notes."""
+        """``tx`` has ended (whole, damaged, cut off or collided); the watcher may add to its notes."""
 
     def collision(self, late: Transmission, early: Transmission, heard_ns: int) -> None:
-        """``late`` began while ``early`` was on the wire; until ``heard_ns`` that could be heard."""
+        """``late`` began while ``early`` was on the wire; the last readable octet of it ended at ``heard_ns``."""
 
 
 class Scheduler(Protocol):
-    """What the medium needs of the world."""
+    """The part of the world that the medium uses."""
 
     now: int
 
@@ -51,17 +50,17 @@ class Scheduler(Protocol):
         """Call ``call(argument)`` at ``at``."""
 
     def settle(self, node: Node, chunk: bytes) -> None:
-        """Pump the station and heed its new deadline."""
+        """Pump the station and schedule its new deadline."""
 
     def rearm(self, node: Node) -> None: ...
 
 
 class _Stream:
-    """Octets on their way one by one to the stations at ``rate``; of an intact telegram only to ports."""
+    """Octets that are delivered one by one to the stations at ``rate``; of an intact telegram only to ports."""
 
     __slots__ = ("heard", "index", "ports_only", "rate", "tx")
 
-    def __init__(self, tx: Transmission, rate: int, heard: list[uart.Heard], ports_only: bool = False) -> None:
+    def __init__(self, tx: Transmission, rate: int, heard: list[Heard], ports_only: bool = False) -> None:
         self.tx = tx
         self.rate = rate
         self.heard = heard
@@ -70,7 +69,7 @@ class _Stream:
 
 
 class _Jam:
-    """A collision: one garbled character after another until the last of those who take part has ended."""
+    """A collision: one garbled character after another until the last transmission has ended."""
 
     __slots__ = ("baud", "count", "start_ns", "until_ns")
 
@@ -85,7 +84,7 @@ class _Jam:
 
 
 class Medium:
-    """One line. ``transmissions`` counts what was begun on it, ``baud`` is the rate of the last one."""
+    """One line. ``transmissions`` counts those begun on it, ``baud`` is the rate of the last one."""
 
     __slots__ = (
         "_current",
@@ -109,7 +108,7 @@ class Medium:
     ) -> None:
         self.transmissions = 0
         self.baud = 0
-        #: begun, but nobody has been told of the start edge yet
+        #: transmissions whose start edge the stations do not know yet
         self.starting: list[Transmission] = []
         self._scheduler = scheduler
         self._nodes = nodes
@@ -118,20 +117,18 @@ class Medium:
         self._watcher = watcher
         self._rng = Random(seed)
         self._durations: dict[int, list[int]] = {}
-        self._current: Transmission | None = None  # of those on the wire the one that ends last
+        self._current: Transmission | None = None  # the one on the wire that ends last
         self._jam: _Jam | None = None
-        self._receivers: dict[int, Receiver] = {}  # of the stations that listen at another rate than is sent at
-        self._octet_ns = 0  # the end of the last octet that was heard one by one
+        self._receivers: dict[int, Receiver] = {}  # by rate, of stations at another rate than the sender's
+        self._octet_ns = 0  # the end of the last octet that was delivered by itself
 
     # --- sending ---
     def transmit(self, node: Node, octets: bytes, now: int) -> int:
-        """``node`` puts ``octets`` on the line at ``now``; returns when the last bit is over."""
+        """``node`` puts ``octets`` on the line at ``now``; returns the end of the last bit in ns."""
         if node.sending_until > now:
             raise RuntimeError(f"station {node.name} sends {octets.hex(' ')} while it is still sending")
         baud = node.baud
-        tx = Transmission(node, node.name, octets, baud, now, now + self.duration(len(octets), baud))
-        if self._faults.armed:
-            self._faults.judge(tx)
+        tx = self._new(node, node.name, octets, baud, now)
         if node.mute_until > now:
             tx.lost = True
             tx.notes.append("silenced")
@@ -142,18 +139,21 @@ class Medium:
         return end
 
     def inject(self, octets: bytes, baud: int, now: int, sender: str) -> None:
-        """Octets of nobody on the bus begin at ``now``."""
-        tx = Transmission(None, sender, octets, baud, now, now + self.duration(len(octets), baud))
+        """Octets that no station sends begin at ``now``."""
+        self._put(self._new(None, sender, octets, baud, now), now)
+
+    def _new(self, node: Node | None, sender: str, octets: bytes, baud: int, now: int) -> Transmission:
+        tx = Transmission(node, sender, octets, baud, now, now + self.duration(len(octets), baud))
         if self._faults.armed:
             self._faults.judge(tx)
-        self._put(tx, now)
+        return tx
 
     def cut(self, node: Node, now: int) -> None:
-        """``node`` is gone: what it was sending ends here, an unfinished octet is nothing."""
+        """``node`` is unplugged: its transmission ends here, nobody receives an unfinished octet."""
         tx = self._current
         if tx is None or tx.node is not node or tx.end_ns <= now:
             return
-        sent = tx.octets[: uart.complete(now - tx.start_ns, tx.baud, len(tx.octets))]
+        sent = tx.octets[: complete(now - tx.start_ns, tx.baud, len(tx.octets))]
         tx.notes.append(f"cut off after {len(sent)} of {len(tx.octets)} octets")
         whole, tx.whole = tx.whole, False
         if whole:
@@ -168,14 +168,14 @@ class Medium:
             self._hand_octets(sent, tx.baud, tx.start_ns, ports=False)
 
     def duration(self, size: int, baud: int) -> int:
-        """The time of ``size`` octets on the wire in ns."""
+        """The time of ``size`` octets on the wire in ns, from a table."""
         table = self._durations.get(baud)
         if table is None:
             table = self._durations[baud] = [chars_to_ns(n, baud) for n in range(_LENGTHS)]
         return table[size] if size < _LENGTHS else chars_to_ns(size, baud)
 
     def edge(self, tx: Transmission) -> None:
-        """Tell of the start edge of ``tx``."""
+        """Announce the start edge of ``tx`` to the stations."""
         if tx.cut:
             return
         now = tx.start_ns
@@ -218,13 +218,9 @@ class Medium:
         self._octet_ns = tx.start_ns
         if tx.flips:
             tx.notes.append("damaged")
-            self._flow(_Stream(tx, baud, uart.receive(tx.octets, baud, tx.flips)))
-        elif tx.telegram is None:
-            self._flow(_Stream(tx, baud, uart.receive(tx.octets, baud, tx.flips)))
-        else:
-            tx.whole = True
-            if self._nodes.ports:
-                self._flow(_Stream(tx, baud, uart.receive(tx.octets, baud, tx.flips), ports_only=True))
+        tx.whole = not tx.flips and tx.telegram is not None
+        if not tx.whole or self._nodes.ports:
+            self._flow(_Stream(tx, baud, receive(tx.octets, baud, tx.flips), ports_only=tx.whole))
         rates = self._nodes.by_rate
         if len(rates) > 1 or baud not in rates:
             self._sample(tx)
@@ -259,7 +255,7 @@ class Medium:
             if node.hears_from <= start and node.baud == baud:
                 heard.append(node)
                 node.station.telegram(telegram, end)
-        for node in others:  # the sender hears from its own end on; listeners have it already
+        for node in others:  # the sender hears from its own end on; listeners have got it already
             if node.hears_from <= start and node.baud == baud and not node.hears_all:
                 heard.append(node)
                 node.station.telegram(telegram, end)
@@ -268,7 +264,7 @@ class Medium:
             settle(node, b"")
 
     def _hand_octets(self, octets: bytes, rate: int, since: int, *, ports: bool = True, others: bool = True) -> None:
-        """To the ``ports``, which have a whole telegram's octets already, and to the ``others``."""
+        """Deliver to ``ports`` (False: they have got the octets already) and to ``others``."""
         settle = self._scheduler.settle
         for node in self._nodes.by_rate.get(rate, ()):
             if node.hears_from <= since and node.on_bus and (ports if node.by_octets else others):
@@ -276,7 +272,7 @@ class Medium:
 
     # --- octet by octet ---
     def _sample(self, tx: Transmission) -> None:
-        """What the receivers at other rates make of ``tx``."""
+        """Deliver the characters that receivers at other rates read in ``tx``."""
         levels = waveform(tx.octets, tx.flips)
         for rate in self._nodes.by_rate:
             if rate == tx.baud:
@@ -290,7 +286,7 @@ class Medium:
                 self._scheduler.schedule(receiver.due, OCTETS, self._tail, (receiver, tx.start_ns))
 
     def _tail(self, late: tuple[Receiver, int]) -> None:
-        """A character that reached beyond the end of a transmission, unless another one fell into it."""
+        """Deliver a character that ends after its transmission, unless another transmission has begun in it."""
         receiver, since = late
         for char in receiver.idle(self._scheduler.now):
             if char.good:
@@ -342,9 +338,9 @@ class Medium:
         self._scheduler.schedule(jam.end_of(1), OCTETS, self._jammed, jam)
 
     def _first_part(self, collision: tuple[Transmission, int]) -> None:
-        """What was on the line of a telegram before another one fell into it."""
+        """Deliver the octets of a telegram that were complete before the collision."""
         tx, at = collision
-        sent = uart.complete(at - tx.start_ns, tx.baud, len(tx.octets))
+        sent = complete(at - tx.start_ns, tx.baud, len(tx.octets))
         if sent:
             self._hand_octets(tx.octets[:sent], tx.baud, tx.start_ns, ports=False)
 
@@ -353,7 +349,7 @@ class Medium:
         jam.count += 1
         if jam.end_of(jam.count + 1) <= jam.until_ns:
             self._scheduler.schedule(jam.end_of(jam.count + 1), OCTETS, self._jammed, jam)
-        octet = uart.garbled(self._rng)
+        octet = garbled(self._rng)
         if octet is None:
             return
         self._octet_ns = jam.end_of(jam.count)

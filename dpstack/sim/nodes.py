@@ -1,7 +1,7 @@
-"""The stations on the medium and how they are found: by address, by rate, and those who hear everything.
+"""Register of the stations on the medium: by address, by rate, and those that hear everything.
 
-Looking up a receiver must not cost more the more slaves there are. Lists are replaced, never changed, so that whoever
-goes through one is not disturbed when a station comes or goes.
+The look-up of a receiver takes the same time for any number of slaves. Lists are replaced, never changed, so that a
+loop over one is not disturbed when a station comes or goes.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from dpstack.units import NEVER
 
 
 class Node:
-    """One station on the medium, and what the world knows of it.
+    """One station on the medium with its scheduling.
 
-    ``deadline`` is what it asked for last, ``due`` when it is looked at (never later), and ``order`` its place among
-    those due at the same time. ``entry`` is its next one in the event heap (never later than ``due``), ``later`` are
-    its others, the next one last. It hears transmissions that begin at ``hears_from`` or later: it cannot hear while it
-    sends.
+    ``deadline`` is the last answer of its ``wake_at``, ``due`` when the world calls it (never later), and ``order`` its
+    place among those due at the same time. ``entry`` is its next entry in the event heap (never later than ``due``),
+    ``later`` are its other ones, the next one last. It hears transmissions that begin at ``hears_from`` or later: it
+    cannot hear while it sends.
     """
 
     __slots__ = (
@@ -51,7 +51,7 @@ class Node:
         self.address = station.address
         self.baud = station.baud
         self.hears_all = station.hears_all
-        #: it is a port, which knows nothing of telegrams and edges: it is given octets, each at its end
+        #: a port, without telegrams and edges: it gets octets, each at its end
         self.by_octets: bool = getattr(station, "by_octets", False)
         self.named = name is not None
         self.name = str(station.address) if name is None else name
@@ -77,11 +77,11 @@ class Nodes:
 
     def __init__(self) -> None:
         self._by_station: dict[int, Node] = {}
-        #: passive stations by address; usually one each, but two may have the same one
+        #: passive stations by address; two may have the same one
         self.by_address: dict[int, list[Node]] = {}
         self.by_rate: dict[int, list[Node]] = {}
         self.listeners: list[Node] = []
-        #: those that are given octets, whole telegrams too
+        #: those that get single octets
         self.ports: list[Node] = []
 
     def __iter__(self) -> Iterator[Node]:

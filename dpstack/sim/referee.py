@@ -1,7 +1,7 @@
 """The referee: watches every transmission and fails a run on broken timing or token rules.
 
-It knows only what is on the wire, and the bus parameters of the masters it was told of. What was ordered from outside
-(injected octets, delayed transmissions) is no violation of a station, but what stations make of it is judged.
+It knows only the wire and the bus parameters of the masters passed to :meth:`Referee.know`. A fault ordered from
+outside (injected octets, delayed transmissions) is no violation of a station; the stations' reactions are judged.
 """
 
 from __future__ import annotations
@@ -16,21 +16,20 @@ from dpstack.errors import DpError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
 from dpstack.params import BROADCAST, T_SYN, BusParams
-from dpstack.sim import uart
 from dpstack.sim.token_watch import Finding, Rule, TokenWatch
-from dpstack.sim.transmission import Transmission
+from dpstack.sim.transmission import Transmission, receive
 from dpstack.trace import WireEntry, WireLog
 from dpstack.units import bits_to_ns, ns_to_bits
 
 MIN_TSDR: Final = 11
-#: T_TO of the highest address in slot times: after this a ring with two tokens has come to order
+#: T_TO of the highest address in slot times: after this a ring with two tokens has settled
 _DISORDER: Final = 6 + 2 * 126
 _SHOWN_VIOLATIONS: Final = 20
 _SHOWN_ENTRIES: Final = 60
 _IDLE: Final = Rule.IDLE
 _SD4: Final = Kind.SD4
 _UNANSWERED: Final = frozenset((Req.TIME_EVENT, Req.SDN_LOW, Req.SDN_HIGH))
-#: the same few times are asked for with every transmission
+#: called with the same few times for every transmission
 _ns: Final = lru_cache(256)(bits_to_ns)
 
 
@@ -52,17 +51,17 @@ class Violation:
 
 
 class _After(Enum):
-    """What was on the wire last."""
+    """The kind of the last transmission."""
 
     NOTHING = auto()
     REQUEST = auto()  # its answer is awaited
     QUIET = auto()  # a request without answer
     ANSWER = auto()
     TOKEN = auto()
-    GARBAGE = auto()  # octets that nobody could make a telegram of
+    GARBAGE = auto()  # octets that are no telegram
 
 
-# looked at with every transmission: an enum's member costs ten times a name of the module
+# compared at every transmission: access to an enum's member takes ten times as long as to a module's name
 _NOTHING: Final = _After.NOTHING
 _REQUEST: Final = _After.REQUEST
 _QUIET: Final = _After.QUIET
@@ -86,7 +85,7 @@ class _Pending(NamedTuple):
 
 
 class Referee:
-    """One referee of one wire. ``violations`` are those not allowed, ``allowed`` the others.
+    """The referee of one wire. ``violations`` are those not allowed, ``allowed`` the others.
 
     ``token_rules`` False: no rule about the token is judged (a scripted master without a ring).
     """
@@ -108,13 +107,13 @@ class Referee:
         self._excerpt: list[WireEntry] = []
         self._excused_until = 0
 
-    # --- what tests say ---
+    # --- for tests ---
     def know(self, params: BusParams) -> None:
         """Judge the master ``params.address`` by its own T_SL, T_ID1, T_ID2 and T_TO."""
         self._masters[params.address] = _Times(params.t_sl, params.t_id1, params.t_id2, params.t_to)
 
     def allow(self, *rules: Rule, times: int | None = None) -> None:
-        """Breaking ``rules`` is no violation, each the next ``times`` times (None = always)."""
+        """Allow each of ``rules`` to be broken the next ``times`` times (None = always)."""
         for rule in rules:
             self._allow[rule] = times
 
@@ -124,7 +123,7 @@ class Referee:
         self._expect.update(rules)
 
     def check(self) -> None:
-        """Raises RefereeError when a rule was broken, or one that had to be was not."""
+        """Raises RefereeError when a rule was broken, or an expected violation did not happen."""
         missing = self._expect - {violation.rule for violation in self.allowed}
         if not self.violations and not missing:
             return
@@ -140,9 +139,9 @@ class Referee:
             lines += ["the last of the wire:", render(last, self._baud)]
         raise RefereeError("\n".join(lines))
 
-    # --- what the medium says ---
+    # --- called by the medium ---
     def collision(self, late: Transmission, early: Transmission, heard_ns: int) -> None:
-        """``late`` began while ``early`` was on the wire; until ``heard_ns`` that could be heard."""
+        """``late`` began while ``early`` was on the wire, whose last readable octet ended at ``heard_ns``."""
         if late.forced or early.forced or late.start_ns - heard_ns >= bits_to_ns(T_SYN, late.baud):
             return
         overlap = ns_to_bits(early.end_ns - late.start_ns, late.baud)
@@ -218,7 +217,7 @@ class Referee:
         return _ANSWER
 
     def _idle(self, tx: Transmission, sa: int) -> None:
-        """Silence before a request or token."""
+        """Check the silence before a request or token."""
         after = self._after
         if after is _NOTHING:
             return
@@ -237,14 +236,14 @@ class Referee:
             self._found(tx, Finding(rule, text))
 
     def _waits(self, sa: int) -> bool:
-        """``sa`` waits for somebody: an answer, or the successor's first sign of life."""
+        """Whether ``sa`` waits for an answer, or for its successor to use the token."""
         if self._after is _REQUEST:
             return self._pending is not None and self._pending.sa == sa
         return self._after is _TOKEN and self.tokens.offered_by == sa
 
     def _excuse_forged_token(self, tx: Transmission) -> None:
-        """Nothing protects a token: noise may have made another one of it. What follows is not the stations' doing."""
-        octets = bytes(octet for _, octet in uart.receive(tx.octets, tx.baud, tx.flips))
+        """A token has no check sum: noise can turn it into another token. Excuse the violations that follow."""
+        octets = bytes(octet for _, octet in receive(tx.octets, tx.baud, tx.flips))
         heard = decode(octets)
         if heard is not None and heard.kind is Kind.SD4 and heard != tx.telegram:
             t_sl = max((times.t_sl for times in self._masters.values()), default=1_000)

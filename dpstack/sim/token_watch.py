@@ -1,4 +1,4 @@
-"""The token rules as the referee sees them: only the holder initiates, the token ascends, there is one of it."""
+"""Checks of the token rules: one token, only its holder sends requests, it goes to the next higher address."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Final, NamedTuple
 
 from dpstack.sim.nodes import Node
 
-#: first attempt and two repetitions before the next station counts as gone
+#: first attempt and two repetitions before the successor counts as absent
 PASS_ATTEMPTS: Final = 3
 _CIRCLE: Final = 128
 
 
 class Rule(Enum):
-    """What the referee watches."""
+    """The rules that the referee checks."""
 
     COLLISION = "collision"  # two transmissions overlap
     EARLY = "answer too early"  # before min T_SDR
@@ -26,7 +26,7 @@ class Rule(Enum):
     TWO_TOKENS = "two tokens"
     CLAIM = "token claimed too early"  # before T_TO
     ORDER = "token out of order"  # a member of the ring passed over
-    BROKEN = "broken telegram"  # octets that are no telegram, gaps inside one
+    BROKEN = "broken telegram"  # octets that are no telegram, or gaps inside one
 
 
 class Finding(NamedTuple):
@@ -38,7 +38,7 @@ class Finding(NamedTuple):
 
 @dataclass(slots=True)
 class _Offer:
-    """A token on its way: sent ``tries`` times, ``da`` has not acted on it yet."""
+    """A token that was sent ``tries`` times and that ``da`` has not used yet."""
 
     sa: int
     da: int
@@ -46,7 +46,7 @@ class _Offer:
 
 
 class TokenWatch:
-    """Where the token is. ``ring`` are the stations that have used it and were not given up by their predecessor."""
+    """The holder of the token. ``ring``: the stations that have used it and that their predecessor has not given up."""
 
     __slots__ = ("_node", "_offer", "holder", "ring")
 
@@ -58,7 +58,7 @@ class TokenWatch:
 
     @property
     def offered_by(self) -> int | None:
-        """Who waits for its successor to act on the token."""
+        """The station that waits for its successor to use the token."""
         return None if self._offer is None else self._offer.sa
 
     def request(self, sa: int, node: Node | None) -> Finding | None:
@@ -74,7 +74,7 @@ class TokenWatch:
     def token(self, sa: int, da: int, node: Node | None, lacks: str | None = None) -> Finding | None:
         """``sa`` sends the token to ``da``.
 
-        ``lacks`` says what a claim would lack, "" when the bus was silent for T_TO, None when nobody knows its T_TO.
+        ``lacks``: what is missing for a claim, "" where the bus was silent for T_TO, None where its T_TO is unknown.
         """
         finding = None
         if sa == da and lacks == "":
@@ -97,7 +97,7 @@ class TokenWatch:
         self.ring = {sa}
 
     def _turn(self, sa: int, node: Node | None, does: str) -> Finding | None:
-        """Whether it is ``sa``'s turn; what it does now confirms that it has taken the token."""
+        """Check that ``sa`` may send; its sending confirms that it has received the token."""
         offer = self._offer
         if offer is not None and sa == offer.da:
             self._take(sa, node)
@@ -134,5 +134,5 @@ class TokenWatch:
 
 
 def _distance(start: int, end: int) -> int:
-    """Steps upwards round the ring; from a station to itself once round."""
+    """Steps upwards in the ring; 128 from a station to itself."""
     return (end - start - 1) % _CIRCLE + 1

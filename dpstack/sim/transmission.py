@@ -1,24 +1,30 @@
-"""One transmission: octets of one sender on the wire, and what becomes of them on the way."""
+"""One transmission: octets of one sender on the wire, and what receivers at its rate get of damaged ones.
+
+Receivers at another rate sample the waveform (:mod:`dpstack.phy.uart`).
+"""
 
 from __future__ import annotations
 
 from functools import lru_cache
+from random import Random
 from typing import Final
 
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import Telegram
+from dpstack.phy.uart import flipped
 from dpstack.sim.nodes import Node
+from dpstack.units import BITS_PER_CHAR, NS_PER_S, chars_to_ns
 
-#: The same octets come again and again: a telegram is decoded once for all of them.
+#: The same octets are sent again and again: each telegram is decoded once.
 _decode: Final = lru_cache(1_024)(decode)
 
 
 class Transmission:
     """Octets of one sender on the wire, without gaps. ``telegram`` is None when they are not exactly one.
 
-    ``forced``: by an order from outside (injected, delayed), so not a station's doing. ``flips``: inverted bits
-    by octet number (see :mod:`dpstack.sim.uart`). ``lost``: not on the wire at all. ``whole``: intact so far for
-    everybody at its rate. ``heard_ns``: when the last octet of it that could be read was over.
+    ``forced``: injected or delayed from outside, so no station is responsible. ``flips``: inverted bits by octet number
+    (see :func:`dpstack.phy.uart.flipped`). ``lost``: not on the wire at all. ``whole``: intact so far for everybody at
+    its rate. ``heard_ns``: the end of its last readable octet.
     """
 
     __slots__ = (
@@ -51,3 +57,26 @@ class Transmission:
         self.notes: list[str] = []
         self.forced = node is None
         self.whole = self.lost = self.collided = self.cut = False
+
+
+#: An octet as a receiver gets it: ns from the first start edge of the transmission to the octet's end, value.
+Heard = tuple[int, int]
+
+
+def receive(octets: bytes, baud: int, flips: dict[int, int]) -> list[Heard]:
+    """The octets that a receiver at the sender's rate gets; parity and framing errors drop an octet."""
+    received = ((number, flipped(octet, flips.get(number, 0))) for number, octet in enumerate(octets))
+    return [(chars_to_ns(number + 1, baud), octet) for number, octet in received if octet is not None]
+
+
+def garbled(rng: Random) -> int | None:
+    """A random character, received during a collision: half of them fail the parity check (None)."""
+    return rng.getrandbits(8) if rng.getrandbits(1) else None
+
+
+def complete(elapsed_ns: int, baud: int, size: int) -> int:
+    """The number of octets (of ``size`` without gaps) complete ``elapsed_ns`` after the first start edge."""
+    done = min(size, elapsed_ns * baud // (BITS_PER_CHAR * NS_PER_S) + 1)
+    while done and chars_to_ns(done, baud) > elapsed_ns:
+        done -= 1
+    return done

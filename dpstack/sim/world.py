@@ -28,8 +28,8 @@ Callback = Callable[[Any], None]
 class World:
     """A bus and its stations in virtual time; ``now`` in ns begins at ``start_ns``.
 
-    ``seed`` decides everything that is left to chance. With ``referee`` the wire is watched: call
-    ``world.referee.check()`` at the end. ``keep`` transmissions are kept in ``log``.
+    ``seed`` of all random faults. With ``referee`` the wire is checked: call ``world.referee.check()`` at the end.
+    ``log`` keeps the last ``keep`` transmissions.
     """
 
     def __init__(self, *, seed: int = 0, start_ns: int = 0, referee: bool = True, keep: int = 400) -> None:
@@ -45,7 +45,7 @@ class World:
 
     @property
     def transmissions(self) -> int:
-        """How many transmissions have begun on the medium."""
+        """The number of transmissions that have begun."""
         return self._medium.transmissions
 
     @property
@@ -57,9 +57,9 @@ class World:
     def add(
         self, station: BusStation, *, name: str | None = None, on_events: Callable[[list[Event]], None] | None = None
     ) -> None:
-        """Plug ``station`` in, now. ``name`` is what the wire log calls it (default: its address).
+        """Connect ``station``, now. ``name``: its name in the wire log (default: its address).
 
-        ``on_events`` is called with what the station tells, as it happens. Two stations may have one address.
+        ``on_events`` is called with the station's events as they happen. Two stations may have one address.
         """
         if self._nodes.find(station) is not None:
             raise UsageError(f"station {station.address} is on this bus already")
@@ -72,31 +72,31 @@ class World:
         self.settle(node, b"")
 
     def remove(self, station: BusStation) -> None:
-        """Unplug ``station``, or switch it off: at once, in the middle of a telegram too."""
+        """Disconnect ``station``, or switch it off: at once, also in the middle of a telegram."""
         node = self._node(station)
         self._nodes.remove(node)
         node.on_bus = False
         self._medium.cut(node, self.now)
 
     def command(self, station: BusStation, command: object) -> None:
-        """Hand ``command`` to the station and let it act."""
+        """Pass ``command`` to the station and pump it."""
         node = self._node(station)
         station.command(command, self.now)
         self.settle(node, b"")
 
     def poke(self, station: BusStation) -> None:
-        """Something about the station was changed from outside (its address, its application): let it act."""
+        """Pump the station after a change from outside (its address, its application)."""
         self.settle(self._node(station), b"")
 
     def silence(self, station: BusStation, for_ns: int, *, deaf: bool = False) -> None:
-        """For ``for_ns`` nothing the station sends reaches the wire; ``deaf``: it does not hear either."""
+        """For ``for_ns`` nothing that the station sends reaches the wire; ``deaf``: it does not hear either."""
         node = self._node(station)
         node.mute_until = self.now + for_ns
         if deaf:
             node.hears_from = max(node.hears_from, node.mute_until)
 
     def inject(self, octets: bytes, *, baud: int | None = None, sender: str = "injected") -> None:
-        """Put ``octets`` on the line now, from nobody; ``baud`` None is the rate the stations have in common."""
+        """Put ``octets`` of no station on the line now; ``baud`` None is the common rate of the stations."""
         rates = self._nodes.by_rate
         if baud is None:
             if len(rates) != 1:
@@ -113,19 +113,19 @@ class World:
         self.schedule(at_ns, ORDERS, _call, callback)
 
     def next_at(self) -> int:
-        """When something may happen next, in ns; NEVER when nothing will."""
+        """The time of the next event in ns; NEVER when there is none."""
         heap = self._heap
         return heap[0][0] if heap else NEVER
 
     def step(self) -> None:
-        """The next event, whenever it is. Raises UsageError when nothing will ever happen."""
+        """Run the next event, whenever it is. Raises UsageError when there is none."""
         if not self._heap:
             raise UsageError("nothing will ever happen in this world: no station waits for a time, nothing is sent")
         self.now, _, call, argument = heappop(self._heap)
         call(argument)
 
     def run_until(self, at_ns: int) -> None:
-        """Everything up to and including ``at_ns``; then that is the time."""
+        """Run every event up to and including ``at_ns``; then that is the time."""
         heap = self._heap
         while heap and heap[0][0] <= at_ns:
             self.now, _, call, argument = heappop(heap)
@@ -134,7 +134,7 @@ class World:
             self.now = at_ns
 
     def run_for(self, ns: int) -> None:
-        """Everything in the next ``ns`` nanoseconds."""
+        """Run every event of the next ``ns`` nanoseconds."""
         self.run_until(self.now + ns)
 
     def run(self, until_ns: int, stop: Callable[[], bool]) -> bool:
@@ -152,21 +152,22 @@ class World:
             self.now = until_ns
         return False
 
-    # --- what the medium calls ---
+    # --- called by the medium ---
     def schedule(self, at: int, order: int, call: Callback, argument: object) -> None:
         """Call ``call(argument)`` at ``at``; ``order`` decides between those of the same nanosecond."""
         self._count += 1
         heappush(self._heap, (at, order + self._count, call, argument))
 
     def settle(self, node: Node, chunk: bytes) -> None:
-        """Pump the station with ``chunk`` (may be empty), heed its deadline, hand on its events."""
+        """Pump the station with ``chunk`` (may be empty), schedule its deadline, pass on its events."""
         if not node.on_bus:
             return
         station = node.station
         deadline = pump(station, chunk, self.now, node.transmit)
         if station.address != node.address or station.baud != node.baud:
             if station.baud != node.baud:
-                node.hears_from = max(node.hears_from, self.now)  # what is under way was begun for another receiver
+                # the transmission on the wire began before its receiver was at this rate
+                node.hears_from = max(node.hears_from, self.now)
             self._nodes.renew(node)
         node.deadline = deadline
         if deadline < node.due:
@@ -178,16 +179,16 @@ class World:
             node.on_events(events)
 
     def rearm(self, node: Node) -> None:
-        """The station was told something that sends nothing: only its deadline may have changed."""
+        """Schedule the station after a call that sends nothing: only its deadline may have changed."""
         node.deadline = node.station.wake_at()
         if node.deadline < node.due:
             self._arm(node)
 
     # --- inside ---
     def _arm(self, node: Node) -> None:
-        """Look at the station earlier: at its deadline. A new heap entry only where it has none before that.
+        """Call the station earlier: at its deadline. It gets a new heap entry only where it has none before that.
 
-        What it has for later stays: a watchdog that every exchange puts off has one entry, not one an exchange.
+        Later entries stay: a watchdog that every exchange postpones has one entry, not one for each exchange.
         """
         due = node.deadline
         if due < self.now:
@@ -209,7 +210,7 @@ class World:
         if not node.on_bus:
             return
         node.entry = node.later.pop()
-        if node.due > self.now:  # put off
+        if node.due > self.now:  # postponed
             if node.due < node.entry:
                 self._enter(node)
             return
@@ -221,7 +222,7 @@ class World:
             self.settle(node, b"")
 
     def _announce(self) -> None:
-        """Tell of start edges: after everything else that happens at this instant."""
+        """Announce start edges, after all other events of this instant."""
         medium = self._medium
         starting, medium.starting = medium.starting, []
         heap = self._heap

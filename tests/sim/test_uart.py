@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dpstack.phy.uart import flipped
-from dpstack.sim import uart
+from dpstack.sim import transmission as uart
 
 BIT_500K = 2_000  # ns
 

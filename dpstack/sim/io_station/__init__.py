@@ -1,8 +1,8 @@
 """A simulated modular I/O station: slots that are pulled and plugged, channels with faults, alarms, records, I&M.
 
-- ``modules``: The modules of the I/O station as its GSD file has them, and one slot with what is plugged into it
+- ``modules``: The module types of the I/O station as in its GSD file, and a slot with the module plugged into it
 - ``records``: The records of the I/O station: parameters and state of a module, I&M of every slot
-- ``station``: The I/O station: a head and up to eight modules. What happens to it from outside is a method each
+- ``station``: The simulated I/O station: a head and up to eight modules
 """
 
 from dpstack.sim.io_station.modules import MODULES, IoModule

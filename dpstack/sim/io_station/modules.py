@@ -1,4 +1,4 @@
-"""The modules of the I/O station as its GSD file has them, and one slot with what is plugged into it."""
+"""The module types of the I/O station as in its GSD file, and a slot with the module plugged into it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from dpstack.dp.pdu.alarm_blocks import ModuleState
 
-#: what an analogue channel reads when its wire is broken (overflow, as such modules show it)
+#: the value of an analogue channel with a broken wire (overflow, as real modules show it)
 BROKEN: Final = 0x7FFF
 _BIT, _WORD = 1, 5
 
@@ -29,7 +29,7 @@ class IoModule(NamedTuple):
 
     @property
     def analogue_inputs(self) -> bool:
-        """Its channels are wires that can break."""
+        """Whether its channels are wires that can break."""
         return bool(self.inputs) and self.size == _WORD
 
 
@@ -56,7 +56,7 @@ EMPTY: Final = 0x00
 
 
 def module_named(name: str) -> IoModule:
-    """By name, blanks and case aside. Raises ValueError naming those there are."""
+    """The module of this name, without regard to blanks and case. Raises ValueError with the known names."""
     for module in MODULES.values() if isinstance(name, str) else ():
         if module.name.replace(" ", "").lower() == name.replace(" ", "").lower():
             return module
@@ -70,11 +70,11 @@ class Slot:
         self.number = number
         self.module = module
         self.plugged: IoModule | None = module
-        #: what the process gives, whether the module is there or not
+        #: inputs of the process, also while the module is missing
         self.process = bytes(module.inputs)
         self.outputs = bytes(module.outputs)
         self.prm = module.prm or 0
-        #: channels whose wire is broken, as it is in the process
+        #: channels whose wire is broken, also while the module is missing
         self.broken: frozenset[int] = frozenset()
 
     @property
@@ -96,7 +96,7 @@ class Slot:
 
     @property
     def inputs(self) -> bytes:
-        """What the master reads: zeros without the right module, BROKEN where a wire is."""
+        """The inputs that the master reads: zeros without the right module, BROKEN for a broken wire."""
         if not self.present:
             return bytes(len(self.process))
         if not self.broken:
@@ -111,7 +111,7 @@ class Slot:
         return f"slot {self.number} ({self.module.name})"
 
     def as_dict(self) -> dict[str, object]:
-        """As JSON shows it; ``plugged`` null: no module. ``inputs`` as the master reads them, ``outputs`` as driven."""
+        """The slot for JSON; ``plugged`` null: no module. ``inputs`` as the master reads them, ``outputs`` as set."""
         shown: dict[str, object] = {
             "module": self.module.name,
             "plugged": None if self.plugged is None else self.plugged.name,

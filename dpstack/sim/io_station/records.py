@@ -7,8 +7,8 @@
 | 1 .. | 2 | its state, the identifier octet configured, the one that is plugged (0: none), a bit for each broken wire |
 | all | 255 | I&M0; at the head also I&M1 to 4, which can be written |
 
-Masters of both classes reach them: MS1 in data exchange, class 2 connections at any time. Data_Transport, which class 2
-only has, is a loop back at slot 0, index 0: what is sent comes back.
+Masters of both classes can read them: MS1 in data exchange, class 2 connections at any time. Data_Transport, of class 2
+only, is a loop back at slot 0, index 0: the octets sent come back.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _LOOP: Final = (0, 0)
 
 
 class StationRecords:
-    """``slots`` by their order; ``set_prm`` takes what is written. Everything is answered at once."""
+    """``slots`` in their order; ``set_prm`` sets a written parameter octet. Every request is answered at once."""
 
     def __init__(self, slots: Sequence[Slot | None], set_prm: Callable[[Slot, int], str | None]) -> None:
         self._slots = slots
@@ -42,39 +42,27 @@ class StationRecords:
 
     def ask(self, ticket: Ticket) -> None:
         request = ticket.request
-        if request.slot == 0:
-            self._ask_head(ticket)
-            return
-        slot = self._slots[request.slot - 1] if request.slot <= len(self._slots) else None
-        if slot is None:
+        slot = self._slots[request.slot - 1] if 0 < request.slot <= len(self._slots) else None
+        if request.slot == 0 and request.index == STATE:
+            _read_only(ticket, bytes(0 if slot is None else slot.state for slot in self._slots))
+        elif request.slot == 0:
+            self._head.ask(ticket)
+        elif slot is None:
             ticket.refuse(Code.INVALID_SLOT)
+        elif request.index == STATE:  # the head answers for a missing module
+            _read_only(ticket, _state(slot))
         elif not slot.present:
-            self._ask_without_module(ticket, slot)
+            ticket.refuse(Code.MODULE_FAILURE)
         elif request.index == IM_INDEX:
             self._modules[slot.number].ask(ticket)
         elif request.index == PARAMETERS and slot.module.prm is not None:
             self._parameters(ticket, slot)
-        elif request.index == STATE:
-            _read_only(ticket, _state(slot))
         else:
             ticket.refuse(Code.INVALID_INDEX)
 
     def keep(self, before: StationRecords) -> None:
-        """Switched on again: I&M that a master wrote is what it was."""
+        """Take over the I&M data that a master wrote before the station was switched off and on."""
         self._head = before._head
-
-    def _ask_head(self, ticket: Ticket) -> None:
-        if ticket.request.index == STATE:
-            _read_only(ticket, bytes(0 if slot is None else slot.state for slot in self._slots))
-        else:
-            self._head.ask(ticket)
-
-    def _ask_without_module(self, ticket: Ticket, slot: Slot) -> None:
-        """The state is the head's business, all else is the module's."""
-        if ticket.request.index == STATE:
-            _read_only(ticket, _state(slot))
-        else:
-            ticket.refuse(Code.MODULE_FAILURE)
 
     def _parameters(self, ticket: Ticket, slot: Slot) -> None:
         request = ticket.request

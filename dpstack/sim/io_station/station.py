@@ -1,6 +1,6 @@
-"""The I/O station: a head and up to eight modules. What happens to it from outside is a method each.
+"""The simulated I/O station: a head and up to eight modules. Each event from outside is a method.
 
-What it says: identifier related diagnosis for every slot with a fault, channel related diagnosis for every broken wire
+It reports: identifier related diagnosis for every slot with a fault, channel related diagnosis for every broken wire
 (modules count from 0 there, slots from 1); a module status whenever a slot's state changes, and when data exchange
 begins with a fault; and these alarms, where the master enabled them:
 
@@ -12,8 +12,8 @@ begins with a fault; and these alarms, where the master enabled them:
 | plug | the right module is plugged, a wrong one | disappears, disappears with others left | its identifier octet |
 | update | parameters are changed at the device | none | the parameter octet |
 
-An alarm that cannot go out (not enabled, not in data exchange, too many) is left out: the diagnosis says the rest, and
-the order returns why.
+An alarm that cannot be sent (not enabled, not in data exchange, too many) is left out: the diagnosis has its content,
+and the method returns the reason.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ _LINE_BREAK: Final = 6
 class IoStation(DpSlave):
     """A station with ``config`` plugged: an identifier octet a slot, 0 for an empty one. Raises ConfigError.
 
-    ``description``: what its GSD file says, None: as the project's own has it. Faults in its orders raise ValueError;
-    what they return is why an alarm was left out, or None.
+    ``description``: the content of its GSD file, None: of dpstack's own file. Wrong arguments of its methods raise
+    ValueError; they return the reason why an alarm was left out, or None.
     """
 
     def __init__(self, config: bytes, description: SlaveDescription | None = None, *, name: str = "io-station") -> None:
@@ -60,12 +60,12 @@ class IoStation(DpSlave):
             raise ConfigError(
                 f"I/O station {name}: {what}; it has 1 to {MAX_MODULES} slots, with the modules of its GSD file"
             )
-        #: by their order; None where a slot is configured to be empty
+        #: in their order; None for a slot that is configured to be empty
         self.slots: tuple[Slot | None, ...] = tuple(
             None if octet == EMPTY else Slot(number, MODULES[octet]) for number, octet in enumerate(config, 1)
         )
         self._all_well = (ModuleState.OK,) * len(self.slots)
-        self._states = self._all_well  # as told in the last module status
+        self._states = self._all_well  # of the last module status
         self._entered = False
         self._prm = self._defaults = bytes(slot.prm for slot in self._with_parameters)
         super().__init__(description or _described(config, name, len(self._prm)), self._cycle, config=config)
@@ -100,24 +100,24 @@ class IoStation(DpSlave):
         """Its slots by number as JSON shows them; an empty one is left out."""
         return {str(place.number): place.as_dict() for place in self.slots if place is not None}
 
-    # --- what happens to it from outside --------------------------------------------------------------------------
+    # --- events from outside ----------------------------------------------------------------------------------------
 
     @property
     def injected(self) -> tuple[str, ...]:
-        """What was done to it from outside and is not over, written as the orders of ``dpstack ctl``."""
-        told = []
+        """Its faults from outside that are not over, written as the commands of ``dpstack ctl``."""
+        found = []
         for place in self.slots:
             if place is None:
                 continue
             if place.plugged is None:
-                told.append(f"pull {place.number}")
+                found.append(f"pull {place.number}")
             elif not place.present:
-                told.append(f'plug {place.number} "{place.plugged.name}"')
-            told += [f"wire-break {place.number} {channel} on" for channel in sorted(place.broken)]
-        return tuple(told)
+                found.append(f'plug {place.number} "{place.plugged.name}"')
+            found += [f"wire-break {place.number} {channel} on" for channel in sorted(place.broken)]
+        return tuple(found)
 
     def set_input(self, slot: int, inputs: bytes) -> str | None:
-        """The process changes: all inputs of a module, octets as the master reads them."""
+        """Change all inputs of a module, octets as the master reads them."""
         place = self._slot(slot)
         inputs = octets("inputs", inputs, ValueError)
         if not place.module.inputs or len(inputs) != place.module.inputs:
@@ -130,7 +130,7 @@ class IoStation(DpSlave):
         return None
 
     def wire_break(self, slot: int, channel: int, broken: bool) -> str | None:
-        """The wire of an analogue input channel, 0 or 1, breaks or is whole again."""
+        """Break the wire of an analogue input channel, 0 or 1, or repair it."""
         place = self._slot(slot)
         if not place.module.analogue_inputs or not 0 <= whole("channel", channel, ValueError) < place.module.channels:
             raise ValueError(f"{place.text} has no analogue input channel {channel}; channels count from 0")
@@ -139,7 +139,7 @@ class IoStation(DpSlave):
         return self._diagnosed(place, before)
 
     def set_parameter(self, slot: int, octet: int) -> str | None:
-        """The parameters of a module are changed at the device itself: an update alarm."""
+        """Change the parameters of a module at the device itself: an update alarm."""
         place = self._slot(slot)
         reason = self._change_parameter(place, octet)
         if reason is not None:
@@ -147,33 +147,33 @@ class IoStation(DpSlave):
         return self._alarm(AlarmType.UPDATE, place, Specifier.NONE, bytes((octet,)))
 
     def pull(self, slot: int) -> str | None:
-        """The module is taken out: its inputs are zero, its outputs off."""
+        """Take the module out: its inputs are zero, its outputs off."""
         place = self._slot(slot)
         if place.plugged is None:
             raise ValueError(f"{place.text}: no module is plugged")
         was, place.plugged = place.plugged, None
-        self._tell()
+        self._report()
         return self._alarm(AlarmType.PULL, place, Specifier.APPEARS, bytes((was.config,)))
 
     def plug(self, slot: int, module: str = "") -> str | None:
-        """A module is put in: the one it is configured for, or ``module`` by name. It has the parameters of Set_Prm."""
+        """Put in the configured module, or ``module`` by name. It gets the parameters of Set_Prm."""
         place = self._slot(slot)
         if place.plugged is not None:
             raise ValueError(f"{place.text}: a module is plugged; pull it first")
         place.plugged = module_named(module) if module else place.module
         self._parameterise()
-        self._tell()
+        self._report()
         well = place.present and not place.faults
         how = Specifier.DISAPPEARS if well else Specifier.DISAPPEARS_OTHERS
         return self._alarm(AlarmType.PLUG, place, how, bytes((place.plugged.config,)))
 
     def inherit(self, before: IoStation) -> None:
-        """Switched on again: what is plugged, the process and its I&M are as they were."""
+        """Take over modules, process and I&M of ``before``, the same station before it was switched off and on."""
         self._station_records.keep(before._station_records)
         for place, was in zip(self.slots, before.slots, strict=True):
             if place is not None and was is not None:
                 place.plugged, place.process, place.broken = was.plugged, was.process, was.broken
-        self._tell()
+        self._report()
 
     # --- Device ---------------------------------------------------------------------------------------------------
 
@@ -192,7 +192,7 @@ class IoStation(DpSlave):
         return reason
 
     def enter(self, config: bytes, now: int) -> None:
-        """The parameters count from here on."""
+        """The parameters of Set_Prm are valid from here on."""
         super().enter(config, now)
         self._parameterise()
         self._states = self._all_well
@@ -205,9 +205,9 @@ class IoStation(DpSlave):
         return tuple(place for place in self.slots if place is not None and place.module.prm is not None)
 
     def _cycle(self, outputs: bytes, elapsed: int) -> bytes:
-        if self._entered:  # before, no status message goes out
+        if self._entered:  # before, no status message can be sent
             self._entered = False
-            self._tell()
+            self._report()
         inputs = b""
         at = 0
         for place in self.slots:
@@ -232,7 +232,7 @@ class IoStation(DpSlave):
             place.prm = octet
 
     def _change_parameter(self, place: Slot, octet: int) -> str | None:
-        """At the device, or by a record: a reason why it cannot be, or None."""
+        """Change the parameters at the device or by a record; returns why that is not possible, or None."""
         reason = _unknown_bits(place, octet)
         if reason is None:
             before, place.prm = place.faults, octet
@@ -240,11 +240,11 @@ class IoStation(DpSlave):
         return reason
 
     def _diagnosed(self, place: Slot, before: frozenset[int]) -> str | None:
-        """Faults of a module came or went."""
+        """Report the faults of a module that came or went since ``before``."""
         after = place.faults
         if after == before:
             return None
-        self._tell()
+        self._report()
         left_out = None
         for channel in sorted(before - after):
             how = Specifier.DISAPPEARS_OTHERS if after else Specifier.DISAPPEARS
@@ -253,8 +253,8 @@ class IoStation(DpSlave):
             left_out = self._alarm(AlarmType.DIAGNOSIS, place, Specifier.APPEARS, bytes((channel, _LINE_BREAK)))
         return left_out
 
-    def _tell(self) -> None:
-        """The diagnosis of this moment, and the module status where it is another one than before."""
+    def _report(self) -> None:
+        """Update the diagnosis, and send the module status where it has changed."""
         states = tuple(ModuleState.OK if place is None else place.state for place in self.slots)
         faulty = [number for number, state in enumerate(states) if state]
         broken = [

@@ -51,8 +51,8 @@ class Late(Adapter):
     def _frame(self, at: int) -> int:
         return at
 
-    def _hand_over(self, now: int) -> None:
-        super()._hand_over(now)
+    def _deliver(self, now: int) -> None:
+        super()._deliver(now)
         if self._fifo:
             self._looks_at = now  # all of it
 
