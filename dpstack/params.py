@@ -25,6 +25,22 @@ UNADDRESSED: Final = 126
 BROADCAST: Final = 127
 
 
+#: lowest and highest value, and what it is
+LIMITS: Final = {
+    "address": (0, MAX_STATION, "station addresses"),
+    "hsa": (1, 126, "highest station address"),
+    "t_sl": (37, MAX_T_SL, "T_SL"),
+    "t_set": (1, 494, "T_SET"),
+    "t_qui": (0, 31, "T_QUI"),
+    "min_tsdr": (11, 255, "T_SDR"),
+    "max_tsdr": (12, 1_023, "T_SDR"),
+    "t_tr": (256, 16_777_960, "T_TR"),
+    "gap": (0, 100, "GAP factor, 0 = off"),
+    "max_retry": (0, 15, "retries"),
+    "extra_idle": (0, 100_000, "extra idle time"),
+}
+
+
 class _Row(NamedTuple):
     t_sl: int
     min_tsdr: int
@@ -82,24 +98,12 @@ class BusParams:
     def _problems(self) -> Iterable[str]:
         if self.baud not in BAUD_RATES:
             yield f"baud {self.baud} is no PROFIBUS rate (known: {', '.join(map(str, BAUD_RATES))})"
-        # (name, low, high, where the limit comes from)
-        limits = (
-            ("address", 0, MAX_STATION, "station addresses"),
-            ("hsa", 1, 126, "highest station address"),
-            ("t_sl", 37, MAX_T_SL, "T_SL"),
-            ("t_set", 1, 494, "T_SET"),
-            ("t_qui", 0, min(31, max(0, self.min_tsdr - 1)), "min(31, min_tsdr - 1)"),
-            ("min_tsdr", 11, 255, "T_SDR"),
-            ("max_tsdr", 12, 1_023, "T_SDR"),
-            ("t_tr", 256, 16_777_960, "T_TR"),
-            ("gap", 0, 100, "GAP factor, 0 = off"),
-            ("max_retry", 0, 15, "retries"),
-            ("extra_idle", 0, 100_000, "extra idle time"),
-        )
-        for name, low, high, what in limits:
+        for name, (low, high, what) in LIMITS.items():
             value = getattr(self, name)
             if not low <= value <= high:
                 yield f"{name} = {value} is outside {low}..{high} ({what})"
+        if self.t_qui >= self.min_tsdr:
+            yield f"t_qui = {self.t_qui} is not less than min_tsdr = {self.min_tsdr}"
         if self.address > self.hsa:
             yield f"address {self.address} lies above hsa {self.hsa}: no other master would ever find it"
         if self.max_tsdr + 15 > self.t_sl:

@@ -13,13 +13,22 @@ from dpstack.dp.pdu.requests import MAX_USER_PRM
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.params import MAX_STATION, UNADDRESSED
+from dpstack.params import UNADDRESSED
 from dpstack.text import octets_text
 from dpstack.units import NS_PER_MS, NS_PER_US
 
 #: Min_Slave_Interval counts in 100 us, as GSD files do
 INTERVAL_UNIT: Final = 100 * NS_PER_US
 MAX_WATCHDOG_MS: Final = 650_250
+#: lowest and highest value; 126 is a slave as delivered
+LIMITS: Final = {
+    "address": (0, UNADDRESSED),
+    "ident": (0, 0xFFFF),
+    "watchdog_ms": (0, MAX_WATCHDOG_MS),
+    "groups": (1, 8),
+    "every": (1, 10_000),
+    "max_diag_len": (FIXED_LEN, MAX_LEN),
+}
 #: the longest watchdog with the 1 ms base
 _MAX_FINE_MS: Final = 255 * 255
 
@@ -88,16 +97,15 @@ class SlaveParams:
 
     def __post_init__(self) -> None:
         where = f"slave {self.address} ({self.name})"
-        if not 0 <= self.address <= UNADDRESSED:
-            raise ConfigError(f"{where}: the address must be 0..{MAX_STATION} (126 only for a slave as delivered)")
-        if self.ident is not None and not 0 <= self.ident <= 0xFFFF:
-            raise ConfigError(f"{where}: ident {self.ident:#x} does not fit two octets")
+        for key, (low, high) in LIMITS.items():
+            value = getattr(self, key)
+            for one in value if isinstance(value, tuple) else (value,):
+                if one is not None and not low <= one <= high:
+                    raise ConfigError(f"{where}: {key} {one} is outside {low}..{high}")
         if not 1 <= len(self.config) <= MAX_DATA:
             raise ConfigError(f"{where}: {len(self.config)} identifier octets; 1..{MAX_DATA} are possible")
         if len(self.user_prm) > MAX_USER_PRM:
             raise ConfigError(f"{where}: {len(self.user_prm)} octets of user parameters; {MAX_USER_PRM} are possible")
-        if self.watchdog_ms is not None and not 0 <= self.watchdog_ms <= MAX_WATCHDOG_MS:
-            raise ConfigError(f"{where}: watchdog_ms {self.watchdog_ms} is outside 0 (off)..650250")
         for key in ("wd_base_1ms", "fail_safe_told", "dpv1"):
             if getattr(self, key) and len(self.user_prm) < DPV1_STATUS_LEN:
                 raise ConfigError(
@@ -107,12 +115,6 @@ class SlaveParams:
         sent = len(self.user_octets(None))
         if sent > MAX_USER_PRM:
             raise ConfigError(f"{where}: {sent} octets of user parameters with its blocks; {MAX_USER_PRM} are possible")
-        if any(not 1 <= g <= 8 for g in self.groups):
-            raise ConfigError(f"{where}: groups are numbered 1..8")
-        if self.every < 1:
-            raise ConfigError(f"{where}: every must be 1 or more")
-        if self.max_diag_len is not None and not FIXED_LEN <= self.max_diag_len <= MAX_LEN:
-            raise ConfigError(f"{where}: max_diag_len {self.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
         inputs, outputs = io_lengths(self.config)
         if inputs > MAX_DATA or outputs > MAX_DATA:
             raise ConfigError(f"{where}: {inputs} input and {outputs} output octets; {MAX_DATA} each are possible")

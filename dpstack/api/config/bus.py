@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
 from dpstack.api.config.table import Key, Table, keys_of
-from dpstack.params import MAX_STATION, MAX_T_SL
+from dpstack.params import LIMITS, MAX_STATION
 from dpstack.units import BAUD_RATES, NS_PER_MS
 
 VIRTUAL: Final = "virtual"
@@ -18,6 +18,12 @@ SAFE: Final = "safe"
 _LEAST_APPLICATION_MS: Final = 10
 #: the longest cycle; what is shorter than possible the plan refuses
 _MAX_CYCLE_MS: Final = 60_000
+
+
+def _like(parameter: str, unit: str = "", hint: str = "") -> Key:
+    """A key within the limits of a bus parameter."""
+    low, high, _ = LIMITS[parameter]
+    return Key(low, high, unit, hint)
 
 
 def _baud(table: Table, name: str, key: Key) -> object:
@@ -117,18 +123,18 @@ class BusConfig:
 
     port: Annotated[str | None, Key()] = None
     baud: Annotated[int | Literal["auto"] | None, Key(read=_baud)] = None
-    address: Annotated[int, Key(0, MAX_STATION)] = 2
+    address: Annotated[int, _like("address")] = 2
     cycle_ms: Annotated[float | None, Key(0, _MAX_CYCLE_MS, read=_cycle_ms)] = None
     cycle_freeze: Annotated[tuple[int, ...], Key(1, 8)] = ()
     cycle_sync: Annotated[tuple[int, ...], Key(1, 8)] = ()
     other_masters: Annotated[int | tuple[float, ...], Key(0, MAX_STATION, read=_other_masters)] = 0
     driver: Annotated[Literal["auto", "asyncio", "process"], Key()] = "auto"
-    t_sl: Annotated[int | None, Key(37, MAX_T_SL, "bit times")] = None
-    t_tr: Annotated[int | None, Key(256, 16_777_960, "bit times")] = None
-    max_retry: Annotated[int | None, Key(0, 15)] = None
-    gap: Annotated[int | None, Key(0, 100, hint="0 switches the GAP off")] = None
-    hsa: Annotated[int, Key(1, 126)] = 126
-    extra_idle_bits: Annotated[int, Key(0, 100_000)] = 0
+    t_sl: Annotated[int | None, _like("t_sl", "bit times")] = None
+    t_tr: Annotated[int | None, _like("t_tr", "bit times")] = None
+    max_retry: Annotated[int | None, _like("max_retry")] = None
+    gap: Annotated[int | None, _like("gap", hint="0 switches the GAP off")] = None
+    hsa: Annotated[int, _like("hsa")] = 126
+    extra_idle_bits: Annotated[int, _like("extra_idle")] = 0
     after_stall: Annotated[Literal["safe", "resume"], Key()] = "safe"
     application_watchdog_ms: Annotated[int, Key(0, 655_350, read=_application_watchdog)] = 0
     auto_clear: Annotated[bool, Key()] = False

@@ -17,7 +17,7 @@ from dpstack.api.config.gsd_slave import Who, modules_of, reading_of, remarks
 from dpstack.api.config.slave_source import basis_of
 from dpstack.api.config.table import Gsd, Key, Octets, Table, keys_of
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap
-from dpstack.dp.slave_params import INTERVAL_UNIT, MAX_WATCHDOG_MS, SlaveParams
+from dpstack.dp.slave_params import INTERVAL_UNIT, LIMITS, SlaveParams
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device
@@ -142,17 +142,17 @@ class Changes(TypedDict, total=False):
     fail_safe: the slave takes an empty output frame in Clear. Left out: the drive's, or as its GSD file says
     """
 
-    ident: Annotated[int | str | None, Key(0, 0xFFFF, hint="an ident number has two octets", read=_ident)]
+    ident: Annotated[int | str | None, Key(*LIMITS["ident"], hint="an ident number has two octets", read=_ident)]
     config: Annotated[Octets | None, Key()]
     user_prm: Annotated[Octets | None, Key()]
     watchdog_ms: Annotated[
-        int | None, Key(0, MAX_WATCHDOG_MS, hint="0 is off; leave it out for the plan's recommendation")
+        int | None, Key(*LIMITS["watchdog_ms"], hint="0 is off; leave it out for the plan's recommendation")
     ]
     wd_base_1ms: Annotated[bool | None, Key(gsd=Gsd("WD_Base_1ms_supp", attrgetter("dpv1.wd_base_1ms")))]
-    groups: Annotated[Sequence[int] | None, Key(1, 8)]
+    groups: Annotated[Sequence[int] | None, Key(*LIMITS["groups"])]
     sync: Annotated[bool | None, Key(gsd=Gsd("Sync_Mode_supp", attrgetter("sync")))]
     freeze: Annotated[bool | None, Key(gsd=Gsd("Freeze_Mode_supp", attrgetter("freeze")))]
-    every: Annotated[int | None, Key(1, 10_000)]
+    every: Annotated[int | None, Key(*LIMITS["every"])]
     safe: Annotated[Octets | None, Key()]
     min_slave_interval: Annotated[int | None, Key(0, 0xFFFF, "x 100 us", read=_interval)]
     dpv1: Annotated[bool | Mapping[str, object] | None, Key(read=lambda table, name, _: table.raw(name))]

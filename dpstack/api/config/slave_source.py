@@ -71,7 +71,7 @@ def _drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     with table.blaming("simulated"):
         profile.device(telegram.name, {**profile.shared(options), **simulated})
     with table.blaming():
-        params = SlaveParams(
+        known = SlaveParams(
             **who,
             ident=profile.ident,
             config=telegram.config,
@@ -80,6 +80,9 @@ def _drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
             fail_safe=profile.fail_safe,
             max_tsdr=profile.max_tsdr,
         )
+    known = dataclasses.replace(
+        known if found is None else found.params, safe=core.safe_outputs, on_loss=profile.on_loss
+    )
     rest = {
         "profile": profile,
         "telegram": telegram.name,
@@ -87,8 +90,6 @@ def _drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
         "simulated": simulated,
         "baud_rates": frozenset(profile.rates(options)),
     }
-    known = params if found is None else found.params
-    known = dataclasses.replace(known, safe=core.safe_outputs, on_loss=profile.on_loss)
     return known, rest if found is None else rest | _of_gsd(found)
 
 

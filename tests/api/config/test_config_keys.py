@@ -147,6 +147,7 @@ OTHERS = ("gsd/", "sim/", "dp/slave/", "dp/pdu/", "dpv1/slave/", "dpv1/pdu/")
 #: who lists as many for a reason of its own, and what that is
 LISTS = {
     "dpstack.dp.slave_params.SlaveParams": "the parameters themselves",
+    "dpstack.dp.slave_params": "their limits",
     "dpstack.dp.services.set_prm": "from the parameters to the octets",
     "dpstack.api.config.slave.Changes": "the keys of the configuration",
     "dpstack.api.config.gsd_slave.read_gsd_slave": "from what a GSD file says to the parameters",
