@@ -24,7 +24,7 @@ from dpstack.profile.drive_profile import DriveProfile, OptionSpec, RateSetting
 from dpstack.profile.master.core import OPS, DriveCore, Lookup, settled
 from dpstack.profile.master.mapped_core import MAP_OPS, MappedCore
 from dpstack.profile.master.settings import Setting, equal, same
-from dpstack.profile.model import drivecom_states, process_data_map, profidrive_states, standard_telegrams
+from dpstack.profile.model import drivecom_states, process_data_map, profidrive_states
 from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramFamily, TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, Steps
 from dpstack.profile.model.param_errors import PARAMETER_ERRORS, error_text
@@ -122,5 +122,4 @@ __all__ = [
     "same",
     "settled",
     "signed16",
-    "standard_telegrams",
 ]

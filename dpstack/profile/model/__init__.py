@@ -9,7 +9,6 @@
 - ``params``: Drive parameters declared as data: number, type, scale, unit, limits
 - ``process_data_map``: What stands in a drive's process data beside control word and set point: fields in their order
 - ``profidrive_states``: The PROFIdrive state machine S1 to S5 as data, and its slave side
-- ``standard_telegrams``: PROFIdrive's telegrams as data: what stands in which word
 - ``states``: States of a drive by common names, decoded by mask and value; the words that lead to a wanted state
 - ``status``: What a drive tells, decoded
 - ``words``: Words of process data declared as data: named bits, and scaled fields with unit and range
