@@ -416,10 +416,10 @@ class Slave(Sealed):
     async def reparameterise(self, *, timeout: float | None = 5.0, **changes: Unpack[Changes]) -> None:
         """Other parameters while the bus runs: safe outputs for 50 ms, Unlock, a new bring-up, data exchange.
 
-        ``changes`` are those of :class:`Changes`. Raises ConfigError before anything is changed (also where a named
-        field would lie outside, or its GSD file does not have it), UsageError for other
-        lengths under a drive plugin, SlaveFault or SlaveTimeout as :meth:`ready`. A drive's pending orders end with
-        DriveError. ``timeout`` in seconds.
+        ``changes`` are keys of [[slave]], in the units of a configuration, see :class:`Changes`. Raises ConfigError
+        before anything is changed (also where a named field would lie outside, or its GSD file does not have it),
+        UsageError for other lengths under a drive plugin, SlaveFault or SlaveTimeout as :meth:`ready`. A drive's
+        pending orders end with DriveError. ``timeout`` in seconds.
         """
         config = changed(self.config, changes)
         await self._bus.order(ReparameteriseSlave(self._bus.fitting(config)))
