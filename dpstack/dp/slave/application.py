@@ -47,7 +47,7 @@ class SlaveApp:
     Raises ConfigError where ident number or configurations of the device cannot be.
     """
 
-    __slots__ = ("_clock", "_core", "_services", "_timed", "device", "stats", "take_events", "watchdog")
+    __slots__ = ("_clock", "_core", "_device_due", "_services", "_timed", "device", "stats", "take_events", "watchdog")
 
     def __init__(self, device: DpV0Device, *, address: int | None = None, address_fixed: bool = False) -> None:
         check_device(device)
@@ -57,6 +57,7 @@ class SlaveApp:
         #: services of the device that have deadlines
         self._timed = [one for one in core.services if type(one).tick is not SlaveService.tick]
         self._clock = DeviceClock(device)
+        self._device_due = self._clock.due
         self.stats: SlaveAppStats = core.report.stats
         #: what there is to tell, oldest first; asked in every step of the station
         self.take_events: Callable[[], list[Event]] = core.report.take
@@ -215,10 +216,14 @@ class SlaveApp:
         for service in self._timed:
             if service.at < at:
                 at = service.at
-        if self._clock.idle or self._core.failure is not None:
+        due = self._device_due
+        if due is None or self._core.failure is not None:
             return at
-        due = self._clock.wake_at()
-        return due if due < at else at
+        try:
+            wanted = due()
+        except Exception as error:
+            wanted = self._clock.failed(error)
+        return wanted if wanted < at else at
 
     def tick(self, now: int) -> None:
         """Judge the watchdog and the services of the device, let the device have its time."""

@@ -20,7 +20,7 @@ from dpstack.dp.slave.events import AddressChanged, Report, SlaveAppStateChanged
 from dpstack.dp.slave.prm_cfg_check import Watchdog
 from dpstack.dp.slave.state_table import TABLE, AppEv, SlaveAppState
 from dpstack.fdl.passive.station import LOWEST_TSDR
-from dpstack.units import NEVER, NOW
+from dpstack.units import NOW
 
 #: of an application that is on no station
 _UNKNOWN_RATE: Final = 1_500_000
@@ -156,47 +156,42 @@ class SlaveCore:
 
 
 class DeviceClock:
-    """Asks ``device`` when it wants its time, and gives it. Exceptions come out of :meth:`tick` only."""
+    """Calls ``tick`` of ``device`` when its ``wake_at`` asks for it. Exceptions come out of :meth:`tick` only."""
 
-    __slots__ = ("_device", "_due", "_error", "idle")
+    __slots__ = ("_device", "_error", "due")
 
     def __init__(self, device: DpV0Device) -> None:
         self._device = device
         self._error: Exception | None = None
         # a device that leaves wake_at as it is need not be asked in every step
         plain = getattr(device.wake_at, "__func__", None) is DpV0Device.wake_at
-        self._due = None if plain else device.wake_at
-        #: it never wants its time
-        self.idle = plain
+        #: asked after each step of the slave: when :meth:`tick` is wanted, in ns; None: never. What it raises goes to
+        #: :meth:`failed`.
+        self.due = None if plain else device.wake_at
 
-    def wake_at(self) -> int:
-        """When :meth:`tick` is wanted, in ns; NOW when asking failed: the time of that is known in tick only."""
-        if self._due is None:
-            return NEVER
-        try:
-            with DEVICE_CALL:
-                return self._due()
-        except Exception as error:
-            self._error = error
-            return NOW
+    def failed(self, error: Exception) -> int:
+        """``due`` raised ``error``: :meth:`tick`, which knows the time, will raise it. Returns when it is wanted."""
+        DEVICE_CALL.mark(error)
+        self._error = error
+        return NOW
 
     def tick(self, now: int) -> int | None:
         """Let the device catch up with ``now``; the address at which it restarts by itself, None where it does not.
 
         Raises what the device raises, and RuntimeError when it never catches up.
         """
-        if self._due is None:
+        if self.due is None:
             return None
         if self._error is not None:
             error, self._error = self._error, None
             raise error
         with DEVICE_CALL:
-            due = self._due()
+            due = self.due()
         restart: int | None = None
         while due <= now:
             before = due
             with DEVICE_CALL:
-                told, due = self._device.tick(now), self._due()
+                told, due = self._device.tick(now), self.due()
             restart = restart if told is None else told
             if due <= before:
                 raise RuntimeError(f"wake_at() stays at {due} after tick({now})")
