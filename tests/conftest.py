@@ -5,9 +5,11 @@ from __future__ import annotations
 import signal
 import tempfile
 from collections.abc import Generator, Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import is_hypothesis_test
+from programs import Starter
 from property_kit import register_profiles, soaking
 from support import WorldFactory, wire_log
 
@@ -55,6 +57,16 @@ def world() -> Iterator[WorldFactory]:
     factory = WorldFactory()
     yield factory
     factory.check()
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Starter]:
+    """Starts ``dpstack`` with the arguments it is called with; at the end of the test nothing of it runs on."""
+    folder = tmp_path / "output"
+    folder.mkdir()
+    starter = Starter(folder)
+    yield starter
+    starter.close()
 
 
 @pytest.hookimpl(wrapper=True)

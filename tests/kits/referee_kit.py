@@ -21,6 +21,10 @@ ASK = bytes.fromhex("10 05 02 49 50 16")
 ANSWER = bytes.fromhex("10 02 05 00 07 16")
 
 
+#: sender, pause in bits, octets
+Sent = tuple[object, int, bytes]
+
+
 class Script:
     """Transmissions one after another, each ``pause`` bits after the one before has ended; then the verdict."""
 
@@ -44,6 +48,10 @@ class Script:
         self.world.poke(station)
         self.at += chars_to_ns(len(octets), 500_000)
         self.world.run_until(self.at)
+
+    def play(self, *sent: Sent) -> None:
+        for one in sent:
+            self.send(*one)
 
     def claim(self, sender: object = "m2") -> None:
         self.send(sender, T_TO_2, TOKEN)

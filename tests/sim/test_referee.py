@@ -5,60 +5,122 @@ Times at 500 kbit/s: a bit is 2 us. Preset there: T_SL 200, T_ID1 37, T_ID2 100,
 
 from __future__ import annotations
 
-from referee_kit import ANSWER, ASK, BIT, PARAMS, TOKEN, Script
+import pytest
+from referee_kit import ANSWER, ASK, BIT, PARAMS, T_TO_2, TOKEN, Script, Sent
 from support import Dummy, WorldFactory
 
 from dpstack.fdl.codec import encode_sd1, encode_sd2, encode_token
-from dpstack.sim.token_watch import Rule
+from dpstack.sim.token_watch import Rule, TokenWatch
 
 SDN = bytes.fromhex("68 07 07 68 FF 82 46 3A 3E 00 00 3F 16")
+SRD = encode_sd2(5, 2, 0x5D, b"\x01")
+CLAIM_4 = encode_token(4, 4)
+TO_4, TO_2, TO_9 = encode_token(4, 2), encode_token(2, 4), encode_token(9, 2)
+ASK_OF_3 = encode_sd1(5, 3, 0x49)
+E5 = b"\xe5"
+
+#: what is sent after station 2 claimed the token, and what the referee finds
+SCRIPTS: list[tuple[str, list[Sent], list[Rule]]] = [
+    # --- all is well ---
+    (
+        "a lone master within the rules",
+        [
+            ("m2", 37, TOKEN),
+            ("m2", 37, ASK),
+            ("s5", 11, ANSWER),
+            ("m2", 37, SDN),
+            ("m2", 100, TOKEN),
+            ("m2", 37, ASK),  # nobody answers
+            ("m2", 200, ASK),
+            ("s5", 199, ANSWER),
+            ("m2", 37, TOKEN),
+        ],
+        [],
+    ),
+    ("a short acknowledgement answers", [("m2", 37, SRD), ("s5", 11, E5), ("m2", 37, TOKEN)], []),
+    # --- answers ---
+    ("an answer too early", [("m2", 37, ASK), ("s5", 10, ANSWER)], [Rule.EARLY]),
+    ("an answer after the slot time", [("m2", 37, ASK), ("s5", 200, ANSWER)], [Rule.LATE]),
+    ("an answer nobody asked for", [("s5", 37, ANSWER), ("s5", 37, E5)], [Rule.UNASKED] * 2),
+    ("an answer of another station", [("m2", 37, ASK), ("s6", 20, encode_sd1(2, 6, 0x00))], [Rule.UNASKED]),
+    ("an answer to another master", [("m2", 37, ASK), ("s5", 20, encode_sd1(3, 5, 0x00))], [Rule.UNASKED]),
+    ("a second answer", [("m2", 37, ASK), ("s5", 20, ANSWER), ("s5", 20, ANSWER)], [Rule.UNASKED]),
+    ("an answer to an SDN", [("m2", 37, SDN), ("s5", 20, ANSWER)], [Rule.UNASKED]),
+    # --- idle times ---
+    (
+        "T_ID1 before a token and a request",
+        [("m2", 36, TOKEN), ("m2", 36, ASK), ("s5", 11, ANSWER), ("m2", 36, ASK)],
+        [Rule.IDLE] * 3,
+    ),
+    ("T_ID2 after an SDN", [("m2", 37, SDN), ("m2", 99, ASK)], [Rule.IDLE]),
+    ("a request repeated before the slot time is over", [("m2", 37, ASK), ("m2", 199, ASK)], [Rule.SLOT]),
+    ("a token repeated before the slot time is over", [("m2", 37, TO_4), ("m2", 199, TO_4)], [Rule.SLOT]),
+    # --- telegrams ---
+    ("a gap inside a telegram", [("m2", 37, ASK[:4]), ("m2", 1, ASK[4:])], [Rule.BROKEN] * 2),
+    # --- the token ---
+    ("a request of a station that has not the token", [("m3", 37, ASK_OF_3)], [Rule.RIGHT]),
+    ("a request after the token was passed on", [("m2", 37, TO_4), ("m2", 200, ASK)], [Rule.RIGHT]),
+    ("a second token", [("m9", 37, encode_token(2, 9))], [Rule.TWO_TOKENS]),
+    ("a second station with the holder's address", [("m2", 37, ASK), ("twin", 200, ASK)], [Rule.TWO_TOKENS]),
+    ("a claim while another station has the token", [("m2", 37, ASK), ("m4", 500, CLAIM_4)], [Rule.CLAIM]),
+    (
+        "a claim after the holder fell silent is in order",
+        [("m2", 37, ASK), ("m4", (6 + 2 * 4) * 200, CLAIM_4), ("m4", 37, CLAIM_4)],
+        [],
+    ),
+    (
+        "the holder that fell silent goes on after the claim",
+        [("m2", 37, ASK), ("m4", (6 + 2 * 4) * 200, CLAIM_4), ("m4", 37, CLAIM_4), ("m2", 200, ASK)],
+        [Rule.RIGHT],
+    ),
+    ("a member of the ring passed over", [("m2", 37, TO_4), ("m4", 37, TO_2), ("m2", 37, TO_9)], [Rule.ORDER]),
+    (
+        "a token to oneself while others are in the ring",
+        [("m2", 37, TO_4), ("m4", 37, TO_2), ("m2", 37, TOKEN)],
+        [Rule.ORDER],
+    ),
+    ("a successor given up too soon", [("m2", 37, TO_4), ("m2", 200, TO_4), ("m2", 200, TOKEN)], [Rule.ORDER]),
+]
 
 
-# --- all is well ---
-def test_a_lone_master_within_the_rules(script: Script) -> None:
+@pytest.mark.parametrize(("sent", "found"), [row[1:] for row in SCRIPTS], ids=[row[0] for row in SCRIPTS])
+def test_after_a_claim(script: Script, sent: list[Sent], found: list[Rule]) -> None:
+    script.referee.know(PARAMS.replace(address=4))
     script.claim()
-    script.send("m2", 37, TOKEN)
-    script.send("m2", 37, ASK)
-    script.send("s5", 11, ANSWER)
-    script.send("m2", 37, SDN)
-    script.send("m2", 100, TOKEN)
-    script.send("m2", 37, ASK)  # nobody answers
-    script.send("m2", 200, ASK)
-    script.send("s5", 199, ANSWER)
-    script.send("m2", 37, TOKEN)
-    assert script.verdict() == []
+    script.play(*sent)
+    assert script.verdict() == found
+
+
+@pytest.mark.parametrize(
+    ("sent", "found"),
+    [(("m2", 5_000, ASK), Rule.RIGHT), (("m2", T_TO_2 - 1, TOKEN), Rule.CLAIM)],
+    ids=["a request before any token", "a claim before T_TO"],
+)
+def test_before_a_claim(script: Script, sent: Sent, found: Rule) -> None:
+    script.play(sent)
+    assert script.verdict() == [found]
 
 
 def test_a_ring_of_three_within_the_rules(script: Script) -> None:
     script.claim()
-    script.send("m2", 37, TOKEN)
-    script.send("m2", 37, encode_token(4, 2))
-    script.send("m4", 37, encode_token(2, 4))
-    script.send("m2", 37, encode_token(4, 2))
-    script.send("m4", 37, encode_token(9, 4))
-    script.send("m9", 37, encode_sd1(5, 9, 0x49))
-    script.send("s5", 20, encode_sd1(9, 5, 0x00))
-    script.send("m9", 37, encode_token(2, 9))
-    script.send("m2", 37, encode_token(4, 2))
+    script.play(
+        ("m2", 37, TOKEN),
+        ("m2", 37, TO_4),
+        ("m4", 37, TO_2),
+        ("m2", 37, TO_4),
+        ("m4", 37, encode_token(9, 4)),
+        ("m9", 37, encode_sd1(5, 9, 0x49)),
+        ("s5", 20, encode_sd1(9, 5, 0x00)),
+        ("m9", 37, encode_token(2, 9)),
+        ("m2", 37, TO_4),
+    )
     assert script.referee.tokens.ring == {2, 4, 9}
     # 4 is dead: three attempts, then the next one
-    script.send("m2", 200, encode_token(4, 2))
-    script.send("m2", 200, encode_token(4, 2))
-    script.send("m2", 200, encode_token(9, 2))
-    script.send("m9", 37, encode_token(2, 9))
+    script.play(("m2", 200, TO_4), ("m2", 200, TO_4), ("m2", 200, TO_9), ("m9", 37, encode_token(2, 9)))
     assert script.referee.tokens.ring == {2, 9}
     assert script.verdict() == []
 
 
-def test_a_short_acknowledgement_answers(script: Script) -> None:
-    script.claim()
-    script.send("m2", 37, encode_sd2(5, 2, 0x5D, b"\x01"))
-    script.send("s5", 11, b"\xe5")
-    script.send("m2", 37, TOKEN)
-    assert script.verdict() == []
-
-
-# --- collision ---
 def test_two_transmissions_overlap(world: WorldFactory) -> None:
     w = world()
     assert w.referee is not None
@@ -73,82 +135,10 @@ def test_two_transmissions_overlap(world: WorldFactory) -> None:
     w.referee.violations.clear()
 
 
-# --- answers ---
-def test_an_answer_too_early(script: Script) -> None:
-    script.claim()
-    script.send("m2", 37, ASK)
-    script.send("s5", 10, ANSWER)
-    assert script.verdict() == [Rule.EARLY]
-
-
-def test_an_answer_after_the_slot_time(script: Script) -> None:
-    script.claim()
-    script.send("m2", 37, ASK)
-    script.send("s5", 200, ANSWER)
-    assert script.verdict() == [Rule.LATE]
-
-
-def test_an_answer_nobody_asked_for(script: Script) -> None:
-    script.claim()
-    script.send("s5", 37, ANSWER)
-    script.send("s5", 37, b"\xe5")
-    assert script.verdict() == [Rule.UNASKED, Rule.UNASKED]
-
-
-def test_an_answer_of_another_station(script: Script) -> None:
-    script.claim()
-    script.send("m2", 37, ASK)
-    script.send("s6", 20, encode_sd1(2, 6, 0x00))
-    assert script.verdict() == [Rule.UNASKED]
-
-
-def test_an_answer_to_another_master(script: Script) -> None:
-    script.claim()
-    script.send("m2", 37, ASK)
-    script.send("s5", 20, encode_sd1(3, 5, 0x00))
-    assert script.verdict() == [Rule.UNASKED]
-
-
-def test_a_second_answer(script: Script) -> None:
-    script.claim()
-    script.send("m2", 37, ASK)
-    script.send("s5", 20, ANSWER)
-    script.send("s5", 20, ANSWER)
-    assert script.verdict() == [Rule.UNASKED]
-
-
-def test_an_answer_to_an_sdn(script: Script) -> None:
-    script.claim()
-    script.send("m2", 37, SDN)
-    script.send("s5", 20, ANSWER)
-    assert script.verdict() == [Rule.UNASKED]
-
-
-# --- idle times ---
 def test_t_syn_holds_for_masters_the_referee_does_not_know(world: WorldFactory) -> None:
     script = Script(world, know=False)
     script.claim()
-    script.send("m2", 33, ASK)
-    script.send("s5", 11, ANSWER)
-    script.send("m2", 33, SDN)
-    script.send("m2", 33, TOKEN)
-    script.send("m2", 32, TOKEN)
-    assert script.verdict() == [Rule.IDLE]
-
-
-def test_t_id1_before_a_token_and_a_request(script: Script) -> None:
-    script.claim()
-    script.send("m2", 36, TOKEN)
-    script.send("m2", 36, ASK)
-    script.send("s5", 11, ANSWER)
-    script.send("m2", 36, ASK)
-    assert script.verdict() == [Rule.IDLE] * 3
-
-
-def test_t_id2_after_an_sdn(script: Script) -> None:
-    script.claim()
-    script.send("m2", 37, SDN)
-    script.send("m2", 99, ASK)
+    script.play(("m2", 33, ASK), ("s5", 11, ANSWER), ("m2", 33, SDN), ("m2", 33, TOKEN), ("m2", 32, TOKEN))
     assert script.verdict() == [Rule.IDLE]
 
 
@@ -156,29 +146,22 @@ def test_extra_idle_time_is_part_of_t_id1(world: WorldFactory) -> None:
     script = Script(world, know=False)
     script.referee.know(PARAMS.replace(extra_idle=100))
     script.claim()
-    script.send("m2", 137, ASK)
-    script.send("s5", 11, ANSWER)
-    script.send("m2", 136, ASK)
+    script.play(("m2", 137, ASK), ("s5", 11, ANSWER), ("m2", 136, ASK))
     assert script.verdict() == [Rule.IDLE]
 
 
-def test_a_request_repeated_before_the_slot_time_is_over(script: Script) -> None:
-    script.claim()
-    script.send("m2", 37, ASK)
-    script.send("m2", 199, ASK)
-    assert script.verdict() == [Rule.SLOT]
+def test_the_ring_wraps() -> None:
+    watch = TokenWatch()
+    assert watch.token(100, 100, None) is None
+    assert watch.token(100, 3, None) is None
+    assert watch.token(3, 100, None) is None
+    assert watch.ring == {3, 100}
+    finding = watch.token(100, 7, None)
+    assert finding is not None
+    assert finding.text == "station 100 passes the token to 7, over 3"
 
 
-def test_a_token_repeated_before_the_slot_time_is_over(script: Script) -> None:
-    script.claim()
-    script.send("m2", 37, encode_token(4, 2))
-    script.send("m2", 199, encode_token(4, 2))
-    assert script.verdict() == [Rule.SLOT]
-
-
-# --- telegrams ---
-def test_a_gap_inside_a_telegram(script: Script) -> None:
-    script.claim()
-    script.send("m2", 37, ASK[:4])
-    script.send("m2", 1, ASK[4:])
-    assert script.verdict() == [Rule.BROKEN, Rule.BROKEN]
+def test_token_rules_can_be_left_alone(script: Script) -> None:
+    script.referee.token_rules = False
+    script.play(("m2", 5_000, ASK), ("s5", 11, ANSWER), ("m3", 37, encode_token(9, 3)))
+    assert script.verdict() == []

@@ -117,13 +117,9 @@ RUNS: Final[dict[str, tuple[tuple[str, str], ...]]] = {
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Starter]:
+def start(start: Starter) -> Starter:
     assert importlib.util.find_spec("pyprofibus"), MISSING
-    folder = tmp_path / "output"
-    folder.mkdir()
-    starter = Starter(folder)
-    yield starter
-    starter.close()
+    return start
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +23,6 @@ from dpstack.errors import DpError, UsageError
 from dpstack.profile import DriveDevice
 
 Out = pytest.CaptureFixture[str]
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Starter]:
-    folder = tmp_path / "output"
-    folder.mkdir()
-    starter = Starter(folder)
-    yield starter
-    starter.close()
 
 
 def ctl(capsys: Out, *args: str, code: int = 0) -> str:

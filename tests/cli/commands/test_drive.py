@@ -6,7 +6,6 @@ import asyncio
 import json
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -428,15 +427,6 @@ async def test_a_drive_that_is_not_there_is_told_with_its_reason(plant: Path) ->
 
 
 # -- programs -----------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Starter]:
-    folder = tmp_path / "output"
-    folder.mkdir()
-    starter = Starter(folder)
-    yield starter
-    starter.close()
 
 
 def port_of(program: Any) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -41,15 +40,6 @@ drive = "ls-s100"
 telegram = "PPO1"
 simulated = {{ dr-03 = 0.1, dr-04 = 0.1 }}
 """
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Starter]:
-    folder = tmp_path / "output"
-    folder.mkdir()
-    starter = Starter(folder)
-    yield starter
-    starter.close()
 
 
 def test_a_users_program_runs_a_keb_and_an_ls(tmp_path: Path, start: Starter) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,20 +25,14 @@ RAW = '[[slave]]\nname = "raw"\naddress = 20\nident = 0x1234\nconfig = "20 10"\n
 
 
 @pytest.fixture
-def bus(tmp_path: Path) -> Iterator[Path]:
+def bus(tmp_path: Path, start: Starter) -> Path:
     """A segment of two with simulated slaves on port 0; ``plant.toml`` beside it is for port 1."""
     folder = tmp_path / "bus"
     (tmp_path / "plant.toml").write_text(HEAD.format(port=folder / "1") + IO)
     (tmp_path / "sim.toml").write_text(HEAD.format(port=folder / "0") + IO + RAW)
-    logs = tmp_path / "logs"
-    logs.mkdir()
-    starter = Starter(logs)
-    try:
-        starter("segment", "--stations", "2", "--dir", str(folder)).wait_for(str(folder / "1"))
-        starter("sim", str(tmp_path / "sim.toml"), "--port", str(folder / "0")).wait_for("raw")
-        yield folder
-    finally:
-        starter.close()
+    start("segment", "--stations", "2", "--dir", str(folder)).wait_for(str(folder / "1"))
+    start("sim", str(tmp_path / "sim.toml"), "--port", str(folder / "0")).wait_for("raw")
+    return folder
 
 
 def test_run_and_address_against_simulated_slaves(bus: Path, capsys: pytest.CaptureFixture[str]) -> None:

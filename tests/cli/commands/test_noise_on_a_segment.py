@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -37,15 +36,6 @@ config = "13 23"
 NO_TELEGRAMS = {"skipped", "doubtful", "empty_le3"}
 #: different inputs of each slave during the noise, at least
 ENOUGH = 3
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Starter]:
-    folder = tmp_path / "output"
-    folder.mkdir()
-    starter = Starter(folder)
-    yield starter
-    starter.close()
 
 
 def bad_telegrams(bad: dict[str, int]) -> int:

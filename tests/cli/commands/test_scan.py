@@ -9,7 +9,6 @@ import functools
 import json
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,20 +32,11 @@ SLAVES = [("0x0696", "demag-dedrive"), ("0xDD04", "fuji-frenic"), ("0x1234", Non
 
 
 @pytest.fixture
-def starter(tmp_path: Path) -> Iterator[Starter]:
-    folder = tmp_path / "output"
-    folder.mkdir()
-    made = Starter(folder)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def bus(tmp_path: Path, starter: Starter) -> Path:
+def bus(tmp_path: Path, start: Starter) -> Path:
     """A segment of three with the slaves of a plant on port 0; ports 1 and 2 are free."""
     directory = tmp_path / "bus"
-    starter("segment", "--stations", "3", "--dir", str(directory)).wait_for(str(directory / "2"))
-    starter("sim", plant(tmp_path, directory / "1"), "--port", str(directory / "0")).wait_for("raw")
+    start("segment", "--stations", "3", "--dir", str(directory)).wait_for(str(directory / "2"))
+    start("sim", plant(tmp_path, directory / "1"), "--port", str(directory / "0")).wait_for("raw")
     return directory
 
 
@@ -137,9 +127,9 @@ def test_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     assert lines[2].split()[:5] == ["3", "slave", "0x0696", "wait_prm", "Demag"]
 
 
-def test_nobody(tmp_path: Path, starter: Starter, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nobody(tmp_path: Path, start: Starter, capsys: pytest.CaptureFixture[str]) -> None:
     directory = tmp_path / "bus"
-    starter("segment", "--stations", "2", "--dir", str(directory)).wait_for(str(directory / "1"))
+    start("segment", "--stations", "2", "--dir", str(directory)).wait_for(str(directory / "1"))
     code, out, err = scan(capsys, directory / "0", "--json")
     assert code == 1
     assert json.loads(out)["stations"] == []
@@ -147,7 +137,7 @@ def test_nobody(tmp_path: Path, starter: Starter, capsys: pytest.CaptureFixture[
 
 
 def test_beside_a_master_and_read_only(
-    tmp_path: Path, bus: Path, starter: Starter, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, bus: Path, start: Starter, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The slaves of the running master are shown with their owner; it keeps all of them."""
     config = tmp_path / "few.toml"
@@ -155,7 +145,7 @@ def test_beside_a_master_and_read_only(
     text = Path(plant(tmp_path, bus / "1")).read_text(encoding="utf-8").replace("500000", "500000\nhsa = 5")
     text = text.replace("max_retry = 7", "max_retry = 15")  # it keeps its slaves on a busy computer, too
     config.write_text(text, encoding="utf-8")
-    run = starter("run", str(config), "--json")
+    run = start("run", str(config), "--json")
     run.wait_for_slaves(3)
     there = [
         (2, "master_in_ring", None, None),
@@ -178,7 +168,7 @@ def test_beside_a_master_and_read_only(
         assert time.monotonic() < end, (found, err)
     watch = tmp_path / "watch.toml"
     watch.write_text(text.replace("hsa = 5", "hsa = 5\naddress = 1\nread_only = true"), encoding="utf-8")
-    reader = starter("run", str(watch), "--port", str(bus / "2"), "--json")
+    reader = start("run", str(watch), "--port", str(bus / "2"), "--json")
     reader.wait_for('"state":"data_exchange","master":2', 3)
     assert reader.end(signal.SIGTERM) == 0
     summary = reader.lines[-1]

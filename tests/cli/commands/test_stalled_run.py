@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,15 +31,6 @@ config = "21 11"
 watchdog_ms = 1000
 """
 OUT = bytes.fromhex("1122")
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Starter]:
-    folder = tmp_path / "output"
-    folder.mkdir()
-    starter = Starter(folder)
-    yield starter
-    starter.close()
 
 
 def recording(there: Responder) -> list[bytes]:

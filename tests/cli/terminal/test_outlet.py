@@ -19,15 +19,6 @@ from dpstack.cli.terminal.nonblocking_stdout import LIMIT, Queue
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Starter]:
-    folder = tmp_path / "output"
-    folder.mkdir()
-    starter = Starter(folder)
-    yield starter
-    starter.close()
-
-
-@pytest.fixture
 def full_pipe() -> Iterator[tuple[int, int]]:
     """Both ends of a pipe that takes no octet more."""
     reading, writing = os.pipe()

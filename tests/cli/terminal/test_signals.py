@@ -205,15 +205,6 @@ def test_what_the_work_raises_is_raised() -> None:
         asyncio.run(program())
 
 
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Starter]:
-    folder = tmp_path / "out"
-    folder.mkdir()
-    starter = Starter(folder)
-    yield starter
-    starter.close()
-
-
 @pytest.mark.usefixtures("alone")
 def test_run_under_a_wrapper_that_sends_its_signal_twice(start: Starter, tmp_path: Path) -> None:
     with octet_slaves(SPEC) as (path, there):
