@@ -5,14 +5,33 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
 
 import pytest
 from support_responder import Responder
 
 #: octet 1 of Global_Control by what it says; the other bits are SYNC and FREEZE
 CLEAR = 0x02
+ENDS: Final = Path(__file__).parents[2] / "docs" / "ends.md"
+
+
+def table(heading: str, first: str) -> Iterator[tuple[str, list[str]]]:
+    """The rows of docs/ends.md under ``heading``, whose first column is ``first``: the name in code font, the cells.
+
+    A row without a name belongs to the one above.
+    """
+    section = ENDS.read_text(encoding="utf-8").partition(f"## {heading}")[2].partition("\n## ")[0]
+    name = ""
+    for line in section.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if line.startswith("| ") and cells[0] != first:
+            named = re.findall(r"\(`(\w+)`\)", cells[0])
+            name = named[-1] if named else name
+            yield name, cells
 
 
 def told(telegrams: Iterable[bytes], address: int) -> list[str]:

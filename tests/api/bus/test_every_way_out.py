@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from ends_kit import after_live, heard, is_in_order
+from ends_kit import after_live, heard, is_in_order, table
 from ends_programs import WAYS, Ways
 from far_ends import HANG_S
 from process_kit import SPEC, eventually, octet_slaves
@@ -43,24 +43,11 @@ class Row:
     told: str
 
 
-def rows() -> dict[tuple[str, str], Row]:
-    """The table of applications by way and driver."""
-    text = (ROOT / "docs" / "ends.md").read_text(encoding="utf-8")
-    section = text.partition("## By the application")[2].partition("\n## ")[0]
-    found: dict[tuple[str, str], Row] = {}
-    way = ""
-    for line in section.splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if not line.startswith("| ") or cells[0] == "way out":
-            continue
-        name, driver, last, clear, _who, told = cells
-        named = re.findall(r"\(`(\w+)`\)", name)
-        way = named[-1] if named else way
-        found[way, driver] = Row(last, clear == "yes", told)
-    return found
-
-
-TABLE = rows()
+#: applications by way and driver
+TABLE = {
+    (way, driver): Row(last, clear == "yes", told)
+    for way, (_, driver, last, clear, _who, told) in table("By the application", "way out")
+}
 
 
 def check(row: Row, words: list[str], told: str) -> None:

@@ -241,3 +241,14 @@ def test_a_skeleton_of_nobody() -> None:
     config = parse_config(config_skeleton(LiveListResult(baud=500_000, address=0, stations=()), "/dev/ttyUSB0"))
     assert config.slaves == ()
     assert config.bus.address == 2
+
+
+@pytest.mark.parametrize(
+    ("ident", "octets", "drive", "telegram"),
+    [(0x05EB, "B7 A1 97", "keb-f5", "PCH+2/8"), (0x0A6C, "62 51", "ls-s100", "VENDOR 3/2")],
+)
+def test_the_skeleton_names_drive_and_telegram(ident: int, octets: str, drive: str, telegram: str) -> None:
+    result = LiveListResult(baud=500_000, address=2, stations=(found(5, ident, octets),))
+    text = config_skeleton(result, "virtual")
+    assert f'drive = "{drive}"' in text
+    assert f'telegram = "{telegram}"' in text

@@ -9,10 +9,6 @@ import pytest
 from api_kit import off_and_on
 
 import dpstack
-from dpstack.api.bus.config_from_scan import config_skeleton
-from dpstack.api.bus.temporary_master import LiveListResult
-from dpstack.dp.master.scanner import Found, SlaveView
-from dpstack.fdl.telegram import StationType
 
 SAW: Mapping[str, object] = {"name": "saw", "address": 5, "drive": "keb-f5", "telegram": "PCH+8/8"}
 INPUTS, OUTPUTS = "ru.12:long sy.51 sy.53", "cS.19:long sy.50 sy.52"
@@ -141,15 +137,3 @@ def test_the_simulated_drive_takes_the_options_that_it_shares() -> None:
 
     dpstack.run_virtual(run("simulated"))
     dpstack.run_virtual(run("run=15"))
-
-
-def test_the_skeleton_of_a_scan_names_the_telegram() -> None:
-    found = Found(
-        address=5,
-        kind=StationType.SLAVE,
-        ident=0x05EB,
-        config=bytes.fromhex("B7 A1 97"),
-        state=SlaveView.WAIT_PRM,
-    )
-    text = config_skeleton(LiveListResult(baud=500_000, address=2, stations=(found,)), "virtual")
-    assert 'telegram = "PCH+2/8"' in text

@@ -10,10 +10,6 @@ import pytest
 from api_kit import off_and_on
 
 import dpstack
-from dpstack.api.bus.config_from_scan import config_skeleton
-from dpstack.api.bus.temporary_master import LiveListResult
-from dpstack.dp.master.scanner import Found, SlaveView
-from dpstack.fdl.telegram import StationType
 
 PUMP: Mapping[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "PPO1"}
 LS = {"profile": "ls"}
@@ -123,16 +119,3 @@ options = { para_control = "0005 0006 dr-03=1" }
     slave = dpstack.load_config(path).slaves[0]
     assert slave.params.config.hex() == "6251"
     assert "identifier octets 62 51 of ls-s100 are in no manual" in slave.notes[0]
-
-
-def test_the_skeleton_of_a_scan_names_the_telegram() -> None:
-    found = Found(
-        address=6,
-        kind=StationType.SLAVE,
-        ident=0x0A6C,
-        config=bytes.fromhex("62 51"),
-        state=SlaveView.WAIT_PRM,
-    )
-    text = config_skeleton(LiveListResult(baud=500_000, address=2, stations=(found,)), "virtual")
-    assert 'drive = "ls-s100"' in text
-    assert 'telegram = "VENDOR 3/2"' in text

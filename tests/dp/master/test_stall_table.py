@@ -5,17 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import pytest
+from ends_kit import table
 from scripted_link import MS, RUN, SAFE, ScriptedLink, mode_of, operating, setup, wire
 
 from dpstack.api.bus.events_json import event_json
 from dpstack.dp.master.events import ForcedClear
 from dpstack.machine import HeldUp, LineDown, LineUp
 
-PAGE: Final = Path(__file__).parents[3] / "docs" / "ends.md"
 GAP: Final = 500 * MS
 OUTPUTS: Final = {"04 7F 40 00": "live outputs", "04 7E 00 00": "safe values", "00 00 00 00": "zeros"}
 
@@ -87,23 +86,11 @@ class Row:
     told: list[str]
 
 
-def rows() -> dict[tuple[str, str], Row]:
-    """The table by case and ``after_stall``."""
-    section = PAGE.read_text(encoding="utf-8").partition("## While the bus goes on")[2].partition("\n## ")[0]
-    found: dict[tuple[str, str], Row] = {}
-    case = ""
-    for line in section.splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if not line.startswith("| ") or cells[0] == "what happens":
-            continue
-        what, after_stall, outputs, mode, told, _back = cells
-        named = re.findall(r"\(`([a-z_]+)`\)$", what)
-        case = named[0] if named else case
-        found[case, after_stall] = Row(outputs.split(", "), mode.lower(), re.findall(r"`([^`]+)`", told))
-    return found
-
-
-TABLE: Final = rows()
+#: by case and ``after_stall``
+TABLE: Final = {
+    (case, after_stall): Row(outputs.split(", "), mode.lower(), re.findall(r"`([^`]+)`", told))
+    for case, (_, after_stall, outputs, mode, told, _back) in table("While the bus goes on", "what happens")
+}
 
 
 def test_the_table_has_every_case_with_both_settings() -> None:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import pytest
+from passive_kit import Application
 
 from dpstack.errors import ConfigError, UsageError
+from dpstack.fdl.codec import decode
 from dpstack.fdl.commands import AtStation
-from dpstack.fdl.interface import Reply, StationControl
+from dpstack.fdl.interface import Reply
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Resp, Telegram
 from dpstack.machine import LineDown, LineUp, Machine, pump
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
-from dpstack.trace import Event, Notice
+from dpstack.trace import Notice
 from dpstack.units import NEVER
 
 BAUD = 500_000
@@ -36,49 +38,24 @@ STATUS_9 = bytes.fromhex("10 09 02 49 54 16")
 CLEAR = bytes.fromhex("68 07 07 68 FF 82 46 3A 3E 02 00 41 16")
 
 
-class Application:
-    """Answers its number; writes down what it heard and when it was called."""
+class Numbered(Application):
+    """Answers its number; with every request it becomes due anew."""
 
     def __init__(self, number: int) -> None:
+        super().__init__()
         self.number = number
-        self.due = NEVER
         self.due_after_request = NEVER
-        self.served = 0
-        self.ticks: list[int] = []
-        self.indicated: list[Telegram] = []
-        self.events: list[Event] = []
-        self.station: StationControl | None = None
-        self.move_to: int | None = None
-
-    def attached(self, station: StationControl) -> None:
-        self.station = station
 
     def serve(self, request: Telegram, now: int) -> Reply | None:
-        self.served += 1
         self.due = self.due_after_request
-        if self.move_to is not None and self.station is not None:
-            self.station.address = self.move_to
+        super().serve(request, now)
         return Reply(Resp.DL, bytes((self.number,)))
-
-    def indicate(self, telegram: Telegram, now: int) -> None:
-        self.indicated.append(telegram)
-
-    def wake_at(self) -> int:
-        return self.due
-
-    def tick(self, now: int) -> None:
-        self.ticks.append(now)
-        self.due = NEVER
-
-    def take_events(self) -> list[Event]:
-        events, self.events = self.events, []
-        return events
 
 
 class Rig:
     def __init__(self, *, t_sdr: int = 11, patience: Patience = EXACT) -> None:
         self.t_sdr = t_sdr
-        self.applications = {number: Application(number) for number in (3, 4, 5)}
+        self.applications = {number: Numbered(number) for number in (3, 4, 5)}
         self.port = Multidrop([self.station(n) for n in (3, 4)], PARAMS, patience=patience)
         self.sent: list[tuple[int, bytes]] = []
         machine: Machine = self.port  # the contract holds
@@ -151,7 +128,7 @@ def test_a_repetition_is_answered_from_what_was_kept() -> None:
     rig = Rig()
     assert rig.say(REQUEST[3], 10**6) == [ANSWER[3]]
     assert rig.say(REPEAT_3, 10**8) == [ANSWER[3]]
-    assert rig.applications[3].served == 1
+    assert rig.applications[3].served == [decode(REQUEST[3])]
 
 
 def test_noise_behind_a_request() -> None:
@@ -287,7 +264,7 @@ def test_the_line_goes_down_and_comes_back() -> None:
     assert rig.sent == []
     rig.port.command(LineUp(), 10**8)
     assert rig.say(REPEAT_3, 10**9) == [ANSWER[3]]
-    assert rig.applications[3].served == 2  # the frame count was forgotten
+    assert rig.applications[3].served == [decode(REQUEST[3]), decode(REPEAT_3)]  # the frame count was forgotten
 
 
 def test_another_baud_rate_is_for_all() -> None:
