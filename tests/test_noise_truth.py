@@ -140,7 +140,7 @@ def hold_against_the_truth(seed: int, rate: float, baud: int, bits: int) -> tupl
     """Exchanges and damaged telegrams of a master and three slaves while ``bits`` bit times pass."""
     world = World(seed=seed)
     bus = SimBus(world, BusParams.preset(baud, address=2, gap=0), [5, 9, 100], watchdog_ms=60_000_000 // baud + 200)
-    applications = [Application(address) for address in bus.addresses]
+    applications = [Application(address) for address in bus.master.handlers]
     bus.until_exchanging(within_ns=60 * S)
     for application in applications:
         bus.master.images[application.address].unit = application

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from support import MS, S
@@ -10,9 +10,12 @@ from support import MS, S
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
-from dpstack.dp.slave.application import make_slave
+from dpstack.dp.pdu.dpv1_status import Dpv1
+from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dp.slave.device import DpV0Device
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
+from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.passive.station import PassiveStation
@@ -25,9 +28,10 @@ PPO1 = bytes.fromhex("F3 F1")
 IDENT = 0x1234
 
 
-def setup(address: int) -> SlaveParams:
-    """How a master parameterises :func:`mirror`."""
-    return SlaveParams(address=address, name=f"s{address}", ident=IDENT, config=PPO1)
+def setup(address: int, dpv1: Dpv1 | None = None) -> SlaveParams:
+    """How a master parameterises :func:`mirror`; with ``dpv1``, DPV1_Status stands in front of its parameters."""
+    prm = b"" if dpv1 is None else bytes(3)
+    return SlaveParams(address=address, name=f"s{address}", ident=IDENT, config=PPO1, user_prm=prm, dpv1=dpv1)
 
 
 def mirror(address: int, params: BusParams, *, t_sdr: int | None = None) -> PassiveStation:
@@ -37,25 +41,46 @@ def mirror(address: int, params: BusParams, *, t_sdr: int | None = None) -> Pass
 
 @dataclass
 class SimBus:
-    """A master and its slaves in ``world``, told to operate."""
+    """A master with all acyclic services and its slaves in ``world``, told to operate.
+
+    Slaves are mirrors: of PPO1 where an address stands for one, else of the configuration that the master sends.
+    ``devices`` take the place of mirrors; ``cycle_ns``: a fixed cycle.
+    """
 
     world: World
     params: BusParams
-    addresses: Sequence[int]
+    addresses: Sequence[int | SlaveParams]
     t_sdr: int | None = None
     watchdog_ms: int = 200
+    devices: Mapping[int, DpV0Device] = field(default_factory=dict)
+    cycle_ns: int = 0
     events: list[Event] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.slaves = [mirror(address, self.params, t_sdr=self.t_sdr) for address in self.addresses]
+        setups = [setup(one) if isinstance(one, int) else one for one in self.addresses]
+        devices: dict[int, DpV0Device] = {one.address: MirrorDevice(IDENT, one.config) for one in setups}
+        devices |= self.devices
+        self.slaves = [make_slave(a, device, self.params, t_sdr=self.t_sdr) for a, device in devices.items()]
         for slave in self.slaves:
             self.world.add(slave)
-        setups = [setup(address) for address in self.addresses]
-        self.master = Master(self.params, setups, watchdog_ms=self.watchdog_ms)
-        self.station = ActiveStation(self.params, [self.master], now=self.world.now)
-        self.world.add(self.station, on_events=self.events.extend)
-        self.world.command(self.station, GoOnline())
-        self.world.command(self.station, SetMode(Mode.OPERATE))
+        self.master = Master(self.params, setups, watchdog_ms=self.watchdog_ms, cycle_ns=self.cycle_ns)
+        self.acyclic = acyclic_services(self.params.address, self.master)
+        self.station = ActiveStation(
+            self.params, [self.master, self.acyclic], budget=self.master.budget, now=self.world.now
+        )
+        self.world.add(self.station, on_events=self.on_events)
+        self.send(GoOnline())
+        self.send(SetMode(Mode.OPERATE))
+
+    def on_events(self, events: list[Event]) -> None:
+        self.events += events
+
+    def send(self, order: object) -> None:
+        self.world.command(self.station, order)
+
+    @property
+    def apps(self) -> list[SlaveApp]:
+        return [slave.responder for slave in self.slaves if isinstance(slave.responder, SlaveApp)]
 
     @property
     def exchanging(self) -> bool:

@@ -6,17 +6,11 @@ from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 
+from bus_kit import SimBus
 from support import S, WorldFactory
 
-from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.master import Master
 from dpstack.dp.plan.plan import Case, rotation
-from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.slave.loopback_device import MirrorDevice
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.trace import WireEntry
 
@@ -78,15 +72,9 @@ def undisturbed(
     Slow rounds all have a Global_Control: 13 characters and T_ID2, which are taken off.
     """
     w = world()
-    for setup in slaves:
-        w.add(make_slave(setup.address, MirrorDevice(IDENT, setup.config), params, t_sdr=t_sdr))
-    master = Master(params, slaves, watchdog_ms=650_000)
-    station = ActiveStation(params, [master], now=w.now)
-    w.add(station)
-    w.command(station, GoOnline())
-    w.command(station, SetMode(Mode.OPERATE))
+    bus = SimBus(w, params, slaves, t_sdr, watchdog_ms=650_000)
     turn = params.ns(rotation(params, slaves, Case.TYPICAL).bits)
-    while not all(h.state is SlaveState.DATA_EXCHANGE for h in master.handlers.values()):
+    while not bus.exchanging:
         assert w.now < 3000 * S, "not all slaves in data exchange"
         w.run_for(5 * turn)
     entries: list[WireEntry] = []

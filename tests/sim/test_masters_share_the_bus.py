@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import pytest
+from bus_kit import SimBus
 from planned_bus import IDENT, identifiers
 from support import S, WorldFactory
 
 from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.dp.master.master import Master
 from dpstack.dp.plan.cycle_check import token_wait_ns
@@ -50,31 +50,24 @@ class Seen:
 def run(world: WorldFactory, counts: list[int], t_tr: int, t_sdr: int) -> list[Seen]:
     """So many masters, with so many slaves each, for a second of undisturbed data exchange."""
     w = world()
-    masters: list[tuple[Master, ActiveStation]] = []
+    buses: list[SimBus] = []
     for number, slaves in enumerate(slaves_of(counts)):
         params = BusParams.preset(BAUD, address=2 + number, gap=10, hsa=2 + len(counts), t_tr=t_tr)
-        for setup in slaves:
-            w.add(make_slave(setup.address, MirrorDevice(IDENT, setup.config), params, t_sdr=t_sdr))
-        master = Master(params, slaves, watchdog_ms=650_000)
-        station = ActiveStation(params, [master], now=w.now)
-        w.add(station)
-        w.command(station, GoOnline())
-        w.command(station, SetMode(Mode.OPERATE))
-        masters.append((master, station))
+        buses.append(SimBus(w, params, slaves, t_sdr, watchdog_ms=650_000))
     w.run_for(3 * S)
-    assert all(h.state is SlaveState.DATA_EXCHANGE for m, _ in masters for h in m.handlers.values())
-    before = [(master.rounds, station.stats.tokens) for master, station in masters]
-    for master, _ in masters:
-        master.rotation = Histogram()
+    assert all(bus.exchanging for bus in buses)
+    before = [(bus.master.rounds, bus.station.stats.tokens) for bus in buses]
+    for bus in buses:
+        bus.master.rotation = Histogram()
     w.run_for(S)
     return [
         Seen(
-            master.rounds - rounds,
-            station.stats.tokens - holds,
-            ns_to_bits(master.rotation.min_ns, BAUD),
-            ns_to_bits(master.rotation.max_ns, BAUD),
+            bus.master.rounds - rounds,
+            bus.station.stats.tokens - holds,
+            ns_to_bits(bus.master.rotation.min_ns, BAUD),
+            ns_to_bits(bus.master.rotation.max_ns, BAUD),
         )
-        for (master, station), (rounds, holds) in zip(masters, before, strict=True)
+        for bus, (rounds, holds) in zip(buses, before, strict=True)
     ]
 
 

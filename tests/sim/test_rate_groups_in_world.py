@@ -5,20 +5,14 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import replace
 
+from bus_kit import SimBus
 from hypothesis import given
 from hypothesis import strategies as st
-from planned_bus import FIRST, IDENT, identifiers, kind, setups
+from planned_bus import FIRST, identifiers, kind, setups
 from property_kit import examples
-from support import MS, S, WorldFactory
+from support import S, WorldFactory
 
-from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.master import Master
 from dpstack.dp.plan.plan import Case, make_plan
-from dpstack.dp.slave.application import make_slave
-from dpstack.dpv1.slave.loopback_device import MirrorDevice
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.trace import WireEntry
 from dpstack.units import ns_to_bits
@@ -38,16 +32,9 @@ def test_the_fullest_cycle_is_the_one_of_the_plan(baud: int, given_: list[tuple[
     planned = make_plan(params, slaves).rotations[Case.SHORTEST]
     cycle_ns = 2 * params.ns(planned.bits + 3000)
     params = params.replace(t_tr=max(params.t_tr, 4 * planned.bits))
-    for setup in slaves:
-        w.add(make_slave(setup.address, MirrorDevice(IDENT, setup.config), params))
-    master = Master(params, slaves, watchdog_ms=650_000, cycle_ns=cycle_ns)
-    station = ActiveStation(params, [master], budget=master.budget, now=w.now)
-    w.add(station)
-    w.command(station, GoOnline())
-    w.command(station, SetMode(Mode.OPERATE))
-    while not all(h.state is SlaveState.DATA_EXCHANGE for h in master.handlers.values()):
-        assert w.now < 60 * S
-        w.run_for(MS)
+    bus = SimBus(w, params, slaves, watchdog_ms=650_000, cycle_ns=cycle_ns)
+    bus.until_exchanging(60 * S)
+    master = bus.master
     w.run_for(13 * cycle_ns)  # those that came late have found their turns
     entries: list[WireEntry] = []
     w.log.listener = entries.append

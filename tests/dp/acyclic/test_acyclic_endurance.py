@@ -12,18 +12,13 @@ from collections import Counter
 from collections.abc import Callable
 
 import pytest
-from bus_kit import IDENT, PPO1
+from bus_kit import IDENT, PPO1, SimBus, setup
 from ms2_kit import connections_of
 from support import MS, S, WorldFactory
 
 from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.master import Master
 from dpstack.dp.pdu.alarm_blocks import SEQUENCES, Alarm
 from dpstack.dp.pdu.dpv1_status import ALARMS, Dpv1
-from dpstack.dp.slave.application import SlaveApp, make_slave
-from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmRaised
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.master.ms2_commands import (
@@ -42,10 +37,8 @@ from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raise
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
 from dpstack.dpv1.slave.resource_manager import ms2_of
-from dpstack.drivers.stack import acyclic_services
 from dpstack.errors import UsageError
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOffline, GoOnline
+from dpstack.fdl.commands import GoOffline
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
@@ -96,41 +89,23 @@ def _of_a_service(sent: Transmission) -> bool:
     return len(sent.octets) == 1 or (sent.octets[0] == 0x68 and sent.octets[4] & 0x80 > 0)
 
 
-class Plant:
+class Plant(SimBus):
     """Station 2 with its slaves in data exchange, or with class 2 alone."""
 
     def __init__(self, world: World, baud: int, seed: int, *, cyclic: bool = True, mode: int = 7) -> None:
-        self.world = world
         self.random = random.Random(seed)
         params = BusParams.preset(baud, address=2, gap=0)
-        self.devices = {address: Busy() for address in ADDRESSES}
-        self.apps: list[SlaveApp] = []
-        for address, device in self.devices.items():
-            station = make_slave(address, device, params)
-            assert isinstance(station.responder, SlaveApp)
-            self.apps.append(station.responder)
-            world.add(station)
-        dpv1 = Dpv1(c1_response_timeout_ns=LIMIT, alarms=tuple(ALARMS), alarm_mode=mode)
-        setups = [
-            SlaveParams(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1)
-            for a in (ADDRESSES if cyclic else ())
-        ]
-        self.master = Master(params, setups, watchdog_ms=60_000)
-        self.acyclic = acyclic_services(2, self.master)
-        self.station = ActiveStation(params, [self.master, self.acyclic], now=world.now)
-        world.add(self.station, on_events=self.on_events)
         self.tokens = 0
         self.ended = 0
         self.owed: dict[int, str] = {}
         self.open: list[int] = []
         self.counts: Counter[str] = Counter()
         self.handlers: list[Callable[[Event], None]] = []
-        self.send(GoOnline())
-        self.send(SetMode(Mode.OPERATE))
-        end = world.now + 20 * S
-        while not self.exchanging:
-            assert world.now < end
-            world.run_for(10 * MS)
+        self.busy = {address: Busy() for address in ADDRESSES}
+        dpv1 = Dpv1(c1_response_timeout_ns=LIMIT, alarms=tuple(ALARMS), alarm_mode=mode)
+        setups = [setup(address, dpv1) for address in (ADDRESSES if cyclic else ())]
+        super().__init__(world, params, setups, watchdog_ms=60_000, devices=self.busy)
+        self.until_exchanging(20 * S)
         self.between = 0
 
     def lose(self, share: float, least_between: int = 0) -> None:
@@ -147,13 +122,6 @@ class Plant:
             return True
 
         self.world.faults.damage(lost, times=None)
-
-    @property
-    def exchanging(self) -> bool:
-        return all(handler.state is SlaveState.DATA_EXCHANGE for handler in self.master.handlers.values())
-
-    def send(self, order: object) -> None:
-        self.world.command(self.station, order)
 
     def on_events(self, events: list[Event]) -> None:
         for event in events:
@@ -321,10 +289,10 @@ def alarms(world: WorldFactory, count: int, mode: int, seed: int) -> None:
     plant.handlers.append(on_event)
     raised: dict[int, list[Raised]] = {address: [] for address in ADDRESSES}
     for number in range(count):
-        for address, device in plant.devices.items():
+        for address, device in plant.busy.items():
             raised[address].append(device.server.alarm(Alarm(1, 1, 1, data=number.to_bytes(4, "big"))))
         plant.world.run_for(plant.random.choice((0, 1, 5, 20, 20, 100, 700)) * MS)
-        while any(len(device.server.pending) > SEQUENCES // 2 for device in plant.devices.values()):
+        while any(len(device.server.pending) > SEQUENCES // 2 for device in plant.busy.values()):
             plant.world.run_for(20 * MS)
     plant.settle()
     for address in ADDRESSES:

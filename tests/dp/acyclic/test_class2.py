@@ -21,7 +21,7 @@ from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.drivers.stack import acyclic_services
 from dpstack.errors import UsageError
 from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import AttachUser, GoOffline, GoOnline
+from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.fdl.interface import Reply
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
@@ -330,12 +330,10 @@ def test_beside_the_class_1_master_of_its_own_station(world: WorldFactory) -> No
     w.run_for(500 * MS)
     quiet = bus.master.rotation.max_ns
     rounds = bus.master.rounds
-    class2 = acyclic_services(2, bus.master)
-    w.command(bus.station, AttachUser(class2))
     begun = w.now
     for token in range(CAPACITY):
         w.command(bus.station, ReadService(token, 4, Service.CONFIG))
-    while class2.waiting:
+    while bus.acyclic.waiting:
         w.run_for(MS)
     found = ends(bus.events)
     assert {done.outcome.data for done in found.values()} == {PPO1}
@@ -353,8 +351,6 @@ def test_without_time_to_spare_it_ends_and_says_so(world: WorldFactory) -> None:
     params = BusParams.preset(500_000, address=2, gap=0).replace(t_tr=256)
     bus = SimBus(w, params, (3, 4))
     bus.until_exchanging()
-    class2 = acyclic_services(2, bus.master)
-    w.command(bus.station, AttachUser(class2))
     w.command(bus.station, ReadService(1, 3, Service.CONFIG, timeout_ns=300 * MS))
     w.run_for(301 * MS)
     outcome = ends(bus.events)[1].outcome

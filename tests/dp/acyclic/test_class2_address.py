@@ -15,9 +15,7 @@ from dpstack.dp.acyclic.job import Heard, Outcome, ServiceFailure
 from dpstack.dp.master.read_only import reading_only
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
-from dpstack.drivers.stack import acyclic_services
 from dpstack.errors import UsageError
-from dpstack.fdl.commands import AttachUser
 from dpstack.fdl.interface import LONG_NS, SC_REPLY, Failure, Reply, StationControl
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
@@ -279,8 +277,6 @@ def test_a_slave_of_its_own_station_is_refused_at_once(world: WorldFactory) -> N
     w = world()
     bus = SimBus(w, BusParams.preset(500_000, address=2), (3,))
     bus.until_exchanging()
-    class2 = acyclic_services(2, bus.master)
-    w.command(bus.station, AttachUser(class2))
     with pytest.raises(UsageError, match="slave 3 is parameterised by this master"):
         w.command(bus.station, ChangeAddress(1, 3, 9))
 
@@ -310,11 +306,9 @@ def test_beside_a_running_class_1_master_nobody_loses_an_exchange(world: WorldFa
     w.add(PassiveStation(126, Addressable(MirrorDevice(IDENT, PPO1)), params))
     bus.until_exchanging()
     w.run_for(200 * MS)
-    class2 = acyclic_services(2, bus.master)
-    w.command(bus.station, AttachUser(class2))
     w.command(bus.station, ChangeAddress(1, 126, 4))
     w.command(bus.station, ChangeAddress(2, 126, 5, ident=IDENT))
-    while class2.waiting:
+    while bus.acyclic.waiting:
         w.run_for(MS)
     found = {e.token: e.outcome for e in bus.events if isinstance(e, ServiceDone)}
     assert found[1].failure is ServiceFailure.TAKEN

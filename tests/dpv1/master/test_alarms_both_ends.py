@@ -4,31 +4,22 @@ from __future__ import annotations
 
 import contextlib
 
-from bus_kit import IDENT, PPO1
+from bus_kit import IDENT, PPO1, SimBus, setup
 from fault_steps import fault_step
 from hypothesis import given, note
 from hypothesis import strategies as st
 from property_kit import examples
 from support import wire_log
 
-from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.master import Master
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status
 from dpstack.dp.pdu.dpv1_status import ALARMS, Dpv1
-from dpstack.dp.slave.application import make_slave
-from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmRaised, StatusTold
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
-from dpstack.drivers.stack import acyclic_services
 from dpstack.errors import AlarmError
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
-from dpstack.trace import Event
 
 MS = 1_000_000
 VENDOR = 32
@@ -77,14 +68,9 @@ def test_delivered_once_and_acknowledged(steps: list[tuple[str, int]], mode: int
     world = World(seed=seed)
     params = BusParams.preset(187_500, address=2, gap=0)
     device = Alarming(sap)
-    world.add(make_slave(4, device, params))
     dpv1 = Dpv1(alarms=tuple(ALARMS), alarm_mode=mode, c1_response_timeout_ns=60 * MS, extra_alarm_sap=sap)
-    master = Master(params, [SlaveParams(address=4, name="s4", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1)])
-    station = ActiveStation(params, [master, acyclic_services(2, master)], now=world.now)
-    events: list[Event] = []
-    world.add(station, on_events=events.extend)
-    world.command(station, GoOnline())
-    world.command(station, SetMode(Mode.OPERATE))
+    bus = SimBus(world, params, [setup(4, dpv1)], devices={4: device})
+    events = bus.events
     world.run_for(200 * MS)
     for what, number in steps:
         match what:
@@ -101,7 +87,7 @@ def test_delivered_once_and_acknowledged(steps: list[tuple[str, int]], mode: int
             case "lose diag":
                 world.faults.drop(_diag, times=number)
             case _:
-                fault_step(world, station, what, number, lambda sent: _ms1(sent) or _diag(sent))
+                fault_step(world, bus.station, what, number, lambda sent: _ms1(sent) or _diag(sent))
     world.faults.clear()
     end = world.now + 4_000 * MS
     while device.server.pending and world.now < end:
@@ -119,11 +105,9 @@ def test_delivered_once_and_acknowledged(steps: list[tuple[str, int]], mode: int
         row = [alarm.data[0] for alarm in delivered if mode or min(alarm.type, VENDOR) == kind]
         assert row == sorted(row)
     # without faults again, everything is heard of at once
-    end = world.now + 8_000 * MS  # a slave that stays away is asked once a second
-    while master.handlers[4].state is not SlaveState.DATA_EXCHANGE and world.now < end:
-        world.run_for(10 * MS)
+    bus.until_exchanging(8_000 * MS)  # a slave that stays away is asked once a second
     world.run_for(50 * MS)
-    assert master.handlers[4].state is SlaveState.DATA_EXCHANGE
+    assert bus.exchanging
     before = len(events)
     device.raise_(6)
     device.server.status(Status(1, 9))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from bus_kit import IDENT, PPO1
+from bus_kit import SimBus, setup
 from fault_steps import fault_step
 from hypothesis import example, given, note
 from hypothesis import strategies as st
@@ -19,20 +19,12 @@ from support import wire_log
 
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
-from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.master import Master
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dp.slave.application import make_slave
-from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.drivers.stack import acyclic_services
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
-from dpstack.trace import Event
 
 S = 1_000 * MS
 LIMIT = 60 * MS
@@ -127,43 +119,32 @@ def test_both_ends_with_loss(steps: list[tuple[str, int, int, int]], seed: int) 
     world = World(seed=seed)
     params = BusParams.preset(187_500, address=2, gap=0)
     devices = {address: Patient() for address in (3, 4)}
-    for address, device in devices.items():
-        world.add(make_slave(address, device, params))
     dpv1 = Dpv1(c1_response_timeout_ns=LIMIT)
-    master = Master(
-        params,
-        [SlaveParams(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1) for a in devices],
-    )
-    acyclic = acyclic_services(2, master)
-    station = ActiveStation(params, [master, acyclic], now=world.now)
-    events: list[Event] = []
-    world.add(station, on_events=events.extend)
-    world.command(station, GoOnline())
-    world.command(station, SetMode(Mode.OPERATE))
+    bus = SimBus(world, params, [setup(address, dpv1) for address in devices], devices=devices)
     world.run_for(200 * MS)
     taken = 0
     for what, number, slot, index in steps:
         match what:
             case "r":
                 taken += 1
-                world.command(station, ReadRecord(taken, number, slot, index, 3, timeout_ns=S))
+                bus.send(ReadRecord(taken, number, slot, index, 3, timeout_ns=S))
             case "w":
                 taken += 1
-                world.command(station, WriteRecord(taken, number, slot, index, b"\1", timeout_ns=S))
+                bus.send(WriteRecord(taken, number, slot, index, b"\1", timeout_ns=S))
             case "run":
                 world.run_for(number * MS // 4)
             case "cancel":
-                world.command(station, CancelService(taken))
+                bus.send(CancelService(taken))
             case _:
-                fault_step(world, station, what, number, _ms1)
+                fault_step(world, bus.station, what, number, _ms1)
     world.faults.noise(0)
     end = world.now + 1_100 * MS
-    while acyclic.waiting and world.now < end:
+    while bus.acyclic.waiting and world.now < end:
         world.run_for(10 * MS)
     note(wire_log(world, 80))
-    done = [event for event in events if isinstance(event, RecordDone)]
+    done = [event for event in bus.events if isinstance(event, RecordDone)]
     assert Counter(one.token for one in done) == Counter(range(1, taken + 1))
-    assert acyclic.waiting == 0
+    assert bus.acyclic.waiting == 0
     orders = [step for step in steps if step[0] in "rw"]
     for address in devices:
         given_out = []
@@ -183,5 +164,4 @@ def test_both_ends_with_loss(steps: list[tuple[str, int, int, int]], seed: int) 
         # no answer was taken for two services, or for one that was asked before it
         assert given_out == sorted(set(given_out))
     # four telegrams may still be lost: who was asked in vain is asked again after 0.1, 0.2, 0.4 and 0.8 s
-    world.run(world.now + 2 * S, lambda: all(h.state is SlaveState.DATA_EXCHANGE for h in master.handlers.values()))
-    assert all(handler.state is SlaveState.DATA_EXCHANGE for handler in master.handlers.values())
+    bus.until_exchanging(2 * S)

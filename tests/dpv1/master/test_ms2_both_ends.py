@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from bus_kit import IDENT, PPO1
+from bus_kit import SimBus, setup
 from fault_steps import fault_step
 from hypothesis import given, note
 from hypothesis import strategies as st
@@ -19,12 +19,7 @@ from support import wire_log
 
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
-from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.master import Master
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dp.slave.application import SlaveApp, make_slave
-from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.master.ms2_commands import (
     CloseConnection,
@@ -38,53 +33,30 @@ from dpstack.dpv1.master.ms2_commands import (
     WriteOver,
 )
 from dpstack.dpv1.slave.resource_manager import ms2_of
-from dpstack.drivers.stack import acyclic_services
 from dpstack.errors import UsageError
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOffline, GoOnline
+from dpstack.fdl.commands import GoOffline
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
-from dpstack.trace import Event
 
 MS = 1_000_000
 S = 1_000 * MS
 LIMIT = 60 * MS
 
 
-class Both:
+class Both(SimBus):
     """Station 2, slaves 3 and 4 in data exchange; services by token."""
 
     def __init__(self, seed: int) -> None:
-        self.world = World(seed=seed)
-        params = BusParams.preset(187_500, address=2, gap=0)
-        self.devices = {address: Patient() for address in (3, 4)}
-        self.apps: list[SlaveApp] = []
-        for address, device in self.devices.items():
-            station = make_slave(address, device, params)
-            assert isinstance(station.responder, SlaveApp)
-            self.apps.append(station.responder)
-            self.world.add(station)
+        devices = {address: Patient() for address in (3, 4)}
         dpv1 = Dpv1(c1_response_timeout_ns=LIMIT)
-        setups = [
-            SlaveParams(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1)
-            for a in self.devices
-        ]
-        self.master = Master(params, setups)
-        self.acyclic = acyclic_services(2, self.master)
-        self.station = ActiveStation(params, [self.master, self.acyclic], now=self.world.now)
-        self.events: list[Event] = []
-        self.world.add(self.station, on_events=self.events.extend)
-        self.send(GoOnline())
-        self.send(SetMode(Mode.OPERATE))
+        params = BusParams.preset(187_500, address=2, gap=0)
+        super().__init__(World(seed=seed), params, [setup(address, dpv1) for address in devices], devices=devices)
         self.world.run_for(200 * MS)
         self.tokens = 0
         #: of the services that were taken: what, slot and index
         self.taken: dict[int, tuple[str, int, int]] = {}
         self.opened: list[int] = []
-
-    def send(self, order: object) -> None:
-        self.world.command(self.station, order)
 
     def take(self, what: str, number: int, slot: int, index: int) -> None:
         """Order a service; what cannot be is refused at once and has no end."""
@@ -114,9 +86,6 @@ class Both:
         self.taken[token] = (what, slot, index)
         if what == "open":
             self.opened.append(token)
-
-    def exchanging(self) -> bool:
-        return all(handler.state is SlaveState.DATA_EXCHANGE for handler in self.master.handlers.values())
 
     def done(self) -> list[RecordDone | TransportDone | InitiateDone]:
         return [one for one in self.events if isinstance(one, RecordDone | TransportDone | InitiateDone)]
@@ -195,9 +164,9 @@ def test_one_end_each_with_loss(steps: list[tuple[str, int, int, int]], seed: in
         assert len(found) == len(set(found))
     # the cycle goes on, and no slave keeps anything once all is silent
     end = world.now + 3 * S  # one that was restarted is taken up again
-    while not both.exchanging() and world.now < end:
+    while not both.exchanging and world.now < end:
         world.run_for(50 * MS)
-    assert both.exchanging()
+    assert both.exchanging
     both.send(GoOffline())
     world.run_for(30 * S)
     assert [ms2_of(app).free for app in both.apps] == [CONNECTIONS] * 2
