@@ -9,8 +9,8 @@
         mixer.speed = 0.5
         await mixer.reached()
 
-What is named here is public; the rest may change without notice. The names are loaded when they are first used, so
-that a drive plugin or a child process that needs one layer does not load all of them.
+The names here are public; the rest may change without notice. Each name is loaded at its first use, so that a drive
+plugin or a child process that needs one layer does not load all of them.
 """
 
 from __future__ import annotations
@@ -147,55 +147,34 @@ __all__ = [
     "slave_from_gsd",
 ]
 
-_WHERE: Final = {
-    "BaudReport": "api.bus.find_baud",
-    "find_baud": "api.bus.find_baud",
-    "Bus": "api.bus.bus",
-    "open_bus": "api.bus.open_bus",
-    "Config": "api.config.config",
-    "load_config": "api.config.config",
-    "Connection": "api.slave.ms2_connection",
-    "Cycle": "api.bus.cycles",
-    "Drive": "api.slave.drive",
-    "Event": "api.bus.events_json",
-    "Mode": "api.bus.events_json",
-    "SlaveState": "api.bus.events_json",
-    "Slave": "api.slave.slave",
-    "SlaveAlarm": "api.slave.alarms",
-    "slave_from_gsd": "api.server.slave_from_gsd",
-    "run_virtual": "api.bus.virtual",
-    "simulate": "api.bus.virtual",
-    "World": "api.bus.virtual",
-    "SlaveServer": "api.server.server",
-    "serve_slave": "api.server.server",
-    "serve_slaves": "api.server.server",
-    "DpSlave": "dpv1.slave.user_slave",
-    "SlaveApp": "dp.slave.application",
-    "SlaveAppState": "dp.slave.application",
-    "SlaveDescription": "dpv1.slave.description",
-    "SlaveModule": "dpv1.slave.description",
-    "DeviceFailed": "dp.slave.events",
-    "RequestRefused": "dp.slave.events",
-    "UserDiag": "dp.pdu.diag_blocks",
-    "channel_block": "dp.pdu.diag_blocks",
-    "device_block": "dp.pdu.diag_blocks",
-    "identifier_block": "dp.pdu.diag_blocks",
-    "revision_block": "dp.pdu.diag_blocks",
-    "ParameterPlace": "api.lists.dump_compare",
-    "PrmBlock": "dp.pdu.prm_blocks",
-    "AlarmType": "dp.pdu.alarm_blocks",
-    "ModuleState": "dp.pdu.alarm_blocks",
-    "Specifier": "dp.pdu.alarm_blocks",
-    "StatusType": "dp.pdu.alarm_blocks",
-    "Im0": "dpv1.pdu.im",
-    "Im1": "dpv1.pdu.im",
-    "Im2": "dpv1.pdu.im",
-    "Im3": "dpv1.pdu.im",
-    "Im4": "dpv1.pdu.im",
-    "InitiateReq": "dpv1.pdu.ms2",
-    "DriveStatus": "profile",
-    "IoStation": "api.bus.virtual",
+#: public names by module; all others are in errors
+_PLACES: Final = {
+    "api.bus.bus": "Bus",
+    "api.bus.cycles": "Cycle",
+    "api.bus.events_json": "Event Mode SlaveState",
+    "api.bus.find_baud": "BaudReport find_baud",
+    "api.bus.open_bus": "open_bus",
+    "api.bus.virtual": "run_virtual simulate World IoStation",
+    "api.config.config": "Config load_config",
+    "api.lists.dump_compare": "ParameterPlace",
+    "api.server.server": "SlaveServer serve_slave serve_slaves",
+    "api.server.slave_from_gsd": "slave_from_gsd",
+    "api.slave.alarms": "SlaveAlarm",
+    "api.slave.drive": "Drive",
+    "api.slave.ms2_connection": "Connection",
+    "api.slave.slave": "Slave",
+    "dp.pdu.alarm_blocks": "AlarmType ModuleState Specifier StatusType",
+    "dp.pdu.diag_blocks": "UserDiag channel_block device_block identifier_block revision_block",
+    "dp.pdu.prm_blocks": "PrmBlock",
+    "dp.slave.application": "SlaveApp SlaveAppState",
+    "dp.slave.events": "DeviceFailed RequestRefused",
+    "dpv1.pdu.im": "Im0 Im1 Im2 Im3 Im4",
+    "dpv1.pdu.ms2": "InitiateReq",
+    "dpv1.slave.description": "SlaveDescription SlaveModule",
+    "dpv1.slave.user_slave": "DpSlave",
+    "profile": "DriveStatus",
 }
+_WHERE: Final = {name: module for module, names in _PLACES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> object:

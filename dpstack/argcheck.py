@@ -10,40 +10,40 @@ from dpstack.errors import UnknownAttribute, UsageError
 
 
 def whole(what: str, value: Any, error: type[Exception] = UsageError) -> int:
-    """``value`` as it is, where it is a whole number; ranges are judged by whoever knows them. Raises ``error``."""
+    """``value`` where it is a whole number; the caller checks ranges. Raises ``error``."""
     if isinstance(value, bool) or not isinstance(value, int):
         raise error(f"{what} = {value!r} is no whole number: give one, 47 or 0x2F for instance")
     return value
 
 
 def octets(what: str, value: Any, error: type[Exception] = UsageError) -> bytes:
-    """``value`` as octets: bytes and their like, or numbers 0..255 in an order. Raises ``error``."""
+    """``value`` as octets: bytes, bytearray, memoryview, or an ordered sequence of numbers 0..255. Raises ``error``."""
     if not isinstance(value, (str, int, Mapping, Set)) and isinstance(value, (bytes, bytearray, memoryview, Iterable)):
         try:
             return bytes(value)
         except (TypeError, ValueError):
-            pass  # told below
+            pass
     raise error(f"{what} = {value!r} is no octets: give bytes, b'\\x01\\x02' or bytes.fromhex('01 02') for instance")
 
 
-def functions(who: str, error: type[Exception] = UsageError, /, **given: object) -> None:
-    """Raises ``error`` for what is neither None nor anything that can be called; the first one must be there."""
-    for at, (name, value) in enumerate(given.items()):
+def functions(who: str, error: type[Exception] = UsageError, /, **functions: object) -> None:
+    """Raises ``error`` for an argument that is neither None nor callable; the first one must not be None."""
+    for at, (name, value) in enumerate(functions.items()):
         if not callable(value) and (value is not None or not at):
             raise error(f"{who}: {name} = {value!r} is no function")
 
 
 class Sealed:
-    """Base of classes of the public API: once :meth:`_seal` was called, to assign an attribute that is not there raises
-    :class:`~dpstack.errors.UnknownAttribute`. A misspelt set point would otherwise be taken and do nothing.
+    """Base of classes of the public API: after :meth:`_seal` the assignment to an unknown attribute raises
+    :class:`~dpstack.errors.UnknownAttribute`. A misspelt set point would otherwise have no effect without any error.
 
-    Private names are free, and so is everything in a class that a user derives.
+    Private names are free, and so are all names in a class that a user derives.
     """
 
     _sealed: bool = False
 
     def _seal(self, kind: type) -> None:
-        """At the end of ``kind.__init__``: nothing follows in an instance of ``kind`` itself."""
+        """Call it at the end of ``kind.__init__``; instances of derived classes stay open."""
         self._sealed = type(self) is kind
 
     def __setattr__(self, name: str, value: object) -> None:

@@ -1,4 +1,4 @@
-"""The one exception tree.
+"""The exception classes of dpstack: one tree.
 
 ::
 
@@ -26,9 +26,10 @@
         +-- DriveTimeout (TimeoutError) did not reach the wanted state in time: names what is missing
         +-- ParameterError              a negative answer of the parameter channel: number and the manual's text
 
-Misuse and configuration raise at once; what a peer does wrong on the wire never raises in the core, it becomes an
-event and a counter, and one of the lower branches where a caller waits for it. Every argument of a constructor is an
-attribute of the same name: so an error crosses the control socket as what it is (``dpstack.api.control.errors``).
+Misuse and wrong configurations raise at once. An error of a peer on the wire never raises in the core: it becomes an
+event and a counter, and one of the lower branches where a caller waits for the result. Every argument of a constructor
+is an attribute of the same name: so an error keeps its class across the control socket
+(``dpstack.api.control.errors``).
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ from dpstack.text import printable
 
 
 class DpError(Exception):
-    """The root: everything dpstack raises on purpose.
+    """The root of all exceptions that dpstack raises.
 
-    Its text may hold names out of files and from devices: :func:`str` of it, which is what tracebacks and loggers
-    show, holds nothing that a terminal would obey (:mod:`dpstack.text`).
+    Its text may hold names out of files and from devices; :func:`str`, as in tracebacks and loggers, escapes terminal
+    controls in them (:mod:`dpstack.text`).
     """
 
     def __str__(self) -> str:
@@ -70,7 +71,7 @@ class UnknownAttribute(UsageError, AttributeError):
 class PduError(DpError, ValueError):
     """Octets of a DP service PDU that cannot be read, or values that cannot be put into one; names the octet.
 
-    Inside the core whoever parses remote octets catches it: a peer's garbage becomes an event there.
+    Inside the core the parser's caller catches it: wrong octets of a peer become an event there.
     """
 
 
@@ -141,7 +142,7 @@ class AcyclicError(SlaveError):
         self.error_decode, self.code_1, self.code_2 = codes
 
     def about(self, what: str) -> AcyclicError:
-        """The same, told of ``what`` the service was for."""
+        """The same error with ``what``, the purpose of the service, in front of its text."""
         return AcyclicError(
             self.address,
             f"{what}: {self}",
@@ -174,7 +175,7 @@ class ConnectionEnded(SlaveError):
 
 
 class SlaveTimeout(SlaveError, TimeoutError):
-    """The slave did not get there in time."""
+    """The slave did not reach the awaited state, or did not answer, in time."""
 
 
 class RecordRefused(DpError):
@@ -198,7 +199,7 @@ class AlarmError(DpError):
     """An alarm or status of one's own slave that does not reach its master, or is not acknowledged.
 
     ``reason``: "not supported" (by this slave), "not enabled" (by its master), "not in data exchange", "queue full",
-    "data exchange ended", "withdrawn" (by whoever has its ``Raised``).
+    "data exchange ended", "withdrawn" (by the caller that raised it).
     """
 
     def __init__(self, message: str, reason: str) -> None:

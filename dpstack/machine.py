@@ -1,8 +1,8 @@
-"""The contract of every protocol machine, and the one step function that drives it.
+"""The interface of every protocol machine, and :func:`pump`, the one step function that drives it.
 
-A machine owns a protocol rule and nothing else: no clock, no socket, no thread. It is told what arrived and what time
-it is, says what to send and when it wants to be called again. What drives it (an asyncio loop, a child process,
-the virtual world) differs only in how it waits; all of them call :func:`pump` and nothing else.
+A machine has protocol rules and nothing else: no clock, no socket, no thread. The driver passes received octets and the
+time; the machine returns the octets to send and the time of its next call. The drivers (an asyncio loop, a child
+process, the virtual world) differ only in how they wait; all of them call :func:`pump` and nothing else.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ _MAX_SETTLE = 1000
 
 @dataclass(frozen=True, slots=True)
 class LineDown:
-    """Command from a driver: the port vanished. Nothing can be sent or heard until :class:`LineUp`."""
+    """Command from a driver: the port is lost. Nothing can be sent or received until :class:`LineUp`."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class LineUp:
-    """Command from a driver: the port is (again) there; the bus may have changed meanwhile."""
+    """Command from a driver: the port is open (again); the bus may have changed meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
 class RateRefused:
     """Command from a driver: the port cannot do the rate that :attr:`Machine.baud` asks for.
 
-    The machine wants another one then, or raises when it knows none.
+    The machine then asks for another rate, or raises where it knows none.
     """
 
     reason: str
@@ -47,9 +47,9 @@ class RateRefused:
 
 @dataclass(frozen=True, slots=True)
 class HeldUp:
-    """A driver tells its machine: nobody ran the machine for ``for_ns`` although one of its deadlines was over.
+    """Command from a driver: it ran the machine ``for_ns`` too late for one of its deadlines.
 
-    ``suspended``: the computer slept, and ``now`` does not contain this time. ``what`` says for people what blocked.
+    ``suspended``: the computer slept, and ``now`` does not contain this time. ``what``: the cause, for people.
     """
 
     for_ns: int
@@ -62,10 +62,10 @@ class Machine(Protocol):
 
     @property
     def baud(self) -> int:
-        """The rate in bit/s it wants to hear and send at. It may change with every step: the driver follows."""
+        """The rate in bit/s at which it wants to receive and send. It may change with each step: the driver follows."""
 
     def receive(self, chunk: bytes, now: int) -> None:
-        """Octets that arrived; the last bit of the last one was on the line no later than ``now``."""
+        """Process received octets; the last bit of the last one was on the line no later than ``now``."""
 
     def sent(self, at: int) -> None:
         """The transmission taken last leaves the line at ``at``; this may lie ahead where the rate is known.
@@ -74,19 +74,19 @@ class Machine(Protocol):
         """
 
     def wake(self, now: int) -> None:
-        """Time has passed: judge the deadlines that are due. A call too early is harmless."""
+        """Process the deadlines that are due. A call too early is harmless."""
 
     def take_tx(self, now: int) -> bytes | None:
-        """The octets to put on the line now, at most one telegram, or None. The gates are the machine's own."""
+        """The octets to put on the line now, at most one telegram, or None. The machine itself keeps the idle times."""
 
     def wake_at(self) -> int:
         """When to call again: :data:`NOW`, a time in ns, or :data:`NEVER` (on input only)."""
 
     def take_events(self) -> list[Event]:
-        """What happened since the last call, oldest first, for whoever is interested."""
+        """The events since the last call, oldest first."""
 
     def command(self, command: object, now: int) -> None:
-        """An order of the application. Misuse raises at once; what an order leads to is told by events."""
+        """Carry out a command of the application. Misuse raises at once; results are events."""
 
 
 def pump(machine: Machine, chunk: bytes, now: int, transmit: Transmit) -> int:
@@ -107,7 +107,7 @@ def pump(machine: Machine, chunk: bytes, now: int, transmit: Transmit) -> int:
                 end = transmit(tx, now)
             except Exception:
                 raise
-            except BaseException:  # Ctrl-C in the middle of writing: a machine that is not told waits for ever
+            except BaseException:  # Ctrl-C in the middle of writing: without sent() the machine would wait for ever
                 machine.sent(now)
                 raise
             machine.sent(end)

@@ -1,4 +1,4 @@
-"""Bus parameters under the standard's names, presets per baud rate, and the constructor that checks them.
+"""Bus parameters under the standard's names: presets for each baud rate, limits.
 
 All times are bit times. Table and limits with their sources: docs/protocol.md#bus-parameters; what follows from them:
 docs/bus-parameters.md.
@@ -131,7 +131,7 @@ class BusParams:
         """The standard's parameters at ``baud``, widened to the attached slaves.
 
         ``slave_max_tsdr`` are the MaxTsdr of the attached slaves in bit times at this rate;
-        T_SL = max(table, largest + 15). What is given explicitly replaces the preset and is checked like it.
+        T_SL = max(table, largest + 15). An explicit argument replaces the preset; all are checked.
         """
         row = _PRESETS.get(baud)
         if row is None:
@@ -177,10 +177,10 @@ class BusParams:
 
     @property
     def t_rdy(self) -> int:
-        """T_RDY in bit times: so soon after its own last bit a station must be able to receive, min T_SDR."""
+        """T_RDY in bit times: a station must be able to receive so soon after its own last bit; min T_SDR."""
         return self.min_tsdr
 
     @property
     def t_to(self) -> int:
-        """Time-out T_TO in bit times after which this station takes the token for lost: 6 T_SL + 2 TS T_SL."""
+        """Time-out T_TO in bit times after which this station considers the token lost: 6 T_SL + 2 TS T_SL."""
         return (6 + 2 * self.address) * self.t_sl

@@ -7,25 +7,25 @@ from enum import Enum
 
 
 class News(Enum):
-    """Whether something is to be told."""
+    """Whether a remark has to be reported."""
 
     NEW = "new"
-    LAST = "last"  # new, and nothing new is told any more
+    LAST = "last"  # new, and the last one that is reported
     KNOWN = "known"
 
 
 class Once:
-    """Up to ``limit`` different things."""
+    """Keeps up to ``limit`` different remarks."""
 
-    __slots__ = ("_limit", "_told")
+    __slots__ = ("_known", "_limit")
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
-        self._told: set[Hashable] = set()
+        self._known: set[Hashable] = set()
 
     def news(self, what: Hashable) -> News:
-        """What ``what`` is; asked again it is known."""
-        if what in self._told or len(self._told) >= self._limit:
+        """Whether ``what`` is new; from now on it is known."""
+        if what in self._known or len(self._known) >= self._limit:
             return News.KNOWN
-        self._told.add(what)
-        return News.NEW if len(self._told) < self._limit else News.LAST
+        self._known.add(what)
+        return News.NEW if len(self._known) < self._limit else News.LAST

@@ -1,8 +1,8 @@
-"""Text of others (GSD files, slaves, masters, other programs, file names) for people and as JSON.
+"""Escaping of foreign text (GSD files, slaves, masters, other programs, file names) for people and in JSON.
 
-Such text may hold octets that a terminal obeys (escape sequences), that turn the direction of what follows, or that
-cannot be seen. :func:`printable` and :func:`json_text` are the only two ways by which text leaves the program. Errors
-and events (``DpError``, ``Event.text``) are printable of themselves, also in loggers and in programs of others.
+Such text may hold escape sequences of terminals, characters that change the direction of writing, or invisible ones.
+All text leaves the program through :func:`printable` or :func:`json_text`. The texts of errors and events (``DpError``,
+``Event.text``) are always printable, also in loggers and in other programs.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def printable(text: str) -> str:
 
 
 def traceback_text(error: BaseException) -> str:
-    """Where ``error`` comes from, as Python shows it: lines of :func:`printable` text."""
+    """The traceback of ``error`` in lines of :func:`printable` text."""
     return "\n".join(map(printable, "".join(traceback.format_exception(error)).split("\n"))).removesuffix("\n")
 
 
@@ -43,36 +43,36 @@ def escape(letter: str) -> str:
 
 
 def long_escape(letter: str) -> str:
-    """As :func:`escape`, with four digits at least: TOML knows no ``\\x``."""
+    """Like :func:`escape`, with at least four digits: TOML has no ``\\x``."""
     code = ord(letter)
     return f"\\u{code:04x}" if code < 0x1_0000 else f"\\U{code:08x}"
 
 
 def decimal(text: str) -> int | None:
-    """The number that ``text`` is, in one to nine decimal digits as every number of ours; None for anything else."""
+    """The number of one to nine decimal digits in ``text``; None for anything else."""
     return int(text) if len(text) <= _MOST_DIGITS and text.isascii() and text.isdigit() else None
 
 
 def number_or_name(text: str) -> int | str:
-    """What people type for a thing that has both: the number where it is one (:func:`decimal`), else the name."""
+    """The user's input for a thing with number and name: the number (:func:`decimal`) or the name."""
     number = decimal(text)
     return text if number is None else number
 
 
 def octets_text(count: int) -> str:
-    """So many octets, for people."""
+    """``1 octet``, ``5 octets``."""
     return f"{count} octet" + ("" if count == 1 else "s")
 
 
 def shortened(text: str, most: int = 60) -> str:
-    """``text``, of which a message shows ``most`` characters."""
+    """``text`` cut to ``most`` characters."""
     return text if len(text) <= most else text[: most - 3] + "..."
 
 
 def json_text(value: object, *, encoding: str = "utf-8", **how: object) -> str:
-    """``value`` as JSON on one line. What is not plain, or not in ``encoding``, is escaped: the value is the same.
+    """``value`` as JSON on one line. Characters that are not plain, or not in ``encoding``, are escaped.
 
-    ``how``: further arguments of :func:`json.dumps`. Raises TypeError for what is no JSON value.
+    ``how``: further arguments of :func:`json.dumps`. Raises TypeError for values that JSON does not have.
     """
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, **how)  # type: ignore[arg-type]
     try:

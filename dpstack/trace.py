@@ -1,4 +1,4 @@
-"""Typed records of what happened: events for the application, telegrams for the wire log.
+"""Base classes of events for the application, and the wire log of telegrams.
 
 Nothing here decodes or prints protocol: :mod:`dpstack.fdl.describe` renders a wire log for people.
 """
@@ -15,7 +15,7 @@ from dpstack.text import printable
 
 
 class Severity(Enum):
-    """How much a person should care."""
+    """Severity of a message for people."""
 
     INFO = "info"
     WARNING = "warning"
@@ -46,7 +46,7 @@ class Event:
 
     @property
     def owed(self) -> bool:
-        """Somebody waits for it because of an order of his: there are as many as orders, and none may be dropped."""
+        """The answer to a command that somebody waits for: it must not be dropped."""
         return self.OWED
 
 
@@ -64,7 +64,7 @@ class Notice(Event):
 class WireEntry(NamedTuple):
     """One transmission on the wire: octets as sent, first start edge, end of the last stop bit, remarks.
 
-    ``sender`` is a station's name or address as the one who logs knows it; None when only heard.
+    ``sender``: name or address of the station; None where it is unknown.
     """
 
     start_ns: int

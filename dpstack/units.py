@@ -1,4 +1,4 @@
-"""Time on the wire: integer nanoseconds, bit times, and the one rounding rule between them.
+"""Units of time: integer nanoseconds, bit times, and the one rounding rule between them.
 
 A duration is an ``int`` in nanoseconds (names end in ``_ns`` or are called ``now``, ``at``) or in bit times
 (the standard's ``t_sl``, ``min_tsdr`` ...; names end in ``_bits`` where they are not the standard's).

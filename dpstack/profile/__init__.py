@@ -15,10 +15,9 @@ from dpstack.dp.slave.device import Leave
 from dpstack.dpv1.slave.device import Device
 from dpstack.errors import ConfigError
 from dpstack.profile import record47
-from dpstack.profile.channel.base import ChannelServer, ParameterChannel, ParamKey
+from dpstack.profile.channel.base import ChannelServer, ParameterChannel, ParamKey, per_request
 from dpstack.profile.channel.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
 from dpstack.profile.channel.pkw_access import RETRY_NS, ParamRef, PkwAccess, PkwChannel
-from dpstack.profile.channel.read_many import per_request
 from dpstack.profile.declared import PLAIN_PKW, Declaration, DeclaredCore, plain_resolver, plain_server
 from dpstack.profile.drive_profile import DriveProfile, OptionSpec, RateSetting
 from dpstack.profile.master.core import OPS, DriveCore, Lookup, settled

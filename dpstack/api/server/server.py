@@ -1,24 +1,26 @@
-"""Slaves of one's own on a bus: on a real port, or in a virtual world."""
+"""Server for the user's own slaves (:func:`serve_slave`): on a real port, or in a virtual world."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 
-from dpstack.api.server.async_device import AsyncRecords, ServedAlarms
+from dpstack.api.server.async_device import AsyncRecords
 from dpstack.api.streams import OnEvent, Waiters, hand_to
 from dpstack.argcheck import Sealed, octets, whole
-from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Specifier, Status
+from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Specifier, Status, module_status
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, SlaveAppStats
+from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, Raised
 from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.resource_manager import ServedConnection, ms2_of
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, patience_of
 from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.virtual.runtime import VirtualRuntime
-from dpstack.errors import BusError, ConfigError, SlaveTimeout, UsageError
+from dpstack.errors import AlarmError, BusError, ConfigError, SlaveTimeout, UsageError
 from dpstack.fdl.commands import AtStation
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.passive.station import PassiveStation
@@ -32,7 +34,7 @@ from dpstack.units import baud_text
 
 
 class ServedSlave(Sealed):
-    """One slave as it is served. ``restart()`` and ``initial_reset()`` raise UsageError within its own functions."""
+    """One served slave. ``restart()`` and ``initial_reset()`` raise UsageError within its own functions."""
 
     def __init__(self, device: Device, address: int, fixed: bool, params: BusParams, patience: Patience) -> None:
         self.device = device
@@ -40,12 +42,11 @@ class ServedSlave(Sealed):
         if isinstance(device, DpSlave) and (device.on_read or device.on_write or device.on_transport):
             self._records = AsyncRecords(device.on_read, device.on_write, device.on_transport)
             device.serve_records(self._records)
-            device.transport = self._records.transport
+            device.transport = self._records.ask
         self._app = SlaveApp(device, address=address, address_fixed=fixed)
         self.station = PassiveStation(address, self._app, params, patience=patience)
-        #: set by the server: what keeps the station running
+        #: the runtime of the station, set by the server
         self.runtime: Runtime | None = None
-        self._alarms = ServedAlarms(device.alarm_server, device.name)
         self._waiters = Waiters()
         self._over: BusError | None = None
         self._seal(ServedSlave)
@@ -69,7 +70,7 @@ class ServedSlave(Sealed):
 
     @property
     def address_fixed(self) -> bool:
-        """No_Add_Chg was set: the address may be changed after an initial reset only."""
+        """Whether No_Add_Chg was set: the address may be changed after an initial reset only."""
         return self._app.address_fixed
 
     @property
@@ -84,7 +85,7 @@ class ServedSlave(Sealed):
 
     @property
     def outputs(self) -> bytes:
-        """The outputs as they are valid now: in Clear the safe ones; empty while not in data exchange."""
+        """The valid outputs: in Clear the safe ones; empty while not in data exchange."""
         return self._app.outputs
 
     @property
@@ -94,7 +95,7 @@ class ServedSlave(Sealed):
 
     @property
     def failure(self) -> str | None:
-        """What its functions raised, None while they work; :meth:`restart` forgets it."""
+        """The exception of its functions as text, None while they work; :meth:`restart` clears it."""
         return self._app.failure
 
     @property
@@ -104,7 +105,7 @@ class ServedSlave(Sealed):
 
     @property
     def connections_free(self) -> int:
-        """How many more there can be."""
+        """The number of connections that can still be opened."""
         return ms2_of(self._app).free
 
     def abort_connection(self, sap: int, reason: int = 0) -> None:
@@ -119,11 +120,11 @@ class ServedSlave(Sealed):
         return self._app.stats
 
     def diagnosis(self) -> Diagnosis:
-        """As the master would read it."""
+        """The diagnosis that the master would read."""
         return self._app.diagnosis(0 if self.runtime is None else self.runtime.now())
 
     def restart(self) -> None:
-        """Off and on again: outputs safe, Wait_Prm, a failure forgotten, the address kept where the device keeps it."""
+        """Off and on again: outputs safe, Wait_Prm, no failure, the address kept where the device keeps it."""
         self._at_station(self._app.restart)
 
     def initial_reset(self) -> None:
@@ -131,7 +132,7 @@ class ServedSlave(Sealed):
         self._at_station(self._app.initial_reset)
 
     async def reached(self, state: SlaveAppState, timeout: float | None = None) -> None:
-        """Wait until it is in ``state``, for ``timeout`` seconds. Raises SlaveTimeout saying where it stands.
+        """Wait until it is in ``state``, for ``timeout`` seconds. Raises SlaveTimeout with its state.
 
         Raises BusError when it is served no more.
         """
@@ -156,24 +157,52 @@ class ServedSlave(Sealed):
         ``type`` 1..6 (:class:`~dpstack.AlarmType`) or 32..126, ``slot`` 0..254, ``specifier`` 0..3
         (:class:`~dpstack.Specifier`), ``data`` 0..59 octets; ``add_ack``: the master's user has to acknowledge it in
         addition. It may be called at any time, any number of times at once; up to 32 alarms wait. Raises AlarmError
-        where it cannot go out or ends otherwise, SlaveTimeout, UsageError, PduError where it cannot be.
+        where it cannot be sent or ends otherwise, SlaveTimeout, UsageError, PduError for impossible values.
         """
         place = whole("type", type), whole("slot", slot), whole("specifier", specifier)
         alarm = Alarm(*place, data=octets("data", data), add_ack=add_ack)
-        await self._alarms.alarm(alarm, self.address, timeout)
+        server = self._alarm_server()
+        raised = server.alarm(alarm)
+        over: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        raised.ended = lambda: None if over.done() else over.set_result(None)
+        what = f"slave {self.address} ({self.name}): {alarm.text}"
+        try:
+            async with asyncio.timeout(timeout):
+                await over
+        except TimeoutError:
+            text = f"{what}: not acknowledged after {timeout} s; {_hint(raised)}"
+            raise SlaveTimeout(self.address, text) from None
+        finally:  # cancelled or too late: withdraw an alarm that the master has not read yet
+            raised.ended = None
+            if raised.end is None:
+                server.withdraw(raised)
+        if raised.end is not None and raised.end is not AlarmEnd.ACKNOWLEDGED:
+            reason = "data exchange ended" if raised.end is AlarmEnd.LEFT else "withdrawn"
+            raise AlarmError(f"{what}: {raised.end.value}", reason)
 
     def status(self, type: int, slot: int = 0, specifier: int = Specifier.NONE, data: bytes = b"") -> None:
-        """Tell a status once, which nobody acknowledges: ``type`` 1..3, 30, 31 (:class:`~dpstack.StatusType`) or
-        32..126, the rest as of an alarm. Raises AlarmError where it cannot go out, UsageError, PduError."""
+        """Send a status message once, without acknowledgement: ``type`` 1..3, 30, 31 (:class:`~dpstack.StatusType`) or
+        32..126, the rest as of an alarm. Raises AlarmError where it cannot be sent, UsageError, PduError."""
         place = whole("type", type), whole("slot", slot), whole("specifier", specifier)
-        self._alarms.status(Status(*place, octets("data", data)))
+        self._alarm_server().status(Status(*place, octets("data", data)))
 
     def module_status(self, states: Sequence[ModuleState]) -> None:
-        """Tell the state of its modules, slot 1 first; otherwise as :meth:`status`."""
-        self._alarms.module_status(states)
+        """Send the state of its modules, slot 1 first; otherwise like :meth:`status`."""
+        given = tuple(states) if isinstance(states, Iterable) else (states,)
+        if not given or any(not isinstance(state, int) or state not in range(4) for state in given):
+            raise UsageError(
+                f"{states!r} is no list of ModuleState: ModuleState.OK, .INVALID, .WRONG or .MISSING for each"
+            )
+        self._alarm_server().status(module_status(tuple(ModuleState(state) for state in given)))
+
+    def _alarm_server(self) -> AlarmServer:
+        server = self.device.alarm_server
+        if server is None:
+            raise UsageError(f"slave {self.name}: it has no DP-V1, so no alarms; say dpv1=True in its description")
+        return server
 
     def check(self) -> None:
-        """Something was told: let those who wait look."""
+        """Let those who wait check their condition, after events."""
         self._waiters.check()
 
     def switch_off(self, why: BusError, now: int) -> None:
@@ -211,6 +240,12 @@ class ServedSlave(Sealed):
             again(0)
         else:
             self.runtime.command(AtStation(again))
+
+
+def _hint(raised: Raised) -> str:
+    if raised.offered:
+        return "its master has read it in the diagnosis, but sends no Alarm_Ack"
+    return "its master has not fetched it: others are before it, or the master does not heed diagnosis messages"
 
 
 class SlaveServer(Sealed):
@@ -267,12 +302,12 @@ class SlaveServer(Sealed):
 
     @property
     def slave(self) -> ServedSlave:
-        """The slave, where there is one only; else the first."""
+        """The only slave, or the first."""
         return self.slaves[0]
 
     @property
     def port_name(self) -> str:
-        """What the port is called; of a pty made here the path to open."""
+        """The name of the port; of a pty made here the path to open."""
         return self._runtimes[0].port_name
 
     async def serve_forever(self) -> None:
@@ -332,7 +367,7 @@ def serve_slave(
     """Serve ``device`` as a slave: ``async with serve_slave(...) as server``, then ``server.slave``.
 
     ``port`` and ``baud`` (bit/s) as everywhere, or ``world``, a simulated bus. ``address`` None: 126, for a slave that
-    is given an address by Set_Slave_Add; ``address_fixed``: that came with No_Add_Chg. ``on_event`` is called for every
+    gets its address by Set_Slave_Add; ``address_fixed``: with No_Add_Chg. ``on_event`` is called for every
     event at once. Raises ConfigError; PortError on entering.
     """
     if address is None:

@@ -1,4 +1,4 @@
-"""Simulated slaves behind a real port, and the segment that ports can be joined by."""
+"""Simulated slaves behind a real port (``dpstack sim``)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ DEFAULT_BAUD: Final = 500_000
 
 
 class SimulatedSlave:
-    """One slave of a simulation: what it is and what it does."""
+    """One slave of a simulation, for status and reports."""
 
     def __init__(self, unit: Unit) -> None:
         self.unit = unit
@@ -70,12 +70,12 @@ class SimulatedSlave:
 
     @property
     def watchdogs(self) -> int:
-        """How often its watchdog ended data exchange since it was switched on."""
+        """Expiries of its watchdog since it was switched on."""
         return self.unit.app.stats.watchdogs
 
     @property
     def too_late(self) -> int:
-        """Answers that it had, and kept: when they could be sent another telegram was there already."""
+        """Answers that were not sent because the next telegram had already begun."""
         return self.unit.station.stats.dropped
 
 
@@ -83,7 +83,7 @@ class Simulation:
     """All slaves of ``config`` as stations behind one ``port``; ``async with`` opens and closes it.
 
     ``port``: as everywhere, or "pty" for a new one, whose path is then ``port_name``. ``baud`` in bit/s, or "auto": the
-    slaves find the rate by themselves, and search it anew when the bus falls silent.
+    slaves detect the rate, and search it again when the bus falls silent.
     Raises ConfigError; PortError on entering.
     """
 
@@ -96,15 +96,15 @@ class Simulation:
         #: called for every event, at once
         self.on_event: OnEvent | None = None
         if baud != AUTO and any(set_rate(slave) not in (None, baud) for slave in config.slaves):
-            # stations of one port share its receiver: this one could not be deaf by itself
+            # stations of one port share its receiver: this one would receive at the rate of the others
             raise ConfigError("; ".join(rate_findings(config, baud)))
         rates = [DEFAULT_BAUD] if baud != AUTO else _common_rates(config)
-        # every adapter can do the slowest rate, so a port that does not open there is not there
+        # every adapter has the slowest rate, so that a failure to open means a missing port
         start = baud if baud != AUTO else DEFAULT_BAUD if port == "pty" else min(rates)
         opened = port_of(config, start, port)
         patience = patience_of(opened)
         self._params = params = BusParams.preset(start)
-        #: T_SL in bit times that a real master needs for these slaves behind this port, 0 where it needs none for it
+        #: T_SL in bit times that a real master needs for these slaves behind this port, 0: any T_SL will do
         self.t_sl = t_sl_of_answers(params, patience)
         units = [Unit(slave, params, patience) for slave in config.slaves]
         for unit in units:
@@ -136,7 +136,7 @@ class Simulation:
 
     @property
     def port_name(self) -> str:
-        """What the port is called; of a pty made here the path to open."""
+        """The name of the port; of a pty made here the path to open."""
         return self.runtime.port_name
 
     @property
@@ -147,7 +147,7 @@ class Simulation:
 
     @property
     def never_found(self) -> str | None:
-        """Why the rate was not recognised up to now, for people; None when it was once, or was given."""
+        """Why the rate has not been detected up to now, for people; None when it was once, or was given."""
         if self._search is None or self._was_found:
             return None
         result = self._search.in_vain(self.runtime.now())
@@ -159,7 +159,7 @@ class Simulation:
 
     @property
     def telegrams(self) -> int:
-        """Heard by its receiver, to whomever they were."""
+        """Telegrams that its receiver has heard, to any station."""
         return self._line.decoder_stats.telegrams
 
     @property
@@ -168,7 +168,7 @@ class Simulation:
         damage = {f"uart_{cause}": count for cause, count in self.runtime.damage().items() if count}
         return self._line.decoder_stats.by_cause() | damage
 
-    # --- treated from outside ---------------------------------------------------------------------------------------
+    # --- faults from outside ----------------------------------------------------------------------------------------
 
     def status(self) -> dict[str, object]:
         slaves: dict[str, object] = {}
@@ -226,7 +226,7 @@ class Simulation:
         unit.powered = on
 
     def injected(self, address: int) -> list[str]:
-        """What was done to the slave from outside and is not over."""
+        """Faults of the slave from outside that are not over."""
         unit = self._unit(address)
         until = self._line.silent_until(unit.station.address) if unit.powered else None
         return injected_text(unit.device, unit.powered, None if until is None else until - self.runtime.now())

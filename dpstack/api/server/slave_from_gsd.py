@@ -1,4 +1,4 @@
-"""A slave of one's own from a GSD file and a function."""
+"""The user's own slave from a GSD file and a function (:func:`slave_from_gsd`)."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def slave_from_gsd(
 ) -> DpSlave:
     """The slave that the GSD file at ``path`` describes, doing what ``on_cycle(outputs, elapsed)`` does.
 
-    ``modules``: names or reference numbers of those that are plugged, in slot order, "" for an empty slot; then this
-    configuration only is accepted. None: any that the file allows, and Get_Cfg tells ``config``, what the file presets,
+    ``modules``: names or reference numbers of those that are plugged, in slot order, "" for an empty slot; then it
+    accepts only this configuration. None: any that the file allows, and Get_Cfg returns ``config``, the file's preset,
     or its first module. ``on_cycle`` must give inputs for each of them. ``options`` are those of :class:`DpSlave`. A
     bundled drive's GSD file is found by the drive's name. Raises ConfigError.
     """

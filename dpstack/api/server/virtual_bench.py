@@ -1,4 +1,4 @@
-"""Simulated slaves that can be treated from outside: silenced, switched off and on. One class per kind of bus."""
+"""Simulated slaves that can be silenced and switched off and on; those of a bus in virtual time."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
 
 def device_of(slave: SlaveConfig) -> Device:
-    """What simulates ``slave``: the drive's simulated device, the I/O station by its ident number, or a mirror of
-    outputs to inputs.
+    """The device that simulates ``slave``: of its drive, the I/O station by its ident number, or a loop-back device
+    (mirror) of outputs to inputs.
 
     A mirror has the lengths, limits and services of the GSD file, where there is one.
     """
@@ -50,44 +50,40 @@ def _own(slave: SlaveConfig, description: SlaveDescription) -> SlaveDescription:
 
 
 def station_status(device: Device) -> dict[str, object]:
-    """What ``status`` shows of a simulated slave beside the rest: ``slots`` of an I/O station."""
+    """Additional keys of ``status`` for a simulated slave: ``slots`` of an I/O station."""
     return {"slots": device.as_dict()} if isinstance(device, IoStation) else {}
 
 
 def injected_text(device: Device, powered: bool, silent_ns: int | None) -> list[str]:
-    """What was done to a simulated slave from outside and is not over. ``silent_ns``: a silence lasts for so long yet,
-    None: it is not silenced.
-    """
-    told = [] if powered else ["power-off"]
+    """Faults of a simulated slave from outside that are not over. ``silent_ns``: rest of a silence."""
+    found = [] if powered else ["power-off"]
     if powered and silent_ns is not None and silent_ns > 0:
-        told.append(silence_text(silent_ns))
-    return told + list(device.injected if isinstance(device, (DriveDevice, IoStation)) else ())
+        found.append(silence_text(silent_ns))
+    return found + list(device.injected if isinstance(device, (DriveDevice, IoStation)) else ())
 
 
 def silence_text(left_ns: int) -> str:
-    """A silence that lasts for ``left_ns`` yet, NEVER: until it is ended by an order."""
+    """Text of a silence for another ``left_ns``; NEVER: until a command ends it."""
     return "silence until resume" if left_ns >= NEVER // 2 else f"silence for {ns_to_s(left_ns):.1f} s more"
 
 
 def rates_of(slave: SlaveConfig) -> Sequence[int]:
-    """The baud rates that the device hears, all where nothing is said of them."""
+    """The baud rates of the device; all where none are given."""
     return sorted(slave.baud_rates) or BAUD_RATES
 
 
 def set_rate(slave: SlaveConfig) -> int | None:
-    """The rate that the device is set to; None where it finds it by itself."""
+    """The rate that the device is set to; None where it detects the rate."""
     fixed = slave.profile is not None and slave.profile.rate_setting is not None
     return rates_of(slave)[0] if fixed else None
 
 
 class Unit:
-    """One simulated slave as it stands: station, application and device, made anew by :meth:`renew`.
+    """One simulated slave: station, application and device, created again by :meth:`renew`.
 
-    It keeps an address that Set_Slave_Add gave it. A drive keeps what it has stored in its EEPROM, and stands at the
-    address that this gives; an I/O station what is plugged into it.
-
-    ``searching``: it finds the baud rate by itself, among those that
-    the device knows. One that cannot stays at the rate it is set to, whatever the bus has.
+    It keeps an address of Set_Slave_Add. A drive keeps its EEPROM and takes its address from there; an I/O station
+    keeps its modules. ``searching``: it detects the baud rate, among those that the device knows. A device that cannot
+    do so stays at the rate that it is set to.
     """
 
     def __init__(
@@ -122,14 +118,14 @@ class Unit:
             self.device.installed(self._address, None if self._searching else params.baud)
         self.app = SlaveApp(self.device, address=self._address, address_fixed=self._address_fixed)
         self.station = PassiveStation(self._address, self.app, params, patience=self._patience)
-        #: what is on a simulated bus: the station, or the search around it
+        #: the station, or the baud search around it
         self.on_bus: BusStation = self.station
         if self._searching and own is None:
             self.on_bus = SearchingSlave(self.station, self.app, rates=rates_of(self.config))
 
 
 class VirtualBench:
-    """The simulated slaves of a bus in virtual time, at the rate of ``params``; None: they find it by themselves."""
+    """The simulated slaves of a bus in virtual time, at the rate of ``params``; None: they detect it."""
 
     def __init__(self, world: World, params: BusParams | None) -> None:
         self._world = world
@@ -139,7 +135,7 @@ class VirtualBench:
         self._silent: dict[int, int] = {}  # until when, in ns
 
     def add(self, config: SlaveConfig) -> None:
-        """One more; one that stood at its address before goes."""
+        """Add a slave; it replaces one with the same address."""
         before = self._units.get(config.address)
         if before is not None and before.powered:
             self._unplug(config.address)
@@ -155,7 +151,7 @@ class VirtualBench:
         return self._units[address].device
 
     def silence(self, address: int, for_ns: int | None) -> None:
-        """Deaf and mute, None: until :meth:`resume`; a slave that is off stays off."""
+        """Make a slave deaf and mute; None: until :meth:`resume`. A slave that is off stays off."""
         if not self._units[address].powered:
             return
         self._unplug(address)
@@ -167,7 +163,7 @@ class VirtualBench:
         self._end(address, self._silent.get(address))
 
     def power(self, address: int, on: bool) -> None:
-        """Off at once, on again; a drive keeps its EEPROM."""
+        """Switch a slave off at once, or on again; a drive keeps its EEPROM."""
         unit = self._units[address]
         if on is unit.powered:
             return
@@ -186,12 +182,12 @@ class VirtualBench:
             station.command(LineDown("off the line"), self._world.now)
 
     def injected(self, address: int) -> list[str]:
-        """What was done to the slave from outside and is not over."""
+        """Faults of the slave from outside that are not over."""
         unit, until = self._units[address], self._silent.get(address)
         return injected_text(unit.device, unit.powered, None if until is None else until - self._world.now)
 
     def _end(self, address: int, until: int | None) -> None:
-        """``until``: of the silence meant; another one may have taken its place."""
+        """End the silence that lasts ``until``, unless another one has replaced it."""
         if until is not None and self._silent.get(address) == until:
             del self._silent[address]
             unit = self._units[address]

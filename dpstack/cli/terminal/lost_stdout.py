@@ -1,8 +1,7 @@
-"""Standard output and standard error as they really are: closed from the start, lost in the middle, full.
+"""Standard streams that are closed, lost or full: the program ends in order when nobody reads its output.
 
-Where standard output takes nothing any more (its reader has gone, the disk is full) the program is not to go on for
-nobody, but a bus has to be left in order: the loss is kept in :data:`lost`, its ``told`` is called, and the rest is
-thrown away.
+When standard output is lost (its reader has gone, the disk is full) a command has to end, but to leave its bus in
+order. :data:`lost` keeps the error and calls its ``on_lost``; further output is thrown away.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from typing import Final
 
 from dpstack.text import escape, printable, traceback_text
 
-#: how a character is written where the encoding of the terminal or the file does not have it
+#: replacements of characters that the encoding of a terminal or file does not have
 _PLAIN: Final = {
     **dict.fromkeys("\u2010\u2011\u2012\u2013\u2014\u2212", "-"),
     **dict.fromkeys("\u2018\u2019", "'"),
@@ -35,10 +34,10 @@ _DEGRADE: Final = "dpstack-degrade"
 
 @dataclass(slots=True)
 class Lost:
-    """Why nothing can be written any more, and who wants to know at once."""
+    """Why nothing can be written any more; ``on_lost`` is called at that moment."""
 
     error: OSError | None = None
-    told: Callable[[], None] | None = None
+    on_lost: Callable[[], None] | None = None
 
 
 lost: Final = Lost()
@@ -46,7 +45,7 @@ lost: Final = Lost()
 
 @contextlib.contextmanager
 def guarded() -> Iterator[None]:
-    """What writes to standard output: from the first failure on it writes to nowhere."""
+    """Around a write to standard output: after the first failure all output is thrown away."""
     try:
         yield
     except OSError as error:
@@ -55,23 +54,23 @@ def guarded() -> Iterator[None]:
 
 
 def nowhere(fd: int) -> None:
-    """From now on what is written to ``fd`` is thrown away."""
+    """Throw away everything written to ``fd`` from now on."""
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, fd)
     os.close(null)
 
 
 def lose(error: OSError) -> None:
-    """Nothing can be written to standard output any more."""
+    """Record that nothing can be written to standard output any more."""
     lost.error = error
-    if not isinstance(error, BrokenPipeError):  # a reader that has seen enough is no news
+    if not isinstance(error, BrokenPipeError):  # a reader may end at any time
         warn(f"standard output cannot be written ({error.strerror}): give it another place")
-    if lost.told is not None:
-        lost.told()
+    if lost.on_lost is not None:
+        lost.on_lost()
 
 
 def warn(text: str) -> None:
-    """One line on standard error, after what was said before."""
+    """Write one line to standard error, after all earlier output."""
     with guarded():
         sys.stdout.flush()
     with contextlib.suppress(OSError):
@@ -79,16 +78,16 @@ def warn(text: str) -> None:
 
 
 def print_traceback(error: BaseException) -> None:
-    """Where ``error`` comes from, on standard error."""
+    """Write the traceback of ``error`` to standard error."""
     with contextlib.suppress(OSError):
         print(traceback_text(error), file=sys.stderr, flush=True)
 
 
 def fill() -> None:
-    """Make the standard streams fit for every text.
+    """Make the standard streams usable for every text.
 
-    One that was closed when the program was started leads to nowhere, and no port gets its number. What the encoding
-    of an output does not have is written in ASCII; what that of the input does not have is read as it is.
+    A stream that was closed at the start of the program becomes /dev/null, so that no port gets its number. Characters
+    that the encoding of an output does not have are written in ASCII; undecodable input is kept (surrogateescape).
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         stream = getattr(sys, name)

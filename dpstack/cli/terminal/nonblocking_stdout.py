@@ -1,7 +1,7 @@
-"""Standard streams that never hold the program up: what is written waits for a thread that may block.
+"""Standard streams that never block the program: a thread writes the queued output.
 
-A bus must not depend on who reads its output: a pipe nobody empties, a terminal stopped with Ctrl-S. What waits is
-bounded; what finds no room is dropped, counted, and told as soon as there is room.
+A bus must not depend on the reader of its output: a pipe that nobody empties, a terminal stopped with Ctrl-S. The queue
+is bounded; output beyond it is dropped and counted, and a notice with the count follows as soon as there is room.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from dpstack.cli.terminal import lost_stdout
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-#: octets that wait for a reader, besides those the system keeps (64 KiB in a pipe)
+#: octets in the queue at most, besides those that the system keeps (64 KiB in a pipe)
 LIMIT: Final = 1 << 18
-#: at the end: so long without a reader taking anything is no reader, in s
+#: at the end: time-out in s for a reader that reads nothing
 PATIENCE_S: Final = 2.0
 
 
 class Queue:
-    """What is to be written to one file, by descriptor, and the thread that does it.
+    """Queued output for one file, by descriptor, and the thread that writes it.
 
-    ``notice`` makes the line that tells of so many dropped lines. ``on_lost`` is called, in the thread, when nothing
-    can be written any more.
+    ``notice`` returns the line for a number of dropped lines. ``on_lost`` is called, in the thread, when nothing can be
+    written any more.
     """
 
     def __init__(self, notice: Callable[[int], str], on_lost: Callable[[OSError], None]) -> None:
@@ -39,8 +39,8 @@ class Queue:
         self._on_lost = on_lost
         self._items: deque[tuple[int, bytes]] = deque()
         self._waiting = 0  # octets queued or being written
-        self._untold = 0  # lines dropped since this was told
-        self._moved = 0.0  # when something was taken last
+        self._dropped = 0  # lines since the last notice
+        self._moved = 0.0  # time of the last successful write
         self._changed = threading.Condition()
         self._lost = False
         threading.Thread(target=self._run, name="output", daemon=True).start()
@@ -51,16 +51,16 @@ class Queue:
             if self._lost:
                 return
             if self._waiting + len(octets) > LIMIT:
-                self._untold += octets.count(b"\n")
+                self._dropped += octets.count(b"\n")
                 return
-            self._tell(fd)
+            self._add_notice(fd)
             self._add(fd, octets)
 
     def drained(self, fd: int) -> bool:
-        """Wait until all is written; False when nobody takes it. What was dropped is told on ``fd``."""
+        """Wait until all is written; False when nobody reads it. The notice on dropped lines goes to ``fd``."""
         with self._changed:
             self._moved = monotonic()
-            self._tell(fd)
+            self._add_notice(fd)
             while self._waiting and not self._lost:
                 left = self._moved + PATIENCE_S - monotonic()
                 if left <= 0:
@@ -68,10 +68,10 @@ class Queue:
                 self._changed.wait(left)
         return True
 
-    def _tell(self, fd: int) -> None:
-        untold, self._untold = self._untold, 0
-        if untold:
-            self._add(fd, (self._notice(untold) + "\n").encode())
+    def _add_notice(self, fd: int) -> None:
+        dropped, self._dropped = self._dropped, 0
+        if dropped:
+            self._add(fd, (self._notice(dropped) + "\n").encode())
 
     def _add(self, fd: int, octets: bytes) -> None:
         self._items.append((fd, octets))
@@ -100,7 +100,7 @@ class Queue:
 
 
 class _Raw(io.RawIOBase):
-    """The queue as the lowest layer of a text stream; all else is the descriptor's."""
+    """The queue as the lowest layer of a text stream."""
 
     def __init__(self, queue: Queue, fd: int) -> None:
         self._queue = queue
@@ -123,10 +123,10 @@ class _Raw(io.RawIOBase):
 
 @contextmanager
 def unhurried(notice: Callable[[int], str]) -> Iterator[None]:
-    """Within, nothing that is written to standard output or standard error waits for a reader.
+    """Within, no write to standard output or standard error waits for a reader.
 
-    At the end it is waited for, for as long as somebody reads; else the rest is thrown away, and standard output
-    counts as lost (see :mod:`dpstack.cli.terminal.lost_stdout`). What goes to one and the same file keeps its order.
+    At the end it waits as long as somebody reads; else the rest is thrown away, and standard output counts as lost (see
+    :mod:`dpstack.cli.terminal.lost_stdout`). Output to one and the same file keeps its order.
     """
     old = sys.stdout, sys.stderr
     out, err = map(_descriptor, old)
@@ -146,7 +146,7 @@ def unhurried(notice: Callable[[int], str]) -> Iterator[None]:
         drained = {queue: queue.drained(fd) for fd, queue in reversed(queues.items())}
         unread = [fd for fd, queue in queues.items() if not drained[queue]]
         sys.stdout, sys.stderr = old
-        for fd in unread:  # whatever is still said must not wait either
+        for fd in unread:  # later output must not wait either
             lost_stdout.nowhere(fd)
         if out in unread:
             lost_stdout.lose(TimeoutError(0, f"nobody has read it for {PATIENCE_S:g} s"))
@@ -157,7 +157,7 @@ def _plain(lines: int) -> str:
 
 
 def _descriptor(stream: TextIO) -> int | None:
-    """Its descriptor, emptied up to here; None when it is no file (a test's)."""
+    """The descriptor of ``stream``, flushed; None when it is no file (in tests)."""
     try:
         fd = stream.fileno()
         stream.flush()

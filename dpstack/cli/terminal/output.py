@@ -10,17 +10,17 @@ from dpstack.text import json_text, long_escape, printable
 
 
 def on_terminal() -> bool:
-    """True when a person reads along."""
+    """Whether standard output is a terminal."""
     return sys.stdout.isatty()
 
 
 def json_line(data: Mapping[str, object] | Sequence[object]) -> None:
-    """One JSON value on a line of its own, at once."""
+    """Write one JSON value on a line of its own, and flush."""
     _write(json_text(data, encoding=sys.stdout.encoding or "utf-8"))
 
 
 def toml(text: str) -> None:
-    """Lines of TOML. What standard output cannot encode is escaped: it can only stand in strings and comments."""
+    """Write TOML. Characters that standard output cannot encode are escaped: only strings and comments have them."""
     encoding = sys.stdout.encoding or "utf-8"
     try:
         text.encode(encoding)
@@ -30,8 +30,7 @@ def toml(text: str) -> None:
 
 
 def missing(json: bool) -> Callable[[int], str]:
-    """What is written when so many lines found no reader; see
-    :func:`dpstack.cli.terminal.nonblocking_stdout.unhurried`."""
+    """The function for the notice on dropped lines, see :func:`dpstack.cli.terminal.nonblocking_stdout.unhurried`."""
 
     def notice(lines: int) -> str:
         text = f"{lines} lines are missing here: nobody was reading"
@@ -41,7 +40,7 @@ def missing(json: bool) -> Callable[[int], str]:
 
 
 def line(text: str, style: str = "") -> None:
-    """One line, in ``style`` on a terminal, wrapped there between words only."""
+    """Write one line; on a terminal in ``style``, wrapped between words only."""
     if on_terminal():
         from dpstack.cli.terminal import drawing
 
@@ -52,13 +51,13 @@ def line(text: str, style: str = "") -> None:
 
 
 def first_of(labels: Sequence[str], shown: int = 3) -> str:
-    """So many of ``labels``, and how many more there are."""
+    """The first ``shown`` labels, and the number of the others."""
     more = len(labels) - shown
     return ", ".join(labels[:shown]) + (f" and {more} more" if more > 0 else "")
 
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """A table: drawn on a terminal, aligned columns elsewhere."""
+    """Write a table: drawn on a terminal, aligned columns elsewhere."""
     cells = [[printable(str(cell)) for cell in row] for row in rows]
     if on_terminal():
         from dpstack.cli.terminal import drawing

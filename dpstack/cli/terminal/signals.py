@@ -1,4 +1,4 @@
-"""SIGINT, SIGTERM and SIGHUP, and output that nobody takes: the ways in which a command is told to end.
+"""Signals that end a command: SIGINT, SIGTERM, SIGHUP; and the loss of standard output.
 
 The first signal ends the command in order. Signals within a second of it are the same one: GNU ``timeout`` and other
 wrappers send SIGTERM to a program and to its process group, half a millisecond apart. A later one skips waiting,
@@ -25,9 +25,9 @@ from dpstack.cli.terminal import lost_stdout
 INTERRUPTED: Final = 130
 #: signals within so many seconds of the first are the same one
 _SAME_S: Final = 1.0
-#: and so many of the second: who sends one twice sends that one twice, too
+#: and within so many of the second, from programs that send every signal twice
 _SAME_AGAIN_S: Final = 0.1
-#: a hurried end that takes longer than this (s) is left
+#: after this time (s) a hurried end is abandoned
 _HURRIED_S: Final = 1.0
 
 _LATE: Final = "the end was not over within a second after the second signal, so it was left"
@@ -36,7 +36,7 @@ _WATCHDOGS: Final = "what was not sent to slaves is made safe by their watchdogs
 
 
 class StopSignal:
-    """What the signals set, and the loss of standard output. Works in every kind of loop; a context manager."""
+    """Set by the signals, and by the loss of standard output. Works in every kind of loop; a context manager."""
 
     def __init__(self, clock: Callable[[], float] = monotonic) -> None:
         self._clock = clock
@@ -53,22 +53,22 @@ class StopSignal:
     def __enter__(self) -> StopSignal:
         for number in (signal.SIGINT, signal.SIGTERM, *_hangup()):
             self._old[number] = signal.signal(number, self._caught)
-        lost_stdout.lost.told = self._stop
+        lost_stdout.lost.on_lost = self._stop
         self._within = True
         return self
 
     def __exit__(self, *_: object) -> None:
         self._within = False
-        lost_stdout.lost.told = None
+        lost_stdout.lost.on_lost = None
         if self.hurried:
             _alarm(0.0, signal.SIG_DFL)
         if not (self.received and self._clock() - self._at < _SAME_S):
             self._restore()
-        else:  # its double may be on its way: until the interpreter ends, and takes the handlers of signals away
+        else:  # its copy may still come, until the interpreter ends and removes the signal handlers
             atexit.register(self._ignore)
 
     def _ignore(self) -> None:
-        """What still holds on to the signals lets them pass until the process has ended."""
+        """Ignore the signals that this object still handles, until the process has ended."""
         for number in self._old:
             if signal.getsignal(number) == self._caught:
                 signal.signal(number, signal.SIG_IGN)
@@ -105,7 +105,7 @@ class StopSignal:
         await self._event.wait()
 
     async def or_done(self, work: Coroutine[object, object, object]) -> bool:
-        """Until ``work`` is done (True; what it raises is raised) or the first signal (False; it is cancelled)."""
+        """Wait until ``work`` is done (True; raises its exception) or the first signal (False; cancels it)."""
         task: asyncio.Task[object] = asyncio.ensure_future(work)
         waiting = asyncio.ensure_future(self._event.wait())
         try:
@@ -121,14 +121,14 @@ class StopSignal:
 
 
 def _leave(why: str) -> None:
-    """Without any end: what is in the way of an orderly one is in the way of every other."""
+    """Leave without any clean-up: it might block again."""
     with contextlib.suppress(OSError):
         os.write(2, f"dpstack: {why}; {_WATCHDOGS}\n".encode())
     os._exit(INTERRUPTED)
 
 
 def _alarm(seconds: float, handler: Callable[[int, FrameType | None], object] | signal.Handlers) -> None:
-    """Call ``handler`` after ``seconds``, also where the event loop is held up; 0: not any more."""
+    """Call ``handler`` after ``seconds``, also while the event loop is blocked; 0: cancel it."""
     if hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, handler)
         signal.setitimer(signal.ITIMER_REAL, seconds)

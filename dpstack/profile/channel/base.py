@@ -1,9 +1,10 @@
-"""A drive's parameters as the rest of the project sees them, by PKW, by a maker's own channel or over record 47."""
+"""Parameter channel of a drive: common interface of PKW, makers' own channels and record 47; shared checks."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.params import ParamSpec, ParamTable
@@ -11,7 +12,7 @@ from dpstack.profile.model.params import ParamSpec, ParamTable
 
 @dataclass(frozen=True, slots=True)
 class ParamKey:
-    """A parameter as a user names it. What ``data_set`` and ``index`` mean is the drive's; ``ram``: do not store it."""
+    """A parameter as a user names it. ``data_set`` and ``index`` as the drive defines them; ``ram``: not stored."""
 
     name: str | int
     data_set: int | None = None
@@ -24,7 +25,7 @@ class ParamKey:
         return self.index if self.data_set is None else self.data_set
 
     def spec_in(self, table: ParamTable) -> ParamSpec | None:
-        """What ``table`` has; None for a number that is not in it. Raises CommandError for a name that is not."""
+        """The entry of ``table``; None for an unknown number. Raises CommandError for an unknown name."""
         if not isinstance(self.name, str):
             return table.get(self.name)
         spec = table.named(self.name)
@@ -36,7 +37,7 @@ class ParamKey:
 
 
 class ParameterChannel(Protocol):
-    """The master's end. Orders queue; each is a generator that ends with its outcome or raises CommandError.
+    """The master's end. Jobs queue; each is a generator that returns its outcome or raises CommandError.
 
     An outcome has ``value`` (in ``unit``), ``raw`` (the integer on the wire), ``number``, ``name``, ``unit`` and
     ``data_set``. Deadlines in ns.
@@ -44,17 +45,17 @@ class ParameterChannel(Protocol):
 
     @property
     def octets(self) -> bytes:
-        """What to send now in front of the process data; empty where the channel is not part of them."""
+        """The octets to send in front of the process data; empty where the channel is not part of them."""
 
     @property
     def busy(self) -> bool:
-        """True while :meth:`step` is wanted in every cycle."""
+        """Whether :meth:`step` has to be called in every cycle."""
 
     def step(self, inputs: bytes, now: int) -> None:
-        """Judge the channel's octets in ``inputs`` (the first ones) and go on; never raises."""
+        """Process the channel's octets in ``inputs`` (the first ones); never raises."""
 
     def reset(self) -> None:
-        """The slave left data exchange: all orders are given up."""
+        """The slave left data exchange: all jobs are cancelled."""
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]: ...
 
@@ -63,9 +64,71 @@ class ParameterChannel(Protocol):
 
 
 class ChannelServer(Protocol):
-    """The drive's end, asked once a scan."""
+    """The drive's end, called once a scan."""
 
     def reset(self) -> None: ...
 
     def step(self, octets: bytes) -> bytes:
         """The reply to the octets of the order area (:data:`CHANNEL_LEN` both)."""
+
+
+def check_write(spec: ParamSpec | None, label: str, value: float) -> int | None:
+    """The integer of ``value``; None for an unknown parameter. Raises CommandError where it cannot be written."""
+    if spec is None:
+        return None
+    if spec.read_only:
+        raise CommandError("usage", f"{label} is read only")
+    try:
+        return spec.to_raw(value)
+    except ValueError as error:
+        raise CommandError("usage", str(error)) from None
+
+
+def outcome(spec: ParamSpec | None, number: int, value: object, raw: int, data_set: int | None) -> dict[str, object]:
+    """The outcome of a job, see :class:`ParameterChannel`."""
+    name, unit = (spec.name, spec.unit) if spec is not None else (None, "")
+    return {"value": value, "raw": raw, "number": number, "name": name, "unit": unit, "data_set": data_set}
+
+
+#: for each parameter its outcome, or ``error``, ``text`` and ``number`` of the refusal
+Found = list[dict[str, object]]
+
+
+@runtime_checkable
+class ReadsMany(Protocol):
+    """A parameter channel whose requests carry several parameters."""
+
+    @property
+    def per_request(self) -> int:
+        """Parameters of one request."""
+
+    def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
+        """One entry for each of ``keys``. Raises CommandError, but not for a refusal by the drive."""
+
+
+def read_many(access: ParameterChannel, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
+    """Read several parameters, in few requests where ``access`` can, else one by one.
+
+    Raises CommandError, but not for a refusal by the drive.
+    """
+    if isinstance(access, ReadsMany):
+        return (yield from access.read_many(keys, deadline))
+    found: Found = []
+    for key in keys:
+        try:
+            found.append((yield from access.read(key, deadline)))
+        except CommandError as error:
+            found.append(refused(error))
+    return found
+
+
+def per_request(access: object) -> int:
+    """Parameters of one request of ``access``."""
+    return access.per_request if isinstance(access, ReadsMany) else 1
+
+
+def refused(error: CommandError) -> dict[str, object]:
+    """The entry of a parameter that the drive refused; any other error is raised again."""
+    if error.kind != "parameter":
+        raise error
+    return {"error": error.kind, "text": error.text, "number": error.number}

@@ -69,13 +69,13 @@ class Pkw(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PkwDialect:
-    """What differs between drives: positive replies allowed to each order, error texts, and the handshake.
+    """Differences between drives: positive replies allowed to each order, error texts, and the handshake.
 
     ``zero_between``: the drive takes a new order only after it has answered 0 with 0 (as
     docs/drives/demag.md#handshake-of-the-parameter-channel). Without it a new order may follow at once unless it looks
     like the last one; then a reply counts only when id, PNU and index match. ``parse``: of a :class:`Pkw` whose octets
-    are laid out in another way. ``busy``: error numbers with which the drive says that it cannot do it yet: the order
-    is given again.
+    are laid out in another way. ``busy``: error numbers of a drive that cannot carry out the order yet: the order is
+    repeated.
     """
 
     answers: Mapping[int, tuple[int, ...]]
@@ -90,7 +90,7 @@ class PkwDialect:
 
 
 class Exchange:
-    """One order under way. ``reply`` is set when the drive has answered; ``stray``: the last one to another order."""
+    """One order. ``reply`` is set when the drive has answered; ``stray``: the last reply to another order."""
 
     __slots__ = ("octets", "order", "reply", "stray")
 
@@ -102,9 +102,9 @@ class Exchange:
 
 
 class PkwClient:
-    """The master's end: one order at a time, the others queue. ``octets`` is what to send now.
+    """The master's end: one order at a time, the others queue. ``octets``: the octets to send now.
 
-    ``settle_ns`` tells after how long the drive's reply belongs to the octets sent now.
+    ``settle_ns``: time after which the drive's reply belongs to the octets sent now.
     """
 
     __slots__ = ("_active", "_dialect", "_last", "_queue", "_quiet_until", "_release", "_settle_ns", "octets")
@@ -121,17 +121,17 @@ class PkwClient:
 
     @property
     def busy(self) -> bool:
-        """True while :meth:`step` is wanted in every cycle."""
+        """Whether :meth:`step` has to be called in every cycle."""
         return self._release or self._active is not None or bool(self._queue)
 
     def submit(self, order: Pkw) -> Exchange:
-        """Queue an order; poll the exchange's ``reply``."""
+        """Queue an order; the caller polls the exchange's ``reply``."""
         exchange = Exchange(order)
         self._queue.append(exchange)
         return exchange
 
     def cancel(self, exchange: Exchange, now: int) -> None:
-        """Give an order up; harmless when it is done."""
+        """Cancel an order; harmless when it is done."""
         if exchange is self._active:
             self._withdraw()
             self._quiet_until = now + self._settle_ns()
@@ -148,19 +148,19 @@ class PkwClient:
         self.octets = ZEROS
 
     def step(self, inputs: bytes, now: int) -> None:
-        """Judge the channel's octets in ``inputs`` (the first eight) and advance the handshake."""
+        """Process the channel's octets in ``inputs`` (the first eight) and advance the handshake."""
         reply = self._dialect.parse(inputs)
         replied = reply.id != Reply.NONE
         active = self._active
         if active is None:
             if replied and self._queue and not self._release:
-                self._queue[0].stray = reply  # nobody asked for that
+                self._queue[0].stray = reply  # the reply to no order of ours
             self._next(replied, now)
         elif replied:
             self._judge(active, reply)
 
     def _next(self, replied: bool, now: int) -> None:
-        """Send the next order as soon as what the drive says cannot be taken for its answer."""
+        """Send the next order as soon as the drive's present reply cannot be mistaken for its answer."""
         if replied:
             self._quiet_until = 0  # the drive has seen the last order: its next 0 answers our 0
         if (replied or now < self._quiet_until) and not self._may_follow():
@@ -171,7 +171,7 @@ class PkwClient:
             self._last, self.octets = active.order, active.octets
 
     def _may_follow(self) -> bool:
-        """Without a 0 between: only an order for something else, whose answer shows by PNU and index."""
+        """Whether an order may follow without a 0 between: PNU and index must differ, to recognise its answer."""
         last = self._last
         if self._dialect.zero_between or last is None or not self._queue:
             return False
@@ -205,8 +205,8 @@ class PkwServer:
     """The drive's end. ``handler`` carries an order out and returns the reply id and PWE.
 
     With ``zero_between`` an order is carried out once and its reply held until the order is 0. Without it an order
-    acts when it changes, and the value of a read is the momentary one in every call (reads: ids in ``reads``).
-    ``refuse`` is asked once for each new order: the negative reply to it, None where it is carried out.
+    acts when it changes, and a read (ids in ``reads``) returns the present value in every call. ``refuse`` is called
+    once for each new order: the negative reply to it, None where it is carried out.
     """
 
     __slots__ = ("_dialect", "_handler", "_held", "_last", "_reads", "_refuse", "_refused", "_reply")
@@ -222,16 +222,12 @@ class PkwServer:
         self._handler = handler
         self._reads = reads
         self._refuse = refuse
-        self._refused = False
-        self._held = False
-        self._last = ZEROS
-        self._reply = ZEROS
+        self.reset()
 
     def reset(self) -> None:
         """Data exchange begins: the reply is 0, the next order is new."""
         self._held = self._refused = False
-        self._last = ZEROS
-        self._reply = ZEROS
+        self._last = self._reply = ZEROS
 
     def step(self, octets: bytes) -> bytes:
         """The reply to the eight octets of the order area."""

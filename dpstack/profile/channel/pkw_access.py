@@ -1,24 +1,24 @@
-"""Parameters over PKW as orders: named, scaled, checked before anything is sent."""
+"""Parameter access over PKW: parameters by name, scaled values, checks before anything is sent."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from dpstack.profile.channel.base import ParamKey
+from dpstack.profile.channel.base import ParamKey, check_write, outcome
 from dpstack.profile.channel.pkw import Order, Pkw, PkwClient, PkwDialect, Reply
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.params import ParamSpec
 from dpstack.units import NS_PER_MS
 
-#: pause before a drive that said it was busy is asked again
+#: pause before the order to a busy drive is repeated
 RETRY_NS: Final = 25 * NS_PER_MS
 
 
 class ParamRef(NamedTuple):
-    """A parameter as it stands in PKW: PNU, IND's high octet, array orders or plain ones, what is known of it.
+    """A parameter in PKW: PNU, IND's high octet, array orders or plain ones, its specification where it is known.
 
-    ``data_set`` is what to tell the user, None where the drive has none or the parameter exists once.
+    ``data_set`` for messages, None where the drive has none or the parameter exists once.
     """
 
     pnu: int
@@ -29,15 +29,15 @@ class ParamRef(NamedTuple):
     data_set: int | None = None
 
 
-#: Finds what a user named. Raises CommandError.
+#: Finds the parameter that a user has named. Raises CommandError.
 Resolver = Callable[[ParamKey], ParamRef]
 
 
 class PkwChannel:
     """A :class:`~dpstack.profile.channel.base.ParameterChannel` by PKW without its orders.
 
-    ``clock`` tells the time of the current cycle in ns, ``settle_ns`` after how long the drive's reply belongs to what
-    is sent now. ``named``: what to call a reply to another order.
+    ``clock``: time of the current cycle in ns; ``settle_ns``: time after which the drive's reply belongs to the octets
+    sent now; ``named``: text for a reply to another order.
     """
 
     __slots__ = ("_client", "_clock", "_named")
@@ -51,7 +51,7 @@ class PkwChannel:
 
     @property
     def octets(self) -> bytes:
-        """The eight octets as they go out now."""
+        """The eight octets to send now."""
         return self._client.octets
 
     @property
@@ -86,7 +86,7 @@ class PkwChannel:
 
 
 class PkwAccess(PkwChannel):
-    """Parameters by PKW. ``written`` is told after a write."""
+    """Parameters by PKW. ``written`` is called after a write."""
 
     __slots__ = ("_dialect", "_resolve", "_written")
 
@@ -105,25 +105,16 @@ class PkwAccess(PkwChannel):
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         ref = self._resolve(key)
-        order = Pkw(Order.READ_ARRAY if ref.array else Order.READ, ref.pnu, ref.ind)
-        reply = yield from self._exchange(order, ref, deadline)
-        return _outcome(ref, reply)
+        return _outcome(ref, (yield from self._read(ref, deadline)))
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter; of an unknown one the type is read first and ``value`` is the integer on the wire."""
         ref = self._resolve(key)
-        spec = ref.spec
-        if spec is not None:
-            if spec.read_only:
-                raise CommandError("usage", f"{ref.label} is read only")
-            try:
-                pwe = spec.pwe(spec.to_raw(value))
-            except ValueError as error:
-                raise CommandError("usage", str(error)) from None
-            long = spec.long
+        raw = check_write(ref.spec, ref.label, value)
+        if ref.spec is not None and raw is not None:
+            pwe, long = ref.spec.pwe(raw), ref.spec.long
         else:
-            order = Pkw(Order.READ_ARRAY if ref.array else Order.READ, ref.pnu, ref.ind)
-            reply = yield from self._exchange(order, ref, deadline)
+            reply = yield from self._read(ref, deadline)
             long = reply.id in (Reply.LONG, Reply.ARRAY_LONG)
             pwe = _raw(ref, value, long)
         if ref.array:
@@ -134,6 +125,9 @@ class PkwAccess(PkwChannel):
         if self._written is not None:
             self._written(ref)
         return _outcome(ref, reply)
+
+    def _read(self, ref: ParamRef, deadline: int) -> Steps[Pkw]:
+        return self._exchange(Pkw(Order.READ_ARRAY if ref.array else Order.READ, ref.pnu, ref.ind), ref, deadline)
 
     def _exchange(self, order: Pkw, ref: ParamRef, deadline: int) -> Steps[Pkw]:
         if order.id not in self._dialect.answers:
@@ -163,7 +157,7 @@ class PkwAccess(PkwChannel):
 
 
 def _outcome(ref: ParamRef, reply: Pkw) -> dict[str, object]:
-    """A reply is read as what its id says it is, a word or a double word, also where the table has the other type."""
+    """The id of the reply decides its size, a word or a double word, also where the table has the other type."""
     spec = ref.spec
     bits = 32 if reply.id in (Reply.LONG, Reply.ARRAY_LONG) else 16
     raw = reply.pwe & (1 << bits) - 1
@@ -171,14 +165,7 @@ def _outcome(ref: ParamRef, reply: Pkw) -> dict[str, object]:
     if spec is not None:
         raw = spec.from_wire(reply.pwe, bits)
         value = spec.to_value(raw)
-    return {
-        "value": value,
-        "raw": raw,
-        "number": ref.pnu,
-        "name": spec.name if spec else None,
-        "unit": spec.unit if spec else "",
-        "data_set": ref.data_set,
-    }
+    return outcome(spec, ref.pnu, value, raw, ref.data_set)
 
 
 def _raw(ref: ParamRef, value: float, long: bool) -> int:

@@ -11,8 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Generic, TypeVar
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
-from dpstack.profile.channel.base import ParameterChannel, ParamKey
-from dpstack.profile.channel.read_many import read_many
+from dpstack.profile.channel.base import ParameterChannel, ParamKey, read_many
 from dpstack.profile.master.settings import Setting, SettingsCheck
 from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, Job, Orders, Steps

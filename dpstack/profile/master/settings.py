@@ -10,8 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from dpstack.profile.channel.base import ParameterChannel, ParamKey
-from dpstack.profile.channel.read_many import per_request, read_many
+from dpstack.profile.channel.base import ParameterChannel, ParamKey, per_request, read_many
 from dpstack.profile.model.drive_type import CHECK_SETTINGS, TelegramSpec
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.status import SettingsState

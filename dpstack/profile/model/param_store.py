@@ -23,7 +23,7 @@ class ParamStore:
         self.table = table
         self.sets = sets
         self.eeprom_writes = 0
-        self._values: dict[tuple[str, int], float] = {}  # asked for since the RAM changed: a drive does in every scan
+        self._values: dict[tuple[str, int], float] = {}  # cache of value() since the last write
         self._ram: dict[str, list[int]] = {}
         for spec in table:
             if not spec.text:
@@ -65,7 +65,7 @@ class ParamStore:
         return value
 
     def unequal(self, spec: ParamSpec) -> bool:
-        """True when the data sets hold different values."""
+        """Whether the data sets hold different values."""
         return len(set(self._ram[spec.name])) > 1
 
     def write(self, spec: ParamSpec, raw: int, data_set: int = 0, *, ram_only: bool = False) -> None:
@@ -80,7 +80,7 @@ class ParamStore:
             self.eeprom_writes += not ram_only
 
     def install(self, name: str, value: float) -> None:
-        """What whoever set the drive up has stored: RAM and EEPROM, not counted; out of the limits nothing."""
+        """Set a value at commissioning, in RAM and EEPROM, without counting; ignored outside the limits."""
         spec = self.table.named(name)
         if spec is not None and spec.low <= value <= spec.high:
             self._values.clear()
@@ -94,7 +94,7 @@ class ParamStore:
                 self.write(spec, spec.to_raw(spec.factory))
 
     def inherit(self, before: ParamStore) -> None:
-        """Switched on again: EEPROM and RAM are what the EEPROM of ``before`` holds, and so is the count of writes."""
+        """Take over EEPROM and count of writes of ``before``, the same drive before it was switched off and on."""
         self._eeprom = {name: list(values) for name, values in before._eeprom.items()}
         self.eeprom_writes = before.eeprom_writes
         self.power_up()

@@ -1,14 +1,17 @@
-"""PROFIdrive's parameter channel over DP-V1, record 47: both ends as pure machines.
+"""PROFIdrive's parameter channel over DP-V1, record 47: both ends without clock and bus.
 
-- ``client``: The master's end of record 47: a Write, then Reads until the drive has its response ready
-- ``drive_access``: Parameters over record 47 as orders of a drive plugin: named, scaled
-- ``formats``: The formats of values in record 47: number, octets of one value, and what its octets mean
-- ``param_lists``: What a drive tells of itself over record 47: its limits (974), the list of its parameters
-- ``pdu``: The octets of record 47, the parameter access of PROFIdrive's base mode: requests and responses, both ends
-- ``server``: The drive's end of record 47: takes a request by Write, carries it out, gives the response by Read
-- ``server_model``: A drive's parameters over its ParamStore, as record 47 shows them
-- ``split``: Any number of parameters as requests that the drive takes, and their answers put together again
-- ``transport``: The services that record 47 travels by, as a talk: who wants them says which
+- ``client``: The master's end of record 47: a Write, then Reads until the drive has its response ready; requests one
+  by one
+- ``drive_access``: Parameter access of a drive plugin over record 47: parameters by name, scaled values, checks
+  before sending
+- ``formats``: The data formats of values in record 47: number, octets of one value, conversion
+- ``param_lists``: Limits (PNU 974), parameter list (980 to 989), descriptions and texts of a drive, read over record
+  47
+- ``pdu``: PDUs of record 47 (parameter access of PROFIdrive's base mode): requests and responses, both ends
+- ``server``: The drive's end of record 47: takes a request by Write, carries it out, returns the response by Read
+- ``split``: Splits any number of parameters into requests within the drive's limits and joins the results
+- ``transport``: The DP-V1 services of record 47 as a generator ("talk"): the client yields services, the bus side
+  executes them
 """
 
 from dpstack.dpv1.master.plugin_queue import ReadReq, RecordQueue, WriteReq
@@ -37,8 +40,14 @@ from dpstack.profile.record47.pdu import (
     Result,
     Values,
 )
-from dpstack.profile.record47.server import ParameterModel, ParameterServer, RecordServer, Rules, TimedRecords
-from dpstack.profile.record47.server_model import StoreParameters
+from dpstack.profile.record47.server import (
+    ParameterModel,
+    ParameterServer,
+    RecordServer,
+    Rules,
+    StoreParameters,
+    TimedRecords,
+)
 from dpstack.profile.record47.split import Item, Limits
 from dpstack.profile.record47.transport import Answer, Pause, Refused, Service, Silent, Talk
 

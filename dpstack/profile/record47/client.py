@@ -31,23 +31,23 @@ from dpstack.profile.record47.split import Item, Limits, Piece, batch, halves, j
 from dpstack.profile.record47.transport import ABSENT, Pause, Refused, Silent, Talk
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S
 
-#: between two questions whether the response is there: short first, then twice as long each time
+#: between two Reads for the response: short first, then twice as long each time
 _FIRST_PAUSE: Final = 2 * NS_PER_MS
 _LONGEST_PAUSE: Final = 50 * NS_PER_MS
-#: how long a drive may take for one request where it does not say (PNU 974)
+#: time-out of one request where the drive does not give one (PNU 974)
 PATIENCE_NS: Final = 2 * NS_PER_S
 
-#: of a Write without any answer: to ask twice does nothing to a drive, to change twice may
+#: attempts at a Write of a read request without any answer; a change is sent once, as twice may have an effect
 _ATTEMPTS: Final = 3
 
-#: a request with less in it may do
+#: errors after which a smaller request may succeed
 _ASK_LESS: Final = frozenset({TOO_LONG, TOO_MANY, ONE_ONLY})
 
-#: references of the plugin's requests and of a program's: each end recognises the other one's
+#: references of the plugin's requests and of a program's: each recognises the responses of the other
 PLUGIN: Final = range(1, 128)
 PROGRAM: Final = range(128, 256)
 
-#: told after each request: items that are done, items in all
+#: called after each request: number of items that are done, number of all items
 Progress = Callable[[int, int], None]
 
 
@@ -75,10 +75,10 @@ class Counters:
 
 
 class ParameterClient:
-    """Asks the drive in ``slot`` (object ``object``) for parameters, one request at a time: run one talk to its end.
+    """Reads and writes parameters of the drive in ``slot`` (object ``object``), one talk at a time.
 
     ``limits`` may be narrowed at any time, see :func:`~dpstack.profile.record47.param_lists.read_limits`.
-    ``references`` are ours: a response to one that is not ours means that somebody else asks this drive, too.
+    ``references``: those of this client; a response with another one means that this drive has another client, too.
     """
 
     __slots__ = ("_reference", "_references", "counters", "limits", "object", "slot")
@@ -100,7 +100,7 @@ class ParameterClient:
     ) -> Talk[list[Result]]:
         """A result for each of ``items``, in their order. ``deadline`` in ns. Raises CommandError.
 
-        What the drive refuses is an :class:`ErrorValue` in its place.
+        A parameter that the drive refuses has an :class:`ErrorValue` in its place.
         """
         wanted = [one if isinstance(one, Item) else Item(one) for one in items]
         return (yield from self._all(RequestId.READ, wanted, deadline, progress))
@@ -144,9 +144,9 @@ class ParameterClient:
             raise CommandError("parameter", str(error)) from None
 
     def _smaller(self, piece: Piece, result: Result, *, alone: bool) -> tuple[Piece, ...]:
-        """What to ask instead where the response would be too long (0x15), or the request has too many parameters.
+        """The pieces to ask for where the response is too long (0x15), or the request has too many parameters.
 
-        By itself, then in two where it is too long.
+        They are the piece alone, then its halves where that is too long.
         """
         if (
             not isinstance(result, ErrorValue)
@@ -158,7 +158,7 @@ class ParameterClient:
         return (halves(piece) or ()) if alone else (piece,)
 
     def _batch(self, ident: RequestId, now: list[Piece], deadline: int) -> Talk[list[Result] | None]:
-        """The results of one request; None where the drive does not take so long a one."""
+        """The results of one request; None where it is too long for the drive."""
         values = tuple(one.values for one in now if one.values is not None)
         request = Request(self._next(), ident, self.object, tuple(one.address for one in now), values)
         octets = request.build()
@@ -171,14 +171,14 @@ class ParameterClient:
         return self._results(request, response)
 
     def _next(self) -> int:
-        """Each request has another one, so that a late response is recognised."""
+        """The next reference: each request has another one, so that a late response is recognised."""
         reference, ours = self._reference, self._references
         self._reference = reference + 1 if reference + 1 in ours else ours.start
         return reference
 
     @staticmethod
     def _results(request: Request, response: Response) -> list[Result]:
-        """One for each address. Raises CommandError where the drive answers something else."""
+        """One result for each address. Raises CommandError for any other answer."""
         count = len(request.addresses)
         results = response.results
         if response.id == UNSUPPORTED:
@@ -195,7 +195,7 @@ class ParameterClient:
     # -- one request --------------------------------------------------------------------------------------------------
 
     def exchange(self, request: Request, octets: bytes, deadline: int = NEVER) -> Talk[Response | None]:
-        """The response to ``request``, whose octets these are; None where it is too long for the drive.
+        """The response to ``request`` (built: ``octets``); None where the request is too long for the drive.
 
         Raises CommandError: ``timeout`` after ``deadline`` (ns) or the drive's patience, ``parameter`` for a refusal.
         """
@@ -207,10 +207,10 @@ class ParameterClient:
             return None
         patience = self._patience
         until = min(deadline, now + patience)
-        # a response whose telegram was lost is gone: the drive says "not ready" for ever
+        # after the loss of a response's telegram the drive answers "not ready" for ever
         lost_at = now + patience // 2 if reads else NEVER
-        told = f"the drive did not answer within {patience // NS_PER_MS} ms"
-        told += "" if reads else "; it may have been carried out: read it back"
+        reason = f"the drive did not answer within {patience // NS_PER_MS} ms"
+        reason += "" if reads else "; it may have been carried out: read it back"
         pause = _FIRST_PAUSE
         while True:
             now, data = yield from self._service(ReadReq(self.slot, INDEX, self.limits.octets))
@@ -219,18 +219,18 @@ class ParameterClient:
                 if now >= lost_at:
                     lost_at = NEVER
                     now, data = yield from self._service(WriteReq(self.slot, INDEX, octets), attempts)
-                    if not isinstance(data, Refused):  # else it still works at it
+                    if not isinstance(data, Refused):  # else the drive is still busy with it
                         self.counters.repeated += 1
                         until, pause = min(deadline, now + patience), _FIRST_PAUSE
             else:
                 response, why = self._fitting(request, data)
                 if response is not None:
                     return response
-                told = why
+                reason = why
                 if request.id == RequestId.READ and data and data[0] not in self._references:
-                    yield from self._written(octets, deadline, attempts)  # that one took the place of ours
+                    yield from self._written(octets, deadline, attempts)  # the other request has replaced ours
             if now >= until:
-                raise CommandError("timeout", f"{self._place}: {told}")
+                raise CommandError("timeout", f"{self._place}: {reason}")
             yield Pause(min(pause, until - now))
             pause = min(2 * pause, _LONGEST_PAUSE)
 
@@ -239,7 +239,7 @@ class ParameterClient:
         return max(2 * self.limits.latency_ns, PATIENCE_NS)
 
     def _written(self, octets: bytes, deadline: int, attempts: int, *, several: bool = False) -> Talk[int | None]:
-        """When the request was taken; None where it is too long, or has too many parameters (``several``)."""
+        """When the drive accepted the request; None where it is too long, or has too many parameters (``several``)."""
         until: int | None = None
         pause = _FIRST_PAUSE
         while True:
@@ -256,7 +256,7 @@ class ParameterClient:
             pause = min(2 * pause, _LONGEST_PAUSE)
 
     def _service(self, service: WriteReq | ReadReq, attempts: int = 1) -> Talk[tuple[int, bytes | Refused]]:
-        """Time and answer; after ``attempts`` without one CommandError."""
+        """Time and answer. Raises CommandError after ``attempts`` without an answer."""
         while True:
             now, data = yield service
             attempts -= 1
@@ -271,7 +271,7 @@ class ParameterClient:
         return now, data
 
     def _again(self, refused: Refused, what: str) -> None:
-        """A refusal that passes is counted, any other one ends the order."""
+        """Count a temporary refusal; raise CommandError for any other one."""
         if refused.code not in AGAIN:
             text = f"{self._place}: the drive refuses {what}: {refused}"
             if refused.code in ABSENT:
@@ -288,7 +288,7 @@ class ParameterClient:
         return f"record {INDEX} of slot {self.slot}"
 
     def _fitting(self, request: Request, octets: bytes) -> tuple[Response | None, str]:
-        """The response, or why these octets are none to ``request``. The object is not judged: some drives say 1."""
+        """The response, or why ``octets`` are none to ``request``. The object is not checked: some drives answer 1."""
         try:
             response = Response.parse(octets)
         except PduError as error:

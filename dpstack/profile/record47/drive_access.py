@@ -1,6 +1,6 @@
-"""Parameters over record 47 as orders of a drive plugin: named, scaled, checked before anything is sent.
+"""Parameter access of a drive plugin over record 47: parameters by name, scaled values, checks before sending.
 
-Which way a parameter goes: over record 47 where the drive has it, over the cyclic channel where not.
+:class:`ChosenAccess` takes record 47 where the drive has it, else the cyclic channel.
 """
 
 from __future__ import annotations
@@ -11,8 +11,15 @@ from typing import Final, NamedTuple, TypeVar
 
 from dpstack.dpv1.master.plugin_queue import Outcome, ReadReq, RecordQueue, ServiceFailure, WriteReq
 from dpstack.dpv1.pdu.error_codes import Decode
-from dpstack.profile.channel.base import ParameterChannel, ParamKey
-from dpstack.profile.channel.read_many import Found, read_many, refused
+from dpstack.profile.channel.base import (
+    Found,
+    ParameterChannel,
+    ParamKey,
+    check_write,
+    outcome,
+    read_many,
+    refused,
+)
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.param_errors import error_text
 from dpstack.profile.model.params import ParamSpec, ParamTable
@@ -22,7 +29,7 @@ from dpstack.profile.record47.pdu import Address, ErrorValue, Result, Values
 from dpstack.profile.record47.transport import Answer, Pause, Refused, Silent, Talk
 
 T = TypeVar("T")
-#: octets that are a number all the same: PNU 965 is an OctetString of 2, an Unsigned16 (TR LMP-30 manual p141)
+#: octet strings that hold a number: PNU 965 is an OctetString of 2, an Unsigned16 (TR LMP-30 manual p141)
 _NUMBERS: Final = frozenset({OCTET_STRING, BIT_STRING})
 _LONGEST_NUMBER: Final = 4
 _NO_ANSWER: Final = "the drive did not answer over record 47 in time"
@@ -31,9 +38,9 @@ _LOST: Final = frozenset({ServiceFailure.LINE, ServiceFailure.CLOSED, ServiceFai
 
 
 class Place(NamedTuple):
-    """A parameter as it stands in record 47, and what is known of it. ``format`` None: the drive tells it.
+    """A parameter in record 47, with its specification where it is known. ``format`` None: the drive answers it.
 
-    ``number`` is what to tell the user, ``data_set``, too, None where the drive has none or the parameter exists once.
+    ``number`` and ``data_set`` for messages; ``data_set`` None where the drive has none or the parameter exists once.
     """
 
     address: Address
@@ -64,7 +71,7 @@ def _runs(places: Sequence[Place]) -> list[_Run]:
     return runs
 
 
-#: Finds what a user named. Raises CommandError.
+#: Finds the parameter that a user has named. Raises CommandError.
 Placed = Callable[[ParamKey], Place]
 
 
@@ -90,10 +97,10 @@ def plain_places(table: ParamTable, drive: str) -> Placed:
 
 
 class AcyclicAccess:
-    """A :class:`~dpstack.profile.channel.base.ParameterChannel` over record 47; orders queue.
+    """A :class:`~dpstack.profile.channel.base.ParameterChannel` over record 47; jobs queue.
 
-    ``records``: where its services go. ``clock`` tells the time of the current cycle in ns. ``written`` is told after a
-    write; ``makers``: texts of the drive's own error numbers.
+    ``records``: queue of its services. ``clock``: time of the current cycle in ns. ``written`` is called after a write;
+    ``makers``: texts of the drive's own error numbers.
     """
 
     __slots__ = ("_clock", "_formats", "_makers", "_placed", "_records", "_turns", "_written", "client")
@@ -126,7 +133,7 @@ class AcyclicAccess:
         return self.client.limits.parameters
 
     def step(self, inputs: bytes, now: int) -> None:
-        """Nothing of it is in the process data."""
+        """Nothing: it uses no process data."""
 
     def reset(self) -> None:
         self._records.clear()
@@ -137,7 +144,7 @@ class AcyclicAccess:
         return _outcome(place, (yield from self._values(place, deadline)))
 
     def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
-        """In as few requests as the drive takes; elements of an array that follow each other as one."""
+        """Read in as few requests as possible; adjacent elements of an array are one address."""
         places = [self._placed(key) for key in keys]
         runs = _runs(places)
         talk = self.client.read([run.address for run in runs], deadline)
@@ -149,7 +156,7 @@ class AcyclicAccess:
                     self._formats[place.address] = result.format
                     found.append(_outcome(place, Values(result.format, (raw,))))
                 continue
-            for place in run.places:  # one of them is the reason: each by itself
+            for place in run.places:  # one of them is the reason: ask for each by itself
                 try:
                     values = yield from self._values(place, deadline, result if len(run.places) == 1 else None)
                     found.append(_outcome(place, values))
@@ -158,16 +165,10 @@ class AcyclicAccess:
         return found
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
-        """Write one parameter, in the format that the drive gave or gives it."""
+        """Write one parameter, in the format that the drive answers for it."""
         place = self._placed(key)
         spec = place.spec
-        if spec is not None:
-            if spec.read_only:
-                raise CommandError("usage", f"{place.label} is read only")
-            try:
-                spec.to_raw(value)
-            except ValueError as error:
-                raise CommandError("usage", str(error)) from None
+        check_write(spec, place.label, value)
         number = self._formats.get(place.address, place.format)
         if number is None:
             number = (yield from self._values(place, deadline)).format
@@ -182,7 +183,7 @@ class AcyclicAccess:
         return _outcome(place, values)
 
     def run(self, talk: Talk[T], deadline: int, label: str) -> Steps[T]:
-        """Have a talk with the drive once those before it are over. Raises CommandError."""
+        """Run ``talk`` with the drive after those before it. Raises CommandError."""
         turn = object()
         self._turns.append(turn)
         try:
@@ -242,7 +243,7 @@ class AcyclicAccess:
 
 
 def answer_of(outcome: Outcome) -> bytes | Refused | Silent:
-    """What came of a service, for a talk. Raises CommandError where the bus or the slave went away."""
+    """The answer to a service, for a talk. Raises CommandError where the bus or the slave is lost."""
     if outcome.failure is None:
         return outcome.data
     if outcome.codes is not None and outcome.codes[0] == Decode.DPV1:
@@ -255,7 +256,7 @@ def answer_of(outcome: Outcome) -> bytes | Refused | Silent:
 
 
 def _raw(spec: ParamSpec | None, number: int, value: float) -> Raw:
-    """``value`` as it stands in format ``number``. Raises ValueError."""
+    """``value`` in format ``number``. Raises ValueError."""
     form = FORMATS[number]
     if spec is None or form.code in ("f", "d"):
         raw = form.raw(value)
@@ -286,20 +287,13 @@ def _outcome(place: Place, values: Values) -> dict[str, object]:
     if spec is not None and isinstance(first, int):
         raw = spec.from_wire(first, 8 * octets)
         value = spec.to_value(raw)
-    return {
-        "value": value,
-        "raw": raw,
-        "number": place.number,
-        "name": spec.name if spec else None,
-        "unit": spec.unit if spec else "",
-        "data_set": place.data_set,
-    }
+    return outcome(spec, place.number, value, raw, place.data_set)
 
 
 class ChosenAccess:
     """A :class:`~dpstack.profile.channel.base.ParameterChannel` of both; ``cyclic`` None where the telegram has none.
 
-    A drive that refuses record 47 as such is asked by the cyclic channel from then on, until it comes back.
+    Once a drive has refused record 47 as such, the cyclic channel is used until the drive comes back.
     """
 
     __slots__ = ("_absent", "_acyclic", "_cyclic")
@@ -320,7 +314,6 @@ class ChosenAccess:
 
     @property
     def busy(self) -> bool:
-        """The cyclic channel wants to be stepped."""
         return self._cyclic is not None and self._cyclic.busy
 
     def step(self, inputs: bytes, now: int) -> None:
@@ -344,7 +337,7 @@ class ChosenAccess:
         return self._over(lambda way: way.write(key, value, deadline))
 
     def _over(self, ask: Callable[[ParameterChannel], Steps[T]]) -> Steps[T]:
-        """Over record 47; where there is none on with the cyclic channel, or the end where there is none either."""
+        """Ask over record 47, or by the cyclic channel where the drive has no record 47."""
         cyclic = self._cyclic
         if cyclic is None or not self._absent:
             try:

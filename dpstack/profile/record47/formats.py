@@ -1,4 +1,4 @@
-"""The formats of values in record 47: number, octets of one value, and what its octets mean.
+"""The data formats of values in record 47: number, octets of one value, conversion.
 
 Sources: the formats that every drive has (1 to 8, 0x40 to 0x44), Siemens SINAMICS manual p97; the range of the others,
 VACON PROFINET manual p37, OPC 30141 table 59 (numbers of PROFIdrive 4.2); times, IEC 61158-5; N2 to X4 as PROFIdrive
@@ -18,7 +18,7 @@ from typing import Final
 from dpstack.errors import PduError
 from dpstack.profile.model.params import count_of
 
-#: a value as it stands on the wire: integers, floats of format 8 and 15, octets of whatever is no number
+#: a value on the wire: an integer, a float (formats 8 and 15), or octets
 Raw = int | float | bytes
 #: a value for people
 Value = int | float | str | bytes | bool
@@ -26,9 +26,9 @@ Value = int | float | str | bytes | bool
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """One format. ``code`` of struct for numbers, "" for octets as they are; ``octets`` of one value.
+    """One format. ``code`` of struct for numbers, "" for plain octets; ``octets`` of one value.
 
-    ``string``: all values together are one text or octet string. ``scale``: what 1 on the wire is worth.
+    ``string``: all values together are one text or octet string. ``scale``: value of 1 on the wire.
     """
 
     number: int
@@ -78,7 +78,7 @@ class Format:
         return tuple(octets[at : at + self.octets] for at in range(0, len(octets), self.octets))
 
     def value(self, raw: Raw) -> Value:
-        """For people: a text, a truth value, a number in its unit (N2, N4: 1.0 is 100 %), else as it is on the wire."""
+        """For people: a text, a truth value, a number in its unit (N2, N4: 1.0 is 100 %), else as on the wire."""
         if self.number == VISIBLE_STRING and isinstance(raw, bytes):
             return raw.decode("latin-1").rstrip("\0 ")
         if isinstance(raw, bytes):
@@ -88,7 +88,7 @@ class Format:
         return raw * self.scale if self.scale else raw
 
     def raw(self, value: Value) -> Raw:
-        """The way back. Raises ValueError."""
+        """The inverse of :meth:`value`. Raises ValueError."""
         if isinstance(value, str):
             if self.number != VISIBLE_STRING:
                 raise ValueError(f"{self.name} takes no text")
@@ -96,7 +96,7 @@ class Format:
         if isinstance(value, bytes):
             return value
         if self.code == "f" and value == int(value) and abs(value) > _EXACT:
-            # beyond 24 bits not every whole number is there
+            # beyond 24 bits a float cannot hold every whole number
             step = 1 << int(abs(value)).bit_length() - _EXACT.bit_length() + 1
             count_of(self.name, value, 1 / step)
         if not self.scale:
@@ -108,7 +108,7 @@ class Format:
 _EXACT: Final = 1 << 24
 BOOLEAN, INTEGER8, INTEGER16, INTEGER32, UNSIGNED8, UNSIGNED16, UNSIGNED32, FLOAT = range(1, 9)
 VISIBLE_STRING, OCTET_STRING, BIT_STRING = 9, 10, 14
-#: no value: an answer to a change that succeeded beside others that did not
+#: no value: the answer to a successful change beside failed ones
 ZERO: Final = 0x40
 BYTE, WORD, DOUBLE_WORD, ERROR = 0x41, 0x42, 0x43, 0x44
 
@@ -164,11 +164,11 @@ FORMATS: Final[Mapping[int, Format]] = {one.number: one for one in _formats()}
 
 
 class UnknownFormatError(PduError):
-    """The number of a format that is none: what follows it cannot be told apart."""
+    """An unknown format: the octets behind it cannot be divided into values."""
 
 
 def format_of(number: int) -> Format:
-    """Raises UnknownFormatError for a number that is none."""
+    """Raises UnknownFormatError."""
     found = FORMATS.get(number)
     if found is None:
         raise UnknownFormatError(f"record 47: format {number:#04x} is none of the profile's")

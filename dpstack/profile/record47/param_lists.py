@@ -1,4 +1,4 @@
-"""What a drive tells of itself over record 47: its limits (974), the list of its parameters (980 to 989), descriptions.
+"""Limits (PNU 974), parameter list (980 to 989), descriptions and texts of a drive, read over record 47.
 
 Sources: PNU 974, Yaskawa Sigma-7 manual p529; the elements of a description, VACON OPT-EA manual p118 and Siemens
 SIDOOR manual p316. That 0 ends a list and that 981 to 989 among its elements are its continuation is a reading.
@@ -36,11 +36,11 @@ from dpstack.units import NEVER, NS_PER_S
 PNU_LIMITS: Final = 974
 FIRST_LIST, LAST_LIST = 980, 989
 TEXT_LEN: Final = 16
-#: what a drive may take to say how long it takes
+#: time-out for the question of the drive's latency
 _UNTOLD_LATENCY: Final = 5 * NS_PER_S
-#: elements of one list that are asked at a time: what fits into a response of words
+#: elements of one list in a request: as many words as fit into a response
 _AT_ONCE: Final = 116
-#: what a drive answers behind the last element
+#: errors of a drive for an element behind the last one
 _END: Final = frozenset({BAD_SUBINDEX, BAD_ADDRESS})
 #: a description: ID, elements, factor, attribute, reserved, name, low, high, reserved, ID extension, two of the scale
 _DESCRIPTION: Final = struct.Struct(">HHfH4x16s4s4s2xHHH")
@@ -60,16 +60,16 @@ _ELEMENTS: Final = (
     (UNSIGNED16, 2),  # reference parameter of the normalisation
     (UNSIGNED16, 2),  # its bit
 )
-#: substitutes that say nothing of the meaning
+#: substitute formats, which do not define the meaning of a value
 _PLAIN: Final = frozenset({BYTE, WORD, DOUBLE_WORD})
 
 READ_ONLY_BIT, TEXT_BIT, ARRAY_BIT = 9, 10, 14
 
 
 class Description(NamedTuple):
-    """A parameter as the drive describes it. ``format``: its data type; ``elements``: 1 for one that is no array.
+    """The drive's description of a parameter. ``format``: its data type; ``elements``: 1 for one that is no array.
 
-    ``factor`` and ``attribute`` (quantity and conversion) as they stand; ``low`` and ``high``: four octets each.
+    ``factor`` and ``attribute`` (quantity and conversion) as on the wire; ``low`` and ``high``: four octets each.
     """
 
     format: int
@@ -117,7 +117,7 @@ class Description(NamedTuple):
 
 
 class ReadParameter(NamedTuple):
-    """A parameter of the drive's own list: its description where it has one, its values or why there are none."""
+    """A parameter of the drive's own list: its description where it has one, its values or the error."""
 
     pnu: int
     description: Description | None
@@ -125,20 +125,20 @@ class ReadParameter(NamedTuple):
 
     @property
     def format(self) -> Format | None:
-        """Of its values: the drive's, or as described where it answers with plain bytes, words, double words.
+        """The format of its values; None where it was refused.
 
-        None where it was refused.
+        It is the described one where the answer has plain bytes, words or double words, else the answer's.
         """
         if isinstance(self.result, ErrorValue):
             return None
-        told = format_of(self.result.format)
+        answered = format_of(self.result.format)
         described = None if self.description is None else FORMATS.get(self.description.format)
-        as_described = told.number in _PLAIN and described is not None and described.octets == told.octets
-        return described if as_described else told
+        as_described = answered.number in _PLAIN and described is not None and described.octets == answered.octets
+        return described if as_described else answered
 
     @property
     def values(self) -> tuple[Value, ...]:
-        """For people; none where it was refused."""
+        """The values for people; none where it was refused."""
         form = self.format
         if form is None or isinstance(self.result, ErrorValue):
             return ()
@@ -151,9 +151,9 @@ class ReadParameter(NamedTuple):
 
 
 def read_limits(client: ParameterClient, deadline: int = NEVER) -> Talk[Limits]:
-    """What PNU 974 says is from now on respected; a drive without it keeps the client's limits. Raises CommandError."""
+    """Read PNU 974 and set the client's limits; a drive without it keeps the limits. Raises CommandError."""
     limits = client.limits
-    # a slow drive is as slow with this one
+    # the drive may take as long for this request
     client.limits = dataclasses.replace(limits, latency_ns=max(limits.latency_ns, _UNTOLD_LATENCY))
     try:
         (found,) = yield from client.read([Item(Address(PNU_LIMITS, 0, 3), width=2)], deadline)
@@ -185,8 +185,8 @@ def defined(client: ParameterClient, deadline: int = NEVER) -> Talk[list[int]]:
 def _list(client: ParameterClient, pnu: int, deadline: int) -> Talk[list[int]]:
     """One list up to its 0, or to its end where it has none."""
     found: list[int] = []
-    (told,) = yield from describe(client, [pnu], deadline)
-    length = told.elements if told is not None and told.array else None
+    (listing,) = yield from describe(client, [pnu], deadline)
+    length = listing.elements if listing is not None and listing.array else None
     count = _AT_ONCE
     while count:
         if length is not None:
@@ -299,11 +299,11 @@ def read_out(
 
 
 def _find_arrays(client: ParameterClient, found: list[ReadParameter], deadline: int) -> Talk[None]:
-    """Arrays of which there is no description: those that have a second element, and do not have any you like."""
-    told = [at for at, one in enumerate(found) if one.description is None and _is_number(one.result)]
-    probes = [Address(found[at].pnu, subindex, 1) for at in told for subindex in (1, 0xFFFF)]
+    """Read arrays without a description: those with a second element, but without the highest subindex."""
+    missing = [at for at, one in enumerate(found) if one.description is None and _is_number(one.result)]
+    probes = [Address(found[at].pnu, subindex, 1) for at in missing for subindex in (1, 0xFFFF)]
     answers = yield from client.read(probes, deadline)
-    for at, second, last in zip(told, answers[::2], answers[1::2], strict=True):
+    for at, second, last in zip(missing, answers[::2], answers[1::2], strict=True):
         if isinstance(second, Values) and isinstance(last, ErrorValue):
             found[at] = found[at]._replace(result=(yield from _array(client, found[at], deadline)))
 
@@ -313,7 +313,7 @@ def _is_number(result: Result) -> bool:
 
 
 def _array(client: ParameterClient, first: ReadParameter, deadline: int) -> Talk[Result]:
-    """All elements, as many as there are until the drive says that there are no more."""
+    """All elements, up to the drive's error for the next one."""
     assert isinstance(first.result, Values)
     form, raws, count = first.result.format, first.result.raws, _AT_ONCE
     while count:

@@ -1,4 +1,4 @@
-"""The octets of record 47, the parameter access of PROFIdrive's base mode: requests and responses, both ends.
+"""PDUs of record 47 (parameter access of PROFIdrive's base mode): requests and responses, both ends.
 
 Source: Siemens SINAMICS manual p96 and p97, ABB RETA-02 manual p84 to p88, LS CPDP-S100 manual 6.2.2. By hand, not with
 construct: the master's end works between two Data_Exchange, 39 parameters a response; construct judges it in the tests.
@@ -34,14 +34,14 @@ UNSUPPORTED: Final = 0
 
 
 class RequestId(IntEnum):
-    """What is wanted of all parameters of a request."""
+    """The request ids."""
 
     READ = 1
     CHANGE = 2
 
 
 class Attribute(IntEnum):
-    """What is wanted of one parameter."""
+    """The attributes of a parameter: value, description, text."""
 
     VALUE = 0x10
     DESCRIPTION = 0x20
@@ -71,14 +71,14 @@ class Address(NamedTuple):
 
 
 class Values(NamedTuple):
-    """The values of one parameter as they are on the wire; strings are one value of many octets."""
+    """The values of one parameter on the wire; a string is one value of many octets."""
 
     format: int
     raws: tuple[Raw, ...] = ()
 
     @property
     def octets(self) -> int:
-        """How many octets they take, with format, count and padding."""
+        """Octets with format, count and padding."""
         return VALUE_HEADER_LEN + _even(len(format_of(self.format).pack(self.raws)))
 
     def build(self) -> bytes:
@@ -92,7 +92,7 @@ class Values(NamedTuple):
 
 
 class ErrorValue(NamedTuple):
-    """Why one parameter was refused. ``info``: additional information where the drive gives any."""
+    """The error of one parameter. ``info``: additional information where the drive gives any."""
 
     number: int
     info: int | None = None
@@ -103,7 +103,7 @@ class ErrorValue(NamedTuple):
         return Values(ERROR, words).build()
 
 
-#: what a response holds for one parameter
+#: the part of a response for one parameter
 Result = Values | ErrorValue
 
 
@@ -181,7 +181,7 @@ class Response:
     def parse(cls, octets: bytes) -> Response:
         """Read ``octets``, zeros behind the last value left out. Raises PduError naming what is wrong.
 
-        Whether it fits a request is the caller's.
+        The caller checks whether it fits a request.
         """
         reference, ident, drive_object, count = _header(octets, "response")
         return cls(
@@ -231,5 +231,5 @@ def _result(number: int, raws: tuple[Raw, ...]) -> Result:
 
 
 def _even(octets: int) -> int:
-    """With the octet that keeps the words aligned."""
+    """With the padding octet that keeps the words aligned."""
     return octets + (octets & 1)

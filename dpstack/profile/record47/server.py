@@ -1,23 +1,58 @@
-"""The drive's end of record 47: takes a request by Write, carries it out, gives the response by Read.
+"""The drive's end of record 47: takes a request by Write, carries it out, returns the response by Read.
 
 Source: LS CPDP-S100 manual 6.2.2: 0xB5 while a request is carried out. Readings: a response is given once, after that,
 and before any request, a Read is answered 0xB5; a new request drops a response that nobody read; what is no request is
 answered 0xB7. Error 05 is a type that the parameter does not have, 17 a format that nobody knows (Siemens SINAMICS DCM
 manual p446).
+
+:class:`StoreParameters` has the parameters of a simulated drive's ParamStore at their number; data sets, and subindexes
+that the table fixes, are elements. It adds the drive's limits (974) and the lists of its parameters (980 to 989: 300
+elements each, the last one is the number of the next list, 0 ends).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.dpv1.slave.record_requests import Asker, Ticket
 from dpstack.errors import PduError
-from dpstack.profile.model.param_errors import BAD_ADDRESS, BAD_COUNT, BAD_FORMAT, NO_OBJECT, TOO_LONG
-from dpstack.profile.record47.formats import ZERO, UnknownFormatError
+from dpstack.profile.model.param_errors import (
+    BAD_ADDRESS,
+    BAD_COUNT,
+    BAD_FORMAT,
+    BAD_SUBINDEX,
+    BAD_TYPE,
+    ILLEGAL_NUMBER,
+    LIMITS,
+    NO_ARRAY,
+    NO_DESCRIPTION,
+    NO_OBJECT,
+    NO_TEXT,
+    OPERATING_STATE,
+    READ_ONLY,
+    TOO_LONG,
+)
+from dpstack.profile.model.param_store import ParamStore
+from dpstack.profile.model.params import ParamSpec
+from dpstack.profile.record47.formats import (
+    DOUBLE_WORD,
+    INTEGER16,
+    INTEGER32,
+    OCTET_STRING,
+    UNSIGNED16,
+    UNSIGNED32,
+    VISIBLE_STRING,
+    WORD,
+    ZERO,
+    Raw,
+    UnknownFormatError,
+    format_of,
+)
+from dpstack.profile.record47.param_lists import FIRST_LIST, LAST_LIST, PNU_LIMITS, Description
 from dpstack.profile.record47.pdu import (
     HEADER_LEN,
     INDEX,
@@ -32,30 +67,30 @@ from dpstack.profile.record47.pdu import (
 )
 from dpstack.profile.record47.split import Limits
 from dpstack.profile.record47.transport import Refused
+from dpstack.units import NS_PER_MS
 
 _BUSY: Final = Refused(Code.STATE_CONFLICT)
-#: how long a response is kept for whoever asked while others want the drive
+#: time that a response is kept for its asker while others want the drive
 _HELD_NS: Final = 2_000_000_000
 
 
 class RecordServer(Protocol):
-    """The drive's end of Read and Write, asked by whoever has the bus. ``now`` in ns."""
+    """The drive's end of Read and Write, called by the slave's side of the bus. ``now`` in ns."""
 
     def write_record(self, slot: int, index: int, data: bytes, now: int) -> Refused | None:
-        """None when it was taken."""
+        """None when the request was accepted."""
 
     def read_record(self, slot: int, index: int, length: int, now: int) -> bytes | Refused:
-        """At most ``length`` octets."""
+        """The response, at most ``length`` octets."""
 
 
 class TimedRecords:
     """Records of a slave application (:class:`~dpstack.dpv1.slave.record_requests.Records`) over a server, for several
-    who ask.
+    askers.
 
     ``clock``: from the bus's time of a request to the drive's, both in ns; default the bus's. The drive carries out one
-    request of record 47 at a time: while one is carried out or its response waits for whoever asked (as long as that
-    one can fetch it, for 2 s at most), a Write of somebody else is answered 0xC2, a Read 0xB5 as before any request
-    (readings).
+    request of record 47 at a time. While it does, or its response waits for the asker (as long as that one can fetch
+    it, for 2 s at most), a Write of another asker is answered 0xC2, a Read 0xB5 as before any request (readings).
     """
 
     def __init__(self, server: RecordServer, clock: Callable[[int], int] = lambda bus: bus) -> None:
@@ -65,7 +100,7 @@ class TimedRecords:
         self._held_until = 0
 
     def ask(self, ticket: Ticket) -> None:
-        """At once: what is not ready is refused, and asked again."""
+        """Answer at once. A response that is not ready is refused; the master asks again."""
         request, asker, now = ticket.request, ticket.asker, self._clock(ticket.at)
         if request.index == INDEX and self._holder not in (None, asker):
             if isinstance(request, ReadReq):
@@ -90,12 +125,12 @@ class TimedRecords:
 
 
 class ParameterModel(Protocol):
-    """What a drive has: one call for each parameter of a request."""
+    """The parameters of a drive: one call for each parameter of a request."""
 
     def read(self, address: Address) -> Result: ...
 
     def change(self, address: Address, values: Values) -> ErrorValue | None:
-        """None when all are written; else none is."""
+        """None when all values are written; else none is."""
 
     def describe(self, address: Address) -> Result:
         """The description, or one element of it."""
@@ -106,9 +141,9 @@ class ParameterModel(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """What the server takes. ``slots``: None for any; ``attributes``: others are answered with error 16 hex.
+    """Rules of the server. ``slots``: None for any; ``attributes``: others are answered with error 16 hex.
 
-    ``busy_ns``: what a request takes.
+    ``busy_ns``: duration of a request.
     """
 
     slots: frozenset[int] | None = None
@@ -119,7 +154,7 @@ class Rules:
 
 
 class ParameterServer:
-    """A :class:`RecordServer` for record 47 over what the drive has."""
+    """A :class:`RecordServer` for record 47 over the parameters of ``model``."""
 
     __slots__ = ("_model", "_ready_at", "_response", "rules")
 
@@ -130,7 +165,7 @@ class ParameterServer:
         self._ready_at = 0
 
     def reset(self) -> None:
-        """Data exchange begins or ends: nothing was asked."""
+        """Data exchange begins or ends: forget the request."""
         self._response = None
 
     def write_record(self, slot: int, index: int, data: bytes, now: int) -> Refused | None:
@@ -188,7 +223,7 @@ class ParameterServer:
         return Response(request.reference, request.id, request.object, len(request.addresses), tuple(results), negative)
 
     def _fitting(self, results: list[Result]) -> list[Result]:
-        """What is beyond the longest block becomes an error; the others keep room for theirs."""
+        """Replace results beyond the longest block by an error; each other result keeps room for its own error."""
         short = ErrorValue(TOO_LONG)
         error = len(short.build())
         room = self.rules.limits.octets - HEADER_LEN - error * len(results)
@@ -226,3 +261,184 @@ def _failed(request: Request, error: int) -> Response:
     """``error`` for each of its parameters."""
     count = len(request.addresses)
     return Response(request.reference, request.id, request.object, count, (ErrorValue(error),) * count, True)
+
+
+_LIST_LEN: Final = 300
+#: substitutes for a format of the same size (Siemens SINAMICS manual p97)
+_SUBSTITUTES: Final = {INTEGER16: WORD, UNSIGNED16: WORD, INTEGER32: DOUBLE_WORD, UNSIGNED32: DOUBLE_WORD}
+
+
+class _Place(NamedTuple):
+    spec: ParamSpec
+    data_set: int
+
+
+def format_number(spec: ParamSpec) -> int:
+    """The format of a parameter: 16 or 32 bits, signed where it can be negative."""
+    if spec.long:
+        return INTEGER32 if spec.low < 0 else UNSIGNED32
+    return INTEGER16 if spec.low < 0 else UNSIGNED16
+
+
+class StoreParameters:
+    """A :class:`ParameterModel`.
+
+    ``live``: the actual integer where it is not stored; ``locked``: error 11 hex now; ``changed``: called after a
+    write; ``texts``: names of the values of a parameter from 0 on, by its number.
+    """
+
+    def __init__(
+        self,
+        store: ParamStore,
+        *,
+        limits: Limits | None = None,
+        live: Callable[[ParamSpec], int | None] = lambda spec: None,
+        locked: Callable[[ParamSpec], bool] = lambda spec: False,
+        changed: Callable[[ParamSpec], None] = lambda spec: None,
+        texts: Mapping[int, Sequence[str]] | None = None,
+    ) -> None:
+        self._texts = {} if texts is None else dict(texts)
+        self._store = store
+        self._live = live
+        self._locked = locked
+        self._changed = changed
+        self._places: dict[int, dict[int, _Place]] = {}
+        for spec in store.table:
+            if spec.text:
+                continue
+            places = self._places.setdefault(spec.number, {})
+            if spec.per_set and store.sets > 1:
+                places.update((at, _Place(spec, at + 1)) for at in range(store.sets))
+            else:
+                places[spec.index] = _Place(spec, 1)
+        limits = Limits() if limits is None else limits
+        self._own: dict[int, tuple[int, ...]] = {
+            PNU_LIMITS: (limits.octets, limits.parameters, -(-limits.latency_ns // (10 * NS_PER_MS))),
+            **_lists(sorted(self._places)),
+        }
+
+    def read(self, address: Address) -> Result:
+        own = self._own.get(address.pnu)
+        if own is not None:
+            end = address.subindex + max(address.elements, 1)
+            if end > len(own):
+                return ErrorValue(BAD_SUBINDEX, max(address.subindex, len(own)))
+            return Values(UNSIGNED16, own[address.subindex : end])
+        places = self._wanted(address)
+        if isinstance(places, ErrorValue):
+            return places
+        return Values(format_number(places[0].spec), tuple(map(self._raw, places)))
+
+    def change(self, address: Address, values: Values) -> ErrorValue | None:
+        if address.pnu in self._own:
+            return ErrorValue(READ_ONLY, address.subindex)
+        places = self._wanted(address)
+        if isinstance(places, ErrorValue):
+            return places
+        raws: list[int] = []
+        for at, (place, raw) in enumerate(zip(places, values.raws, strict=True), address.subindex):
+            checked = self._checked(place.spec, values.format, raw, at)
+            if isinstance(checked, ErrorValue):
+                return checked
+            raws.append(checked)
+        for place, checked in zip(places, raws, strict=True):
+            self._store.write(place.spec, checked, place.data_set)
+            self._changed(place.spec)
+        return None
+
+    def _checked(self, spec: ParamSpec, number: int, raw: Raw, subindex: int) -> int | ErrorValue:
+        form = format_number(spec)
+        if number not in (form, _SUBSTITUTES[form]) or not isinstance(raw, int):
+            return ErrorValue(BAD_TYPE)
+        if spec.read_only:
+            return ErrorValue(READ_ONLY, subindex)
+        checked = spec.from_pwe(raw)
+        if not spec.low <= spec.to_value(checked) <= spec.high:
+            return ErrorValue(LIMITS, subindex)
+        return ErrorValue(OPERATING_STATE) if self._locked(spec) else checked
+
+    def describe(self, address: Address) -> Result:
+        """The whole description (subindex 0), or one element of it."""
+        places = self._places.get(address.pnu)
+        if places is None and address.pnu not in self._own:
+            return ErrorValue(ILLEGAL_NUMBER)
+        if address.elements > 1:
+            return ErrorValue(BAD_ADDRESS)
+        described = self._description(address.pnu)
+        if not address.subindex:
+            return Values(OCTET_STRING, (described.build(),))
+        return described.element(address.subindex) or ErrorValue(NO_DESCRIPTION)
+
+    def _description(self, pnu: int) -> Description:
+        if pnu in self._own:
+            own = self._own[pnu]
+            return Description(UNSIGNED16, len(own), "", True, True, False, 1.0, 0, bytes(4), b"\0\0\xff\xff")
+        places = self._places[pnu]
+        spec = next(iter(places.values())).spec
+        form = format_number(spec)
+        array = _is_array(places)
+        low, high = (
+            format_of(INTEGER32 if spec.low < 0 else UNSIGNED32).pack((_scaled(spec, limit),))
+            for limit in (spec.low, spec.high)
+        )
+        factor = 1 / (spec.per_unit or 10**spec.decimals)
+        text = pnu in self._texts
+        return Description(
+            form, max(places) + 1 if array else 1, spec.title, spec.read_only, array, text, factor, 0, low, high
+        )
+
+    def text(self, address: Address) -> Result:
+        """Texts of 16 characters, from ``address.subindex`` on."""
+        found = self._texts.get(address.pnu)
+        if found is None:
+            known = address.pnu in self._places or address.pnu in self._own
+            return ErrorValue(NO_TEXT if known else ILLEGAL_NUMBER)
+        end = address.subindex + max(address.elements, 1)
+        if end > len(found):
+            return ErrorValue(BAD_SUBINDEX, max(address.subindex, len(found)))
+        octets = "".join(f"{one:16.16}" for one in found[address.subindex : end]).encode("latin-1", "replace")
+        return Values(VISIBLE_STRING, (octets,))
+
+    def _raw(self, place: _Place) -> int:
+        live = self._live(place.spec)
+        raw = self._store.raw(place.spec, place.data_set) if live is None else live
+        return place.spec.from_pwe(place.spec.pwe(raw))
+
+    def _wanted(self, address: Address) -> list[_Place] | ErrorValue:
+        places = self._places.get(address.pnu)
+        if places is None:
+            return ErrorValue(ILLEGAL_NUMBER)
+        if not _is_array(places):
+            if address.elements > 1:
+                return ErrorValue(BAD_ADDRESS)
+            if address.subindex:
+                return ErrorValue(NO_ARRAY)
+        wanted: list[_Place] = []
+        for at in range(address.subindex, address.subindex + max(address.elements, 1)):
+            if at not in places:
+                return ErrorValue(BAD_SUBINDEX, at)
+            wanted.append(places[at])
+        return wanted
+
+
+def _is_array(places: dict[int, _Place]) -> bool:
+    return len(places) > 1 or 0 not in places
+
+
+def _scaled(spec: ParamSpec, limit: float) -> int:
+    """A limit as an integer on the wire, as near as four octets can hold it."""
+    raw = round(limit * (spec.per_unit or 10**spec.decimals))
+    form = format_of(INTEGER32 if spec.low < 0 else UNSIGNED32)
+    return min(max(raw, form.low), form.high)
+
+
+def _lists(numbers: Sequence[int]) -> dict[int, tuple[int, ...]]:
+    """The lists 980 and following."""
+    found: dict[int, tuple[int, ...]] = {}
+    for pnu in range(FIRST_LIST, LAST_LIST + 1):
+        here, numbers = numbers[: _LIST_LEN - 1], numbers[_LIST_LEN - 1 :]
+        following = pnu + 1 if numbers and pnu < LAST_LIST else 0
+        found[pnu] = (*here, *(0,) * (_LIST_LEN - 1 - len(here)), following)
+        if not following:
+            break
+    return found

@@ -1,4 +1,4 @@
-"""Any number of parameters as requests that the drive takes, and their answers put together again.
+"""Splits any number of parameters into requests within the drive's limits and joins the results.
 
 Source: PNU 974 (Yaskawa Sigma-7 manual p529): longest block, parameters of one request, latency.
 """
@@ -25,18 +25,18 @@ from dpstack.profile.record47.pdu import (
 )
 from dpstack.units import NS_PER_MS
 
-#: octets of one value whose format is not known before the drive has told it
+#: octets of one value of an unknown format
 _WIDTH: Final = 4
 _LATENCY_UNIT: Final = 10 * NS_PER_MS
-#: what the drive must at least be able to take: a request and an answer for one parameter of one double word
+#: the shortest block of a drive: a request and an answer for one parameter of one double word
 _LEAST_OCTETS: Final = HEADER_LEN + ADDRESS_LEN + VALUE_HEADER_LEN + _WIDTH
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What one request and its response may hold. ``octets``: of either; ``elements`` of an array.
+    """Limits of one request and its response. ``octets``: of either; ``elements`` of an array.
 
-    ``latency_ns``: what the drive takes at most from request to response, 0: not told.
+    ``latency_ns``: the longest time from request to response, 0: unknown.
     """
 
     octets: int = MAX_OCTETS
@@ -45,7 +45,7 @@ class Limits:
     latency_ns: int = 0
 
     def of_974(self, words: Sequence[int]) -> Limits:
-        """With what PNU 974 says: octets, parameters, latency in 10 ms; values that cannot be are left out."""
+        """These limits narrowed by PNU 974: octets, parameters, latency in 10 ms; impossible values are ignored."""
         octets, parameters, latency = (*words, 0, 0, 0)[:3]
         return Limits(
             min(self.octets, octets) if octets >= _LEAST_OCTETS else self.octets,
@@ -56,7 +56,7 @@ class Limits:
 
 
 class Item(NamedTuple):
-    """One parameter that somebody wants. ``values``: what to write. ``width``: octets of one value that is read."""
+    """One parameter to read or write. ``values``: those to write. ``width``: octets of one value to read."""
 
     address: Address
     values: Values | None = None
@@ -73,12 +73,12 @@ class Piece(NamedTuple):
 
     @property
     def request_octets(self) -> int:
-        """What it takes in a request."""
+        """Octets in a request."""
         return ADDRESS_LEN + (0 if self.values is None else self.values.octets)
 
     @property
     def response_octets(self) -> int:
-        """What it takes in a response at most; in one to a change that failed in part an error with its subindex."""
+        """Most octets in a response; after a change that failed in part an error with its subindex."""
         if self.values is not None:
             return VALUE_HEADER_LEN + 4
         octets = max(self.address.elements, 1) * self.width
@@ -86,7 +86,7 @@ class Piece(NamedTuple):
 
 
 def pieces(items: Iterable[Item], limits: Limits) -> Iterator[Piece]:
-    """The items, arrays that are too long in several pieces."""
+    """Split the items: arrays that are too long become several pieces."""
     for of, item in enumerate(items):
         address, values = item.address, item.values
         if values is not None and format_of(values.format).string:

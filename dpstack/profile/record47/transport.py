@@ -1,4 +1,4 @@
-"""The services that record 47 travels by, as a talk: who wants them says which, who has a bus carries them out.
+"""The DP-V1 services of record 47 as a generator ("talk"): the client yields services, the bus side executes them.
 
 A :data:`Talk` is a generator that yields services and is sent an :class:`Answer` for each; it owns no clock and no bus.
 ``AcyclicAccess`` runs one in the cycle of a drive plugin, :mod:`dpstack.api.slave.record_parameters` in an asyncio
@@ -16,13 +16,13 @@ from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 
 T = TypeVar("T")
 
-#: there is no such record; 0: the slave does not take the service at all
+#: error codes of a missing record; 0: the slave does not support the service at all
 ABSENT: Final = frozenset({0, Code.INVALID_INDEX, Code.INVALID_SLOT})
 
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """Nothing for so many ns."""
+    """Send nothing for so many ns."""
 
     ns: int
 
@@ -31,7 +31,7 @@ Service = WriteReq | ReadReq | Pause
 
 
 class Refused(NamedTuple):
-    """A negative answer: Error_Code_1 of DP-V1, or 0 and why the slave does not take the service at all."""
+    """A negative answer: Error_Code_1 of DP-V1, or 0 and why the slave does not support the service at all."""
 
     code: int
     why: str = ""
@@ -41,13 +41,13 @@ class Refused(NamedTuple):
 
 
 class Silent(NamedTuple):
-    """No answer, and nothing is known to have become of the service: it may have been carried out."""
+    """No answer: the slave may have carried out the service or not."""
 
     why: str
 
 
 class Answer(NamedTuple):
-    """What came of a service, and when (ns): what was read, b"" after a write or a pause, or why there is nothing."""
+    """The answer to a service and its time (ns): the octets read, b"" after a write or a pause, or the failure."""
 
     now: int
     data: bytes | Refused | Silent = b""

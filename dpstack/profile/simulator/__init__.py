@@ -1,5 +1,6 @@
 """The simulated drive.
 
 - ``device``: The common part of a simulated drive: a DP device with an internal scan, a motor and a parameter channel
-- ``motor``: The simulated motor: first order, per unit of the rated values
+- ``motor``: The simulated motor: first order, per unit of the rated values, on a fixed grid of 1 ms of the bus's
+  clock
 """

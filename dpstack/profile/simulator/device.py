@@ -1,8 +1,8 @@
 """The common part of a simulated drive: a DP device with an internal scan, a motor and a parameter channel.
 
-The drive looks at its outputs and refreshes its inputs once in ``scan_ns`` of the bus's clock, on a grid that begins
-when it is switched on (first seen). What happens between two exchanges is caught up at the next one, so results do
-not depend on how often it is asked.
+The drive reads its outputs and refreshes its inputs once in ``scan_ns`` of the bus's clock, on a grid that begins when
+it is switched on (at its first call). It catches up the scans between two exchanges at the next exchange, so results do
+not depend on how often it is called.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from dpstack.profile.record47.server import ParameterServer
 from dpstack.profile.simulator.motor import Motor
 from dpstack.units import NEVER, NS_PER_MS
 
-#: from a setting that restarts the station to the restart: the answer to it is fetched meanwhile (made up)
+#: from a setting that restarts the station to the restart: time to fetch the answer (made up)
 RESTART_NS: Final = 100 * NS_PER_MS
-#: scans that are caught up one by one; of a longer silence the first part is skipped
+#: scans that are caught up one by one; the first part of a longer pause is skipped
 _MOST_SCANS = 20_000
 
 
@@ -40,8 +40,8 @@ class DriveDevice(Device):
 
     Faults and conditions from outside: :meth:`trip`, :meth:`warn`, :meth:`set_load`, :meth:`release`, :meth:`refuse`;
     they take effect at the next scan. ``address_parameter``: the one in ``store`` that holds the station address.
-    ``parameter_errors``: the errors that an access to a parameter can end with, by number; ``read_errors``,
-    ``write_errors``: those of them that only a read, only a write can have.
+    ``parameter_errors``: texts of the errors of an access to a parameter, by number; ``read_errors``, ``write_errors``:
+    those of reads only, of writes only.
     """
 
     address_parameter: str = ""
@@ -60,7 +60,7 @@ class DriveDevice(Device):
         self.telegram = telegram
         self.motor = motor
         self.channel: ChannelServer | None = None
-        #: record 47, for whoever makes it one of ``records``
+        #: record 47, for a subclass that has it among its ``records``
         self.record47: ParameterServer | None = None
         self.warning_mask = 0
         self.released = True
@@ -68,20 +68,20 @@ class DriveDevice(Device):
         self._inputs = b""
         self._next: int | None = None
         self._trip: int | None = None
-        self._tripped: str | None = None  # by trip(), until the drive has no fault any more
+        self._tripped: str | None = None  # by trip(), while the fault stands
         self._own_load: float | None = None  # before set_load()
         self._jog = 0
         #: the inverter has no power under its bus option: no answers in the parameter channel
         self.unpowered = False
-        self._refusal: tuple[int, int, str] | None = None  # by refuse(): number, how often yet, as it was given
+        self._refusal: tuple[int, int, str] | None = None  # by refuse(): number, how many times left, the user's word
         self._restart_at = NEVER
-        #: where it stands, None before it was installed
+        #: its station address, None before it was installed
         self.station_address: int | None = None
 
-    # -- what happens to it from outside --------------------------------------------------------------------------
+    # -- faults and conditions from outside --------------------------------------------------------------------------
 
     def trip(self, code: str) -> None:
-        """A fault by its code or name. Raises ValueError naming what the drive knows."""
+        """Trip with a fault, by its code or name. Raises ValueError with the known ones."""
         self._trip = self.fault_code(code)
         self._tripped = code
 
@@ -103,17 +103,17 @@ class DriveDevice(Device):
         raise ValueError(f"{self.profile.name} has no jog terminals here")
 
     def link(self, on: bool) -> None:
-        """The link between the bus option and the inverter. Raises ValueError where there is none to break."""
+        """The link between the bus option and the inverter. Raises ValueError where it has none."""
         raise ValueError(f"{self.profile.name} has no link here that can break")
 
     def mains(self, on: bool) -> None:
-        """The inverter's power under an option that stays on the bus. Raises ValueError where they have the same."""
+        """The inverter's power under an option that stays on the bus. Raises ValueError where both have one supply."""
         raise ValueError(f"{self.profile.name} has one supply for all of it: power-off and power-on")
 
     def refuse(self, error: str, times: int = 1) -> None:
         """The next accesses to parameters end with an error, given by its number or a word of its text.
 
-        Raises ValueError naming the errors that the drive knows.
+        Raises ValueError with the errors that the drive knows.
         """
         wanted = error.strip().lower()
         found = [number for number in self.parameter_errors if wanted == str(number)] or [
@@ -126,7 +126,7 @@ class DriveDevice(Device):
         raise ValueError(f"{error!r} is not one error of parameters of {self.profile.name}; known: {known}")
 
     def refusal(self, *, write: bool) -> int | None:
-        """An access to a parameter begins: the number of the error that it ends with by :meth:`refuse`, or None."""
+        """The error number, ordered by :meth:`refuse`, of an access to a parameter that begins now, or None."""
         if self._refusal is None:
             return None
         number, times, given = self._refusal
@@ -141,11 +141,13 @@ class DriveDevice(Device):
         return None if number is None else (Reply.ERROR, number)
 
     def has_alarms(self, *kinds: str) -> None:
-        """It raises alarms of these ``kinds``, one of each at a time, where its master enables them."""
+        """Let it raise alarms of these ``kinds``, one of each at a time, where its master enables them."""
         self.alarm_server = AlarmServer(AlarmSupport(frozenset(kinds)), self.max_diag_len - FIXED_LEN, self.name)
 
     def diagnosis_alarm(self, slot: int, appears: bool, data: bytes = b"") -> None:
-        """A fault of ``slot`` appears, or the last one is gone. Left out where its master takes no alarm now."""
+        """Raise a diagnosis alarm: a fault of ``slot`` appears, or the last one is gone. Does nothing where its master
+        accepts no alarm now.
+        """
         if self.alarm_server is not None:
             how = Specifier.APPEARS if appears else Specifier.DISAPPEARS
             with contextlib.suppress(AlarmError):
@@ -158,34 +160,34 @@ class DriveDevice(Device):
 
     @property
     def injected(self) -> tuple[str, ...]:
-        """What was done to it from outside and is not over, written as the orders of ``dpstack ctl``."""
-        told = []
+        """Its faults and conditions from outside, written as the commands of ``dpstack ctl``."""
+        found = []
         if self._tripped is not None:
-            told.append(f"trip {self._tripped}")
+            found.append(f"trip {self._tripped}")
         if self.warning_mask:
-            told.append(f"warn {self.warning_mask:04X}")
+            found.append(f"warn {self.warning_mask:04X}")
         if self._own_load not in (None, self.motor.load):
-            told.append(f"load {self.motor.load:g}")
+            found.append(f"load {self.motor.load:g}")
         if not self.released:
-            told.append("release off")
+            found.append("release off")
         if self._jog:
-            told.append("jog forward" if self._jog > 0 else "jog reverse")
+            found.append("jog forward" if self._jog > 0 else "jog reverse")
         if self._refusal is not None:
             _, times, given = self._refusal
-            told.append(f"parameter-error {given} {times}")
-        return tuple(told)
+            found.append(f"parameter-error {given} {times}")
+        return tuple(found)
 
     def inherit(self, before: DriveDevice) -> None:
-        """Switched on again: ``before`` is the drive as it was; take what it kept in its EEPROM."""
+        """Take over the EEPROM of ``before``, the same drive before it was switched off and on."""
 
     def installed(self, address: int, baud: int | None) -> None:
-        """Where it stands: its address and the baud rate in bit/s, None while it is not known."""
+        """Set its address and the baud rate in bit/s, None while it is not known."""
         self.station_address = address
         if self.address_parameter:
             self.store.install(self.address_parameter, address)
 
     def restart_soon(self) -> None:
-        """It restarts by itself :data:`RESTART_NS` after the last scan, at the address that it has by its setting."""
+        """Restart :data:`RESTART_NS` after the last scan, at the address of its own setting."""
         self._restart_at = (self.seen_until or 0) + RESTART_NS
 
     def wake_at(self) -> int:
@@ -201,11 +203,11 @@ class DriveDevice(Device):
 
     @property
     def own_address(self) -> int | None:
-        """The station address that it has by its own setting from the next power-on; None: the one it has."""
+        """The station address of its own setting, valid from the next power-on; None: it has no such setting."""
         return int(self.store.value(self.address_parameter)) if self.address_parameter else None
 
     def address_set(self, address: int, fixed: bool, rem_slave_data: bytes) -> bool:
-        """Set_Slave_Add, of a drive that has the service: kept as its address parameter."""
+        """Set_Slave_Add, of a drive that has the service: store it as its address parameter."""
         if self.address_parameter:
             self.store.install(self.address_parameter, address)
         return bool(self.address_parameter)
@@ -238,13 +240,13 @@ class DriveDevice(Device):
         self._refresh(now)
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
-        """Take ``outputs`` for the next scan, return the inputs of the last one."""
+        """Set the outputs for the next scan, return the inputs of the last one."""
         self.advance(now)
         self._outputs = outputs if len(outputs) == self.telegram.output_octets else None
         return self._inputs
 
     def clear(self, now: int) -> None:
-        """Outputs are void until they come again."""
+        """Outputs are invalid until the next ones."""
         self.advance(now)
         self._outputs = None
 
@@ -255,11 +257,11 @@ class DriveDevice(Device):
 
     @property
     def seen_until(self) -> int | None:
-        """Up to when it has caught up with the bus's clock; None before it was ever looked at."""
+        """The time up to which its scans are done; None before its first call."""
         return None if self._next is None else self._next - self.scan_ns
 
     def advance(self, now: int) -> None:
-        """Catch up with the bus's clock: every scan up to ``now``. For whoever looks at the drive between exchanges."""
+        """Do every scan up to ``now``. Call it before reading the drive between exchanges."""
         at = self._next
         if at is not None and now < at:
             return
@@ -289,20 +291,20 @@ class DriveDevice(Device):
         raise ValueError(f"{self.name} knows no fault {code!r}")
 
     def refresh(self, process: bytes | None, now: int) -> bytes:
-        """One internal scan over octets, which hands words to :meth:`scan`; ``process`` None: void."""
+        """One internal scan over octets, with words to and from :meth:`scan`; ``process`` None: invalid."""
         telegram = self.telegram
         words = None if process is None else _layout(telegram.outputs).unpack(process)
         return _layout(telegram.inputs).pack(*self.scan(words, now))
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
-        """One internal scan: process data from the master (None: void) -> process data to it."""
+        """One internal scan: process data from the master (None: invalid) -> process data to it."""
         raise NotImplementedError
 
     def master_lost(self, reason: Leave, now: int) -> None:
         """React to the end of data exchange."""
 
     def take_trip(self) -> int | None:
-        """The trip that came since the last scan."""
+        """The trip since the last scan; resets it."""
         trip, self._trip = self._trip, None
         return trip
 

@@ -2,7 +2,7 @@
 
 An inverter puts frequency f on the stator; the torque is (f - w) / slip, J dw/dt = torque - load(w). The ramp moves f
 towards the set point; the current limit holds it back. Per step the speed is integrated exactly (exponential), and
-because the grid does not move, results do not depend on how often anybody looks.
+because the grid is fixed, results do not depend on how often it is called.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ _STEP_S: Final = 0.001
 _REST: Final = 1e-9
 #: a ramp that takes no time, per unit per second
 AT_ONCE: Final = 1e6
-#: a reference is reached within this part of the rated frequency (a reading: manuals leave it to the drive)
+#: a reference is reached within this part of the rated frequency (a reading: the manuals give no figure)
 NEAR: Final = 0.005
-#: below this speed the load torque fades to nothing: friction holds, it does not turn
+#: below this speed the load torque goes to 0: friction holds the shaft, it does not turn it
 _CREEP: Final = 0.02
 
 
@@ -96,7 +96,7 @@ class Motor:
         return math.copysign(1.0, self.speed or self.frequency) * self.torque
 
     def reached(self, reference: float) -> bool:
-        """The frequency is at ``reference`` (:data:`NEAR`), and nothing holds it back."""
+        """Whether the frequency is at ``reference`` (:data:`NEAR`) and the limit does not hold it back."""
         return not self.limited and abs(self.frequency - reference) <= NEAR
 
     def switch(self, on: bool) -> None:

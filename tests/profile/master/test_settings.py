@@ -9,7 +9,7 @@ from demag_kit import ZERO, pkw, sim
 from drive_bench import MS, DeviceBench, PairBench, PluginBench, S, as_mapping
 
 from dpstack.profile import CommandError, DriveProfile, ParameterChannel, ParamKey, SettingsState, Steps
-from dpstack.profile.channel import read_many
+from dpstack.profile.channel import base
 from dpstack.profile.master import settings
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
@@ -510,7 +510,7 @@ def test_settings_that_one_parameter_tells_are_all_named_where_it_cannot_be_read
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """434 tells the source of the set point, and whether 228 is added."""
-    read = read_many.read_many
+    read = base.read_many
 
     def without_434(
         access: ParameterChannel, keys: Sequence[ParamKey], deadline: int
