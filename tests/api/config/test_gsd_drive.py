@@ -48,6 +48,18 @@ def fan(folder: Path, keys: str) -> SlaveConfig:
     return parse_config(HEAD + 'gsd = "frenic.gsd"\n' + keys, str(folder / "plant.toml")).slaves[0]
 
 
+def test_the_other_reading_of_its_file_is_told_where_it_is_refused(folder: Path) -> None:
+    contradicting = 'ExtUserPrmData = 1 "Ramp"\nUnsigned8 7 0-255\nEndExtUserPrmData\nExt_User_Prm_Data_Ref(2) = 1\n'
+    text = FRENIC.replace("Unit_Diag_Bit", contradicting + "Unit_Diag_Bit", 1)
+    (folder / "frenic.gsd").write_text(text, encoding="utf-8")
+    params = fan(folder, 'telegram = "PPO3"\n').params
+    assert params.user_prm == b"\x01\x02\x07"
+    assert params.prm_note.startswith(
+        "in its GSD file defaults and constants contradict each other (octet 10 of Set_Prm)"
+    )
+    assert fan(folder, 'telegram = "PPO3"\nuser_prm = "01 02 03"\n').params.prm_note == ""
+
+
 def test_the_file_goes_before_what_was_made_up(folder: Path) -> None:
     slave = fan(folder, 'telegram = "PPO3"\nsync = true\n')
     assert (slave.params.ident, slave.params.config, slave.params.user_prm) == (0x0A1B, b"\xf1", b"\x01\x02\x03")
