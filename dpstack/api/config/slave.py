@@ -1,4 +1,4 @@
-"""One [[slave]] table: a known drive by name, a GSD file, or a raw slave by ident and identifier octets.
+"""One [[slave]] table: its keys, read and checked, also those that change while the bus runs.
 
 Its keys ``inputs`` and ``outputs`` name its process data.
 """
@@ -15,10 +15,11 @@ from typing import Annotated, Any, Final, TypedDict
 from dpstack.api.config.dpv1 import Ms2Limits, read_dpv1
 from dpstack.api.config.gsd_slave import Who, modules_of, reading_of, remarks
 from dpstack.api.config.slave_source import basis_of
-from dpstack.api.config.table import Gsd, Key, Octets, Table, keys_of
+from dpstack.api.config.table import Gsd, Key, Octets, Source, Table, keys_of
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap
 from dpstack.dp.slave_params import INTERVAL_UNIT, LIMITS, SlaveParams
 from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.errors import ConfigError, UsageError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device
 from dpstack.params import MAX_STATION, UNADDRESSED
@@ -217,7 +218,7 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
         table.fail("name", f"name = {name!r} looks like an address", f'write a word: name = "slave{address}"')
     known, rest = basis_of(table, given, Who(address=address, name=name))
     slave = SlaveConfig(params=known, known=known, ms2=Ms2Limits.of(rest.get("device")), **rest)
-    changes = changed_params(slave, table, given)
+    changes = _changes(slave, table, given)
     with table.blaming():
         params = dataclasses.replace(known, **changes)
     inputs, outputs = read_fields(table, params.input_len, params.output_len)
@@ -226,7 +227,7 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     return dataclasses.replace(slave, notes=tuple(notes))
 
 
-def changed_params(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -> dict[str, Any]:
+def _changes(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of ``slave.params`` that keys of :class:`Changes` ``given`` in ``table`` change, held against its GSD
     file. Raises ConfigError.
     """
@@ -247,6 +248,37 @@ def changed_params(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -
     if "dpv1" in table or slave.params is slave.known:
         changes["dpv1"] = read_dpv1(table, slave.device, changes.get("user_prm", slave.params.user_prm))
     return changes
+
+
+def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
+    """``slave`` after ``changes``, held against its names for process data and its GSD file.
+
+    Raises UsageError for a change there is not, ConfigError.
+    """
+    keys = keys_of(Changes)
+    unknown = sorted(set(changes) - set(keys))
+    if unknown:
+        raise UsageError(f"{unknown[0]!r} cannot be changed; these can: {', '.join(sorted(keys))}")
+    where = f"slave {slave.address} ({slave.name})"
+    table = Table(Source(where), (), changes, "reparameterise")
+    params = dataclasses.replace(slave.params, **_changes(slave, table, table.read(keys)))
+    if slave.profile is not None and not slave.raw and (slave.params.dpv1 is None) is not (params.dpv1 is None):
+        raise UsageError(
+            f"{where}: DP-V1 on or off decides how its drive plugin asks for parameters: remove the slave and add it "
+            f"with another dpv1"
+        )
+    described = slave.description
+    reason = None
+    if described is not None and params.config in described.configs:
+        reason = described.check_prm(params.user_octets(None))
+    if reason is not None:
+        raise ConfigError(f"{where}: {reason}")
+    try:
+        inputs = slave.input_fields.fitted(params.input_len, "inputs")
+        outputs = slave.output_fields.fitted(params.output_len, "outputs")
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}; a named field would be lost") from None
+    return dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs)
 
 
 def _notes(slave: SlaveConfig, ident_given: bool) -> Iterator[str]:

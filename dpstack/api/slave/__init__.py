@@ -7,7 +7,6 @@
 - ``ms2_connection``: A class 2 connection (MS2) to a slave, to be awaited: ``bus.class2.connect(...)``
 - ``record_parameters``: PROFIdrive's parameter access in an asyncio program: any number of parameters, whole lists
 - ``records``: Read and Write of DP-V1 at one slave, to be awaited, by whatever way they go; I&M as typed records
-- ``reparameterise``: What can be changed of a slave while the bus runs, checked as its [[slave]] table is
 - ``service_errors``: What each failure of an acyclic service is raised as, whatever the service
 - ``services``: Acyclic services to be awaited: who waits for which
 - ``slave``: One slave as an application sees it

@@ -6,12 +6,11 @@ import difflib
 from collections.abc import Iterator, Mapping
 from typing import Unpack
 
-from dpstack.api.config.slave import Changes, SlaveConfig
+from dpstack.api.config.slave import Changes, SlaveConfig, changed
 from dpstack.api.slave.alarms import AlarmStream, StatusStream
 from dpstack.api.slave.host import Host
 from dpstack.api.slave.record_parameters import RecordParameters, over_records
 from dpstack.api.slave.records import Records
-from dpstack.api.slave.reparameterise import changed
 from dpstack.argcheck import Sealed
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, ReparameteriseSlave
