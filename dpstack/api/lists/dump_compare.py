@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, Protocol
 
 from dpstack.api.files import FileToBe
-from dpstack.api.lists.list_file import keep
-from dpstack.api.lists.parameter_list import ParameterList, Place, SavedParam, file_for
+from dpstack.api.lists.list_file import ListComparison, is_same, pairs_of, time_now
+from dpstack.api.lists.parameter_list import ParameterList, Place, SavedParam
 from dpstack.errors import ConfigError, DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import ListedParam, count_of
 
@@ -91,16 +89,10 @@ class Difference:
     def text(self) -> str:
         """One line for people: both values with their units."""
         now = self.found.text if self.found.unreadable is None else f"cannot be read: {self.found.unreadable}"
-        return f"{self.saved.label} ({self.saved.title}): file {self.saved.text}, drive {now}"
+        return f"{self.saved.title_label}: file {self.saved.text}, drive {now}"
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """What a compare found. ``same``: how many are equal; ``skipped``: what was not compared, and why."""
-
-    differences: tuple[Difference, ...]
-    same: int
-    skipped: tuple[tuple[SavedParam, str], ...]
+Comparison = ListComparison[Difference, SavedParam]
 
 
 async def dump(
@@ -121,7 +113,7 @@ async def dump(
     if path is None:
         await _read_all(drive, wanted, found, on_parameter)
         return _list_of(drive, found, complete=True)
-    with file_for(path, drive.kind, drive.name) as file:
+    with ParameterList.file(path, drive.kind, drive.name) as file:
         try:
             await _read_all(drive, wanted, found, on_parameter)
         except BaseException as error:
@@ -129,7 +121,7 @@ async def dump(
                 error.add_note(_kept(file, _list_of(drive, found, complete=False)))
             raise
         whole = _list_of(drive, found, complete=True)
-        keep(file, whole)
+        whole.keep(file)
         return whole
 
 
@@ -137,7 +129,7 @@ def _kept(file: FileToBe, part: ParameterList) -> str:
     """Where the ``part`` is of a list that was cut short. What cut it short is told, not that there is no room, too."""
     read = f"cut short: the {len(part.parameters)} parameters read so far are"
     try:
-        return f"{read} in {keep(file, part)}"
+        return f"{read} in {part.keep(file)}"
     except UsageError as failed:
         return f"{read} lost: {failed}"
 
@@ -161,13 +153,13 @@ async def compare(
     await _read_all(drive, [there for _, there in wanted], found, on_parameter)
     pairs = [Difference(old, new) for (old, _), new in zip(wanted, found, strict=True)]
     differences = tuple(pair for pair in pairs if not _equal(pair.saved, pair.found))
-    return Comparison(differences, len(pairs) - len(differences), tuple(skipped))
+    return ListComparison(differences, len(pairs) - len(differences), tuple(skipped))
 
 
 def check_dump(drive: Listing, path: str | Path, *, data_set: int | None = None) -> None:
     """Raises what :func:`dump` raises before it reads anything."""
     _chosen(drive, data_set)
-    with file_for(path, drive.kind, drive.name):
+    with ParameterList.file(path, drive.kind, drive.name):
         pass
 
 
@@ -186,20 +178,10 @@ def _compared(
             f"take a file of such a drive"
         )
     there = {_place(one): one for one in _chosen(drive, data_set)}
-    wanted: list[tuple[SavedParam, ListedParam]] = []
-    skipped: list[tuple[SavedParam, str]] = []
-    for one in listed.parameters:
-        if data_set is not None and one.data_set not in (None, data_set):
-            continue
-        why = _why_skipped(one, there, read_only)
-        if why is None:
-            wanted.append((one, there[one.place]))
-        else:
-            skipped.append((one, why))
+    meant = (one for one in listed.parameters if data_set is None or one.data_set in (None, data_set))
+    wanted, skipped = pairs_of(meant, there, _saved, missing="the plugin does not know it", read_only=read_only)
     for one, listed_there in wanted:
         _held(one, listed_there, where)
-    in_file = {one.place for one in listed.parameters}
-    skipped += [(_saved(one), "it is not in the file") for place, one in there.items() if place not in in_file]
     return wanted, skipped
 
 
@@ -213,16 +195,6 @@ def _chosen(drive: Listing, data_set: int | None) -> list[ListedParam]:
     if not listed:
         raise UsageError(f"drive {drive.name}: the plugin {drive.kind} declares no parameters; read them by number")
     return [one for one in listed if data_set is None or one.data_set in (None, data_set)]
-
-
-def _why_skipped(one: SavedParam, there: dict[Place, ListedParam], read_only: bool) -> str | None:
-    if one.unreadable is not None:
-        return f"it could not be read when the file was made: {one.unreadable}"
-    if one.place not in there:
-        return "the plugin does not know it"
-    if one.read_only and not read_only:
-        return "it is read only"
-    return None
 
 
 async def _read_all(
@@ -301,10 +273,9 @@ def _held(saved: SavedParam, there: ListedParam, where: str) -> None:
 
 
 def _equal(old: SavedParam, new: SavedParam) -> bool:
-    """Equal to the last digit of the wire: a file keeps every digit of a value, people may write fewer."""
     if old.value is None or new.value is None or old.unit != new.unit:
         return False
-    return math.isclose(old.value, new.value, rel_tol=1e-9)
+    return is_same(old.value, new.value)
 
 
 def _list_of(drive: Readable, found: Sequence[SavedParam], *, complete: bool) -> ParameterList:
@@ -312,7 +283,7 @@ def _list_of(drive: Readable, found: Sequence[SavedParam], *, complete: bool) ->
         drive=drive.kind,
         name=drive.name,
         address=drive.address,
-        time=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        time=time_now(),
         parameters=tuple(found),
         complete=complete,
     )

@@ -5,10 +5,12 @@ What the lists hold is in :mod:`dpstack.api.lists.parameter_list` and :mod:`dpst
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, NoReturn, Protocol
+from typing import Any, ClassVar, Final, Generic, NoReturn, Protocol, Self, TypeVar
 
 from dpstack.api.config.toml import MAX_OCTETS, TomlError, quoted, read_toml
 from dpstack.api.files import FileToBe, read_file
@@ -16,6 +18,9 @@ from dpstack.errors import ConfigError
 
 _FORMAT: Final = "format = 1"
 _ENTRIES: Final = "parameters"
+
+#: a value: a number in its unit, a truth value, a text; octets that are nothing else as hex
+Element = int | float | bool | str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,17 +107,163 @@ class ListFile:
         return f"make the file by `{self.program} ... dump`"
 
 
-class Kept(Protocol):
-    """A list that is written into a file."""
+class Entry(Protocol):
+    """One parameter of a list."""
 
     @property
-    def complete(self) -> bool:
-        """False where it was cut short."""
+    def place(self) -> Hashable:
+        """What it is found by."""
+
+    @property
+    def label(self) -> str:
+        """For people."""
+
+    @property
+    def read_only(self) -> bool:
+        """It is what the drive measures or is."""
+
+    @property
+    def unreadable(self) -> str | None:
+        """Why it could not be read."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data, without what is not there: its line of the file."""
+
+
+class ReadOnly(Protocol):
+    """What a parameter of a list is compared with."""
+
+    @property
+    def read_only(self) -> bool:
+        """See :class:`Entry`."""
+
+
+E = TypeVar("E", bound=Entry)
+T = TypeVar("T", bound=ReadOnly)
+D = TypeVar("D")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SavedList(Generic[E]):
+    """The parameters of one drive or device, as a file of the kind ``FILE`` holds them."""
+
+    FILE: ClassVar[ListFile]
+    #: an entry in the text of an error, before its number
+    LINE: ClassVar[str] = "parameter"
+
+    name: str
+    address: int
+    time: str
+    parameters: tuple[E, ...]
+    complete: bool = True
+
+    @classmethod
+    def entry(cls, plain: object, where: str) -> E:
+        """One parameter from its line. Raises ConfigError naming ``where``."""
+        raise NotImplementedError
+
+    @property
+    def who(self) -> tuple[str, ...]:
+        """Whose list it is: one of the same drive or device may be replaced by it."""
+        return (self.name,)
+
+    @property
+    def unreadable(self) -> tuple[E, ...]:
+        """Those that could not be read."""
+        return tuple(one for one in self.parameters if one.unreadable is not None)
 
     def text(self) -> str:
-        """As it stands in the file."""
+        """As it stands in a file."""
+        head = (f"{key} = {_toml(getattr(self, key), key)}" for key in self.FILE.head)
+        lines = (
+            ", ".join(f"{key} = {_toml(value)}" for key, value in one.as_dict().items()) for one in self.parameters
+        )
+        return self.FILE.text(head, (f"  {{ {line} }}," for line in lines))
+
+    @classmethod
+    def parse(cls, text: str, where: str = "parameters") -> Self:
+        """From a file's text. Raises ConfigError naming ``where`` and the entry."""
+        head, entries = cls.FILE.parse(text, where)
+        found = tuple(cls.entry(entry, f"{where}: {cls.LINE} {n}") for n, entry in enumerate(entries, 1))
+        cls.FILE.once(where, ((one.place, one.label) for one in found))
+        return cls(**head, parameters=found)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """From a file. Raises ConfigError."""
+        return cls.parse(cls.FILE.load(path), str(path))
+
+    @classmethod
+    def file(cls, path: str | Path, *who: str) -> FileToBe:
+        """The file for a list of :attr:`who`: no other file than one of the same is replaced."""
+
+        def is_earlier(there: Path) -> bool:
+            try:
+                return cls.load(there).who == who
+            except ConfigError:
+                return False
+
+        return FileToBe(path, is_earlier, f"earlier dump of {who[-1]}")
+
+    def keep(self, file: FileToBe) -> Path:
+        """Write it. Where it is now. Raises UsageError."""
+        return file.keep(self.text().encode(), complete=self.complete)
 
 
-def keep(file: FileToBe, found: Kept) -> Path:
-    """Write ``found``. Where it is now. Raises UsageError."""
-    return file.keep(found.text().encode(), complete=found.complete)
+@dataclass(frozen=True, slots=True)
+class ListComparison(Generic[D, E]):
+    """What a compare found. ``same``: how many are equal; ``skipped``: what was not compared, and why."""
+
+    differences: tuple[D, ...]
+    same: int
+    skipped: tuple[tuple[E, str], ...]
+
+
+def pairs_of(
+    saved: Iterable[E], there: Mapping[Any, T], as_entry: Callable[[T], E], *, missing: str, read_only: bool
+) -> tuple[list[tuple[E, T]], list[tuple[E, str]]]:
+    """What is to be compared, each with what is ``there`` at its place, and what is not, with the reason.
+
+    ``missing``: of what is not there. What is read only is compared with ``read_only`` alone.
+    """
+    pairs: list[tuple[E, T]] = []
+    skipped: list[tuple[E, str]] = []
+    places = set()
+    for one in saved:
+        places.add(one.place)
+        now = there.get(one.place)
+        if one.unreadable is not None:
+            skipped.append((one, f"it could not be read when the file was made: {one.unreadable}"))
+        elif now is None:
+            skipped.append((one, missing))
+        elif not read_only and (one.read_only or now.read_only):
+            skipped.append((one, "it is read only"))
+        else:
+            pairs.append((one, now))
+    skipped += [(as_entry(one), "it is not in the file") for place, one in there.items() if place not in places]
+    return pairs, skipped
+
+
+def is_same(one: Element, other: Element) -> bool:
+    """Equal to the last digit of the wire: a file keeps every digit of a value, people may write fewer."""
+    if isinstance(one, str) or isinstance(other, str):
+        return one == other
+    return math.isclose(one, other, rel_tol=1e-9) or (math.isnan(one) and math.isnan(other))
+
+
+def time_now() -> str:
+    """As it stands in a list."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def shown(value: Element) -> str:
+    """A value for people."""
+    return repr(value) if isinstance(value, str) else _toml(value)
+
+
+def _toml(value: object, key: str = "") -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_toml, value))}]"
+    return quoted(value) if isinstance(value, str) else f"0x{value:04X}" if key == "ident" else repr(value)

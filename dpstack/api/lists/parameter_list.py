@@ -6,12 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from dpstack.api.config.toml import quoted
-from dpstack.api.files import FileToBe
-from dpstack.api.lists.list_file import ListFile, keep
-from dpstack.errors import ConfigError
+from dpstack.api.lists.list_file import ListFile, SavedList
 
 _FILE: Final = ListFile(
     program="dpstack drive",
@@ -63,84 +60,56 @@ class SavedParam:
         return label(self.name, self.data_set, self.index)
 
     @property
+    def title_label(self) -> str:
+        """With its title."""
+        return f"{self.label} ({self.title})"
+
+    @property
     def text(self) -> str:
         """Value and unit for people."""
         return value_text(self.value, self.unit)
 
-    def line(self) -> str:
+    def as_dict(self) -> dict[str, Any]:
         """Its line of the file."""
-        parts = [f"name = {quoted(self.name)}", f"number = {self.number}"]
-        parts += [f"subindex = {self.subindex}"] if self.subindex else []
-        parts += [] if self.data_set is None else [f"data_set = {self.data_set}"]
-        parts += [] if self.index is None else [f"index = {self.index}"]
-        if self.unreadable is None:
-            parts += [f"value = {self.value!r}", f"unit = {quoted(self.unit)}"]
-        else:
-            parts += [f"unreadable = {quoted(self.unreadable)}"]
-        parts += ["read_only = true"] if self.read_only else []
-        return "  { " + ", ".join([*parts, f"title = {quoted(self.title)}"]) + " },"
+        plain: dict[str, Any] = {"name": self.name, "number": self.number}
+        plain |= {"subindex": self.subindex} if self.subindex else {}
+        plain |= {} if self.data_set is None else {"data_set": self.data_set}
+        plain |= {} if self.index is None else {"index": self.index}
+        read = {"value": self.value, "unit": self.unit}
+        plain |= read if self.unreadable is None else {"unreadable": self.unreadable}
+        return plain | ({"read_only": True} if self.read_only else {}) | {"title": self.title}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ParameterList:
+class ParameterList(SavedList[SavedParam]):
     """The parameters of one drive. ``drive`` is its type; ``complete``: False where the dump was cut short."""
 
+    FILE = _FILE
+
     drive: str
-    name: str
-    address: int
-    time: str
-    parameters: tuple[SavedParam, ...]
-    complete: bool = True
 
     @property
-    def unreadable(self) -> tuple[SavedParam, ...]:
-        """Those that could not be read."""
-        return tuple(one for one in self.parameters if one.unreadable is not None)
-
-    def text(self) -> str:
-        """As it stands in a file."""
-        head = [
-            f"drive = {quoted(self.drive)}",
-            f"name = {quoted(self.name)}",
-            f"address = {self.address}",
-            f"time = {quoted(self.time)}",
-            f"complete = {str(self.complete).lower()}",
-        ]
-        return _FILE.text(head, (one.line() for one in self.parameters))
+    def who(self) -> tuple[str, ...]:
+        """Its type, too."""
+        return self.drive, self.name
 
     @classmethod
-    def parse(cls, text: str, where: str = "parameters") -> ParameterList:
-        """From a file's text. Raises ConfigError naming ``where`` and the entry."""
-        head, entries = _FILE.parse(text, where)
-        params = tuple(_entry(entry, f"{where}: parameter {n}") for n, entry in enumerate(entries, 1))
-        _FILE.once(where, ((one.place, one.label) for one in params))
-        return cls(**head, parameters=params)
-
-    @classmethod
-    def load(cls, path: str | Path) -> ParameterList:
-        """From a file. Raises ConfigError."""
-        return cls.parse(_FILE.load(path), str(path))
+    def entry(cls, plain: object, where: str) -> SavedParam:
+        """A line with a name and a number, and a value or the reason why there is none."""
+        if isinstance(plain, Mapping) and type(plain.get("name")) is str:
+            where = f"{where} ({plain['name']})"
+        told = _FILE.check(plain, where, ("name", "number"))
+        if not math.isfinite(told.get("value", 0)):
+            _FILE.refuse(where, f"value = {told['value']!r} is of the wrong type")
+        return SavedParam(**told)
 
     def save(self, path: str | Path) -> None:
         """Into a file, whole or not at all; a file that is there must be an earlier list of the same drive.
 
         Raises UsageError where it cannot be written.
         """
-        with file_for(path, self.drive, self.name) as file:
-            keep(file, self)
-
-
-def file_for(path: str | Path, drive: str, name: str) -> FileToBe:
-    """The file for a list of ``name``, a drive of type ``drive``: no other file than one of the same is replaced."""
-
-    def is_earlier(there: Path) -> bool:
-        try:
-            found = ParameterList.load(there)
-        except ConfigError:
-            return False
-        return (found.drive, found.name) == (drive, name)
-
-    return FileToBe(path, is_earlier, f"earlier dump of {name}")
+        with self.file(path, *self.who) as file:
+            self.keep(file)
 
 
 def label(name: str, data_set: int | None, index: int | None) -> str:
@@ -152,12 +121,3 @@ def label(name: str, data_set: int | None, index: int | None) -> str:
 def value_text(value: float | int | None, unit: str) -> str:
     """A value with its unit, as many digits as it has."""
     return f"{value!r} {unit}".rstrip()
-
-
-def _entry(entry: object, where: str) -> SavedParam:
-    if isinstance(entry, Mapping) and type(entry.get("name")) is str:
-        where = f"{where} ({entry['name']})"
-    told = _FILE.check(entry, where, ("name", "number"))
-    if not math.isfinite(told.get("value", 0)):
-        _FILE.refuse(where, f"value = {told['value']!r} is of the wrong type")
-    return SavedParam(**told)

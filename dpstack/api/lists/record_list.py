@@ -5,16 +5,12 @@ Written into a file and compared with one: what was read as a whole, of whatever
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from dpstack.api.config.toml import quoted
-from dpstack.api.files import FileToBe
-from dpstack.api.lists.list_file import ListFile
+from dpstack.api.lists.list_file import Element, ListComparison, ListFile, SavedList, is_same, pairs_of, shown, time_now
 from dpstack.errors import ConfigError
 from dpstack.profile.record47 import ReadParameter
 
@@ -33,9 +29,6 @@ _FILE: Final = ListFile(
     },
     value="values",
 )
-
-#: of one element: a number in its unit, a truth value, a text; octets that are nothing else as hex
-Element = int | float | bool | str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,27 +56,26 @@ class ListedValues:
         )
 
     @property
+    def place(self) -> int:
+        """What it is found by."""
+        return self.number
+
+    @property
     def label(self) -> str:
         """For people: ``parameter 964 (Device id)``."""
         return f"parameter {self.number}" + (f" ({self.name})" if self.name else "")
+
+    @property
+    def title_label(self) -> str:
+        """Its label has its name already."""
+        return self.label
 
     @property
     def text(self) -> str:
         """The values for people, or why there are none."""
         if self.unreadable is not None:
             return f"cannot be read: {self.unreadable}"
-        return ", ".join(map(_shown, self.values)) or "no value"
-
-    def line(self) -> str:
-        """Its line of the file."""
-        parts = [f"number = {self.number}"]
-        parts += [f"name = {quoted(self.name)}"] if self.name else []
-        if self.unreadable is None:
-            parts += [f"format = {quoted(self.format)}", f"values = [{', '.join(map(_toml, self.values))}]"]
-        else:
-            parts += [f"unreadable = {quoted(self.unreadable)}"]
-        parts += ["read_only = true"] if self.read_only else []
-        return "  { " + ", ".join(parts) + " },"
+        return ", ".join(map(shown, self.values)) or "no value"
 
     def as_dict(self) -> dict[str, object]:
         """Plain data, without what is not there."""
@@ -102,97 +94,31 @@ class ListedValues:
     def differences(self, other: ListedValues) -> tuple[int, ...]:
         """The elements that are not the same, from 0 on; those that one of the two does not have are among them."""
         count = max(len(self.values), len(other.values))
-        return tuple(at for at in range(count) if not _same(self.values, other.values, at))
+        both = min(len(self.values), len(other.values))
+        return tuple(at for at in range(count) if at >= both or not is_same(self.values[at], other.values[at]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordList:
-    """The parameters of one device, in the order of its list. ``ident``: its ident number."""
+class RecordList(SavedList[ListedValues]):
+    """The parameters of one device, in the order of its list, read as a whole. ``ident``: its ident number."""
 
-    name: str
-    address: int
+    FILE = _FILE
+    LINE = "entry"
+
     ident: int
     slot: int
     object: int
-    time: str
-    parameters: tuple[ListedValues, ...]
-
-    @property
-    def complete(self) -> bool:
-        """Always: a list is read as a whole."""
-        return True
-
-    @property
-    def unreadable(self) -> tuple[ListedValues, ...]:
-        """Those that the device refused."""
-        return tuple(one for one in self.parameters if one.unreadable is not None)
-
-    def text(self) -> str:
-        """As it stands in a file."""
-        head = [
-            f"name = {quoted(self.name)}",
-            f"address = {self.address}",
-            f"ident = 0x{self.ident:04X}",
-            f"slot = {self.slot}",
-            f"object = {self.object}",
-            f"time = {quoted(self.time)}",
-        ]
-        return _FILE.text(head, (one.line() for one in self.parameters))
 
     @classmethod
-    def parse(cls, text: str, where: str = "parameters") -> RecordList:
-        """From a file's text. Raises ConfigError naming ``where`` and the parameter."""
-        head, entries = _FILE.parse(text, where)
-        params = tuple(_entry(entry, f"{where}: entry {n}") for n, entry in enumerate(entries, 1))
-        _FILE.once(where, ((one.number, f"parameter {one.number}") for one in params))
-        return cls(**head, parameters=params)
-
-    @classmethod
-    def load(cls, path: str | Path) -> RecordList:
-        """From a file. Raises ConfigError."""
-        return cls.parse(_FILE.load(path), str(path))
-
-
-def file_for(path: str | Path, name: str) -> FileToBe:
-    """The file for a list of the slave ``name``: no other file than one of the same is replaced."""
-
-    def is_earlier(there: Path) -> bool:
-        try:
-            return RecordList.load(there).name == name
-        except ConfigError:
-            return False
-
-    return FileToBe(path, is_earlier, f"earlier dump of {name}")
-
-
-def _entry(entry: object, where: str) -> ListedValues:
-    if isinstance(entry, Mapping) and type(entry.get("number")) is int:
-        where = f"{where} (parameter {entry['number']})"
-    told = _FILE.check(entry, where, ("number",))
-    for at, value in enumerate(told.get("values", ())):
-        if type(value) not in (int, float, bool, str):
-            _FILE.refuse(where, f"element {at} of its values, {value!r}, is neither a number nor a text")
-    return ListedValues.from_dict(told)
-
-
-def _toml(value: Element) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return quoted(value) if isinstance(value, str) else repr(value)
-
-
-def _shown(value: Element) -> str:
-    return repr(value) if isinstance(value, str) else _toml(value)
-
-
-def _same(old: Sequence[Element], new: Sequence[Element], at: int) -> bool:
-    """To the last digit of the wire: a file keeps every digit of a value, people may write fewer."""
-    if at >= min(len(old), len(new)):
-        return False
-    one, other = old[at], new[at]
-    if isinstance(one, str) or isinstance(other, str):
-        return one == other
-    return math.isclose(one, other, rel_tol=1e-9) or (math.isnan(one) and math.isnan(other))
+    def entry(cls, plain: Any, where: str) -> ListedValues:
+        """A line with a number, and values or the reason why there are none."""
+        if isinstance(plain, Mapping) and type(plain.get("number")) is int:
+            where = f"{where} (parameter {plain['number']})"
+        told = _FILE.check(plain, where, ("number",))
+        for at, value in enumerate(told.get("values", ())):
+            if type(value) not in (int, float, bool, str):
+                _FILE.refuse(where, f"element {at} of its values, {value!r}, is neither a number nor a text")
+        return ListedValues.from_dict(told)
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +128,11 @@ class RecordDifference:
     saved: ListedValues
     found: ListedValues
     elements: tuple[int, ...]
+
+    @property
+    def is_none(self) -> bool:
+        """All elements can be read and are the same, in the same format."""
+        return not self.elements and self.found.unreadable is None and self.saved.format == self.found.format
 
     @property
     def text(self) -> str:
@@ -215,13 +146,7 @@ class RecordDifference:
         return f"{saved.label}: {'; '.join(parts)}"
 
 
-@dataclass(frozen=True, slots=True)
-class RecordComparison:
-    """What a compare found. ``same``: how many are equal; ``skipped``: what was not compared, and why."""
-
-    differences: tuple[RecordDifference, ...]
-    same: int
-    skipped: tuple[tuple[ListedValues, str], ...]
+RecordComparison = ListComparison[RecordDifference, ListedValues]
 
 
 def list_of(told: Mapping[str, Any]) -> RecordList:
@@ -232,7 +157,7 @@ def list_of(told: Mapping[str, Any]) -> RecordList:
         ident=told["ident"],
         slot=told["slot"],
         object=told["object"],
-        time=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        time=time_now(),
         parameters=tuple(ListedValues.from_dict(one) for one in told["parameters"]),
     )
 
@@ -250,31 +175,16 @@ def compared(
             f"{where} holds the parameters of {saved.name}, a device of the type 0x{saved.ident:04X}; slave "
             f"{found.address} ({found.name}) is 0x{found.ident:04X}: take a file of such a device"
         )
-    there = {one.number: one for one in found.parameters}
-    differences: list[RecordDifference] = []
-    skipped: list[tuple[ListedValues, str]] = []
-    same = 0
-    for one in saved.parameters:
-        now = there.pop(one.number, None)
-        why = _why_skipped(one, now, read_only)
-        if now is None or why is not None:
-            skipped.append((one, why or "the device does not have it"))
-            continue
-        elements = one.differences(now)
-        if elements or now.unreadable is not None or one.format != now.format:
-            differences.append(RecordDifference(one, now, elements))
-        else:
-            same += 1
-    skipped += [(one, "it is not in the file") for one in there.values()]
-    return RecordComparison(tuple(differences), same, tuple(skipped))
-
-
-def _why_skipped(one: ListedValues, now: ListedValues | None, read_only: bool) -> str | None:
-    if one.unreadable is not None:
-        return f"it could not be read when the file was made: {one.unreadable}"
-    if not read_only and (one.read_only or (now is not None and now.read_only)):
-        return "it is read only"
-    return None
+    pairs, skipped = pairs_of(
+        saved.parameters,
+        {one.place: one for one in found.parameters},
+        lambda one: one,
+        missing="the device does not have it",
+        read_only=read_only,
+    )
+    judged = [RecordDifference(one, now, one.differences(now)) for one, now in pairs]
+    differences = tuple(one for one in judged if not one.is_none)
+    return ListComparison(differences, len(judged) - len(differences), tuple(skipped))
 
 
 def _element(one: ListedValues, at: int) -> str:

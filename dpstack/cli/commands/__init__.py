@@ -1,7 +1,6 @@
 """The commands of the program, a module each.
 
 - ``acyclic``: ``dpstack acyclic``: Read and Write of DP-V1, I&M, at one slave
-- ``acyclic_lists``: ``dpstack acyclic ... parameters``, ``dump`` and ``compare``
 - ``address``: ``dpstack address``: gives a slave another station address
 - ``baud``: ``dpstack baud``: finds the baud rate by listening only
 - ``ctl``: ``dpstack ctl``: tells a running program what to do
@@ -12,6 +11,7 @@
 - ``drive_run``: The orders of ``dpstack drive``, carried out one after the other, and what is told of them
 - ``gsd``: ``dpstack gsd``: what a GSD file says, what is wrong with it, and the way to a [[slave]] table
 - ``gsd_configure``: ``dpstack gsd configure``: asks its way from a GSD file to a [[slave]] table
+- ``lists``: Lists of parameters as people read them and as JSON: dumped and compared
 - ``on_bus``: What commands share that are on a bus: one errand on it, a master's run, the control socket beside it
 - ``plan``: ``dpstack plan``: what a bus will do, before it is switched on
 - ``ports``: ``dpstack ports``: the serial adapters of this computer

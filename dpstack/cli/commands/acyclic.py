@@ -19,11 +19,10 @@ from dpstack.api.control.drive_commands import find_word
 from dpstack.api.control.own_master import READY_S
 from dpstack.api.control.record_commands import COMPARE, PARAMETERS, TRANSPORT, WORDS, OnProgress, carry_out, check
 from dpstack.api.control.remote_records import through_run
-from dpstack.api.lists.list_file import keep
-from dpstack.api.lists.record_list import RecordList, file_for, list_of
+from dpstack.api.lists.record_list import RecordList, list_of
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
-from dpstack.cli.commands.acyclic_lists import FILES, show_comparison, show_dump, show_list
+from dpstack.cli.commands.lists import FILES, show_comparison, show_dump, show_list
 from dpstack.cli.commands.on_bus import tell_simulated
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.drawing import progress_bar
@@ -134,11 +133,11 @@ def _tell(asked: _Asked, *, json: bool) -> int:
 
 
 def _dump(asked: _Asked, path: str, *, json: bool) -> int:
-    with file_for(path, asked.slave.name) as file:
+    with RecordList.file(path, asked.slave.name) as file:
         told = asked.told()
         if told is None:
             return 1
-        keep(file, list_of(told))
+        list_of(told).keep(file)
     show_dump(told, path, json=json)
     return 0
 

@@ -11,6 +11,7 @@ from dpstack.api.control.commands import Spec
 from dpstack.api.control.drive_check import DriveCheck
 from dpstack.api.lists.dump_compare import OnParameter, Readable, check_compare, check_dump, compare, dump
 from dpstack.api.lists.parameter_list import SavedParam, label, value_text
+from dpstack.cli.commands.lists import tell_comparison, tell_dump
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.drawing import progress_bar
 from dpstack.cli.terminal.lost_stdout import warn
@@ -98,16 +99,11 @@ class Orders:
         (path,) = order.args
         async with self._progress() as progress:
             found = await dump(self._drive, path, data_set=_data_set(order), on_parameter=progress)
-        unreadable = found.unreadable
         if self._json:
-            self._json_line(
-                "dump", path, parameters=len(found.parameters), unreadable=[_plain(one) for one in unreadable]
-            )
+            unreadable = [_plain(one) for one in found.unreadable]
+            self._json_line("dump", path, parameters=len(found.parameters), unreadable=unreadable)
             return
-        read = len(found.parameters) - len(unreadable)
-        output.line(f"{self._drive.name}: {read} parameters are in {path}")
-        for one in unreadable:
-            output.line(f"not read: {one.label} ({one.title}): {one.unreadable}")
+        tell_dump(self._drive.name, found, path)
 
     async def _compare(self, order: Order) -> None:
         (path,) = order.args
@@ -122,13 +118,7 @@ class Orders:
             skipped = [{**_where(one), "reason": why} for one, why in found.skipped]
             self._json_line("compare", path, same=found.same, differences=differences, skipped=skipped)
             return
-        for difference in found.differences:
-            output.line(difference.text, "yellow")
-        reasons = [why for _, why in found.skipped]
-        for why in dict.fromkeys(reasons):
-            labels = output.first_of([one.label for one, other in found.skipped if other == why])
-            output.line(f"not compared: {labels}: {why}")
-        output.line(f"{self._drive.name}: {found.same} parameters are as in {path}, {len(found.differences)} differ")
+        tell_comparison(self._drive.name, found, path)
 
     def _json_line(self, word: str, path: str, **more: object) -> None:
         drive = self._drive

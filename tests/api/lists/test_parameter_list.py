@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 import dpstack
 from dpstack.api.files import FileToBe
-from dpstack.api.lists.dump_compare import Comparison
-from dpstack.api.lists.parameter_list import ParameterList, SavedParam, file_for
+from dpstack.api.lists.list_file import ListComparison
+from dpstack.api.lists.parameter_list import ParameterList, SavedParam
 from dpstack.errors import ConfigError, UsageError
 from dpstack.profile import DriveDevice
 
@@ -186,7 +186,7 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "hoist.toml"
     older = TEXT.replace("address = 3", "address = 4")
     path.write_text(older)
-    with file_for(path, LIST.drive, LIST.name):
+    with ParameterList.file(path, *LIST.who):
         assert path.read_text() == older
     assert [one.name for one in tmp_path.iterdir()] == ["hoist.toml"]
     replace(LIST, complete=False).save(path)
@@ -359,5 +359,5 @@ def test_a_file_with_a_value_between_two_steps_is_refused_with_both() -> None:
     with pytest.raises(ConfigError, match=says):
         virtual(_compared(line))
     held = virtual(_compared(line.replace("5.005", "5.0")))
-    assert isinstance(held, Comparison)
+    assert isinstance(held, ListComparison)
     assert held.same == 1

@@ -233,7 +233,7 @@ def test_a_device_without_a_list(plant: Path, capsys: Out, device: Device, tmp_p
         ('kind = "record 47"', 'kind = "other"', "this is no list of parameters of `dpstack acyclic`"),
         ("slot = 1\n", "", "slot is missing or of the wrong type"),
         ("slot = 1\n", "slot = 1\ncolour = 3\n", "there is no key 'colour'"),
-        ("number = 12", "number = 11", "parameter 11 is there twice"),
+        ("number = 12", "number = 11", "parameter 11 (Ramps) is there twice"),
         ("number = 12, ", "", "entry 2: needs number"),
         ('name = "Ramps"', "name = 4", "entry 2 (parameter 12): name = 4 is of the wrong type"),
         ("values = [1, -2, 3]", "values = [1, [2], 3]", "(parameter 12): element 1 of its values, [2], is neither"),

@@ -1,4 +1,4 @@
-"""``dpstack acyclic ... parameters``, ``dump`` and ``compare``: what is shown of a device's own list of parameters."""
+"""Lists of parameters as people read them and as JSON: of a drive, and of a device's own list; dumped and compared."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any, Final
 
 from dpstack.api.control.commands import Spec
 from dpstack.api.control.record_commands import COMPARE, DUMP
-from dpstack.api.lists.record_list import RecordComparison, RecordList, compared, list_of
+from dpstack.api.lists.list_file import ListComparison, SavedList
+from dpstack.api.lists.record_list import RecordList, compared, list_of
 from dpstack.cli.terminal import output
 
 FILES: Final = (
@@ -24,21 +25,35 @@ def show_list(told: Mapping[str, Any]) -> None:
     output.table(title, ("number", "name", "format", "values", ""), rows)
 
 
+def tell_dump(who: str, found: SavedList[Any], path: str) -> None:
+    """What is in the file now, for people."""
+    output.line(f"{who}: {len(found.parameters) - len(found.unreadable)} parameters are in {path}")
+    for one in found.unreadable:
+        output.line(f"not read: {one.title_label}: {one.unreadable}")
+
+
+def tell_comparison(who: str, found: ListComparison[Any, Any], path: str) -> None:
+    """What differs, for people."""
+    for difference in found.differences:
+        output.line(difference.text, "yellow")
+    for why in dict.fromkeys(why for _, why in found.skipped):
+        labels = output.first_of([one.label for one, other in found.skipped if other == why])
+        output.line(f"not compared: {labels}: {why}")
+    output.line(f"{who}: {found.same} parameters are as in {path}, {len(found.differences)} differ")
+
+
 def show_dump(told: Mapping[str, Any], path: str, *, json: bool) -> None:
-    """What is in the file now."""
+    """What is in the file of a device's list now."""
     found = list_of(told)
-    unreadable = found.unreadable
     if json:
-        plain = [one.as_dict() for one in unreadable]
+        plain = [one.as_dict() for one in found.unreadable]
         output.json_line({**_head(told, DUMP, path), "parameters": len(found.parameters), "unreadable": plain})
-        return
-    output.line(f"{_who(told)}: {len(found.parameters) - len(unreadable)} parameters are in {path}")
-    for one in unreadable:
-        output.line(f"not read: {one.label}: {one.unreadable}")
+    else:
+        tell_dump(_who(told), found, path)
 
 
 def show_comparison(told: Mapping[str, Any], path: str, saved: RecordList, *, read_only: bool, json: bool) -> int:
-    """The exit code: 1 where something differs."""
+    """The exit code: 1 where something of a device differs."""
     found = compared(list_of(told), saved, read_only=read_only, where=path)
     if json:
         differences = [
@@ -49,17 +64,8 @@ def show_comparison(told: Mapping[str, Any], path: str, saved: RecordList, *, re
         head = _head(told, COMPARE, path)
         output.json_line({**head, "same": found.same, "differences": differences, "skipped": skipped})
     else:
-        _tell(told, path, found)
+        tell_comparison(_who(told), found, path)
     return int(bool(found.differences))
-
-
-def _tell(told: Mapping[str, Any], path: str, found: RecordComparison) -> None:
-    for difference in found.differences:
-        output.line(difference.text, "yellow")
-    for why in dict.fromkeys(why for _, why in found.skipped):
-        labels = output.first_of([one.label for one, other in found.skipped if other == why])
-        output.line(f"not compared: {labels}: {why}")
-    output.line(f"{_who(told)}: {found.same} parameters are as in {path}, {len(found.differences)} differ")
 
 
 def _head(told: Mapping[str, Any], word: str, path: str) -> dict[str, object]:
