@@ -33,7 +33,7 @@ class SlaveSnapshot:
     alarms: AlarmCounts | None = None
 
 
-class ProcessData(NamedTuple):
+class ImageSnapshot(NamedTuple):
     """Inputs and outputs of one slave, see :class:`dpstack.dp.process_image.SlaveImage`; they change every round.
 
     ``exchanges``: successful ones since the start.
@@ -117,7 +117,7 @@ class View(Protocol):
     def slave(self, address: int) -> SlaveSnapshot:
         """The slave at ``address``; offline where there is none."""
 
-    def data(self, setup: SlaveParams) -> ProcessData:
+    def image(self, setup: SlaveParams) -> ImageSnapshot:
         """Inputs and outputs of the slave with ``setup``; zeros and its first outputs where it is not there."""
 
     def set_outputs(self, address: int, octets: bytes) -> None:
@@ -145,7 +145,7 @@ class View(Protocol):
         """A live list to be made."""
 
 
-def no_data(setup: SlaveParams) -> ProcessData:
+def no_image(setup: SlaveParams) -> ImageSnapshot:
     """Before the first exchange."""
     outputs = setup.safe_outputs if setup.initial is None else setup.initial
-    return ProcessData(bytes(setup.input_len), outputs, False, 0, 0)
+    return ImageSnapshot(bytes(setup.input_len), outputs, False, 0, 0)

@@ -21,7 +21,7 @@ from dpstack.dpv1.master.ms1 import Ms1
 from dpstack.dpv1.master.ms1_job import Ms1Access
 from dpstack.dpv1.master.ms2 import Ms2
 from dpstack.dpv1.master.plugin_jobs import PluginJobs
-from dpstack.drivers.snapshots import BusSnapshot, Counters, ProcessData, SlaveSnapshot, no_data
+from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot, no_image
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import AttachUser, DetachUser
 from dpstack.fdl.interface import LinkStats, LinkUser
@@ -174,10 +174,10 @@ class StackView:
             handler.state, handler.fault, handler.diagnosis, handler.watchdog_effective_ns, handler.alarm_counts
         )
 
-    def data(self, setup: SlaveParams) -> ProcessData:
+    def image(self, setup: SlaveParams) -> ImageSnapshot:
         """Inputs and outputs of the slave with ``setup``."""
         handler = self._master.handlers.get(setup.address)
-        return no_data(setup) if handler is None else process_data(handler)
+        return no_image(setup) if handler is None else image_snapshot(handler)
 
     def set_outputs(self, address: int, octets: bytes) -> None:
         """The outputs of the next Data_Exchange in Operate."""
@@ -236,10 +236,10 @@ class StackView:
         return StackSurvey(self._station, self._line)
 
 
-def process_data(handler: SlaveHandler) -> ProcessData:
+def image_snapshot(handler: SlaveHandler) -> ImageSnapshot:
     """Inputs and outputs of one slave."""
     image = handler.image
-    return ProcessData(image.inputs, image.outputs, image.valid, handler.exchanges, image.input_time)
+    return ImageSnapshot(image.inputs, image.outputs, image.valid, handler.exchanges, image.input_time)
 
 
 class StackSurvey:

@@ -198,7 +198,7 @@ class OrderedEnd:
         if self._bus.snapshot.mode is not Mode.OPERATE:
             return {}
         view = self._bus.view
-        return {s.name: view.slave(s.address).watchdog_ns for s in view.setups.values() if view.data(s).exchanges}
+        return {s.name: view.slave(s.address).watchdog_ns for s in view.setups.values() if view.image(s).exchanges}
 
     async def _pause(self, seconds: float) -> None:
         """Until :meth:`_wake`, for so long at most; cancellations change nothing."""

@@ -24,7 +24,7 @@ from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1_job import need_dpv1
 from dpstack.dpv1.pdu.im import Im
-from dpstack.drivers.snapshots import ProcessData, SlaveSnapshot
+from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
 from dpstack.text import octets_text
 from dpstack.units import ns_to_s
@@ -75,8 +75,8 @@ class Slave(Sealed):
         return self._bus.view.slave(self.address)
 
     @property
-    def _data(self) -> ProcessData:
-        return self._bus.view.data(self._setup)
+    def _image(self) -> ImageSnapshot:
+        return self._bus.view.image(self._setup)
 
     @property
     def state(self) -> SlaveState:
@@ -170,12 +170,12 @@ class Slave(Sealed):
     @property
     def inputs(self) -> bytes:
         """The last valid inputs, zeros before the first exchange; see :attr:`inputs_valid` and :attr:`inputs_age`."""
-        return self._data.inputs
+        return self._image.inputs
 
     @property
     def inputs_valid(self) -> bool:
         """True while the inputs are those of a slave in data exchange, and no older than :attr:`inputs_limit`."""
-        exchanging = self._data.valid and self.ready_now
+        exchanging = self._image.valid and self.ready_now
         return inputs_are_valid(exchanging=exchanging, age_ns=self._inputs_age_ns, limit_ns=self.inputs_limit_ns)
 
     @property
@@ -197,7 +197,7 @@ class Slave(Sealed):
 
     @property
     def _inputs_age_ns(self) -> int | None:
-        at = self._data.input_time
+        at = self._image.input_time
         return max(0, self._bus.runtime.now() - at) if at else None
 
     @property
@@ -218,7 +218,7 @@ class Slave(Sealed):
     @property
     def outputs_held(self) -> bytes:
         """The octets of :attr:`outputs`, also before the bus is open and after its end."""
-        return self._data.outputs
+        return self._image.outputs
 
     @property
     def outputs_sent(self) -> bytes:
@@ -313,7 +313,7 @@ class Slave(Sealed):
     @property
     def exchanges(self) -> int:
         """Successful data exchanges since the start."""
-        return self._data.exchanges
+        return self._image.exchanges
 
     @property
     def retries(self) -> int:

@@ -64,7 +64,7 @@ from dpstack.drivers.runtime import (
     OutputsDropped,
 )
 from dpstack.drivers.shutdown import at_slaves
-from dpstack.drivers.snapshots import BusSnapshot, Counters, ProcessData, SlaveSnapshot, no_data
+from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot, no_image
 from dpstack.errors import DpError, OrderDropped, UsageError
 from dpstack.fdl.interface import LinkStats
 from dpstack.trace import Event, Notice, Severity
@@ -310,12 +310,12 @@ class ProcessRuntime:
         """The slave at ``address`` as it was told last."""
         return self._slaves.get(address, _UNKNOWN)
 
-    def data(self, setup: SlaveParams) -> ProcessData:
+    def image(self, setup: SlaveParams) -> ImageSnapshot:
         """Inputs and outputs of the newest round; the outputs are the application's where it has set some."""
         own = self._outputs.get(setup.address)
         found = self._newest_picture().slaves.get(setup.address)
         if found is None or (len(found.inputs), len(found.outputs)) != (setup.input_len, setup.output_len):
-            found = no_data(setup)
+            found = no_image(setup)
         if own is not None and len(own.octets) == setup.output_len:
             found = found._replace(outputs=own.octets)
         return found

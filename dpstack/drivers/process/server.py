@@ -39,7 +39,7 @@ from dpstack.drivers.process.outbox import Outbox
 from dpstack.drivers.process.shared_image import SharedImage, picture_octets
 from dpstack.drivers.shutdown import Ending
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
-from dpstack.drivers.stack import StackSurvey, StackView, build_stack, process_data
+from dpstack.drivers.stack import StackSurvey, StackView, build_stack, image_snapshot
 from dpstack.errors import BusError, OrderDropped, UsageError
 from dpstack.fdl.commands import GoOffline
 from dpstack.ports import open_port
@@ -243,7 +243,7 @@ class Host:
             self._loop.call_soon(self._publish_drives)
 
     def _publish(self) -> None:
-        slaves = [(address, process_data(handler)) for address, handler in self._master.handlers.items()]
+        slaves = [(address, image_snapshot(handler)) for address, handler in self._master.handlers.items()]
         self._image.inputs.write(picture_octets(self._master.rounds, self._master.rotation_count, slaves))
 
     def _publish_drives(self) -> None:

@@ -22,7 +22,7 @@ import zlib
 from collections.abc import Iterable, Mapping
 from typing import Final, NamedTuple
 
-from dpstack.drivers.snapshots import ProcessData
+from dpstack.drivers.snapshots import ImageSnapshot
 
 _HEAD: Final = 4096
 #: 126 slaves with 244 octets each way and their heads; a page boundary
@@ -55,7 +55,7 @@ class Picture(NamedTuple):
 
     cycle: int
     rotations: int
-    slaves: Mapping[int, ProcessData]
+    slaves: Mapping[int, ImageSnapshot]
 
 
 class Outputs(NamedTuple):
@@ -197,7 +197,7 @@ def make_memory() -> int:
     return fd
 
 
-def picture_octets(cycle: int, rotations: int, slaves: Iterable[tuple[int, ProcessData]]) -> bytes:
+def picture_octets(cycle: int, rotations: int, slaves: Iterable[tuple[int, ImageSnapshot]]) -> bytes:
     """A picture as it stands in memory."""
     parts = [_PICTURE.pack(cycle, rotations)]
     for address, (inputs, outputs, valid, exchanges, at) in slaves:
@@ -208,13 +208,13 @@ def picture_octets(cycle: int, rotations: int, slaves: Iterable[tuple[int, Proce
 def read_picture(octets: bytes) -> Picture:
     """The picture that :func:`picture_octets` made."""
     cycle, rotations = _PICTURE.unpack_from(octets)
-    slaves: dict[int, ProcessData] = {}
+    slaves: dict[int, ImageSnapshot] = {}
     at = _PICTURE.size
     while at < len(octets):
         address, valid, inputs, outputs, exchanges, input_time = _SLAVE.unpack_from(octets, at)
         start = at + _SLAVE.size
         middle, at = start + inputs, start + inputs + outputs
-        slaves[address] = ProcessData(octets[start:middle], octets[middle:at], bool(valid), exchanges, input_time)
+        slaves[address] = ImageSnapshot(octets[start:middle], octets[middle:at], bool(valid), exchanges, input_time)
     return Picture(cycle, rotations, slaves)
 
 

@@ -25,12 +25,12 @@ from dpstack.drivers.process.shared_image import (
     read_outputs,
     read_picture,
 )
-from dpstack.drivers.snapshots import ProcessData
+from dpstack.drivers.snapshots import ImageSnapshot
 
 U64 = st.integers(0, 2**64 - 1)
 OCTETS = st.binary(max_size=244)
 SLAVES = st.dictionaries(
-    st.integers(0, 126), st.builds(ProcessData, OCTETS, OCTETS, st.booleans(), U64, U64), max_size=5
+    st.integers(0, 126), st.builds(ImageSnapshot, OCTETS, OCTETS, st.booleans(), U64, U64), max_size=5
 )
 
 #: writes pictures whose octets are all alike, of every length, as quickly as it can
@@ -54,12 +54,12 @@ def memory() -> Iterator[int]:
 
 
 @given(U64, U64, SLAVES)
-def test_a_picture_comes_back_as_it_was(cycle: int, rotations: int, slaves: dict[int, ProcessData]) -> None:
+def test_a_picture_comes_back_as_it_was(cycle: int, rotations: int, slaves: dict[int, ImageSnapshot]) -> None:
     assert read_picture(picture_octets(cycle, rotations, slaves.items())) == Picture(cycle, rotations, slaves)
 
 
 def test_the_octets_of_a_picture() -> None:
-    octets = picture_octets(3, 2, [(4, ProcessData(b"\x11\x22", b"\x33", True, 5, 6))])
+    octets = picture_octets(3, 2, [(4, ImageSnapshot(b"\x11\x22", b"\x33", True, 5, 6))])
     assert octets == bytes.fromhex(
         "0300000000000000 0200000000000000 04010201 0500000000000000 0600000000000000 112233"
     )
@@ -72,7 +72,7 @@ def test_outputs_come_back_as_they_were(outputs: dict[int, Outputs]) -> None:
 
 def test_126_slaves_with_all_the_octets_there_can_be(memory: int) -> None:
     image, there = SharedImage(memory), SharedImage(memory)
-    full = {address: ProcessData(b"\x11" * 244, b"\x22" * 244, True, 2**64 - 1, 2**64 - 1) for address in range(127)}
+    full = {address: ImageSnapshot(b"\x11" * 244, b"\x22" * 244, True, 2**64 - 1, 2**64 - 1) for address in range(127)}
     image.inputs.write(picture_octets(1, 2, full.items()))
     octets = there.inputs.read()
     assert octets is not None

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from api_kit import FAN
 from far_ends import until
-from process_kit import LAMPS, LAMPS_SPEC, SPEC, VALVES, bus_on, eventually, octet_slaves, process_of, runtime_of
+from process_kit import LAMPS, LAMPS_SPEC, SPEC, VALVES, bus_on, octet_slaves, process_of, runtime_of, stopped
 from support_responder import Responder
 
 import dpstack
@@ -28,22 +28,6 @@ from dpstack.profile import State
 from dpstack.trace import Event, Severity
 
 OLD, NEW = b"\x11\x22", b"\x33\x44"
-
-
-@contextlib.contextmanager
-def stopped(pid: int) -> Iterator[None]:
-    """The process ``pid`` does not run inside the block."""
-    os.kill(pid, signal.SIGSTOP)
-    eventually(lambda: state_of(pid) == "T", "the process is stopped")
-    try:
-        yield
-    finally:
-        os.kill(pid, signal.SIGCONT)
-
-
-def state_of(pid: int) -> str:
-    with open(f"/proc/{pid}/stat", encoding="ascii") as file:
-        return file.read().rpartition(")")[2].split()[0]
 
 
 @contextlib.contextmanager
