@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 async def outlast(future: asyncio.Future[Any]) -> None:
@@ -23,6 +25,13 @@ async def outlast(future: asyncio.Future[Any]) -> None:
                 cancelled = error
     if cancelled is not None:
         raise cancelled
+
+
+async def whole(doing: Coroutine[Any, Any, T]) -> T:
+    """Do all of ``doing`` in a task of its own, through any number of cancellations; then re-raise the cancellation."""
+    task = asyncio.ensure_future(doing)
+    await outlast(task)
+    return task.result()
 
 
 def carried_out(act: Callable[[], None]) -> asyncio.Future[object]:

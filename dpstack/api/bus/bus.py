@@ -28,8 +28,9 @@ from dpstack.argcheck import Sealed
 from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, Mode, RemoveSlave, SetMode
 from dpstack.dp.master.events import ControlSent, DriveEvent, ForcedClear, ModeChanged, OperateWaits, SlaveStateChanged
 from dpstack.dp.master.scanner import Found
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AcknowledgeAlarm, HoldAlarms
-from dpstack.drivers.futures import outlast
+from dpstack.drivers.futures import outlast, whole
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import AddressCollision, RingJoined
@@ -261,18 +262,21 @@ class Bus(Sealed, Composed):
         if any(other.name == config.name for other in others):
             raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
         setup = self.fitting(config)
+        slave = await whole(self._add(config, setup))
+        for note in (*config.notes, *news_of_plan(self.config, self.plan, others, setup)):
+            self.notice("plan", note, Severity.WARNING)
+        return slave
+
+    async def _add(self, config: SlaveConfig, setup: SlaveParams) -> Slave:
         await self.order(AddSlave(setup))
         if self.bench is not None:
             self.bench.add(config)
         try:
             plugin = await self.parts.attach(config)
-        except ConfigError:
+        except DpError:
             await self.order(RemoveSlave(setup.address))
             raise
-        slave = self._register(config, plugin)
-        for note in (*config.notes, *news_of_plan(self.config, self.plan, others, setup)):
-            self.notice("plan", note, Severity.WARNING)
-        return slave
+        return self._register(config, plugin)
 
     async def remove(self, slave: Slave | str | int) -> None:
         """Give a slave up: safe outputs for 50 ms, Unlock, then forget it.
@@ -280,6 +284,9 @@ class Bus(Sealed, Composed):
         Returns when it has been ordered; the bus does not end before, and a slave added at its address waits.
         """
         address = slave.address if isinstance(slave, Slave) else self.slave(slave).address
+        await whole(self._remove(address))
+
+    async def _remove(self, address: int) -> None:
         await self.order(RemoveSlave(address))
         self._round_ns = None
         del self._slaves[address]

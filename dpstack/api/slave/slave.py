@@ -24,6 +24,7 @@ from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1_job import need_dpv1
 from dpstack.dpv1.pdu.im import Im
+from dpstack.drivers.futures import whole
 from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
 from dpstack.text import octets_text
@@ -420,12 +421,14 @@ class Slave(Sealed):
         UsageError for other lengths under a drive plugin, SlaveFault or SlaveTimeout as :meth:`ready`. A drive's
         pending orders end with DriveError. ``timeout`` in seconds.
         """
-        config = changed(self.config, changes)
-        await self._bus.order(ReparameteriseSlave(self._bus.fitting(config)))
-        self.config = config
-        self._setup = self._bus.view.setups[self.address]
+        await whole(self._change(changed(self.config, changes)))
         if not self.deactivated:
             await self.ready(timeout)
+
+    async def _change(self, config: SlaveConfig) -> None:
+        setup = self._bus.fitting(config)
+        await self._bus.order(ReparameteriseSlave(setup))
+        self.config, self._setup = config, setup
 
     async def wait_state(self, *states: SlaveState, timeout: float | None = None) -> SlaveState:
         """Wait until the slave is in one of ``states``. Raises SlaveTimeout that says where it is instead."""
