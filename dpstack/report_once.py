@@ -6,7 +6,7 @@ from collections.abc import Hashable
 from enum import Enum
 
 
-class News(Enum):
+class Novelty(Enum):
     """Whether a remark has to be reported."""
 
     NEW = "new"
@@ -14,7 +14,7 @@ class News(Enum):
     KNOWN = "known"
 
 
-class Once:
+class ReportOnce:
     """Keeps up to ``limit`` different remarks."""
 
     __slots__ = ("_known", "_limit")
@@ -23,9 +23,9 @@ class Once:
         self._limit = limit
         self._known: set[Hashable] = set()
 
-    def news(self, what: Hashable) -> News:
-        """Whether ``what`` is new; from now on it is known."""
-        if what in self._known or len(self._known) >= self._limit:
-            return News.KNOWN
-        self._known.add(what)
-        return News.NEW if len(self._known) < self._limit else News.LAST
+    def novelty(self, remark: Hashable) -> Novelty:
+        """Whether ``remark`` is new; from now on it is known."""
+        if remark in self._known or len(self._known) >= self._limit:
+            return Novelty.KNOWN
+        self._known.add(remark)
+        return Novelty.NEW if len(self._known) < self._limit else Novelty.LAST

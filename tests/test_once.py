@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dpstack.dp.master.events import SlaveRemark
 from dpstack.dp.master.fault_report import Findings
-from dpstack.report_once import News, Once
+from dpstack.report_once import Novelty, ReportOnce
 from dpstack.trace import Event
 
 
 def test_up_to_a_limit() -> None:
-    once = Once(3)
-    assert [once.news(what) for what in "aabacbd"] == [
-        News.NEW,
-        News.KNOWN,
-        News.NEW,
-        News.KNOWN,
-        News.LAST,
-        News.KNOWN,
-        News.KNOWN,
+    once = ReportOnce(3)
+    assert [once.novelty(what) for what in "aabacbd"] == [
+        Novelty.NEW,
+        Novelty.KNOWN,
+        Novelty.NEW,
+        Novelty.KNOWN,
+        Novelty.LAST,
+        Novelty.KNOWN,
+        Novelty.KNOWN,
     ]
 
 

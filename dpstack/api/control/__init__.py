@@ -6,19 +6,24 @@ program that reads it later (it was stopped, or busy) drops it. Its answer is ``
 drive has ``kind`` and ``drive``, too). A command that goes on sends any number of ``{"item": ...}`` before that.
 Requests of one connection are answered one after the other.
 
-- ``answers``: Answers of the control socket: the fields that this program relies on, by command
-- ``arguments``: Arguments of commands, as people type them
-- ``client``: The client's end of the control socket: finds a running program by its port and tells it what to do
-- ``commands``: What running programs can be told: the commands of each kind of program, as data
-- ``drive_check``: Check of orders for a drive before the first of them goes out: numbers, ranges
-- ``drive_commands``: What a drive is told from outside, in words: each with its arguments as texts
-- ``errors``: What failed in a program, over its control socket: the error there is the same error of its client
+- ``answers``: Answers of the control socket: the fields that every program's answers have, and the check of fields
+- ``arguments``: Parsers of command arguments: times, numbers, switches, octets
+- ``client``: The client's end of the control socket: finds a running program by its port and sends commands
+- ``commands``: Tables of the commands that running programs accept over the control socket, for each kind of program
+- ``drive_check``: Check of orders for a drive before the first of them goes out: numbers, ranges, names and steps of
+  parameters
+- ``drive_commands``: What a drive is told from outside, in words: each with its arguments as texts, answered by plain
+  JSON data
+- ``errors``: Errors over the control socket: an error in the program raises the same error in its client
 - ``handlers``: The control servers of the three kinds of programs: what each command does to them
 - ``handlers_slaves``: Commands on simulated slaves: of a ``sim``, and of a ``run`` whose slaves are simulated in it
-- ``own_master``: A master for one drive of a configuration: the others are left alone
-- ``record_commands``: What the records of a slave are told from outside, in words: by ``dpstack acyclic``
+- ``own_master``: A master for one drive of a configuration: the others are left alone; on leaving, the drive is
+  stopped in order
+- ``record_commands``: What the records of a slave are told from outside, in words: by ``dpstack acyclic``, over the
+  control socket
 - ``remote_drive``: A drive of another program: the ``run`` that holds the port is asked over its control socket
-- ``remote_records``: Records of a slave of another program, over its control socket
-- ``server``: The server's end of the control socket: requests in, answers out, and nothing of it disturbs the bus
-- ``socket_path``: Control sockets as files: their names, their directory, and who is at the other end of a connection
+- ``remote_records``: Records of a slave of another program: the ``run`` that holds the port is asked over its control
+  socket
+- ``server``: The server's end of the control socket of a run, sim or segment
+- ``socket_path``: Control sockets as files: names, directory, and the user at the other end of a connection
 """

@@ -1,7 +1,7 @@
 """Answers of the control socket: the fields that every program's answers have, and the check of fields.
 
-The program at the other end may be another version of dpstack, or something else. Fields that are not named here are
-passed on as they are, so that a newer program may have more of them.
+The program at the other end may be another version of dpstack, or something else. Unknown fields pass unchanged, so
+that a newer program may have more of them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Help(TypedDict):
 
 
 class Item(TypedDict, total=False):
-    """What comes before the result of an order that takes its time: how far it is, a part of a long list."""
+    """An item before the result of a long command: its progress, a part of a long list."""
 
     progress: tuple[str, int, int]
     parameters: list[Any]

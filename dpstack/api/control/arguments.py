@@ -1,4 +1,4 @@
-"""Arguments of commands, as people type them. All raise UsageError with an example."""
+"""Parsers of command arguments: times, numbers, switches, octets. All raise UsageError with an example."""
 
 from __future__ import annotations
 

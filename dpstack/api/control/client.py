@@ -1,4 +1,4 @@
-"""The client's end of the control socket: finds a running program by its port and tells it what to do."""
+"""The client's end of the control socket: finds a running program by its port and sends commands."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from dpstack.errors import DpError, PortError, UsageError
 from dpstack.ports import posix
 from dpstack.units import s_to_ns
 
-#: No answer for so long: the program hangs.
+#: time-out of an answer
 TIMEOUT_S: Final = 10.0
 _CHUNK: Final = 65_536
-#: a list of parameters comes in lines of a hundred
+#: octets; a list of parameters comes in lines of a hundred
 LONGEST_ANSWER: Final = 16_000_000
-#: brackets in each other; the answers of dpstack have at most eight
+#: nested brackets in an answer; those of dpstack have at most eight
 _MOST_LEVELS: Final = 32
 
 
@@ -35,7 +35,7 @@ class ControlClient:
         self.port = port
         self._socket = connection
         self._rest = bytearray()
-        self._searched = 0  # octets of it that hold no line end
+        self._searched = 0  # octets of it without a line end
 
     def __enter__(self) -> ControlClient:
         return self
@@ -44,7 +44,7 @@ class ControlClient:
         self.close()
 
     def close(self) -> None:
-        """Hang up; who waits for an answer in another thread is told that there is none."""
+        """Close the connection; a call that waits in another thread raises."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
@@ -52,12 +52,11 @@ class ControlClient:
     def call(
         self, command: str, *args: str, kind: type | None = None, on_item: Callable[[Any], None] | None = None
     ) -> Any:
-        """The result of ``command``, as it came, with the fields of ``kind`` (:mod:`dpstack.api.control.answers`);
-        ``on_item`` is told what came before it.
+        """The result of ``command``, checked for the fields of ``kind`` (:mod:`dpstack.api.control.answers`).
 
-        Raises what it raised there: UsageError or ConfigError where the request is wrong, one of the others with all
-        that it carries where it failed (a BusError that tells a defect, too). PortError when nobody answers, or
-        something else.
+        ``on_item`` is called with each item before the result. Raises the error of the program: UsageError or
+        ConfigError where the request is wrong, any other where it failed (a BusError for a defect); PortError where
+        nobody answers, or another program.
         """
         result = None
         for answer in self._answers(command, args):
@@ -70,7 +69,7 @@ class ControlClient:
         return result
 
     def help(self) -> Any:
-        """What the program is, with the fields of ``Help``. Raises like :meth:`call`."""
+        """The description of the program, with the fields of ``Help``. Raises like :meth:`call`."""
         return self.call("help", kind=Help)
 
     def ask(
@@ -80,15 +79,15 @@ class ControlClient:
         kind: type | None = None,
         progress: Callable[[str, int, int], None] | None = None,
     ) -> Any:
-        """As :meth:`call`, for an order that takes its time: its result with the parameters that came in items before;
-        ``progress`` is told how far it is."""
+        """Like :meth:`call`, for a long command: the result includes the parameters of the items before it;
+        ``progress`` is called with its progress."""
         found: list[object] = []
 
         def on_item(item: Any) -> None:
-            told = checked(item, Item, self.port, command)
-            found.extend(told.get("parameters", ()))
-            if progress is not None and "progress" in told:
-                progress(*told["progress"])
+            fields = checked(item, Item, self.port, command)
+            found.extend(fields.get("parameters", ()))
+            if progress is not None and "progress" in fields:
+                progress(*fields["progress"])
 
         result = self.call(command, *args, on_item=on_item)
         if found and isinstance(result, Mapping):
@@ -99,10 +98,10 @@ class ControlClient:
 
     def _answers(self, command: str, args: tuple[str, ...]) -> Iterator[Mapping[str, Any]]:
         limit_s = self._socket.gettimeout() or TIMEOUT_S
-        until = monotonic_ns() + s_to_ns(limit_s)  # later nobody waits for it
+        until = monotonic_ns() + s_to_ns(limit_s)  # after this the program must not carry it out
         request = json.dumps({"command": command, "args": list(args), "until_ns": until}).encode() + b"\n"
         try:
-            # where the program has hung up already, its last line says why
+            # where the program has closed the connection already, its last line has the reason
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):
                 self._socket.sendall(request)
             while True:
@@ -112,7 +111,7 @@ class ControlClient:
                 yield answer
                 if "ok" in answer:
                     return
-        except DpError:  # of which some are built-in errors, too
+        except DpError:  # some are OSErrors, too
             raise
         except TimeoutError:
             raise PortError(f"{self.port}: the program does not answer; is it stopped or busy?") from None
@@ -142,10 +141,10 @@ class ControlClient:
 
 
 def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
-    """The program that holds ``port``; ``timeout`` in seconds for each answer, None for no limit. "virtual" means the
-    one run on it; of several each has a name of its own, ``virtual:PID``.
+    """The program that holds ``port``; ``timeout`` in seconds for each answer, None for no limit. "virtual" is the
+    only run on it; of several runs each has its own name, ``virtual:PID``.
 
-    Raises PortError when there is none, UsageError when there are several; the line names the programs there are.
+    Raises PortError when there is none, UsageError when there are several; the message lists the programs.
     """
     posix.check("a control socket")
     with _opened() as sockets:
@@ -170,7 +169,7 @@ def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
 def find_run(port: str, config: Path | None, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
     """The run on ``port`` that has the configuration file ``config``; None where no run answers for that port.
 
-    An order goes where both agree. Raises UsageError where the run, or each run on "virtual", has another file, or
+    Port and file must both agree. Raises UsageError where the run, or each run on "virtual", has another file, or
     where several have this one; PortError where a run cannot be reached.
     """
     with _opened() as sockets:
@@ -185,17 +184,14 @@ def find_run(port: str, config: Path | None, timeout: float | None = TIMEOUT_S) 
 
 
 def running() -> list[dict[str, Any]]:
-    """The programs that can be talked to, as their ``help`` tells it: kind, port, name, pid, config, commands.
-
-    Stale sockets go.
-    """
+    """The ``help`` of every running program: kind, port, name, pid, config, commands. Removes stale sockets."""
     with _opened() as sockets:
         return [] if sockets is None else _asked(sockets, sockets.names())
 
 
 @contextlib.contextmanager
 def _opened() -> Iterator[Sockets | None]:
-    """The directory of the sockets; None where no program has made it. Raises PortError."""
+    """The directory of the sockets; None where no program has created it. Raises PortError."""
     try:
         sockets = Sockets() if posix.is_available() else None
     except FileNotFoundError:
@@ -209,7 +205,7 @@ def _opened() -> Iterator[Sockets | None]:
 
 
 def _reach(sockets: Sockets, port: str, names: Iterable[str], timeout: float | None) -> ControlClient | None:
-    """The program behind the first of ``names`` that is there. Raises PortError where it cannot be reached."""
+    """A connection to the first of ``names`` that exists. Raises PortError where its program cannot be reached."""
     for name in map(socket_name, names):
         try:
             return ControlClient(port, _open(sockets, name, timeout))
@@ -223,7 +219,7 @@ def _reach(sockets: Sockets, port: str, names: Iterable[str], timeout: float | N
 
 
 def _asked(sockets: Sockets, names: Iterable[str]) -> list[dict[str, Any]]:
-    """What the programs behind the sockets ``names`` tell of themselves, each once."""
+    """The ``help`` of the programs behind the sockets ``names``, each once."""
     found = []
     for name in names:
         if sockets.link_target(name) is not None:
@@ -238,12 +234,12 @@ def _asked(sockets: Sockets, names: Iterable[str]) -> list[dict[str, Any]]:
 
 
 def _chosen(clients: list[ControlClient], port: str, config: Path | None) -> ControlClient:
-    """The one whose run has the configuration file ``config``; the others are closed. Raises as :func:`find_run`."""
+    """The client of the run with the configuration file ``config``; closes the others. Raises as :func:`find_run`."""
     try:
         runs = [(client, client.help()) for client in clients]
-        fitting = [client for client, told in runs if _is_file(told.get("config"), config)]
+        fitting = [client for client, one in runs if _is_file(one.get("config"), config)]
         if len(fitting) != 1:
-            raise UsageError(_not_one([told for _, told in runs], len(fitting), port, config))
+            raise UsageError(_not_one([one for _, one in runs], len(fitting), port, config))
     except BaseException:
         for client in clients:
             client.close()
@@ -255,7 +251,7 @@ def _chosen(clients: list[ControlClient], port: str, config: Path | None) -> Con
 
 
 def _not_one(runs: list[dict[str, Any]], fitting: int, port: str, config: Path | None) -> str:
-    """Why an order for ``config`` goes to none of ``runs``."""
+    """The message when not exactly one of ``runs`` has ``config``."""
     mine = config or "a program without a configuration file"
     if fitting:
         return (
@@ -275,7 +271,7 @@ def _not_one(runs: list[dict[str, Any]], fitting: int, port: str, config: Path |
 
 
 def _levels(answer: object) -> int:
-    """How deep objects and lists stand in each other, up to one more than what is allowed."""
+    """Nesting of objects and lists, counted up to one more than the limit."""
     count, level = 0, [answer]
     while level and count <= _MOST_LEVELS:
         below: list[object] = []
@@ -285,20 +281,20 @@ def _levels(answer: object) -> int:
     return count
 
 
-def _is_file(told: object, config: Path | None) -> bool:
-    """Whether the path that a run has told is the file ``config``: by its name, or by the file itself."""
-    if not isinstance(told, str) or config is None:
+def _is_file(path: object, config: Path | None) -> bool:
+    """Whether ``path``, the answer of a run, is the file ``config``: by its name, or by the file itself."""
+    if not isinstance(path, str) or config is None:
         return False
-    if told == str(config):
+    if path == str(config):
         return True
     try:
-        return os.path.samefile(told, config)
+        return os.path.samefile(path, config)
     except (OSError, ValueError):
         return False
 
 
 def _listed(programs: Iterable[Mapping[str, Any]]) -> str:
-    """Programs as people may name them, with their configuration files."""
+    """Programs by the names for commands, with their configuration files."""
     texts = []
     for one in programs:
         config = one.get("config")

@@ -1,4 +1,4 @@
-"""What running programs can be told: the commands of each kind of program, as data."""
+"""Tables of the commands that running programs accept over the control socket, for each kind of program."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ class Spec:
             raise UsageError(f"{self.name} takes {takes}, for instance: {example}")
 
     def as_dict(self) -> dict[str, str]:
-        """As ``help`` tells it."""
         return {"command": self.name, "args": self.usage, "text": self.text, "example": self.example}
 
 
@@ -80,7 +79,7 @@ KINDS: Final = {"run": COMMON + RUN, "sim": COMMON + SLAVES, "segment": COMMON +
 
 
 def find(kind: str, specs: Iterable[Spec], name: str) -> Spec:
-    """The command ``name``. Raises UsageError that says what is meant, who knows it, or what there is."""
+    """The command ``name``. Raises UsageError with the nearest command or the program that has it."""
     known = {spec.name: spec for spec in specs}
     if name in known:
         return known[name]

@@ -173,7 +173,7 @@ def _places(text: str) -> list[ParameterPlace]:
 
 
 def _entry(one: ParameterValue | ParameterError) -> dict[str, object]:
-    return {"error": str(one), **errors.told(one)} if isinstance(one, ParameterError) else asdict(one)
+    return {"error": str(one), **errors.error_fields(one)} if isinstance(one, ParameterError) else asdict(one)
 
 
 def _options(word: str, given: Sequence[str]) -> _Options:

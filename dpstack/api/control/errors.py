@@ -1,7 +1,7 @@
-"""What failed in a program, over its control socket: the error there is the same error of its client.
+"""Errors over the control socket: an error in the program raises the same error in its client.
 
-An answer has ``kind``, the name of a class of :mod:`dpstack.errors`, and what its constructor takes beside the text:
-each of these is an attribute of the same name, too.
+An answer has ``kind``, the name of a class of :mod:`dpstack.errors`, and the arguments of its constructor beside the
+text: each of these is an attribute of the same name, too.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ def _subclasses(kind: type[DpError]) -> list[type[DpError]]:
     return [kind, *(deeper for below in kind.__subclasses__() for deeper in _subclasses(below))]
 
 
-#: those of the tree that users know, by name: what a peer names is nothing else
+#: the public classes by name; a peer can name no others
 KINDS: Final = {kind.__name__: kind for kind in _subclasses(DpError) if kind.__module__ == errors.__name__}
 
 
-def told(error: Exception) -> dict[str, object]:
-    """What an answer tells beside the text. ``usage``: the request is wrong, not the world.
+def error_fields(error: Exception) -> dict[str, object]:
+    """The fields of an answer beside the text. ``usage``: the request itself is wrong.
 
-    A plain UsageError, or ValueError of an argument, is no more than that.
+    A plain UsageError, or ValueError of an argument, has only that field.
     """
     wrong: dict[str, object] = {"usage": True} if isinstance(error, (UsageError, ConfigError)) else {}
     kind = next((kind for kind in type(error).__mro__ if KINDS.get(kind.__name__) is kind), None)
@@ -38,7 +38,7 @@ def told(error: Exception) -> dict[str, object]:
 
 
 def failure(answer: Mapping[str, object]) -> DpError:
-    """The error that an answer tells of. One of no kind, or of one that is not known here, is a BusError."""
+    """The error of an answer. Without a known kind it is a BusError."""
     text = str(answer.get("error", "refused"))
     kind = KINDS.get(str(answer.get("kind")))
     if kind is not None:
@@ -53,7 +53,7 @@ def failure(answer: Mapping[str, object]) -> DpError:
 
 
 def _parameters(kind: type[DpError]) -> tuple[str, ...]:
-    """Of its constructor; none where it is that of any exception."""
+    """The parameters of its constructor; none where it inherits that of Exception."""
     return tuple(inspect.signature(kind).parameters) if inspect.isfunction(kind.__init__) else ()
 
 

@@ -12,30 +12,28 @@ from dpstack.errors import UsageError
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.sim.io_station import IoStation
 
-#: What is called after an order was carried out: its name, its arguments, the slave's address and name.
+#: Called after a command: with its name, its arguments, the slave's address and name.
 OnOrder = Callable[[str, list[str], int, str], None]
 
 
 class Bench(Protocol):
-    """Simulated slaves that can be treated from outside. Addresses are checked before."""
+    """Simulated slaves whose faults commands can set. The caller checks addresses."""
 
     def names(self) -> dict[int, str]:
         """Address and name of every slave."""
 
-    def device(self, address: int) -> Device:
-        """What simulates the slave."""
+    def device(self, address: int) -> Device: ...
 
     def silence(self, address: int, for_ns: int | None) -> None:
-        """Deaf and mute, None: until :meth:`resume`."""
+        """Make a slave deaf and mute; None: until :meth:`resume`."""
 
-    def resume(self, address: int) -> None:
-        """The end of it."""
+    def resume(self, address: int) -> None: ...
 
     def injected(self, address: int) -> list[str]:
-        """What was done to the slave from outside and is not over."""
+        """Faults of the slave from outside that are not over."""
 
     def power(self, address: int, on: bool) -> None:
-        """Off at once, on again; a drive keeps its EEPROM."""
+        """Switch a slave off at once, or on again; a drive keeps its EEPROM."""
 
 
 class SlaveCommands:
@@ -46,10 +44,9 @@ class SlaveCommands:
         self._on_order = on_order
 
     def handlers(self) -> dict[str, Handler]:
-        """By the name of the command."""
-        return {name: self._told(name, handler) for name, handler in self._plain().items()}
+        return {name: self._reported(name, handler) for name, handler in self._plain().items()}
 
-    def _told(self, name: str, handler: Handler) -> Handler:
+    def _reported(self, name: str, handler: Handler) -> Handler:
         def command(args: list[str]) -> object:
             result = handler(args)
             if self._on_order is not None:
@@ -86,7 +83,7 @@ class SlaveCommands:
         self._bench.silence(self._address(args[0]), arguments.time_ns(args[1]) if len(args) > 1 else None)
 
     def _drive(self, act: Callable[..., None]) -> Handler:
-        """``act`` takes the drive and the arguments behind its address."""
+        """``act`` is called with the drive and the arguments behind its address."""
 
         def command(args: list[str]) -> None:
             address = self._address(args[0])
@@ -121,7 +118,7 @@ def _refuse(drive: DriveDevice, error: str, times: str = "1") -> None:
 
 
 def address_of(text: str, names: dict[int, str]) -> int:
-    """The address of a slave given by address or name. Raises UsageError naming those there are."""
+    """The address of a slave given by address or name. Raises UsageError with the known ones."""
     for address, name in names.items():
         if text in (name, str(address)):
             return address

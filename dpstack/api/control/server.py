@@ -1,6 +1,6 @@
-"""The server's end of the control socket: requests in, answers out, and nothing of it disturbs the bus.
+"""The server's end of the control socket of a run, sim or segment. No client can disturb the bus.
 
-The client of an order that takes its time is told that it goes on, and one that hangs up ends its order.
+During a long command the client gets signs of life; a client that closes the connection ends its command.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple, Never
 
 from dpstack.api.config.bus import VIRTUAL
 from dpstack.api.control.commands import Spec, find
-from dpstack.api.control.errors import told
+from dpstack.api.control.errors import error_fields
 from dpstack.api.control.socket_path import (
     OWN_NAMES,
     Sockets,
@@ -37,35 +37,35 @@ from dpstack.ports.runtime_dir import user_name
 from dpstack.text import json_text
 from dpstack.units import NEVER, ms_text
 
-#: Does a command: takes its arguments, returns what JSON can hold, an awaitable of it, or an async generator of items.
+#: Carries out a command: from its arguments to a JSON value, an awaitable of it, or an async generator of items.
 Handler = Callable[[list[str]], object]
 
-#: A request longer than this is none.
+#: octets of a request at most
 _LONGEST: Final = 65_536
 _MOST_CLIENTS: Final = 16
 #: connections that wait to be accepted
 _BACKLOG: Final = 64
-#: Without a free descriptor nobody is accepted for so long.
+#: pause of accepting when no descriptor is free
 _PAUSE_S: Final = 1.0
-#: A client that asks nothing for so long is dropped.
+#: a client without a request is dropped after this time
 _IDLE_S: Final = 60.0
-#: A client that leaves so many octets unread is dropped, or fewer for so long.
+#: a client with so many unread octets, or fewer for so long, is dropped
 _UNREAD: Final = 1 << 18
 _PATIENCE_S: Final = 5.0
 
 
 class Result(NamedTuple):
-    """The last thing that a command which goes on yields, where it has a result beside its items."""
+    """Yielded last by a command with items that has a result, too."""
 
     value: object
 
 
 class _GoneError(Exception):
-    """The client hung up or does not read."""
+    """The client closed the connection or does not read."""
 
 
 class _Client:
-    """A connection: ``idle`` while no request of it is under way, ``since`` then (time of the loop in s)."""
+    """A connection. ``idle``: no request is being answered, ``since`` this time of the loop in s."""
 
     def __init__(self, connection: socket.socket, now: float) -> None:
         self.connection = connection
@@ -75,11 +75,11 @@ class _Client:
 
     @property
     def gone(self) -> bool:
-        """The connection is closed, or will be as soon as the last answer is out."""
+        """Whether the connection is closed, or will be as soon as the last answer is sent."""
         return self.writer is None or self.writer.transport.is_closing()
 
     def hang_up(self, why: str | None = None) -> None:
-        """At once, also where it does not read; ``why`` is its last answer."""
+        """Close at once, also where the client does not read; ``why`` is its last answer."""
         if self.writer is None:
             with contextlib.suppress(OSError):
                 if why is not None:
@@ -99,9 +99,9 @@ class _Client:
 class ControlServer:
     """Answers for one program while it is entered (``async with``).
 
-    ``kind``: run, sim or segment. ``port``: what the program is found by; ``also``: and by this, unless another is.
-    ``handlers``: one for each of ``specs`` except ``help``. ``config``: the configuration file, by which clients tell
-    whether they mean this program. Entering raises PortError where no socket can be made, PortBusyError where another
+    ``kind``: run, sim or segment. Clients find the program by ``port``, and by ``also`` unless another program has it.
+    ``handlers``: one for each of ``specs`` except ``help``. ``config``: the configuration file, by which clients check
+    that this is the right program. Entering raises PortError where no socket can be made, PortBusyError where another
     program answers for the port already.
     """
 
@@ -117,18 +117,18 @@ class ControlServer:
     ) -> None:
         self.kind = kind
         self.port = port
-        #: what `dpstack ctl` finds it by: the port, or where several programs may have that a name of its own
+        #: its name for `dpstack ctl`: the port, or a name of its own where several programs may have the same port
         self.name = port
-        #: of what it does, as an absolute path; None where there is no file
+        #: the absolute path of the configuration file; None where there is none
         self.config = config
-        #: when it was made
+        #: time of creation
         self.started = datetime.now(UTC)
         self._also = also
         #: why `dpstack ctl` does not find it by its port alone
         self.remark: str | None = None
-        #: a client that reads nothing for so long is dropped
+        #: a client that reads nothing is dropped after this time
         self.patience_s = _PATIENCE_S
-        #: a client that sends no request for so long is dropped
+        #: a client that sends no request is dropped after this time
         self.idle_s = _IDLE_S
         self._specs = tuple(specs)
         self._handlers = {"help": self._help, **handlers}
@@ -142,10 +142,10 @@ class ControlServer:
         try:
             listening = self._take_names()
         except PortError:
-            self._let_go()
+            self._release()
             raise
         except OSError as exc:
-            self._let_go()
+            self._release()
             raise PortError(f"no control socket in {directory()} ({exc.strerror or exc}): is it writable?") from None
         self._listening = listening
         self._listen()
@@ -155,7 +155,7 @@ class ControlServer:
         return self
 
     def move_to(self, port: str) -> None:
-        """The port is called so now: be found by that too. Raises PortError, PortBusyError."""
+        """Add ``port``, the new name of the port, to the names of this program. Raises PortError, PortBusyError."""
         if self._listening is not None:
             self._link(port)
         self.port = self.name = port
@@ -163,9 +163,9 @@ class ControlServer:
     async def __aexit__(self, *_exc: object) -> None:
         if self._listening is None:
             return
-        self._give_up_names()  # as long as it listens nobody else takes them
-        self._deaf()
-        self._let_go()
+        self._remove_names()  # while it listens no other program can take them
+        self._stop_listening()
+        self._release()
         clients = list(self._clients)
         for task in clients:
             task.cancel()
@@ -174,15 +174,15 @@ class ControlServer:
 
     # --- the socket ---------------------------------------------------------------------------------------------------
 
-    def _give_up_names(self) -> None:
+    def _remove_names(self) -> None:
         """Remove the socket and its links."""
         names, self._names = self._names, []
         if self._sockets is not None:
             for name in names:
                 self._sockets.remove(name)
 
-    def _let_go(self) -> None:
-        self._give_up_names()
+    def _release(self) -> None:
+        self._remove_names()
         sockets, self._sockets = self._sockets, None
         if sockets is not None:
             sockets.close()
@@ -215,7 +215,7 @@ class ControlServer:
         return listening
 
     def _name_on_virtual(self, sockets: Sockets) -> str:
-        """Each run on "virtual" has a name of its own, so that an order never goes into somebody else's run."""
+        """Each run on "virtual" has its own name, so that a command never goes to another run."""
         others = sockets.virtual_names()
         self.name = next(name for name in map(virtual_name, itertools.count(1)) if name not in others)
         if others:
@@ -225,7 +225,7 @@ class ControlServer:
         return socket_name(self.name)
 
     def _link(self, port: str) -> None:
-        """Be found by the names of ``port`` too. Raises PortError, PortBusyError."""
+        """Add the names of ``port``. Raises PortError, PortBusyError."""
         sockets = self._sockets
         if sockets is None:
             return
@@ -244,11 +244,11 @@ class ControlServer:
             raise PortError(f"not to be found by {port} ({exc.strerror or exc})") from None
 
     def _own(self, port: str) -> list[str]:
-        """Where a run is found as such: a sim behind the pty that it made has the plain name of the same path."""
+        """The names of a run as such: a sim behind the pty that it made has the plain name of the same path."""
         return [socket_name(own_name(self.kind, name)) for name in names_of(port)] if self.kind in OWN_NAMES else []
 
     def _share(self, sockets: Sockets, names: Iterable[str]) -> None:
-        """Be found by the plain names too, unless another program is."""
+        """Add the plain names, unless another program has them."""
         try:
             for name in names:
                 self._clear(sockets, name)
@@ -262,9 +262,9 @@ class ControlServer:
             self._names.append(name)
 
     def _is_free(self, sockets: Sockets, name: str) -> bool:
-        """Whether no other program has the name; what one left behind that was killed is removed.
+        """Whether no other program has the name. Removes the socket or link of a killed program.
 
-        Such a link may lead to a socket that this program has bound since: that is no other program.
+        Such a link may lead to a socket that this program has bound meanwhile.
         """
         if sockets.link_target(name) not in self._names and sockets.answers(name):
             return False
@@ -279,13 +279,12 @@ class ControlServer:
     # --- one client ---------------------------------------------------------------------------------------------------
 
     def _listen(self) -> None:
-        """From now on connections are accepted."""
+        """Accept connections."""
         self._pause = None
         if self._listening is not None:
             asyncio.get_running_loop().add_reader(self._listening.fileno(), self._accept)
 
-    def _deaf(self) -> None:
-        """No more connections."""
+    def _stop_listening(self) -> None:
         listening, self._listening = self._listening, None
         if self._pause is not None:
             self._pause.cancel()
@@ -294,7 +293,7 @@ class ControlServer:
             listening.close()
 
     def _accept(self) -> None:
-        """One connection. This is done here since asyncio's server (3.11) loses one that comes while it is closed."""
+        """Accept one connection; asyncio's server (3.11) loses a connection that comes while it is closed."""
         listening = self._listening
         if listening is None:
             return
@@ -303,7 +302,7 @@ class ControlServer:
             connection, _ = listening.accept()
         except (BlockingIOError, InterruptedError, ConnectionAbortedError):
             return
-        except OSError:  # no descriptor is left, for instance: look again later
+        except OSError:  # no free descriptor, for instance: try again later
             loop.remove_reader(listening.fileno())
             self._pause = loop.call_later(_PAUSE_S, self._listen)
             return
@@ -321,7 +320,7 @@ class ControlServer:
         client.hang_up()
 
     def _refused(self, client: _Client) -> str | None:
-        """Why the new client is not served; the one that was idle longest makes room for it."""
+        """Why the new client is not served, else None; among too many the one idle longest is dropped."""
         try:
             uid = peer_uid(client.connection)
         except OSError as exc:
@@ -353,7 +352,7 @@ class ControlServer:
             except TimeoutError:
                 client.hang_up(f"closed: no request came for {self.idle_s:g} s; connect again")
                 return
-            except ValueError:  # longer than the limit: where the next one begins is not known
+            except ValueError:  # longer than the limit: the beginning of the next one is unknown
                 client.hang_up(f"a request has at most {_LONGEST} octets")
                 return
             if not line or client.writer is None or client.gone:
@@ -375,13 +374,13 @@ class ControlServer:
         except _GoneError:
             raise
         except (DpError, ValueError) as error:  # a ValueError: of an argument
-            answer = {**_error(str(error)), **told(error)}
-        except Exception as error:  # a defect of the command is the client's to read, not the bus's to die of
+            answer = {**_error(str(error)), **error_fields(error)}
+        except Exception as error:  # a defect of a command must not end the bus
             answer = _error(f"failed by a defect, please report it: {type(error).__name__}: {error}")
         await self._send(writer, answer)
 
     async def _go_on(self, items: AsyncGenerator[object, Never], writer: asyncio.StreamWriter) -> object:
-        """Send the items; the result, where there is one. Who hangs up ends them."""
+        """Send the items; returns the result, where there is one. A closed connection ends them."""
         async with contextlib.aclosing(items):
             async for item in items:
                 if isinstance(item, Result):

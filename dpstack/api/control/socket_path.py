@@ -1,8 +1,8 @@
-"""Control sockets as files: their names, their directory, and who is at the other end of a connection.
+"""Control sockets as files: names, directory, and the user at the other end of a connection.
 
 The directory is the one that :func:`~dpstack.ports.runtime_dir.open_own` has checked; each socket in it has to belong
-to this user, and so has the process behind it. Root is trusted too, at both ends: it can read and change everything of
-ours anyway.
+to this user, and so has the process behind it. Root is trusted too, at both ends: it can read and change everything
+anyway.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from dpstack.ports.posix import fcntl
 from dpstack.ports.runtime_dir import open_own, runtime_path, user_name
 
 SUFFIX: Final = ".sock"
-#: kinds of programs that are found as such, whoever else is at the same port
+#: kinds of programs with a name of their own beside that of the port
 OWN_NAMES: Final = frozenset({"run"})
 #: names of the runs on the port "virtual", which any number of programs may have: the process, its second bus ...
 _VIRTUAL_NAME: Final = re.compile(rf"{VIRTUAL}:(\d{{1,10}}(?:\.\d{{1,6}})?)")
@@ -50,14 +50,14 @@ def directory() -> Path:
 
 
 def names_of(port: str) -> tuple[str, ...]:
-    """The names a port is known by: as written (absolute), and the device behind links where that is another one."""
+    """The names of a port: as written (absolute), and the device behind links where that is another one."""
     if "://" in port or ("/" not in port and not os.path.exists(port)):
         return (port,)  # a URL, "virtual:4711", COM3
     return tuple(dict.fromkeys((os.path.abspath(port), os.path.realpath(port))))
 
 
 def own_name(kind: str, name: str) -> str:
-    """What a program of :data:`OWN_NAMES` is found by besides the name of its port."""
+    """The name of a program of :data:`OWN_NAMES` beside that of its port."""
     return f"{kind} {name}"
 
 
@@ -78,7 +78,7 @@ def socket_path(name: str) -> Path:
 
 
 def peer_uid(connection: socket.socket) -> int | None:
-    """The user whose process is at the other end of a Unix socket; None where the system cannot tell."""
+    """The user whose process is at the other end of a Unix socket; None where the system does not say."""
     if _PEERCRED is not None:
         return int(_UCRED.unpack(connection.getsockopt(socket.SOL_SOCKET, _PEERCRED, _UCRED.size))[1])
     getpeereid = getattr(_libc(), "getpeereid", None)
@@ -95,14 +95,14 @@ def _libc() -> Any:
 
 
 def is_trusted(uid: int | None) -> bool:
-    """Whether a process of this user may talk to ours: our own user and root. None: the directories alone decide."""
+    """Whether a process of this user is trusted: our own user and root. None: the directories alone decide."""
     return uid is None or uid in (os.geteuid(), 0)
 
 
 class Sockets:
-    """The directory of the control sockets, opened once: what happens to its path afterwards does not matter.
+    """The directory of the control sockets, opened once: later changes of its path have no effect.
 
-    ``make``: it is made where it is missing, else FileNotFoundError is raised. Raises PortError where another user
+    ``make``: create it where it is missing, else FileNotFoundError is raised. Raises PortError where another user
     could put a socket into it, OSError. Use it as a context manager, or :meth:`close` it. Names are those of files.
     """
 
@@ -129,7 +129,7 @@ class Sockets:
         return sorted(name for name in os.listdir(self._fd) if name.endswith(SUFFIX))
 
     def virtual_names(self) -> list[str]:
-        """The names of ports of all runs on :data:`VIRTUAL` that live; what others left behind is removed."""
+        """The names of all live runs on :data:`VIRTUAL`; removes the sockets of killed ones."""
         found = [match[1] for match in map(_VIRTUAL_SOCKET.fullmatch, self.names()) if match]
         names = [f"{VIRTUAL}:{one}" for one in found]
         for name in names:
@@ -154,7 +154,7 @@ class Sockets:
             os.unlink(name, dir_fd=self._fd)
 
     def bind(self, listening: socket.socket, name: str) -> None:
-        """Make a socket of this user. Raises OSError, PortError where its path is too long for this system."""
+        """Create a socket of this user. Raises OSError, PortError where its path is too long for this system."""
         listening.bind(self._address(name))
         os.chmod(name, 0o600, dir_fd=self._fd)
 

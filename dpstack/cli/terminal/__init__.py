@@ -6,6 +6,6 @@
 - ``nonblocking_stdout``: Standard streams that never block the program: a thread writes the queued output
 - ``output``: Words, tables and JSON lines: drawn by :mod:`dpstack.cli.terminal.drawing` on a terminal, plain lines
   elsewhere
-- ``report``: What a running bus tells: JSON lines, or lines for people; the summary at the end
+- ``report``: Reports of a running bus: events as JSON lines or lines for people, and the summary at the end
 - ``signals``: Signals that end a command: SIGINT, SIGTERM, SIGHUP; and the loss of standard output
 """

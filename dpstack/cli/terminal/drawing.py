@@ -26,7 +26,7 @@ _WHOLE: Final = 24
 def line(text: str, style: str) -> None:
     """One line, wrapped between words only."""
     console = Console(soft_wrap=True)
-    # a word longer than the terminal is left to the terminal: copied, it is still one word
+    # the terminal wraps a longer word: copied from there it is still one word
     parts = textwrap.wrap(printable(text), console.width, break_long_words=False, break_on_hyphens=False)
     console.print(Text("\n".join(parts), style=style))
 
@@ -89,13 +89,13 @@ def _least(text: str, *, heading: bool) -> int:
     return max((min(cell_len(word), _WHOLE) for word in words), default=0)
 
 
-#: what is being done, how much of it is, of how much
+#: called with the step, the number done, the number of all
 Shown = Callable[[str, int, int], None]
 
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Shown]:
-    """On stderr, gone at the end; any thread may tell it."""
+    """A progress bar on stderr, removed at the end; any thread may call the function."""
     shown = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
     task = shown.add_task(_label(title), total=None)
 

@@ -1,4 +1,4 @@
-"""What a running bus tells: JSON lines, or lines for people; the summary at the end."""
+"""Reports of a running bus: events as JSON lines or lines for people, and the summary at the end."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from dpstack.api.streams import Flapping
 from dpstack.cli.terminal import output
 from dpstack.units import baud_text, ms_text, ns_to_s
 
-#: a simulated bus that fell behind real time by more than this, in s and as a part of its time, is told of at the end
+#: limits, in s and as a part of its time, for the remark on a simulated bus that fell behind real time
 _BEHIND_S: Final = 0.1
 _BEHIND: Final = 0.02
-#: the summary advises on repetitions where a slave had so many, as a part of its requests
+#: limits, as number and as a part of its requests, for advice on the repetitions of a slave
 _REPETITIONS: Final = 10
 _REPEATED: Final = 0.05
-#: extra_idle_bits that help a slave which finds the end of a telegram by a pause (docs/foreign.md)
+#: extra_idle_bits for a slave that finds the end of a telegram by a pause (docs/foreign.md)
 _EXTRA_IDLE_BITS: Final = 60
 _STYLES = {Severity.INFO: "", Severity.WARNING: "yellow", Severity.ERROR: "red"}
 
 
-#: the way from a fault through another try, back to it
+#: states of the next bring-up after a fault, up to the same fault
 _RETRIED: Final = frozenset(
     {SlaveState.DIAGNOSIS, SlaveState.SET_PRM, SlaveState.CHK_CFG, SlaveState.WAIT_READY, SlaveState.FAULT}
 )
@@ -52,19 +52,19 @@ class Reporter:
         self._json = json
         self._quiet = quiet
         self._started = False
-        #: by address: what people were told last of diagnosis and drive
+        #: by address: the last reported diagnosis and drive status
         self._diagnoses: dict[int, str] = {}
         self._drives: dict[int, tuple[str, ...]] = {}
         self._flapping: dict[int, Flapping] = {}
-        #: slaves in a fault that people were told of: they are asked again and again
+        #: slaves whose fault was reported; the master tries them again and again
         self._retried: set[int] = set()
-        #: slaves in data exchange, as the events have it
+        #: slaves in data exchange, according to the events
         self._exchanging: set[int] = set()
-        #: the master stalled at least once
+        #: whether the master has stalled
         self.stalled = False
 
     def searching(self) -> None:
-        """The baud rate has to be found first: people are told what is waited for."""
+        """Report that the baud rate is being searched."""
         if self.bus is not None and not self._json and not self._quiet:
             output.line(f"{SEARCHING} on {self.bus.config.port}")
 
@@ -95,20 +95,20 @@ class Reporter:
             self._for_people(bus, event)
 
     def _for_people(self, bus: Bus, event: Event) -> None:
-        """A line, where there is something to tell: of diagnoses and drives what is new."""
+        """Write a line for the event; for diagnoses and drives only where something is new."""
         match event:
             case MasterStopped():
                 return
             case SlaveDiagnosis(address=address, diagnosis=diagnosis):
                 exchanging = address in self._exchanging
                 slaves = [slave for slave in bus.slaves if slave.address == address]  # none: it was removed meanwhile
-                told = "".join(slave.conspicuous_text(diagnosis, exchanging=exchanging) for slave in slaves)
-                if told != self._diagnoses.get(address, ""):
-                    self._diagnoses[address] = told
-                    text = f"slave {address} ({event.name}): diagnosis {told or 'without findings'}"
-                    self._line(event, text, "yellow" if told else "")
+                found = "".join(slave.conspicuous_text(diagnosis, exchanging=exchanging) for slave in slaves)
+                if found != self._diagnoses.get(address, ""):
+                    self._diagnoses[address] = found
+                    text = f"slave {address} ({event.name}): diagnosis {found or 'without findings'}"
+                    self._line(event, text, "yellow" if found else "")
             case AlarmRaised(address=address, texts=texts):
-                known = self._diagnoses.get(address, "").split("; ")  # the line of the diagnosis that it came in
+                known = self._diagnoses.get(address, "").split("; ")  # those of the diagnosis that it came in
                 self._line(event, dataclasses.replace(event, texts=tuple(t for t in texts if t not in known)).text)
             case DriveEvent(address=address, payload=payload):
                 self._drive(address, event, payload)
@@ -117,9 +117,9 @@ class Reporter:
                     self._exchanging.add(address)
                 else:
                     self._exchanging.discard(address)
-                    self._diagnoses.pop(address, None)  # what it says next is new
+                    self._diagnoses.pop(address, None)  # its next diagnosis is new
                 if state in _RETRIED and address in self._retried:
-                    return  # it is asked again, with the same result as long as nothing else is told
+                    return  # another try with the same result
                 if state is SlaveState.FAULT:
                     self._retried.add(address)
                 else:
@@ -133,12 +133,12 @@ class Reporter:
             case "result":
                 return
             case "status":
-                told = tuple(str(payload.get(key)) for key in ("state", "faults", "warnings"))
-                if told == self._drives.get(address):
+                status = tuple(str(payload.get(key)) for key in ("state", "faults", "warnings"))
+                if status == self._drives.get(address):
                     return
-                self._drives[address] = told
+                self._drives[address] = status
                 if payload.get("state") == "offline":
-                    return  # its slave's state tells that
+                    return  # the state of its slave is reported anyway
                 if address not in self._flapping:
                     self._flapping[address] = Flapping(self._line)
                 self._flapping[address].tell(event)
@@ -151,7 +151,7 @@ class Reporter:
             output.line(f"{t:9.3f} s  {text or event.text}", _style(event) if style is None else style)
 
     def summary(self, stats: BusStats, **more: object) -> None:
-        """The summary line, or a table with what a person wants to know."""
+        """Write the summary: a JSON line, or tables for people."""
         if self._json:
             output.json_line({"event": "summary", "t": round(stats.seconds, 3), **stats.summary(), **more})
             return
@@ -161,7 +161,7 @@ class Reporter:
         columns = ("address", "name", "state", "exchanges", "retries", "time-outs", "late", "bad")
         output.table("Slaves", columns, [_slave_row(s) for s in slaves])
         _diagnoses(slaves)
-        if self.bus is None or not self.bus.config.bus.read_only:  # else none was exchanged
+        if self.bus is None or not self.bus.config.bus.read_only:  # else there is none
             _process_data(slaves)
         output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s, {_traffic(stats)}")
         for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
@@ -208,20 +208,20 @@ def _style(event: Event) -> str:
 
 
 def _diagnoses(slaves: Iterable[SlaveStats]) -> None:
-    """What slaves and drives have to tell at the end; nothing where all is well."""
+    """Write diagnoses, faults and notices of slaves and drives, where there are any."""
     rows: list[tuple[object, ...]] = []
     for s in slaves:
-        told = [("diagnosis", s.conspicuous)] if s.conspicuous else []
+        found = [("diagnosis", s.conspicuous)] if s.conspicuous else []
         for kind in ("fault", "warning"):
-            told += [(f"drive {kind}", str(one)) for one in _list(s.drive.get(f"{kind}s"))]
-        told += [(f"drive at {one['t']} s", str(one["text"])) for one in _list(s.drive.get("notices"))]
-        rows += [(s.address, s.name, what, text) for what, text in told]
+            found += [(f"drive {kind}", str(one)) for one in _list(s.drive.get(f"{kind}s"))]
+        found += [(f"drive at {one['t']} s", str(one["text"])) for one in _list(s.drive.get("notices"))]
+        rows += [(s.address, s.name, what, text) for what, text in found]
     if rows:
         output.table("Diagnoses and drives", ("address", "name", "what", "text"), rows)
 
 
 def _repetitions(slaves: Iterable[SlaveStats], extra_idle_bits: int) -> None:
-    """Advice for each slave that needed many repetitions, by their cause: damaged answers, or none."""
+    """Write advice for each slave with many repetitions, by their cause: damaged answers, or none."""
     for s in slaves:
         link = s.link
         if s.retries < max(_REPETITIONS, _REPEATED * link.requests):
@@ -250,7 +250,7 @@ def _process_data(slaves: Iterable[SlaveStats]) -> None:
 
 
 def _inputs(s: SlaveStats) -> str:
-    """The last inputs, marked where they are not those of this moment."""
+    """The last inputs, marked where they are not valid now."""
     return f"{s.inputs.hex()} (not valid)" if s.inputs and not s.inputs_valid else s.inputs.hex()
 
 
@@ -262,7 +262,7 @@ def _slave_row(s: SlaveStats) -> tuple[object, ...]:
 
 
 def _traffic(stats: BusStats) -> str:
-    """What went over the bus, and what of it went wrong, for people: zeros are left out."""
+    """Telegrams and failures on the bus for people, without zeros."""
     counters = {
         "repeated": stats.retries,
         "given up": stats.timeouts,
@@ -277,7 +277,7 @@ def _traffic(stats: BusStats) -> str:
 
 
 def clear_text(held: Mapping[str, object]) -> str:
-    """One line about a master that went to Clear by itself (``held``: see clear_since)."""
+    """The line on a master that went to Clear by itself (``held``: see clear_since)."""
     return f"in Clear since {held['since']} s because of a {held['because']}; operate() lets outputs out again"
 
 

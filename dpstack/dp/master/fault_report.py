@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from dpstack.dp.master.events import Fault, FaultKind, SlaveFaulted, SlaveRemark
-from dpstack.report_once import News, Once
+from dpstack.report_once import Novelty, ReportOnce
 from dpstack.trace import Event
 
 _MAX_REMARKS: Final = 20
@@ -24,7 +24,7 @@ class Findings:
         self._name = name
         self._emit = emit
         self._told = ""
-        self._remarks = Once(_MAX_REMARKS)
+        self._remarks = ReportOnce(_MAX_REMARKS)
 
     def tell(self, fault: Fault, now: int) -> None:
         """Keep ``fault``; tell it when it is another than the last one."""
@@ -35,9 +35,9 @@ class Findings:
 
     def remark(self, message: str, now: int) -> None:
         """Tell ``message``, once; of a slave that always deviates in another way the first ones."""
-        news = self._remarks.news(message)
-        if news is not News.KNOWN:
-            message += _NO_MORE if news is News.LAST else ""
+        news = self._remarks.novelty(message)
+        if news is not Novelty.KNOWN:
+            message += _NO_MORE if news is Novelty.LAST else ""
             self._emit(SlaveRemark(t_ns=now, address=self._address, name=self._name, message=message))
 
     @property

@@ -11,7 +11,7 @@ from dpstack.dp.error_origin import error_text, origin_of
 from dpstack.dp.slave.state_table import AppEv, SlaveAppState
 from dpstack.fdl.interface import StationControl
 from dpstack.params import UNADDRESSED
-from dpstack.report_once import News, Once
+from dpstack.report_once import Novelty, ReportOnce
 from dpstack.trace import Event
 from dpstack.units import NS_PER_MS
 
@@ -138,7 +138,7 @@ class Report:
         self._device = device
         self._address = address
         self._events: list[Event] = []
-        self._told: defaultdict[int, Once] = defaultdict(partial(Once, _MAX_TOLD))
+        self._told: defaultdict[int, ReportOnce] = defaultdict(partial(ReportOnce, _MAX_TOLD))
 
     @property
     def address(self) -> int | None:
@@ -175,9 +175,9 @@ class Report:
         """A refusal; told once until :meth:`forget`, of a master whose requests are always wrong in another way the
         first ones."""
         self.stats.refused += 1
-        news = self._told[master].news((service, reason))
-        if news is News.KNOWN:
+        news = self._told[master].novelty((service, reason))
+        if news is Novelty.KNOWN:
             return
-        if news is News.LAST:
+        if news is Novelty.LAST:
             reason += _NO_MORE
         self.emit(RequestRefused, now, service=service, master=master, reason=reason)

@@ -307,7 +307,7 @@ async def test_what_a_killed_program_left_behind_is_no_other_program(kind: str, 
         killed = ControlServer(kind, str(link), SPECS, HANDLERS)
         await killed.__aenter__()
         assert killed.remark is None
-        killed._deaf()  # nothing is removed
+        killed._stop_listening()  # nothing is removed
     async with ControlServer(kind, str(link), SPECS, HANDLERS) as again:
         assert again.remark is None
         for port in (link, tmp_path / "device"):

@@ -12,7 +12,7 @@ import pytest
 from dpstack import errors
 from dpstack.api.control.client import connect
 from dpstack.api.control.commands import COMMON, Spec
-from dpstack.api.control.errors import failure, told
+from dpstack.api.control.errors import error_fields, failure
 from dpstack.api.control.server import ControlServer, Handler
 from dpstack.errors import (
     AcyclicError,
@@ -60,7 +60,7 @@ def example(kind: type[DpError]) -> DpError:
 
 def as_answer(error: Exception) -> dict[str, object]:
     """What goes over the socket."""
-    answer = json.loads(json.dumps({"ok": False, "error": str(error), **told(error)}))
+    answer = json.loads(json.dumps({"ok": False, "error": str(error), **error_fields(error)}))
     assert isinstance(answer, dict)
     return answer
 
