@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import collections
 import re
 import subprocess
 import sys
@@ -215,6 +216,68 @@ def test_rooms_import_downwards() -> None:
                 dotted = ".".join(path.relative_to(ROOT / "dpstack").with_suffix("").parts)
                 upwards.setdefault(dotted, set()).add(name.removeprefix("dpstack."))
     assert upwards == UPWARDS
+
+
+#: files in a room, its map not counted
+ROOM = 22
+#: modules of at most so many lines that at most one other module uses, and how many of them there may be
+SMALL_LINES, SMALL_MODULES = 80, 15
+#: who imports by a name in a string: the lazy public names, the commands, optional packages, a drive's plugin
+BY_STRING = {"__init__", "api.bus.driver_choice", "cli.main", "drivers.process.plugins", "ports.posix"}
+
+
+def dotted_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def import_graph() -> dict[str, set[str]]:
+    """Who imports whom, under TYPE_CHECKING and inside functions too."""
+    return {dotted_of(path): set(modules_named(path)) - {dotted_of(path)} for path in modules(ROOT / "dpstack")}
+
+
+def test_no_import_circle() -> None:
+    """What is left when modules that import nothing of the rest are taken away again and again."""
+    graph = import_graph()
+    while free := {name for name, named in graph.items() if not named & graph.keys()}:
+        graph = {name: named - free for name, named in graph.items() if name not in free}
+    while ends := graph.keys() - {name for named in graph.values() for name in named}:
+        graph = {name: named for name, named in graph.items() if name not in ends}
+    assert graph == {}
+
+
+def test_by_string_only_what_is_loaded_late() -> None:
+    found = set()
+    for path in modules(ROOT / "dpstack"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        names = {
+            node.attr if isinstance(node, ast.Attribute) else node.id
+            for node in ast.walk(tree)
+            if isinstance(node, (ast.Attribute, ast.Name))
+        }
+        if names & {"import_module", "__import__"}:
+            found.add(dotted_of(path).removeprefix("dpstack.") if path.parent != ROOT / "dpstack" else path.stem)
+    assert found == BY_STRING
+
+
+def test_rooms_are_not_too_full() -> None:
+    rooms = {path.parent for path in modules(ROOT / "dpstack")}
+    full = {str(room.relative_to(ROOT)): len(list(room.glob("*.py"))) - 1 for room in rooms}
+    assert {room: count for room, count in full.items() if count > ROOM} == {}
+
+
+def test_few_small_modules_have_one_user() -> None:
+    """Commands are used by string; what is left is only read together with its user, and could stand there."""
+    graph = import_graph()
+    users = collections.Counter(name for named in graph.values() for name in named)
+    small = [
+        name
+        for path in modules(ROOT / "dpstack")
+        if path.name not in ("__init__.py", "__main__.py") and path.parent.name != "commands"
+        for name in (dotted_of(path),)
+        if users[name] <= 1 and len(path.read_text(encoding="utf-8").splitlines()) <= SMALL_LINES
+    ]
+    assert len(small) <= SMALL_MODULES, small
 
 
 @pytest.mark.parametrize("room", [room for rooms in FLOORS for room in rooms])

@@ -12,15 +12,14 @@ from dpstack.dp.acyclic.class2 import Class2
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.master import Master
-from dpstack.dp.master.read_only import reading_only
 from dpstack.dp.master.scanner import Scanner, SurveyOrder, SurveyResult
 from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.dp.services import reading_only
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_ack import Alarms
-from dpstack.dpv1.master.ms1 import Ms1
+from dpstack.dpv1.master.ms1 import Ms1, PluginJobs
 from dpstack.dpv1.master.ms1_job import Ms1Access
 from dpstack.dpv1.master.ms2 import Ms2
-from dpstack.dpv1.master.plugin_jobs import PluginJobs
 from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot, no_image
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import AttachUser, DetachUser

@@ -1,6 +1,5 @@
 """The DP master: its mode, its cycle, and one slave handler a slave.
 
-- ``auto_clear``: Auto-clear: to Clear when a slave had no good data exchange for the Data_Control_Time
 - ``commands``: Orders to the DP master and its modes
 - ``cycle``: One round over the slaves: which request comes next
 - ``diag_reader``: Parser of the diagnoses of one slave: an event when they change, remarks on deviations
@@ -13,7 +12,6 @@
 - ``outputs_watch``: When outputs are too old to be sent: the stall rule
 - ``plugin_host``: Runs a slave's cyclic unit (a drive plugin) so that its defects stay its own
 - ``poll_order``: Whose turn it is: who is exchanged data with in a round, and whose service comes next
-- ``read_only``: What may be sent on a read-only bus: a guard for the link layer
 - ``retry_timing``: When a slave is asked next: the back-off of retries
 - ``scanner``: The scanner: the live list, filled up with ident number, state and owner of each slave
 - ``slave_handler``: The master's handling of one slave: what to ask it next, and what its answers mean

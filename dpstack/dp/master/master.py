@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 from typing import Final
 
-from dpstack.dp.master.auto_clear import DATA_CONTROL_TIME, DataControl, missing_reasons
 from dpstack.dp.master.commands import (
     ActivateSlave,
     AddSlave,
@@ -28,7 +27,7 @@ from dpstack.dp.master.diag_reader import DiagObserver
 from dpstack.dp.master.events import AutoCleared, ForcedClear, MasterStopped, ModeChanged, OperateWaits, SlaveState
 from dpstack.dp.master.fixed_cycle import Cadence, CycleBook, CycleData
 from dpstack.dp.master.global_control import Controls
-from dpstack.dp.master.outputs_watch import OutputsWatch
+from dpstack.dp.master.outputs_watch import DATA_CONTROL_TIME, DataControl, OutputsWatch, missing_reasons
 from dpstack.dp.master.poll_order import Turns
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.master.slave_list import SAFE_HOLD, Farewells, Roster

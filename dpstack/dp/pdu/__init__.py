@@ -8,6 +8,5 @@
 - ``dpv1_status``: What Set_Prm says to a DP-V1 slave: DPV1_Status_1 to 3, and structured parameter blocks
 - ``layouts``: The octets of the DP services, declared once with construct behind a typed wrapper
 - ``prm_blocks``: Structured parameters of Set_Prm (Prm_Structure in DPV1_Status_3): blocks
-- ``redundancy``: What a redundant slave says of itself in PrmCmdAck and Red_State
 - ``requests``: The request PDUs of DP-V0: Set_Prm, Global_Control and Set_Slave_Add
 """

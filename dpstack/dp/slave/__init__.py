@@ -1,6 +1,5 @@
 """The DP slave: its states, its services, and what an author of a device writes.
 
-- ``address``: The station address of a slave: from Set_Slave_Add, over restarts, back by an initial reset
 - ``application``: The DP slave: the application of a passive station, around a device that somebody wrote
 - ``auto_baud``: A slave that finds the baud rate by itself, as nearly all do
 - ``baud_control``: Which rate a slave's receiver listens at, and how it came there

@@ -11,7 +11,6 @@
 - ``ms2_connection``: One class 2 connection at the master: what is known of it
 - ``ms2_initiate``: How a class 2 connection is opened: Initiate at the resource manager (SAP 49)
 - ``ms2_jobs``: What goes over class 2 connections: services, Idle, and Abort at the end
-- ``plugin_jobs``: Services of plugins: what they asked becomes jobs of the acyclic queue; their ends are told to them
 - ``plugin_queue``: Read and Write of a cyclic unit (a drive plugin) to its own slave: it puts orders into a queue
 - ``response_check``: What an answer to Read, Write or Data_Transport comes to, for a master of either class
 - ``srd_polling``: How a slave is asked for one service of DP-V1, at MS1 or over a class 2 connection

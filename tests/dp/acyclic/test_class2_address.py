@@ -12,7 +12,7 @@ from support import WorldFactory
 from dpstack.dp.acyclic.class2 import ChangeAddress
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone, asked, request
 from dpstack.dp.acyclic.job import Heard, Outcome, ServiceFailure
-from dpstack.dp.master.read_only import reading_only
+from dpstack.dp.services import reading_only
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import UsageError

@@ -12,9 +12,9 @@ from support import MS, S, WorldFactory
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveStateChanged
 from dpstack.dp.master.master import Master
-from dpstack.dp.master.read_only import reading_only
 from dpstack.dp.master.scanner import Found, Scanner, SlaveView, StationSeen, view_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.services import reading_only
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.loopback_device import MirrorDevice

@@ -12,6 +12,9 @@ from dpstack.dp.pdu.alarm_blocks import (
     Alarm,
     AlarmType,
     ModuleState,
+    PrmFunction,
+    RedState,
+    Redundancy,
     Specifier,
     Status,
     StatusType,
@@ -20,7 +23,6 @@ from dpstack.dp.pdu.alarm_blocks import (
     parse_block,
     status_name,
 )
-from dpstack.dp.pdu.redundancy import PrmFunction, RedState, Redundancy
 from dpstack.dpv1.pdu.read_write import AlarmAck
 from dpstack.errors import PduError
 
