@@ -236,6 +236,29 @@ class Bench:
 
 
 @contextlib.contextmanager
+def wire_with(
+    slaves: int, baud: int, processor: int | None, *, paced: bool, adapter: Adapter | None = None, ident: int = IDENT
+) -> Iterator[tuple[Process, str]]:
+    """A wire with slaves, see :func:`bench`, and its port. Raises RuntimeError when it does not start."""
+    params = BusParams.preset(baud)
+    words = [sys.executable, str(_ROOT / "bench" / "wire.py"), "--baud", str(baud)]
+    words += [f"{FIRST + n}:{ident:04x}:{CONFIG.hex()}:{OCTETS}:{OCTETS},records=1" for n in range(slaves)]
+    if paced:
+        words += ["--paced", "--min-tsdr", str(params.min_tsdr), "--slice-bits", str(params.t_sl // 4)]
+        words += ["--t-id1", str(params.t_id1), "--t-id2", str(params.t_id2), "--t-sl", str(params.t_sl)]
+    if adapter is not None:
+        words += ["--frame-us", str(adapter.frame_us), "--latency-ms", str(adapter.latency_ms)]
+    wire = Process(words, processor)
+    try:
+        port = str(json.loads(wire.line() or "{}").get("port", ""))
+        if not port:
+            raise RuntimeError("the wire did not start")
+        yield wire, port
+    finally:
+        wire.end(2.0)
+
+
+@contextlib.contextmanager
 def bench(
     kind: str,
     slaves: int,
@@ -262,20 +285,9 @@ def bench(
     if refused:
         raise NotAvailableError(refused)
     params = BusParams.preset(baud)
-    wire_words = [sys.executable, str(_ROOT / "bench" / "wire.py"), "--baud", str(baud)]
-    wire_words += [f"{FIRST + n}:{ident:04x}:{CONFIG.hex()}:{OCTETS}:{OCTETS},records=1" for n in range(slaves)]
-    if paced:
-        wire_words += ["--paced", "--min-tsdr", str(params.min_tsdr), "--slice-bits", str(params.t_sl // 4)]
-        wire_words += ["--t-id1", str(params.t_id1), "--t-id2", str(params.t_id2), "--t-sl", str(params.t_sl)]
-    if adapter is not None:
-        wire_words += ["--frame-us", str(adapter.frame_us), "--latency-ms", str(adapter.latency_ms)]
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dpstack-bench-")))
-        wire = Process(wire_words, where.wire)
-        stack.callback(wire.end, 2.0)
-        port = str(json.loads(wire.line() or "{}").get("port", ""))
-        if not port:
-            raise RuntimeError("the wire did not start")
+        wire, port = stack.enter_context(wire_with(slaves, baud, where.wire, paced=paced, adapter=adapter, ident=ident))
         words = [sys.executable, "-m", "bench.masters", kind, port, "--baud", str(baud), "--slaves", str(slaves)]
         words += ["--app", app]
         if gap is not None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from bench import cycle, jitter, rotation, startup, usb
+from bench import cycle, jitter, loop, rotation, startup, usb
 from bench.jitter import Lateness
 from bench.records import Record, pty_share, rotations
 from bench.report import Report
@@ -220,6 +220,12 @@ def test_startup_runs() -> None:
     assert titles(report) == {f"asyncio, 2 slaves: {name}" for name in names} | {"Python calibration", *commands}
     *parts, whole_time = (1e3 * f.value if f.unit == "ms" else f.raw_us[0] for f in report.figures[-len(names) :])
     assert sum(parts) == pytest.approx(whole_time)
+
+
+def test_the_lateness_of_the_applications_loop_is_measured_alone_and_beside_every_driver() -> None:
+    report = loop.run(words("--slaves 1 --rounds 1 --seconds 0.1"))
+    kinds = ["alone", "asyncio", *(["process", "process, stopped"] if not unavailable("process") else [])]
+    assert titles(report) == {f"{kind}: lateness {q}" for kind in kinds for q in ("p50", "p99", "p99.9", "max")}
 
 
 def test_jitter_runs_or_says_why_not() -> None:
