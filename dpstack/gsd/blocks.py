@@ -8,6 +8,7 @@ occurs again and each occurrence is reported.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final, TypeAlias, TypeVar
 
 from dpstack.gsd.findings import Findings
@@ -34,6 +35,7 @@ from dpstack.text import shortened
 Handler: TypeAlias = Callable[[Any, Statement, int], None]
 
 
+@dataclass(eq=False)
 class Block:
     """``title`` as the file writes it, ``nested``: opening keywords of the blocks that may stand inside.
 
@@ -43,11 +45,9 @@ class Block:
     title: ClassVar[str] = ""
     nested: ClassVar[frozenset[str]] = frozenset()
     handlers: ClassVar[Mapping[str, Handler]] = {}
-    end = "\n"
-
-    def __init__(self, line: int, findings: Findings) -> None:
-        self.line = line
-        self.findings = findings
+    line: int
+    findings: Findings
+    end: str = field(default="\n", init=False)
 
     def other(self, statement: Statement, line: int) -> bool:
         """Handle a keyword that has no handler. False: this block has no use for it either."""
@@ -101,15 +101,14 @@ def text_item(block: Block, statement: Statement, line: int, what: str) -> tuple
     return item
 
 
+@dataclass(eq=False)
 class PrmTextBlock(Block):
     """PrmText = n."""
 
     title = "PrmText"
 
-    def __init__(self, line: int, findings: Findings, ref: int) -> None:
-        super().__init__(line, findings)
-        self.ref = ref
-        self.texts: dict[int, str] = {}
+    ref: int
+    texts: dict[int, str] = field(default_factory=dict)
 
     def text(self, statement: Statement, line: int) -> None:
         item = text_item(self, statement, line, "value")
@@ -135,21 +134,20 @@ _LAST_BIT: Final = 31
 _TypeItem: TypeAlias = tuple[PrmType, int, Ranges, str]
 
 
+@dataclass(eq=False)
 class ParameterBlock(Block):
     """ExtUserPrmData = n "name"."""
 
     title = "ExtUserPrmData"
 
-    def __init__(self, line: int, findings: Findings, ref: int, name: str) -> None:
-        super().__init__(line, findings)
-        self.ref = ref
-        self.name = name
-        self.type: PrmType | None = None
-        self.default = 0
-        self.allowed: Ranges = ()
-        self.text_ref: int | None = None
-        self.changeable = True
-        self.visible = True
+    ref: int
+    name: str
+    type: PrmType | None = None
+    default: int = 0
+    allowed: Ranges = ()
+    text_ref: int | None = None
+    changeable: bool = True
+    visible: bool = True
 
     def typed(self, statement: Statement, line: int) -> None:
         """``Unsigned8 0 0-255``, ``Bit(3) 1 0-1``, ``BitArea(0-2) 0 0,1,5``."""
@@ -229,15 +227,14 @@ def _bits(statement: Statement) -> PrmType | None:
     return PrmType(kind, first, last, size)
 
 
+@dataclass(eq=False)
 class SlotBlock(Block):
     """SlotDefinition."""
 
     title = "SlotDefinition"
 
-    def __init__(self, line: int, findings: Findings) -> None:
-        super().__init__(line, findings)
-        #: by number, the last one of each
-        self.slots: dict[int, Slot] = {}
+    #: by number, the last one of each
+    slots: dict[int, Slot] = field(default_factory=dict)
 
     def slot(self, statement: Statement, line: int) -> None:
         """``Slot(1) = "name" default allowed`` (module references)."""
@@ -261,13 +258,12 @@ class SlotBlock(Block):
     handlers = {"slot": slot}
 
 
+@dataclass(eq=False)
 class RawBlock(Block):
     """A block that dpstack has no use for. Its statements are kept as they stand."""
 
-    def __init__(self, line: int, findings: Findings, opening: Statement) -> None:
-        super().__init__(line, findings)
-        self.name = opening.written
-        self.raws = [Raw(line, opening.written, opening.index, opening.value, opening.written)]
+    name: str
+    raws: list[Raw] = field(default_factory=list)
 
     def other(self, statement: Statement, line: int) -> bool:
         self.raws.append(Raw(line, statement.written, statement.index, statement.value, self.name))
@@ -288,17 +284,16 @@ _X: Final = "x_"
 _NAMES: Final = tuple(dict.fromkeys(_FIELDS.values()))
 
 
+@dataclass(eq=False)
 class AreaBlock(Block):
     """Unit_Diag_Area = a-b, X_Unit_Diag_Area."""
 
     title = "Unit_Diag_Area"
 
-    def __init__(self, line: int, findings: Findings, first: int, last: int) -> None:
-        super().__init__(line, findings)
-        self.first = first
-        self.last = last
-        self.values: dict[int, str] = {}
-        self.helps: dict[int, str] = {}
+    first: int
+    last: int
+    values: dict[int, str] = field(default_factory=dict)
+    helps: dict[int, str] = field(default_factory=dict)
 
     def text(self, statement: Statement, line: int) -> None:
         """Value(n) = "...", Value_Help(n) = "..."."""
@@ -314,16 +309,15 @@ class AreaBlock(Block):
     handlers = dict.fromkeys(("value", "x_value", "value_help", "x_value_help"), text)
 
 
+@dataclass(eq=False)
 class DiagBlock(Block):
     """A block in which diagnosis texts may stand."""
 
     nested = frozenset({"unit_diag_area", "x_unit_diag_area"})
 
-    def __init__(self, line: int, findings: Findings) -> None:
-        super().__init__(line, findings)
-        self.texts: dict[str, dict[int, str]] = {}
-        self.areas: list[DiagArea] = []
-        self.raws: list[Raw] = []
+    texts: dict[str, dict[int, str]] = field(default_factory=dict, init=False)
+    areas: list[DiagArea] = field(default_factory=list, init=False)
+    raws: list[Raw] = field(default_factory=list, init=False)
 
     def diag_text(self, statement: Statement, line: int) -> None:
         """Unit_Diag_Bit(n) = "..." and the other keywords of _FIELDS."""
@@ -356,30 +350,28 @@ class DiagBlock(Block):
 EMPTY: Final = Diagnosis()
 
 
+@dataclass(eq=False)
 class DiagTypeBlock(DiagBlock):
     """UnitDiagType = n."""
 
     title = "UnitDiagType"
 
-    def __init__(self, line: int, findings: Findings, number: int) -> None:
-        super().__init__(line, findings)
-        self.number = number
+    number: int
 
 
 #: octets a Set_Prm can carry behind the seven fixed ones
 MAX_USER_PRM: Final = 237
 
 
+@dataclass(eq=False)
 class PrmUser(DiagBlock):
     """A block with user parameters: the device or a module."""
 
-    def __init__(self, line: int, findings: Findings, used: dict[int, int]) -> None:
-        super().__init__(line, findings)
-        self.consts: list[PrmConst] = []
-        self.refs: list[PrmRef] = []
-        self.prm_line = 0
-        #: number of a parameter -> line of its first use in the whole file
-        self.used = used
+    #: number of a parameter -> line of its first use in the whole file
+    used: dict[int, int]
+    consts: list[PrmConst] = field(default_factory=list, init=False)
+    refs: list[PrmRef] = field(default_factory=list, init=False)
+    prm_line: int = field(default=0, init=False)
 
     def part(self, statement: Statement, line: int) -> None:
         """Ext_User_Prm_Data_Ref(offset) = number, Ext_User_Prm_Data_Const(offset) = octets."""
@@ -416,21 +408,20 @@ def octets_of(text: str) -> bytes | None:
     return bytes(values)
 
 
+@dataclass(eq=False)
 class ModuleBlock(PrmUser):
     """Module = "name" octets."""
 
     title = "Module"
     nested = DiagBlock.nested | RAW_BLOCKS.keys()
 
-    def __init__(self, line: int, findings: Findings, used: dict[int, int], name: str, config: bytes) -> None:
-        super().__init__(line, findings, used)
-        self.name = name
-        self.config = config
-        self.reference: int | None = None
-        self.length: int | None = None
-        self.info = ""
-        self.preset = False
-        self.complete = True
+    name: str
+    config: bytes
+    reference: int | None = None
+    length: int | None = None
+    info: str = ""
+    preset: bool = False
+    complete: bool = True
 
     def prm_len(self, statement: Statement, line: int) -> None:
         length = number(statement.value)
@@ -497,21 +488,20 @@ class ModuleBlock(PrmUser):
 NO_PRM: Final = PrmBlock()
 
 
+@dataclass(eq=False)
 class DeviceBlock(PrmUser):
     """The file itself: the statements outside of all blocks, and the content of the blocks that have ended."""
 
     title = "file"
     nested = frozenset(BLOCKS) | RAW_BLOCKS.keys()
 
-    def __init__(self, findings: Findings) -> None:
-        super().__init__(0, findings, {})
-        #: keyword -> its last (statement, line)
-        self.settings: dict[str, tuple[Statement, int]] = {}
-        self.modules: list[Module] = []
-        self.slots: list[Slot] = []
-        self.parameters: dict[int, ParameterBlock] = {}
-        self.prm_texts: dict[int, PrmTextBlock] = {}
-        self.diag_types: list[Diagnosis] = []
+    #: keyword -> its last (statement, line)
+    settings: dict[str, tuple[Statement, int]] = field(default_factory=dict)
+    modules: list[Module] = field(default_factory=list)
+    slots: list[Slot] = field(default_factory=list)
+    parameters: dict[int, ParameterBlock] = field(default_factory=dict)
+    prm_texts: dict[int, PrmTextBlock] = field(default_factory=dict)
+    diag_types: list[Diagnosis] = field(default_factory=list)
 
     def other(self, statement: Statement, line: int) -> bool:
         """Keep every other ``keyword = value`` as a setting."""

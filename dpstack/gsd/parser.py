@@ -114,7 +114,7 @@ class _Reader:
     def __init__(self, text: Text, findings: Findings) -> None:
         self._text = text
         self._findings = findings
-        self.device = DeviceBlock(findings)
+        self.device = DeviceBlock(0, findings, {})
         self._block: Block = self.device
         self._outer: list[Block] = []
         self._reported: set[str] = set()
@@ -159,7 +159,7 @@ class _Reader:
             self._broken_off(f"{statement.written} on line {line}")
         block = _OPENING[keyword](self, statement, line)
         if block is None:
-            block = RawBlock(line, self._findings, statement)
+            block = self._raw(statement, line)
         self._open(block, BLOCKS[keyword].lower())
 
     def _open_raw(self, statement: Statement, line: int) -> bool:
@@ -177,8 +177,13 @@ class _Reader:
             return False
         if keyword not in RAW_BLOCKS:
             self._unknown(statement, line)
-        self._open(RawBlock(line, self._findings, statement), end)
+        self._open(self._raw(statement, line), end)
         return True
+
+    def _raw(self, statement: Statement, line: int) -> RawBlock:
+        block = RawBlock(line, self._findings, statement.written)
+        block.other(statement, line)
+        return block
 
     def _open(self, block: Block, end: str) -> None:
         block.end = end

@@ -8,6 +8,7 @@ is cut off.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from random import Random
 from typing import Any, Final, Protocol
 
@@ -55,29 +56,25 @@ class Scheduler(Protocol):
     def rearm(self, node: Node) -> None: ...
 
 
+@dataclass(slots=True, eq=False)
 class _Stream:
     """Octets that are delivered one by one to the stations at ``rate``; of an intact telegram only to ports."""
 
-    __slots__ = ("heard", "index", "ports_only", "rate", "tx")
-
-    def __init__(self, tx: Transmission, rate: int, heard: list[Heard], ports_only: bool = False) -> None:
-        self.tx = tx
-        self.rate = rate
-        self.heard = heard
-        self.ports_only = ports_only
-        self.index = 0
+    tx: Transmission
+    rate: int
+    heard: list[Heard]
+    ports_only: bool = False
+    index: int = 0
 
 
+@dataclass(slots=True, eq=False)
 class _Jam:
     """A collision: one garbled character after another until the last transmission has ended."""
 
-    __slots__ = ("baud", "count", "start_ns", "until_ns")
-
-    def __init__(self, baud: int, start_ns: int, until_ns: int) -> None:
-        self.baud = baud
-        self.start_ns = start_ns
-        self.until_ns = until_ns
-        self.count = 0
+    baud: int
+    start_ns: int
+    until_ns: int
+    count: int = 0
 
     def end_of(self, count: int) -> int:
         return self.start_ns + chars_to_ns(count, self.baud)
@@ -85,23 +82,6 @@ class _Jam:
 
 class Medium:
     """One line. ``transmissions`` counts those begun on it, ``baud`` is the rate of the last one."""
-
-    __slots__ = (
-        "_current",
-        "_durations",
-        "_faults",
-        "_jam",
-        "_log",
-        "_nodes",
-        "_octet_ns",
-        "_receivers",
-        "_rng",
-        "_scheduler",
-        "_watcher",
-        "baud",
-        "starting",
-        "transmissions",
-    )
 
     def __init__(
         self, scheduler: Scheduler, nodes: Nodes, log: WireLog, faults: Faults, watcher: Watcher | None, seed: int

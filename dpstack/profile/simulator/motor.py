@@ -8,6 +8,7 @@ because the grid is fixed, results do not depend on how often it is called.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.units import NS_PER_MS
@@ -28,6 +29,7 @@ def ramp(seconds: float, span: float = 1.0) -> float:
     return span / seconds if seconds else AT_ONCE
 
 
+@dataclass(slots=True, kw_only=True, eq=False)
 class Motor:
     """Speed ``speed`` and stator frequency ``frequency`` in per unit of the rated frequency, ``torque`` of the rated.
 
@@ -36,52 +38,25 @@ class Motor:
     ``decel``: ramps in per unit per second. ``braking``: the DC brake is on.
     """
 
-    __slots__ = (
-        "_at",
-        "_decay",
-        "accel",
-        "braking",
-        "decel",
-        "frequency",
-        "inertia",
-        "limit",
-        "limited",
-        "load",
-        "magnetising",
-        "on",
-        "setpoint",
-        "slip",
-        "speed",
-        "torque",
-    )
+    inertia: float = 0.1
+    slip: float = 0.04
+    limit: float = 1.5
+    magnetising: float = 0.4
+    load: float = 0.2
+    accel: float = 1.0
+    decel: float = 1.0
+    on: bool = field(default=False, init=False)
+    braking: bool = field(default=False, init=False)
+    setpoint: float = field(default=0.0, init=False)
+    speed: float = field(default=0.0, init=False)
+    frequency: float = field(default=0.0, init=False)
+    torque: float = field(default=0.0, init=False)
+    limited: bool = field(default=False, init=False)
+    _decay: float = field(init=False)
+    _at: int | None = field(default=None, init=False)
 
-    def __init__(
-        self,
-        *,
-        inertia: float = 0.1,
-        slip: float = 0.04,
-        limit: float = 1.5,
-        magnetising: float = 0.4,
-        load: float = 0.2,
-        accel: float = 1.0,
-        decel: float = 1.0,
-    ) -> None:
-        self.inertia = inertia
-        self.slip = slip
-        self.limit = limit
-        self.magnetising = magnetising
-        self.load = load
-        self.accel = accel
-        self.decel = decel
-        self.on = False
-        self.braking = False
-        self.setpoint = 0.0
-        self.speed = 0.0
-        self.frequency = 0.0
-        self.torque = 0.0
-        self.limited = False
-        self._decay = math.exp(-_STEP_S / (slip * inertia))
-        self._at: int | None = None
+    def __post_init__(self) -> None:
+        self._decay = math.exp(-_STEP_S / (self.slip * self.inertia))
 
     @property
     def current(self) -> float:
