@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -24,9 +24,12 @@ class Spec:
         names = self.usage.split()
         least = sum(not name.startswith("[") for name in names)
         if len(args) < least or (len(args) > len(names) and not self.usage.endswith("...")):
-            takes = self.usage or "no arguments"
-            example = f"{self.name} {self.example}".rstrip()
-            raise UsageError(f"{self.name} takes {takes}, for instance: {example}")
+            raise self.wrong_arguments()
+
+    def wrong_arguments(self) -> UsageError:
+        """What it takes, for people."""
+        example = f"{self.name} {self.example}".rstrip()
+        return UsageError(f"{self.name} takes {self.usage or 'no arguments'}, for instance: {example}")
 
     def as_dict(self) -> dict[str, str]:
         return {"command": self.name, "args": self.usage, "text": self.text, "example": self.example}
@@ -76,6 +79,16 @@ RUN: Final = (
 
 #: by kind of program; a ``run`` whose port is "virtual" knows those of its simulated slaves too
 KINDS: Final = {"run": COMMON + RUN, "sim": COMMON + SLAVES, "segment": COMMON + SEGMENT}
+
+
+def find_word(word: str, known: Sequence[Spec], who: str = "a drive") -> Spec:
+    """The word that ``who`` is told. Raises UsageError with the nearest, or with those there are."""
+    names = [spec.name for spec in known]
+    if word in names:
+        return known[names.index(word)]
+    near = difflib.get_close_matches(word.lower().replace("-", "_"), names, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(names)}"
+    raise UsageError(f"{who} does not know {word!r}; {hint}")
 
 
 def find(kind: str, specs: Iterable[Spec], name: str) -> Spec:

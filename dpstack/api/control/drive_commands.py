@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Final
+from typing import Any, Final
 
 from dpstack.api.control import errors
-from dpstack.api.control.commands import Spec
+from dpstack.api.control.commands import Spec, find_word
 from dpstack.api.lists.dump_compare import ParameterPlace, ParameterValue
 from dpstack.api.slave.drive import Drive
 from dpstack.errors import ParameterError, UsageError
@@ -103,11 +102,11 @@ def parse_order(word: str, args: Sequence[str]) -> ParsedOrder:
 
     Raises UsageError.
     """
-    spec = find_word(word)
+    spec = find_word(word, WORDS)
     plain = [text for text in args if text.partition("=")[0] not in OPTIONS]
     options = _options(word, [text for text in args if text not in plain])
     if len(plain) != len(spec.usage.split()):
-        raise UsageError(wrong_arguments(spec))
+        raise spec.wrong_arguments()
     match word:
         case "read":
             return ParsedOrder(word, options, parameter=number_or_name(plain[0]))
@@ -120,11 +119,11 @@ def parse_order(word: str, args: Sequence[str]) -> ParsedOrder:
     return ParsedOrder(word, options)
 
 
-async def carry_out(drive: Drive, word: str, args: Sequence[str]) -> dict[str, object]:
+async def carry_out(drive: Drive, word: str, args: Sequence[str]) -> dict[str, Any]:
     """Carry out one order, see :func:`parse_order`. Raises UsageError, and what the drive raises."""
     order = parse_order(word, args)
     options = order.options
-    told: dict[str, object] = {"order": word, "drive": drive.name, "address": drive.address, "type": drive.kind}
+    told: dict[str, Any] = {"order": word, "drive": drive.name, "address": drive.address, "type": drive.kind}
     seconds = 5.0 if options.timeout is None else options.timeout
     places = {"data_set": options.data_set, "index": options.index}
     match word:
@@ -148,21 +147,6 @@ async def carry_out(drive: Drive, word: str, args: Sequence[str]) -> dict[str, o
             motion = _MOTIONS[word]
             await (motion(drive) if options.timeout is None else motion(drive, options.timeout))
     return {**told, "status": drive.status.as_dict()}
-
-
-def find_word(word: str, known: Sequence[Spec] = WORDS, who: str = "a drive") -> Spec:
-    """The word. Raises UsageError with the nearest, or with those there are."""
-    names = [spec.name for spec in known]
-    if word in names:
-        return known[names.index(word)]
-    near = difflib.get_close_matches(word.lower().replace("-", "_"), names, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(names)}"
-    raise UsageError(f"{who} does not know {word!r}; {hint}")
-
-
-def wrong_arguments(spec: Spec) -> str:
-    """What a word takes, for people."""
-    return f"{spec.name} takes {spec.usage or 'nothing'}, for instance: {f'{spec.name} {spec.example}'.rstrip()}"
 
 
 def _places(text: str) -> list[ParameterPlace]:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import TracebackType
-from typing import Any, Final
+from typing import Final
 
 from dpstack.api.bus.open_bus import open_bus
 from dpstack.api.config.config import Config
-from dpstack.api.control.drive_commands import carry_out
-from dpstack.api.lists.dump_compare import ParameterPlace, ParameterValue
 from dpstack.api.slave.drive import Drive
 from dpstack.api.streams import OnEvent
-from dpstack.errors import DpError, DriveError, DriveFault, ParameterError, SlaveFault
-from dpstack.profile import MOVING, ListedParam
+from dpstack.errors import DpError, DriveError, DriveFault, SlaveFault
+from dpstack.profile import MOVING
 from dpstack.sim.world import World
 
 #: a slave that searches for the baud rate takes its time
@@ -23,7 +21,7 @@ _TOLD_S: Final = 2.0
 
 
 class OneDrive:
-    """The first slave of ``config`` under a master of its own (``async with``), told what to do in words.
+    """The first slave of ``config`` under a master of its own (``async with``): :attr:`drive`.
 
     On leaving, however that comes: its ramp, then the bus's end (safe values, Clear, out of the ring). ``on_stopping``
     is called where there is something to stop.
@@ -74,41 +72,6 @@ class OneDrive:
         """The drive. Raises UsageError while the baud rate is searched."""
         return self._bus.drive(self._slave.address)
 
-    @property
-    def name(self) -> str:
-        """In the configuration."""
-        return self._slave.name
-
-    @property
-    def kind(self) -> str:
-        """Its plugin."""
-        return self.drive.kind
-
-    @property
-    def address(self) -> int:
-        """Of the slave."""
-        return self._slave.address
-
-    @property
-    def parameters(self) -> tuple[ListedParam, ...]:
-        """As its plugin declares them."""
-        return self.drive.parameters
-
-    @property
-    def per_request(self) -> int:
-        """How many of them one request carries."""
-        return self.drive.per_request
-
-    async def read_many(
-        self, parameters: Sequence[ParameterPlace], *, timeout: float = 5.0
-    ) -> list[ParameterValue | ParameterError]:
-        """Some of them."""
-        return await self.drive.read_many(parameters, timeout=timeout)
-
-    async def order(self, word: str, *args: str) -> dict[str, Any]:
-        """One word, see :func:`~dpstack.api.control.drive_commands.carry_out`."""
-        return await carry_out(self.drive, word, args)
-
     # -- inside --------------------------------------------------------------------------------------------------
 
     def _is_over(self, running: bool) -> bool:
@@ -116,11 +79,11 @@ class OneDrive:
         slave = drive.slave
         if slave.fault is not None or not slave.ready_now:
             why = slave.fault.text if slave.fault is not None else f"it is in {slave.state.value}"
-            raise SlaveFault(slave.address, f"drive {self.name}: slave {slave.address} is lost: {why}")
+            raise SlaveFault(slave.address, f"drive {slave.name}: slave {slave.address} is lost: {why}")
         status = drive.status
         if running and not status.running:
             why = f"fault {status.fault}" if status.fault else f"it reports {status.state}"
-            raise DriveFault(self.name, f"drive {self.name} stopped by itself: {why}")
+            raise DriveFault(drive.name, f"drive {drive.name} stopped by itself: {why}")
         return False
 
     async def _stop(self) -> None:

@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
 
 from dpstack.api.config.table import parse_hex
-from dpstack.api.control.commands import Spec
-from dpstack.api.control.drive_commands import find_word
+from dpstack.api.control.commands import Spec, find_word
 from dpstack.api.lists.record_list import ListedValues
 from dpstack.api.slave.ms2_connection import Connection
 from dpstack.api.slave.record_parameters import RecordParameters

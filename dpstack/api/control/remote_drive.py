@@ -133,7 +133,7 @@ class RemoteDrive:
         self._parameters = tuple(told["parameters"])
         self.per_request = told["per_request"]
 
-    async def order(self, word: str, *args: str) -> dict[str, Any]:
+    async def order(self, word: str, args: Sequence[str] = ()) -> dict[str, Any]:
         """As :func:`~dpstack.api.control.drive_commands.carry_out`, over there. Cancelled, the connection is gone."""
         try:
             kind = OF_DRIVE.get(word, DriveTold)
@@ -148,7 +148,7 @@ class RemoteDrive:
     ) -> list[ParameterValue | ParameterError]:
         """Some parameters."""
         places = json.dumps([one.as_dict() for one in parameters])
-        told = (await self.order(READ_MANY, places, f"timeout={timeout}"))["parameters"]
+        told = (await self.order(READ_MANY, (places, f"timeout={timeout}")))["parameters"]
         if len(told) != len(parameters):
             raise PortError(
                 f"{self._client.port}: {len(parameters)} parameters were asked for and {len(told)} were told; is it "

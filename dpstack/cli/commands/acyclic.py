@@ -15,7 +15,7 @@ from dpstack.api.bus.temporary_master import joined
 from dpstack.api.bus.virtual import World, simulate
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.control.drive_commands import find_word
+from dpstack.api.control.commands import find_word
 from dpstack.api.control.own_master import READY_S
 from dpstack.api.control.record_commands import COMPARE, PARAMETERS, TRANSPORT, WORDS, OnProgress, carry_out, check
 from dpstack.api.control.remote_records import through_run

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import functools
 from collections.abc import Sequence
 from typing import Final
 
 from dpstack.api.bus.events_json import DriveEvent, Event, Notice, Severity, severity_of
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.control.commands import Spec
+from dpstack.api.control.commands import Spec, find_word
 from dpstack.api.control.drive_check import DriveCheck
 from dpstack.api.control.drive_commands import (
     HALTS,
@@ -20,8 +21,7 @@ from dpstack.api.control.drive_commands import (
     READ_MANY,
     START,
     WORDS,
-    find_word,
-    wrong_arguments,
+    carry_out,
 )
 from dpstack.api.control.own_master import OneDrive
 from dpstack.api.control.remote_drive import RemoteDrive, find_drive
@@ -101,7 +101,7 @@ async def _through_run(
         )
     if _FOR_FILES & {order.word for order in orders}:
         await drive.learn()
-    work = Orders(drive, orders, through="run", json=args.json)
+    work = Orders(drive, drive.order, orders, through="run", json=args.json)
     if not await stop.or_done(work.carry_out()):
         return _cut_short(work)
     if _last_motion(orders) == START and not args.json:
@@ -121,10 +121,11 @@ async def _as_master(
     tell_simulated(config)
     shown = _Shown(slave.name, json=args.json)
     async with OneDrive(config.only(slave), on_event=shown.event, on_stopping=shown.stopping) as drive:
-        work = Orders(drive, orders, through="master", json=args.json)
         if not await stop.or_done(drive.come_up()):
             warn("ended before the drive was in data exchange")
             return 1
+        tell = functools.partial(carry_out, drive.drive)
+        work = Orders(drive.drive, tell, orders, through="master", json=args.json)
         if not await stop.or_done(work.carry_out()):
             return _cut_short(work)
         if _last_motion(orders) in LASTING:
@@ -226,7 +227,7 @@ def _orders(args: argparse.Namespace) -> list[Order]:
 def _order(spec: Spec, rest: list[str], given: dict[str, object]) -> Order:
     count = len(spec.usage.split())
     if len(rest) < count:
-        raise UsageError(wrong_arguments(spec))
+        raise spec.wrong_arguments()
     mine = {key: value for key, value in given.items() if value is not None and spec.name in _FOR[key]}
     taken = [rest.pop(0) for _ in range(count)]
     return Order(spec.name, tuple(taken), mine)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 from dpstack.api.control.commands import Spec
 from dpstack.api.control.drive_check import DriveCheck
@@ -35,11 +35,8 @@ class Order(NamedTuple):
         return (*self.args, *(f"{key}={str(value).lower()}" for key, value in self.options.items()))
 
 
-class Target(Readable, Protocol):
-    """A drive, wherever it is."""
-
-    async def order(self, word: str, *args: str) -> dict[str, Any]:
-        """As :func:`~dpstack.api.control.drive_commands.carry_out`."""
+#: tells a drive one word with its arguments and options, wherever the drive is
+Tell = Callable[[str, Sequence[str]], Awaitable[dict[str, Any]]]
 
 
 def check_orders(drive: DriveCheck, orders: Sequence[Order]) -> None:
@@ -60,8 +57,9 @@ def check_orders(drive: DriveCheck, orders: Sequence[Order]) -> None:
 class Orders:
     """What ``drive`` is told; ``through``: by a run or by a master of our own. ``code`` is the exit code so far."""
 
-    def __init__(self, drive: Target, orders: Sequence[Order], *, through: str, json: bool) -> None:
+    def __init__(self, drive: Readable, tell: Tell, orders: Sequence[Order], *, through: str, json: bool) -> None:
         self._drive = drive
+        self._order = tell
         self._orders = orders
         self._through = through
         self._json = json
@@ -79,7 +77,7 @@ class Orders:
                 case "compare":
                     await self._compare(order)
                 case _:
-                    self._tell(order, await self._drive.order(order.word, *order.words))
+                    self._tell(order, await self._order(order.word, order.words))
 
     def _tell(self, order: Order, told: Mapping[str, Any]) -> None:
         if self._json:

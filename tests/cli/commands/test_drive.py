@@ -333,7 +333,7 @@ async def through(plant: Path, bus: Bus) -> None:
     with pytest.raises(DriveFault, match="412 is 44"):
         await found.order("start")
     with pytest.raises(ParameterError, match="error 0, inadmissible") as refused:
-        await found.order("read", "999")
+        await found.order("read", ["999"])
     assert (refused.value.drive, refused.value.number) == ("hoist", 0)
     wrong, there = await found.read_many([ParameterPlace(999), ParameterPlace(480, data_set=2)])
     assert isinstance(wrong, ParameterError)
@@ -342,21 +342,21 @@ async def through(plant: Path, bus: Bus) -> None:
     assert (there.number, there.data_set) == (480, 2)
     for several in ("7", "[1]", '[{"numero":1}]', "["):
         with pytest.raises(UsageError, match="write for instance"):
-            await found.order("read_many", several)
+            await found.order("read_many", [several])
     with pytest.raises(UsageError, match="parameter numbers are"):
-        await found.order("read", "5000")
+        await found.order("read", ["5000"])
     for args, says in (
         (("read", "480", "data_set=x"), "data_set=x: write for instance data_set=1"),
         (("read", "480", "ram=true"), "read has no ram; it is for write"),
         (("write", "480", "5", "ram=maybe"), "ram=maybe: write for instance ram=true"),
         (("start", "timeout=nan"), "timeout=nan: write for instance timeout=1"),
-        (("status", "now"), "status takes nothing, for instance: status"),
+        (("status", "now"), "status takes no arguments, for instance: status"),
     ):
         with pytest.raises(UsageError, match=says):
-            await found.order(*args)
-    told = await found.order("write", "480", "0x7", "data_set=2", "ram=true", "timeout=3")
+            await found.order(args[0], args[1:])
+    told = await found.order("write", ("480", "0x7", "data_set=2", "ram=true", "timeout=3"))
     assert told["parameter"]["value"] == 7
-    await found.order("write", "412", "1")
+    await found.order("write", ("412", "1"))
     await found.learn()
     listed = await dump(found, plant.with_name("remote.toml"), data_set=2)
     assert listed == ParameterList.load(plant.with_name("remote.toml"))
@@ -389,8 +389,8 @@ async def test_who_hangs_up_ends_the_order(plant: Path, monkeypatch: pytest.Monk
         assert found is not None
         says = r"the bus is in Clear, nothing reaches the drive: .* \(of a run: dpstack ctl virtual operate\)"
         with pytest.raises(DriveTimeout, match=says):
-            await found.order("start", "timeout=0.01")
-        order = asyncio.ensure_future(found.order("start", "timeout=60"))
+            await found.order("start", ["timeout=0.01"])
+        order = asyncio.ensure_future(found.order("start", ["timeout=60"]))
         await asyncio.sleep(0.1)
         assert not order.done()
         order.cancel()
@@ -422,7 +422,7 @@ async def test_a_drive_that_is_not_there_is_told_with_its_reason(plant: Path) ->
         with pytest.raises(
             (DriveTimeout, dpstack.DriveError), match="slave 4 is not in data exchange: stopped answering"
         ):
-            await found.order("start", "timeout=0.2")
+            await found.order("start", ["timeout=0.2"])
         found.close()
 
 
