@@ -34,7 +34,7 @@ _ANSWERS: Final = {SAP_SET_PRM: 0, SAP_CHK_CFG: 0, SAP_GET_CFG: 244}
 
 
 @dataclass(slots=True)
-class Course:
+class ModeTransition:
     """The mode a master is in, and the one it is on its way to."""
 
     mode: Mode
@@ -53,7 +53,7 @@ class Round:
 
     def __init__(
         self,
-        course: Course,
+        course: ModeTransition,
         handlers: Mapping[int, SlaveHandler],
         turns: Turns,
         controls: Controls,

@@ -19,7 +19,7 @@ from typing import Final
 from dpstack.dp.master.events import CyclesMissed
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError
-from dpstack.fdl.active.cycle_window import Budget
+from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.stats import Histogram
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_S, ms_text
@@ -138,7 +138,7 @@ class Cadence:
 
     def __init__(self, cycle_ns: int, emit: Callable[[Event], None]) -> None:
         self.book = CycleBook(cycle_ns)
-        self.budget = Budget()
+        self.budget = CycleWindow()
         self.number = 0
         self.started_at = 0
         self.due_at = 0

@@ -22,7 +22,7 @@ from dpstack.dp.master.commands import (
     SetMode,
     Shutdown,
 )
-from dpstack.dp.master.cycle import Course, Round
+from dpstack.dp.master.cycle import ModeTransition, Round
 from dpstack.dp.master.diag_reader import DiagObserver
 from dpstack.dp.master.events import AutoCleared, ForcedClear, MasterStopped, ModeChanged, OperateWaits, SlaveState
 from dpstack.dp.master.fixed_cycle import Cadence, CycleBook, CycleData
@@ -35,7 +35,7 @@ from dpstack.dp.master.token_watch import TokenAge
 from dpstack.dp.process_image import SlaveImage
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import BusError, UsageError
-from dpstack.fdl.active.cycle_window import Budget
+from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Telegram
@@ -83,7 +83,7 @@ class Master:
         on_round: Callable[[int], None] | None = None,
     ) -> None:
         self.params = params
-        self._course = Course(Mode.STOP if read_only else Mode.CLEAR, Mode.CLEAR)
+        self._course = ModeTransition(Mode.STOP if read_only else Mode.CLEAR, Mode.CLEAR)
         self.read_only = read_only
         self.handlers: dict[int, SlaveHandler] = {}
         self.rotation = Histogram()
@@ -155,7 +155,7 @@ class Master:
         return self._cadence.book
 
     @property
-    def budget(self) -> Budget:
+    def budget(self) -> CycleWindow:
         """What keeps everything else out of the cycles: for the station (``ActiveStation(budget=...)``)."""
         return self._cadence.budget
 

@@ -22,7 +22,7 @@ from dpstack.dpv1.master.ms2_commands import (
     TransportOver,
     WriteOver,
 )
-from dpstack.dpv1.master.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Phase
+from dpstack.dpv1.master.ms2_connection import NOT_WANTED, TIMED_OUT, MasterConnection, Phase
 from dpstack.dpv1.master.ms2_initiate import InitiateJob
 from dpstack.dpv1.master.ms2_jobs import Connections, IdleJob, ServiceJob
 from dpstack.dpv1.pdu.ms2 import Address, DataTransport, InitiateReq, Service
@@ -104,7 +104,7 @@ class Ms2(Connections):
             source=_address_of(order.source),
             destination=_address_of(order.destination),
         )
-        connection = Connection(order.token, address, order.send_timeout_ns, order.response_ns)
+        connection = MasterConnection(order.token, address, order.send_timeout_ns, order.response_ns)
         try:
             job = InitiateJob(connection, self, request, order.channels)
         except PduError as error:
@@ -128,7 +128,7 @@ class Ms2(Connections):
             )
         return ServiceJob(connection, self, service, octets)
 
-    def _close(self, connection: Connection, reason: str, now: int) -> None:
+    def _close(self, connection: MasterConnection, reason: str, now: int) -> None:
         connection.ordered |= connection.phase is Phase.OPEN
         self.end(connection, reason, NOT_WANTED, now)
 
@@ -148,17 +148,17 @@ class Ms2(Connections):
 
     def started(self, request: Request) -> None:
         """A request is on the wire."""
-        if isinstance(request.tag, Connection):
+        if isinstance(request.tag, MasterConnection):
             request.tag.started(request)
 
     def heard(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request to any station."""
-        if isinstance(request.tag, Connection) and isinstance(outcome, Telegram):
+        if isinstance(request.tag, MasterConnection) and isinstance(outcome, Telegram):
             request.tag.heard(request, outcome, now)
 
     def may_be_taken(self, request: Request) -> bool:
         """Whether a request that was given up may have reached the slave: it is not to be sent again."""
-        return isinstance(request.tag, Connection) and request.tag.outstanding
+        return isinstance(request.tag, MasterConnection) and request.tag.outstanding
 
     def line_down(self, reason: str, now: int) -> None:
         """The port vanished. Slaves are told when it is back before they give the connections up themselves."""

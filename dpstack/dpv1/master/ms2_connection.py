@@ -59,7 +59,7 @@ class Ended(NamedTuple):
 
 
 @dataclass(slots=True, eq=False)
-class Connection:
+class MasterConnection:
     """State of the connection ``ref`` to ``address``."""
 
     ref: int

@@ -14,7 +14,7 @@ from dpstack.dp.acyclic.job import ATTEMPTS, Outcome, ServiceFailure, Steps
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text
 from dpstack.dpv1.master.ms2_commands import InitiateDone
-from dpstack.dpv1.master.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Ended, Phase
+from dpstack.dpv1.master.ms2_connection import NOT_WANTED, TIMED_OUT, Ended, MasterConnection, Phase
 from dpstack.dpv1.master.ms2_jobs import ConnectionJob, Connections
 from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Course, Said
 from dpstack.dpv1.pdu.ms2 import AbortReason, InitiateReq, InitiateRes, Instance, ResourceManagerRes
@@ -41,7 +41,7 @@ class InitiateJob(ConnectionJob):
 
     title = "Initiate"
 
-    def __init__(self, connection: Connection, ms2: Connections, request: InitiateReq, channels: int) -> None:
+    def __init__(self, connection: MasterConnection, ms2: Connections, request: InitiateReq, channels: int) -> None:
         super().__init__(connection, ms2)
         self._channels = channels
         self._octets = request.build()

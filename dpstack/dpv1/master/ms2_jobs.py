@@ -12,7 +12,7 @@ from dpstack.dp.acyclic.job import ATTEMPTS, Outcome, Provider, ServiceFailure, 
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.master.ms1 import RecordDone
 from dpstack.dpv1.master.ms2_commands import ConnectionOver, ConnectionsClosed, TransportDone
-from dpstack.dpv1.master.ms2_connection import Connection, Ended, Phase
+from dpstack.dpv1.master.ms2_connection import Ended, MasterConnection, Phase
 from dpstack.dpv1.master.response_check import service_outcome
 from dpstack.dpv1.master.srd_polling import Course, Said
 from dpstack.dpv1.pdu.ms2 import HEAD, IDLE, Abort, DataTransport, ResourceManagerRes, Service, title_of
@@ -27,11 +27,11 @@ class Connections(Provider):
     """The class 2 connections of one station, by the token they were opened with."""
 
     def __init__(self) -> None:
-        self.connections: dict[int, Connection] = {}
+        self.connections: dict[int, MasterConnection] = {}
         #: all of them are being closed, and no other is opened
         self.closing = False
 
-    def end(self, connection: Connection, reason: str, abort: Abort | None, now: int) -> None:
+    def end(self, connection: MasterConnection, reason: str, abort: Abort | None, now: int) -> None:
         """It is over, from either end; the slave is told by ``abort`` where it may hold anything. More than once is
         no error, the first reason stands."""
         if connection.phase is Phase.ENDING:
@@ -45,7 +45,7 @@ class Connections(Provider):
         else:
             self.forget(connection, now)
 
-    def forget(self, connection: Connection, now: int) -> None:
+    def forget(self, connection: MasterConnection, now: int) -> None:
         """The slave holds nothing any more, or cannot be told."""
         if self.connections.get(connection.ref) is not connection:
             return
@@ -85,7 +85,7 @@ class ConnectionJob:
 
     title = ""
 
-    def __init__(self, connection: Connection, ms2: Connections) -> None:
+    def __init__(self, connection: MasterConnection, ms2: Connections) -> None:
         self.connection = connection
         self.address = connection.address
         self.ms2 = ms2
@@ -123,7 +123,7 @@ class ConnectionJob:
 class ServiceJob(ConnectionJob):
     """Read, Write or Data_Transport over an open connection."""
 
-    def __init__(self, connection: Connection, ms2: Connections, service: Service, octets: bytes) -> None:
+    def __init__(self, connection: MasterConnection, ms2: Connections, service: Service, octets: bytes) -> None:
         super().__init__(connection, ms2)
         self._service = service
         self._octets = octets
@@ -235,7 +235,7 @@ class GiveBackJob(ConnectionJob):
 
     title = "Abort"
 
-    def __init__(self, connection: Connection, ms2: Connections, abort: Abort) -> None:
+    def __init__(self, connection: MasterConnection, ms2: Connections, abort: Abort) -> None:
         super().__init__(connection, ms2)
         self._abort = abort
 

@@ -77,7 +77,7 @@ class ConnectionClosed(SlaveAppEvent):
         return f"{self.who}: {which} is over after {self.services} services: {self.reason}"
 
 
-class Connection:
+class ServerConnection:
     """One connection. ``ssap``: its master's SAP, 50 as a rule; ``send_timeout_ns``: as agreed.
 
     ``heard``: the last sign of life of its master; ``services``: how many it has asked for.

@@ -15,7 +15,7 @@ from typing import Final
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.extension import Handler, ServiceHost, SlaveService
 from dpstack.dpv1.pdu.ms2 import MAX_REASON, SERVER_SAPS, ResourceManagerRes
-from dpstack.dpv1.slave.ms2_connection import Connection, Served
+from dpstack.dpv1.slave.ms2_connection import Served, ServerConnection
 from dpstack.dpv1.slave.ms2_states import State
 from dpstack.dpv1.slave.record_requests import Asker
 from dpstack.dpv1.timeouts import least_send_timeout
@@ -40,7 +40,7 @@ class ServedConnection:
 
 @dataclass(slots=True)
 class _Offer:
-    connection: Connection
+    connection: ServerConnection
     fetched: bool = False
 
 
@@ -65,7 +65,7 @@ class Ms2Server(SlaveService):
         self.at_once = at_once
         self._device = device
         self._host = host
-        self._connections: dict[int, Connection] = {}
+        self._connections: dict[int, ServerConnection] = {}
         self._free = deque(list(reversed(SERVER_SAPS))[:count])
         self._offers: dict[tuple[int, int | None], list[_Offer]] = {}
 
@@ -105,7 +105,7 @@ class Ms2Server(SlaveService):
         sap = self._next(sa, ssap, now)
         if sap is None:
             return None
-        connection = Connection(Asker(sa, sap), ssap, self._send_timeout(), self._device, self._host.report, now)
+        connection = ServerConnection(Asker(sa, sap), ssap, self._send_timeout(), self._device, self._host.report, now)
         self._connections[sap] = connection
         self._offers.setdefault((sa, ssap), []).append(_Offer(connection))
         connection.initiate(octets, now)
@@ -130,7 +130,7 @@ class Ms2Server(SlaveService):
                 self._take_back(one, now)
         return self._free.popleft() if self._free else None
 
-    def _take_back(self, connection: Connection, now: int) -> None:
+    def _take_back(self, connection: ServerConnection, now: int) -> None:
         connection.end("another Initiate of its master came before the answer was fetched", now)
         self._give_back(connection)
 
@@ -181,11 +181,11 @@ class Ms2Server(SlaveService):
         self._offers.clear()
         self.at = NEVER
 
-    def _watch(self, connection: Connection) -> None:
+    def _watch(self, connection: ServerConnection) -> None:
         if not connection.free:
             self.at = min(self.at, connection.deadline)
 
-    def _give_back(self, connection: Connection) -> None:
+    def _give_back(self, connection: ServerConnection) -> None:
         """Give back what is free, and forget its offer."""
         sap = connection.asker.sap
         if not connection.free or self._connections.get(sap) is not connection:
@@ -194,7 +194,7 @@ class Ms2Server(SlaveService):
         self._free.append(sap)
         self._forget_offer(connection)
 
-    def _forget_offer(self, connection: Connection) -> None:
+    def _forget_offer(self, connection: ServerConnection) -> None:
         """Its Resource_Manager PDU is not wanted any more."""
         whose = (connection.asker.master, connection.ssap)
         offers = self._offers.get(whose)

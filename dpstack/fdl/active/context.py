@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.fdl.active.cycle_window import Budget
+from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.active.fcb import FrameCount
 from dpstack.fdl.active.las_gap import Announced, Gap, News, Ring
 from dpstack.fdl.active.states import Input, State
@@ -208,7 +208,7 @@ class Link:
         self.token_at = -1  # last receipt of the token, -1 when out of the ring
         self.until = 0  # end of T_TH
         self.fresh = False  # nothing was sent in this hold yet
-        self.budget = Budget()
+        self.budget = CycleWindow()
         self.told_forced: set[int | None] = set()  # services (SAPs) of which was told that they fit into no gap
         self.gap_turn = False  # low priority stands back for the GAP in this hold
         self.attempt = 0  # of passing the token

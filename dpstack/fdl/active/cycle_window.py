@@ -1,6 +1,6 @@
 """What may still be started before the next cycle: the one rule that keeps everything else out of a fixed cycle.
 
-The DP master says when it wants the token next (:attr:`Budget.next_at`). Whatever is no part of the cycle itself
+The DP master says when it wants the token next (:attr:`CycleWindow.next_at`). Whatever is no part of the cycle itself
 (diagnosis, bring-up, class 2, live list, GAP polls, repeated Global_Control) is started only when its longest course
 ends before that (``ends_at`` in :mod:`dpstack.fdl.active.exchange`: slot times, repetitions, how late the port usually
 is); otherwise its user is told HELD_BACK and asks again. What fits into no gap goes out all the same, the longest
@@ -16,7 +16,7 @@ from dpstack.units import NEVER
 Key = tuple[int, int, int | None]
 
 
-class Budget:
+class CycleWindow:
     """``next_at``: when the next cycle is due, in ns; NEVER: there is none, and everything fits.
 
     ``held_back`` counts the waits (once for each request and cycle), ``forced`` what was sent without fitting in.

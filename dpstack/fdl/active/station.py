@@ -12,7 +12,7 @@ from typing import Final
 from dpstack.errors import UsageError
 from dpstack.fdl.active import exchange, listen_idle_claim, pass_token, use_token
 from dpstack.fdl.active.context import NONE, Link, Rows, classify
-from dpstack.fdl.active.cycle_window import Budget
+from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.active.request_filter import Guard, GuardedUser, unguarded
 from dpstack.fdl.active.states import Input, State, handlers_by_state
 from dpstack.fdl.codec import encode
@@ -74,7 +74,7 @@ class ActiveStation:
         *,
         patience: Patience = EXACT,
         guard: Guard | None = None,
-        budget: Budget | None = None,
+        budget: CycleWindow | None = None,
         now: int = 0,
     ) -> None:
         #: TS

@@ -14,7 +14,7 @@ from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.profile.channel.base import ParameterChannel, ParamKey, read_many
 from dpstack.profile.master.settings import Setting, SettingsCheck
 from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
-from dpstack.profile.model.jobs import Args, CommandError, Job, Orders, Steps
+from dpstack.profile.model.jobs import Args, CommandError, DriveJob, Orders, Steps
 from dpstack.profile.model.param_listing import ListedParam
 from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State
 from dpstack.profile.model.status import DriveStatus
@@ -306,7 +306,7 @@ class DriveCore:
 
     def spawn(self, op: str, steps: Steps[dict[str, object]]) -> None:
         """Run something of our own; its failure is silent, what it learns it stores itself."""
-        self._orders.spawn(Job(op, None, steps, motion=False))
+        self._orders.spawn(DriveJob(op, None, steps, motion=False))
 
     def set_speed(self, fraction: float) -> None:
         """The set point of the next rotation. Raises CommandError with the range."""
@@ -430,7 +430,7 @@ class DriveCore:
             self._told = key
             self._orders.tell({"type": "status", **self.status().as_dict()})
 
-    def _job(self, op: str, args: Args, token: int) -> Job:
+    def _job(self, op: str, args: Args, token: int) -> DriveJob:
         if op in _MOTION:
             if (why := self.cannot(op)) is not None:
                 raise CommandError("usage", why)
@@ -456,7 +456,7 @@ class DriveCore:
                 steps = own
         args.timeout_ns(0)  # every order may come with one
         args.done()
-        return Job(op, token, steps, motion=False)
+        return DriveJob(op, token, steps, motion=False)
 
     def _cancel(self, token: int | None) -> Steps[dict[str, object]]:
         """Nobody waits any more for the order with ``token``: it ends now, and a start() never comes true later."""
@@ -470,7 +470,7 @@ class DriveCore:
 
 
 # --- the orders that move a drive ---
-def _motion_job(core: DriveCore, op: str, args: Args, token: int) -> Job:
+def _motion_job(core: DriveCore, op: str, args: Args, token: int) -> DriveJob:
     """The job of one order of :data:`_MOTION`. Raises CommandError."""
     deadline = core.now + args.timeout_ns(_TIMEOUTS[op])
     args.done()
@@ -480,7 +480,7 @@ def _motion_job(core: DriveCore, op: str, args: Args, token: int) -> Job:
         steps = _acknowledge(core, deadline)
     else:
         steps = _halt(core, op, deadline)
-    return Job(op, token, steps, motion=True)
+    return DriveJob(op, token, steps, motion=True)
 
 
 def _start(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:

@@ -36,7 +36,7 @@ class CommandError(Exception):
         self.number = number
 
 
-class Job:
+class DriveJob:
     """An order under way. ``motion``: at most one such job runs, a new one supersedes it. ``token`` None: our own."""
 
     __slots__ = ("motion", "op", "steps", "token")
@@ -150,10 +150,10 @@ class Orders:
     __slots__ = ("_events", "_jobs")
 
     def __init__(self) -> None:
-        self._jobs: list[Job] = []
+        self._jobs: list[DriveJob] = []
         self._events: list[dict[str, object]] = []
 
-    def begin(self, job: Job) -> None:
+    def begin(self, job: DriveJob) -> None:
         """A new order; one that moves the drive supersedes the one that did."""
         if job.motion:
             for other in [other for other in self._jobs if other.motion]:
@@ -162,7 +162,7 @@ class Orders:
         self._jobs.append(job)
         self._resume(job)
 
-    def spawn(self, job: Job) -> None:
+    def spawn(self, job: DriveJob) -> None:
         """A job of the plugin's own: it begins with the next cycle."""
         self._jobs.append(job)
 
@@ -201,11 +201,11 @@ class Orders:
         events, self._events = self._events, []
         return events
 
-    def _drop(self, job: Job) -> None:
+    def _drop(self, job: DriveJob) -> None:
         self._jobs.remove(job)
         job.steps.close()
 
-    def _resume(self, job: Job) -> None:
+    def _resume(self, job: DriveJob) -> None:
         if job not in self._jobs:
             return
         try:

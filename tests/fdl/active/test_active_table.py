@@ -10,7 +10,7 @@ from ring_bus import ListUser
 
 from dpstack.fdl.active import states
 from dpstack.fdl.active.context import Handler, Link
-from dpstack.fdl.active.cycle_window import Budget
+from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.active.states import TABLE, Input, Row, State
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
@@ -29,7 +29,7 @@ class Rig:
 
     def __init__(self, gap: int = 0) -> None:
         self.user = ListUser()
-        self.budget = Budget()
+        self.budget = CycleWindow()
         params = BusParams.preset(BAUD, address=TS, gap=gap)
         self.station = ActiveStation(params, [self.user], budget=self.budget)
         self.now = 0

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ring_bus import ListUser
 
-from dpstack.fdl.active.cycle_window import Budget
+from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.active.exchange import ends_at, in_vain_until
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.events import PATIENCE
@@ -24,11 +24,11 @@ B = (12, 4, 60)
 
 
 def test_without_a_cycle_everything_fits() -> None:
-    assert Budget().admits(A, NEVER - 1)
+    assert CycleWindow().admits(A, NEVER - 1)
 
 
 def test_what_ends_before_the_next_cycle_fits_to_the_nanosecond() -> None:
-    budget = Budget()
+    budget = CycleWindow()
     budget.begin(1000)
     assert budget.admits(A, 1000)
     assert not budget.admits(A, 1001)
@@ -36,7 +36,7 @@ def test_what_ends_before_the_next_cycle_fits_to_the_nanosecond() -> None:
 
 
 def test_what_never_fits_goes_out_in_every_eighth_cycle() -> None:
-    budget = Budget()
+    budget = CycleWindow()
     sent = []
     for cycle in range(1, 41):
         budget.begin(cycle * 1000)
@@ -50,7 +50,7 @@ def test_what_never_fits_goes_out_in_every_eighth_cycle() -> None:
 
 
 def test_who_waits_longest_is_first_and_one_in_eight_cycles_is_put_at_risk() -> None:
-    budget = Budget()
+    budget = CycleWindow()
     sent = []
     for cycle in range(1, 31):
         budget.begin(cycle * 1000)
@@ -60,7 +60,7 @@ def test_who_waits_longest_is_first_and_one_in_eight_cycles_is_put_at_risk() -> 
 
 
 def test_a_wait_that_was_given_up_does_not_count() -> None:
-    budget = Budget()
+    budget = CycleWindow()
     for cycle in range(1, 30):
         budget.begin(cycle * 1000)
         if cycle % 7:  # nobody asks in every seventh
@@ -70,7 +70,7 @@ def test_a_wait_that_was_given_up_does_not_count() -> None:
 @given(st.lists(st.lists(st.tuples(st.integers(0, 5), st.booleans()), max_size=6), min_size=1, max_size=120))
 def test_nobody_starves_and_the_risk_is_bounded(cycles: list[list[tuple[int, bool]]]) -> None:
     """Whoever asks in every cycle waits eight of them for each that waits before it, at most; one in eight is late."""
-    budget = Budget()
+    budget = CycleWindow()
     since: dict[int, int] = {}
     forced: list[int] = []
     for number, asked in enumerate(cycles, 1):
