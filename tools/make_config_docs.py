@@ -74,7 +74,7 @@ def rows(table: type, made: type) -> list[str]:
     """The rows of the keys of ``table``, from which a ``made`` is made."""
     hints, said = get_type_hints(table, include_extras=True), sentences(table)
     defaults = {field.name: field.default for field in dataclasses.fields(made)}
-    found = ["| key | value | meaning | left out |", "|---|---|---|---|"]
+    found = ["| key | value | meaning | default |", "|---|---|---|---|"]
     for name, key in keys_of(table).items():
         meaning, _, left_out = said[name].partition(" Left out: ")
         left_out = left_out or _default_text(defaults.get(name))

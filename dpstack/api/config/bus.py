@@ -82,43 +82,47 @@ def _echo(table: Table, name: str, key: Key) -> object:
 class BusConfig:
     """The keys of [bus], as docs/configuration.md has them. ``port`` and ``baud`` may be missing until they are needed.
 
-    port: a device, `socket://host:port`, `rfc2217://host:port`, or `"virtual"`: the slaves are simulated. Left out:
+    port: a device, `socket://host:port`, `rfc2217://host:port`, or `"virtual"`: dpstack simulates the slaves. Left out:
         `--port`
     baud: 9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000, 3000000, 6000000, 12000000; or `"auto"`: `dpstack
-        run` and `open_bus` listen first, and give up after 5 s of silence: a master that is alone on its bus must give
+        run` and `open_bus` listen first, and give up after 5 s of silence. A master that is alone on its bus must give
         the rate. Left out: `--baud`
     address: the master's station address
-    cycle_ms: a fixed cycle, more than 0: rounds begin equidistantly (best effort). One that is shorter than possible is
-        refused with the shortest that is, see [bus-parameters.md](bus-parameters.md#a-fixed-cycle) and
-        [cycle.md](cycle.md). Left out: as fast as the bus allows
-    cycle_freeze: groups that every cycle begins with a FREEZE of, see [cycle.md](cycle.md#one-moment); their slaves
-        have `freeze`
-    cycle_sync: groups that every cycle ends with a SYNC of; their slaves have `sync`
-    other_masters: the other masters of the bus, for T_TR and the plan: how many that need as long as this one, or a
-        list with the bus rotation time of each in ms
-    driver: `"process"`: the bus in a process of its own; `"auto"`: which is better here, see [drivers.md](drivers.md)
-    t_sl: slot time. Left out: the table's, or what the slaves need
-    t_tr: target rotation time. Left out: the table's, or what the slaves need
+    cycle_ms: a fixed cycle, more than 0: rounds begin at equal intervals (best effort). A cycle that is too short is
+        refused, and the message gives the shortest possible one; see
+        [bus-parameters.md](bus-parameters.md#a-fixed-cycle) and [cycle.md](cycle.md). Left out: as fast as the bus
+        allows
+    cycle_freeze: groups that get FREEZE at the beginning of every cycle, see [cycle.md](cycle.md#one-moment); their
+        slaves need `freeze`
+    cycle_sync: groups that get SYNC at the end of every cycle; their slaves need `sync`
+    other_masters: the other masters of the bus, for T_TR and the plan: their number, if each needs as long as this one,
+        or a list with the bus rotation time of each in ms
+    driver: `"process"`: the bus in a process of its own; `"asyncio"`: in the event loop of the application; `"auto"`:
+        the better one for this computer and port, see [drivers.md](drivers.md)
+    t_sl: slot time. Left out: that of the [table](bus-parameters.md), or more if the slaves need more
+    t_tr: target rotation time. Left out: that of the [table](bus-parameters.md), or more if the masters need more
     max_retry: retries of an unanswered request. Left out: by rate
     gap: GAP factor G, 0 = off (a single master needs none). Left out: by rate
     hsa: highest station address of a master
-    extra_idle_bits: further silence before every request, for slaves that find frame ends by a pause: many repetitions
-        with a self-made slave ask for 60 ([two of them](foreign.md#stacks-that-were-tried-by-hand))
+    extra_idle_bits: additional silence before every request, for slaves that find the end of a telegram by a pause. If
+        a self-made slave causes many repetitions, try 60 ([two such slaves](foreign.md#stacks-that-were-tried-by-hand))
     after_stall: what the master does after a stall, see [below](#after-a-stall): `"safe"`: it goes to Clear, until
-        `operate()` or `dpstack ctl PORT operate`; `"resume"`: it sends the old outputs again unasked
-    application_watchdog_ms: how often your program has to call `bus.alive()`, see [below](#is-the-program-alive): 10 or
-        more, or 0 for no such watch. `dpstack run` and `dpstack drive` refuse it
-    auto_clear: go to Clear when a slave had no data exchange for `data_control_time_ms`, say which and why; Operate
-        waits for all slaves, and comes back by order only
+        `operate()` or `dpstack ctl PORT operate`; `"resume"`: it sends the old outputs again by itself
+    application_watchdog_ms: the longest time between two calls of `bus.alive()` by your program, see
+        [below](#is-the-program-alive): 10 or more; 0 switches this watchdog off. `dpstack run` and `dpstack drive`
+        refuse the key
+    auto_clear: go to Clear when a slave had no data exchange for `data_control_time_ms`, and report which slave and
+        why. `operate()` waits until all slaves are in data exchange. The master does not go back to Operate by itself
     data_control_time_ms: the Data_Control_Time
-    read_only: join the ring, show who is there, never parameterise or write; enforced in front of everything that sends
-    echo: whether the line returns what is sent, which is then removed; `"auto"` is as if left out. Left out: found out
-        from the first telegrams
-    rs485: `false`: leave the RS-485 mode of the port's driver as it is (a converter behind an RS-232 port switches by
-        itself). Otherwise it is switched on where the driver has it, RTS while sending, unless it is on already
-    event_char: `true`: an FTDI adapter delivers at every ED octet instead of waiting for its timer (an experiment)
-    host_slack_ms: how late the port may deliver before an answer counts as missing. Left out: 50 on a pty or socket; on
-        an adapter 60, once measured three times its p99.9 (20 to 60)
+    read_only: join the ring and show the stations, but never parameterise or write; a guard in front of every sender
+        enforces this
+    echo: whether the line returns the octets that are sent; the port then removes them. `"auto"` means the default.
+        Left out: found out from the first telegrams
+    rs485: `false`: leave the RS-485 mode of the port's driver unchanged (a converter behind an RS-232 port switches by
+        itself). `true`: switch it on if the driver has it, with RTS while sending, unless it is on already
+    event_char: `true`: an FTDI adapter delivers at every ED octet instead of waiting for its timer (experimental)
+    host_slack_ms: how late the port may deliver an answer before it counts as missing. Left out: 50 on a pty or socket;
+        60 on an adapter, and once measured three times its p99.9 (20 to 60)
     """
 
     port: Annotated[str | None, Key()] = None

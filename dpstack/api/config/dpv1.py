@@ -42,14 +42,16 @@ def _blocks(table: Table, key: str, _: Key) -> tuple[PrmBlock, ...]:
 class Dpv1Keys(TypedDict, total=False):
     """The keys of [slave.dpv1], as docs/configuration.md has them.
 
-    alarms: what the slave may raise: `pull_plug`, `process`, `diagnostic`, `manufacturer`, `status`, `update`
-        ([alarms.md](alarms.md)). Left out: what its GSD file requires, and what stands in `user_prm`
-    alarm_mode: 0: one of each kind at a time, 1..7: 2, 4, 8, 12, 16, 24, 32 in all (GSD: Alarm_Sequence_Mode_Count).
-        Left out: as in `user_prm`
-    extra_alarm_sap: alarms are acknowledged at SAP 50, not 51. Left out: as its GSD file says, else false
-    check_cfg_mode: the slave judges the configuration in a way of its own. Left out: as in `user_prm`
+    alarms: the kinds of alarms that the slave may raise: `pull_plug`, `process`, `diagnostic`, `manufacturer`,
+        `status`, `update` ([alarms.md](alarms.md)). Left out: those that its GSD file requires, and those set in
+        `user_prm`
+    alarm_mode: 0: one alarm of each kind at a time; 1..7: 2, 4, 8, 12, 16, 24, 32 alarms in all (GSD:
+        Alarm_Sequence_Mode_Count). Left out: as in `user_prm`
+    extra_alarm_sap: the master acknowledges alarms at SAP 50, not 51. Left out: as its GSD file says, else false
+    check_cfg_mode: the slave checks the configuration in its own way. Left out: as in `user_prm`
     prm_cmd: the slave takes part in redundancy by PrmCmd. Left out: as in `user_prm`
-    response_timeout_ms: in which the slave answers Read and Write. Left out: C1_Response_Timeout of its GSD file
+    response_timeout_ms: the time for an answer of the slave to Read and Write. Left out: C1_Response_Timeout of its GSD
+        file
     blocks: structured parameters, see [dp-v1.md](dp-v1.md) (GSD: Prm_Block_Structure_supp). Left out: none
     """
 

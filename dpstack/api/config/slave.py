@@ -83,23 +83,25 @@ def _interval(table: Table, name: str, key: Key) -> object:
 class SlaveKeys(TypedDict, total=False):
     """The keys of [[slave]] that say what it is, as docs/configuration.md has them.
 
-    name: for people and programs, unique. Left out: `slaveN`
-    address: the station address, unique. Left out: refused
-    drive: a known drive, see [drives.md](drives.md)
-    telegram: one of its telegrams
-    gsd: a [GSD file](gsd.md), relative to the configuration, or the name of a drive that has one here, or
-        `"io-station"` ([io-station.md](io-station.md)); beside `drive` it goes before what the plugin knows
-    modules: its modules by name or reference number, in slot order, `""` for an empty slot. Left out: what the file
-        presets
-    parameters: its user parameters by name, as number or text. Left out: the file's defaults
-    defaults: which defaults count: `"refs"` or `"const"`. Left out: `"refs"`
-    inputs: names for its inputs, [see below](#names-for-process-data)
-    outputs: names for its outputs
-    reference_hz: what 100 % speed is, where the drive has that option. Left out: the drive's
-    reference_rpm: what 100 % speed is, where the drive has that option. Left out: the drive's
+    name: the name in programs and messages, unique. Left out: `slaveN`
+    address: the station address, unique. Left out: required
+    drive: the name of a known drive, see [drives.md](drives.md)
+    telegram: one of the telegrams of that drive
+    gsd: a [GSD file](gsd.md), relative to the configuration; or the name of a drive for which dpstack has one; or
+        `"io-station"` ([io-station.md](io-station.md)). Beside `drive`, the file has priority over the data of the
+        plugin
+    modules: the modules by name or reference number, in slot order, `""` for an empty slot. Left out: the presets of
+        the file
+    parameters: the user parameters by name, as number or text. Left out: the defaults of the file
+    defaults: which defaults of the file count: `"refs"` or `"const"`, see
+        [gsd.md](gsd.md#two-readings-of-the-defaults). Left out: `"refs"`
+    inputs: names for the inputs, [see below](#names-for-process-data)
+    outputs: names for the outputs
+    reference_hz: the frequency at 100 % speed, if the drive has that option. Left out: the drive's
+    reference_rpm: the speed in rpm at 100 %, if the drive has that option. Left out: the drive's
     options: options of the drive plugin, see [drives.md](drives.md)
-    simulated: what only its simulated drive has: its options and its parameters by name or number (`{ load = 0.8,
-        412 = 1 }`), see [drives.md](drives.md)
+    simulated: for the simulated drive only: its options, and its parameters by name or number (`{ load = 0.8, 412 = 1
+        }`), see [drives.md](drives.md)
     """
 
     name: Annotated[str, Key()]
@@ -122,25 +124,27 @@ class Changes(TypedDict, total=False):
     """The keys of [[slave]] that are parameters for its master:
     :meth:`~dpstack.api.slave.slave.Slave.reparameterise` changes them while the bus runs. None is as if left out.
 
-    ident: ident number, or `"ask"`: taken from the diagnosis. Left out: the drive's, or that of its GSD file
-    config: identifier octets in hex (instead of `drive`). Left out: the telegram's, or those of the modules
-    user_prm: user parameters of Set_Prm in hex. Left out: the drive's, or those of the GSD file
-    watchdog_ms: 0 = off, which is said at every start; else rounded up to what two factors can give, and the effective
-        time told (`dpstack plan`, `run --json`, `slave.watchdog_ms`). Left out: the plan's recommendation
-    wd_base_1ms: a DP-V1 slave whose watchdog can count in 1 ms (WD_Base_1ms); its `user_prm` begin with the three
+    ident: the ident number, or `"ask"`: the master reads it from the diagnosis. Left out: the drive's, or that of its
+        GSD file
+    config: identifier octets in hex (instead of `drive`). Left out: those of the telegram or of the modules
+    user_prm: user parameters of Set_Prm in hex. Left out: those of the drive or of the GSD file
+    watchdog_ms: the watchdog time; 0 = off, with a warning at every start. It is rounded up to the next value of the
+        two watchdog factors; `dpstack plan`, `run --json` and `slave.watchdog_ms` show the effective time. Left out:
+        the plan's recommendation
+    wd_base_1ms: a DP-V1 slave uses the watchdog base of 1 ms (WD_Base_1ms); its `user_prm` begin with the three
         DPV1_Status octets. Left out: as its GSD file says, else false
     groups: group numbers for Global_Control
-    sync: ask for SYNC in Set_Prm; `bus.sync` and `bus.group` refuse slaves without
-    freeze: ask for FREEZE in Set_Prm; `bus.freeze` and `bus.group` refuse slaves without
-    every: exchange data in every n-th round or cycle; the slaves of such groups are [spread](cycle.md#rate-groups)
+    sync: request SYNC in Set_Prm; `bus.sync` and `bus.group` refuse slaves without it
+    freeze: request FREEZE in Set_Prm; `bus.freeze` and `bus.group` refuse slaves without it
+    every: exchange data in every n-th round or cycle; the turns of such slaves are [spread](cycle.md#rate-groups)
     safe: output octets for every way out, in hex. Left out: the drive's, else zeros
-    min_slave_interval: shortest time between two exchanges with it; less than its GSD file says is told. Left out: the
-        drive's, its GSD file's
-    dpv1: DP-V1, or a table of what DPV1_Status says beside DPV1_Enable ([dp-v1.md](dp-v1.md)); `user_prm` begin with
-        its three octets. Left out: on where the GSD file says DPV1_Slave and C1_Read_Write_supp, or DPV1_Enable stands
+    min_slave_interval: the shortest time between two exchanges with the slave. A time shorter than in the GSD file gets
+        a remark. Left out: the drive's, or that of its GSD file
+    dpv1: DP-V1 on or off, or a table of the other settings in DPV1_Status ([dp-v1.md](dp-v1.md)); `user_prm` begin with
+        its three octets. Left out: on if the GSD file says DPV1_Slave and C1_Read_Write_supp, or if DPV1_Enable is set
         in `user_prm`
-    ignore_auto_clear: `auto_clear` does not look at this slave
-    fail_safe: the slave takes an empty output frame in Clear. Left out: the drive's, or as its GSD file says
+    ignore_auto_clear: `auto_clear` ignores this slave
+    fail_safe: in Clear the slave gets an empty output frame. Left out: the drive's, or as its GSD file says
     """
 
     ident: Annotated[int | str | None, Key(*LIMITS["ident"], hint="an ident number has two octets", read=_ident)]
