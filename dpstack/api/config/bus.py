@@ -122,7 +122,7 @@ class BusConfig:
         itself). `true`: switch it on if the driver has it, with RTS while sending, unless it is on already
     event_char: `true`: an FTDI adapter delivers at every ED octet instead of waiting for its timer (experimental)
     host_slack_ms: how late the port may deliver an answer before it counts as missing. Left out: 50 on a pty or socket;
-        60 on an adapter, and once measured three times its p99.9 (20 to 60)
+        on an adapter 60, after its measurement 3 x p99.9 (20 to 60)
     """
 
     port: Annotated[str | None, Key()] = None
