@@ -141,16 +141,13 @@ class StackView:
 
     @property
     def read_only(self) -> bool:
-        """Nothing is sent to slaves."""
         return self._master.read_only
 
     @property
     def setups(self) -> dict[int, SlaveParams]:
-        """How the slaves are parameterised, by address."""
         return {address: handler.setup for address, handler in self._master.handlers.items()}
 
     def bus(self) -> BusSnapshot:
-        """Master and station."""
         master, station, watcher = self._master, self._station, self.stack.watcher
         return BusSnapshot(
             mode=master.mode,
@@ -165,7 +162,6 @@ class StackView:
         )
 
     def slave(self, address: int) -> SlaveSnapshot:
-        """The slave at ``address``; offline where there is none."""
         handler = self._master.handlers.get(address)
         if handler is None:
             return SlaveSnapshot()
@@ -174,12 +170,10 @@ class StackView:
         )
 
     def image(self, setup: SlaveParams) -> ImageSnapshot:
-        """Inputs and outputs of the slave with ``setup``."""
         handler = self._master.handlers.get(setup.address)
         return no_image(setup) if handler is None else image_snapshot(handler)
 
     def set_outputs(self, address: int, octets: bytes) -> None:
-        """The outputs of the next Data_Exchange in Operate."""
         self._master.handlers[address].image.outputs = octets
 
     def counted(self) -> Counters:
@@ -199,7 +193,6 @@ class StackView:
         )
 
     def counters(self) -> Counters:
-        """A copy of everything that was counted."""
         live = self.counted()
         return dataclasses.replace(
             live,
@@ -213,25 +206,20 @@ class StackView:
 
     @property
     def link(self) -> LinkStats:
-        """The counters of the link layer."""
         return self._station.stats
 
     @property
     def rotations(self) -> int:
-        """How many there were."""
         return self._master.rotation_count
 
     @property
     def cycle(self) -> CycleData | None:
-        """The last round with data exchange, while somebody watches."""
         return self._master.cycle
 
     def watch_rounds(self, on_round: Callable[[], None] | None) -> None:
-        """Call ``on_round()`` at the end of every round with data exchange; None: no longer."""
         self._master.on_round = None if on_round is None else lambda _now: on_round()
 
     def survey(self) -> StackSurvey:
-        """A live list to be made."""
         return StackSurvey(self._station, self._line)
 
 
@@ -250,7 +238,6 @@ class StackSurvey:
         self._scanner: Scanner | None = None
 
     async def begin(self, order: SurveyOrder) -> None:
-        """Begin to ask."""
         self.begin_now(order)
 
     def begin_now(self, order: SurveyOrder) -> None:
@@ -260,10 +247,8 @@ class StackSurvey:
 
     @property
     def result(self) -> SurveyResult | None:
-        """None until everything was asked."""
         return None if self._scanner is None else SurveyResult.of(self._scanner)
 
     def end(self) -> None:
-        """Nobody wants it any more."""
         if self._scanner is not None:
             self._line.command(DetachUser(self._scanner))

@@ -109,7 +109,7 @@ class ProcessRuntime:
         self._on_events = on_events
         self._on_failure = on_failure
         self._on_refused = on_refused
-        self._link = channel.Channel(self._on_news, self._refused, self._why_gone, self._on_gone)
+        self._channel = channel.Channel(self._on_news, self._refused, self._why_gone, self._on_gone)
         self._image: SharedImage | None = None
         self._picture = _EMPTY
         self._outputs: dict[int, Outputs] = {}
@@ -134,7 +134,7 @@ class ProcessRuntime:
     @property
     def pid(self) -> int | None:
         """The process id of the bus process while there is one."""
-        return self._link.pid
+        return self._channel.pid
 
     @property
     def not_running(self) -> str | None:
@@ -144,33 +144,31 @@ class ProcessRuntime:
 
     @property
     def behind_ns(self) -> int:
-        """A real bus is where it is."""
         return 0
 
     def now(self) -> int:
-        """CLOCK_MONOTONIC in ns, which both processes share."""
         return monotonic_ns()
 
     async def open(self) -> None:
         """Start the bus process, which opens the port. Raises PortError and ConfigError as it does, and BusError."""
-        if self._link.pid is not None:
+        if self._channel.pid is not None:
             raise UsageError("the driver is open already")
         self._loop = asyncio.get_running_loop()
         memory = make_memory()
         try:
             self._image = SharedImage(memory)
             self._publish()
-            hello = await self._link.start(self._setup, memory, self._image)
+            hello = await self._channel.start(self._setup, memory, self._image)
         finally:
             os.close(memory)
-            if not self._link.is_open:
+            if not self._channel.is_open:
                 self._close_image()
         self.port_name, self.paced = hello.port_name, hello.paced
         self._look()
 
     async def close(self) -> None:
         """Have the port released and the bus process end; the bus was left in order before. May be called again."""
-        line = self._link
+        line = self._channel
         try:
             if line.is_open:
                 closing = self.order(CloseBus())
@@ -191,12 +189,11 @@ class ProcessRuntime:
 
     @property
     def close_limit_ns(self) -> int:
-        """Orders that a hanging bus process does not answer, and its end."""
         return s_to_ns(channel.CLOSE_LIMIT_S)
 
     def end_without_loop(self) -> str:
         """Hang up: the bus process makes the ordered end by itself. Waits for it, and never kills it."""
-        ended = self._link.hang_up_and_wait(UsageError("the bus is closed"))
+        ended = self._channel.hang_up_and_wait(UsageError("the bus is closed"))
         self._close_image()
         return "" if ended else f"the bus process (pid {self.pid}) has not ended yet"
 
@@ -204,7 +201,7 @@ class ProcessRuntime:
         """The bus process is the parent's: the child closes its copies of what leads there."""
         self._not_running = IN_PARENT
         self._lose(IN_PARENT)
-        self._link.forsake()
+        self._channel.forsake()
         if self._image is not None:
             self._image.close()
             self._image = None
@@ -227,10 +224,10 @@ class ProcessRuntime:
         Raises UsageError when there is no bus process, OrderDropped where it is silent, BusError where it is gone.
         """
         if isinstance(command, Alive):
-            self._link.tell_if_it_reads(command)
+            self._channel.tell_if_it_reads(command)
             return
         self._publish_soon()
-        self._link.tell(_sendable(command))
+        self._channel.tell(_sendable(command))
 
     def order(self, command: object) -> asyncio.Future[object]:
         """Send an order; the future is done when the machines have carried it out. What they raise is in it.
@@ -238,7 +235,7 @@ class ProcessRuntime:
         It raises OrderDropped when they did not take it in time, BusError when nobody knows, or the bus is gone.
         """
         self._publish_soon()
-        answer = self._link.order(_sendable(command))
+        answer = self._channel.order(_sendable(command))
         match command:
             case AddSlave(setup) if setup.address not in self.setups:
                 self._set_up(setup, answer)
@@ -280,7 +277,7 @@ class ProcessRuntime:
 
     def drive_status(self, address: int) -> object | None:
         """What the drive plugin of a slave told last, as plain data; None when nobody tells."""
-        if not self._link.is_open or self._image is None:
+        if not self._channel.is_open or self._image is None:
             return None
         octets = self._image.drives.read()
         if octets is not None:
@@ -288,7 +285,6 @@ class ProcessRuntime:
         return self._drives.get(address)
 
     def survey(self) -> ProcessSurvey:
-        """A live list to be made."""
         return ProcessSurvey(self)
 
     def survey_result(self, number: int) -> SurveyResult | None:
@@ -303,11 +299,9 @@ class ProcessRuntime:
     # --- the view ---------------------------------------------------------------------------------------------------
 
     def bus(self) -> BusSnapshot:
-        """Master and station as they were told last."""
         return self._bus
 
     def slave(self, address: int) -> SlaveSnapshot:
-        """The slave at ``address`` as it was told last."""
         return self._slaves.get(address, _UNKNOWN)
 
     def image(self, setup: SlaveParams) -> ImageSnapshot:
@@ -340,19 +334,17 @@ class ProcessRuntime:
 
     @property
     def link(self) -> LinkStats:
-        """The counters of the link layer."""
         return self.counters().link
 
     @property
     def rotations(self) -> int:
-        """Rotations up to the newest round."""
         return self._newest_picture().rotations
 
     def watch_rounds(self, on_round: Callable[[], None] | None) -> None:
         """Have the ends of rounds told, or no longer. A silent bus process is told when it goes on."""
         changed = (on_round is None) is not (self._on_round is None)
         self._on_round = on_round
-        if changed and self._link.is_open:
+        if changed and self._channel.is_open:
             with contextlib.suppress(DpError if on_round is None else OrderDropped):
                 self.command(WatchRounds(on_round is not None))
 
@@ -409,7 +401,7 @@ class ProcessRuntime:
             return
         why = "the bus process did not take the outputs in time"
         try:
-            await self._link.order(TakeOutputs())
+            await self._channel.order(TakeOutputs())
         except OrderDropped as error:
             why = str(error)
             self._withdraw(given)
@@ -473,7 +465,7 @@ class ProcessRuntime:
             self._withdraw(late)
 
     def _look_for_silence(self) -> None:
-        silent = 0 if self._silent_since or self._not_running is not None else self._link.silent_ns()
+        silent = 0 if self._silent_since or self._not_running is not None else self._channel.silent_ns()
         image, pid = self._image, self.pid
         if not silent or image is None or pid is None:
             return
@@ -510,7 +502,7 @@ class ProcessRuntime:
         return [back, *self._states(here, now)]
 
     def _watch_rounds_again(self) -> None:
-        if self._link.is_open:
+        if self._channel.is_open:
             with contextlib.suppress(DpError):
                 self.command(WatchRounds(self._on_round is not None))
 
@@ -622,14 +614,11 @@ class ProcessSurvey:
         self._number = next(_numbers)
 
     async def begin(self, order: SurveyOrder) -> None:
-        """Begin to ask."""
         await self._runtime.order(StartSurvey(self._number, order))
 
     @property
     def result(self) -> SurveyResult | None:
-        """None until everything was asked."""
         return self._runtime.survey_result(self._number)
 
     def end(self) -> None:
-        """Nobody wants it any more."""
         self._runtime.forget_survey(self._number)
