@@ -90,14 +90,14 @@ class Contradiction:
         )
 
 
-def take(octets: bytes, at: int, kind: PrmType) -> int:
+def read_bits(octets: bytes, at: int, kind: PrmType) -> int:
     """The value of type ``kind`` at octet ``at``; octets that are missing count as 0."""
     whole = int.from_bytes(octets[at : at + kind.size].ljust(kind.size, b"\0"), "big")
     value = whole >> kind.first & (1 << kind.width) - 1
     return value - (1 << kind.width) if kind.signed and value >> (kind.width - 1) else value
 
 
-def put(octets: bytearray, at: int, kind: PrmType, value: int) -> None:
+def write_bits(octets: bytearray, at: int, kind: PrmType, value: int) -> None:
     """Write ``value`` to its bits at octet ``at``; big-endian, two's complement."""
     mask = (1 << kind.width) - 1 << kind.first
     whole = int.from_bytes(octets[at : at + kind.size], "big")
@@ -163,7 +163,7 @@ class UserPrm:
             if value is None and self.reading is Reading.REFS:
                 value = field.parameter.default
             if value is not None:
-                put(octets, field.offset, field.parameter.type, value)
+                write_bits(octets, field.offset, field.parameter.type, value)
         return bytes(octets)
 
     def set(self, key: str, value: int | str | bool) -> None:
@@ -200,7 +200,7 @@ class UserPrm:
         """The named values that ``octets`` (of this device with these modules) hold. Raises GsdError on the length."""
         if len(octets) != self._size:
             raise GsdError(f"{len(octets)} octets of user parameters; this configuration has {self._size}")
-        return tuple(replace(field, value=take(octets, field.at, field.parameter.type)) for field in self._fields)
+        return tuple(replace(field, value=read_bits(octets, field.at, field.parameter.type)) for field in self._fields)
 
     def contradictions(self) -> tuple[Contradiction, ...]:
         """Defaults that differ from the constants at their place, of parameters that the user has not set."""
@@ -349,8 +349,8 @@ def _part(prm: PrmBlock, parameters: Mapping[int, Parameter], slot: int, at: int
 def _fitted(parameter: Parameter) -> int:
     """The default as its bits hold it."""
     octets = bytearray(parameter.type.size)
-    put(octets, 0, parameter.type, parameter.default)
-    return take(bytes(octets), 0, parameter.type)
+    write_bits(octets, 0, parameter.type, parameter.default)
+    return read_bits(bytes(octets), 0, parameter.type)
 
 
 def _shown(parameter: Parameter, value: int) -> str:

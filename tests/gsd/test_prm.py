@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from dpstack.errors import GsdError
 from dpstack.gsd.check import check
 from dpstack.gsd.model import PrmKind, PrmType
-from dpstack.gsd.prm import Reading, UserPrm, put, take
+from dpstack.gsd.prm import Reading, UserPrm, read_bits, write_bits
 
 D = device("prm")
 AI, LIMIT, PLAIN, TOO_LONG = D.modules
@@ -179,8 +179,8 @@ KINDS = st.one_of(
 def test_a_value_changes_its_own_bits_only(kind: PrmType, before: bytes, at: int, data: st.DataObject) -> None:
     value = data.draw(st.integers(*kind.limits))
     octets = bytearray(before)
-    put(octets, at, kind, value)
-    assert take(bytes(octets), at, kind) == value
+    write_bits(octets, at, kind, value)
+    assert read_bits(bytes(octets), at, kind) == value
     own = ((1 << kind.width) - 1) << kind.first
     mask = own << 8 * (8 - at - kind.size)
     assert (int.from_bytes(octets, "big") ^ int.from_bytes(before, "big")) & ~mask == 0

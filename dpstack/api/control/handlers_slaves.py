@@ -3,37 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 from dpstack.api.control import arguments
 from dpstack.api.control.server import Handler
-from dpstack.dpv1.slave.device import Device
+from dpstack.api.server.virtual_bench import Bench
 from dpstack.errors import UsageError
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.sim.io_station import IoStation
 
 #: Called after a command: with its name, its arguments, the slave's address and name.
 OnOrder = Callable[[str, list[str], int, str], None]
-
-
-class Bench(Protocol):
-    """Simulated slaves whose faults commands can set. The caller checks addresses."""
-
-    def names(self) -> dict[int, str]:
-        """Address and name of every slave."""
-
-    def device(self, address: int) -> Device: ...
-
-    def silence(self, address: int, for_ns: int | None) -> None:
-        """Make a slave deaf and mute; None: until :meth:`resume`."""
-
-    def resume(self, address: int) -> None: ...
-
-    def injected(self, address: int) -> list[str]:
-        """Faults of the slave from outside that are not over."""
-
-    def power(self, address: int, on: bool) -> None:
-        """Switch a slave off at once, or on again; a drive keeps its EEPROM."""
 
 
 class SlaveCommands:

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Final, Literal
 
 from dpstack.api.bus.compose import ECHO, port_of
 from dpstack.api.bus.events_json import Injected
 from dpstack.api.config.config import AUTO, Config, rate_findings
-from dpstack.api.server.virtual_bench import Unit, injected_text, rates_of, set_rate, station_status
+from dpstack.api.server.virtual_bench import Bench, Unit, rates_of, set_rate, station_status
 from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingPort
 from dpstack.dp.slave.baud_control import BaudState
 from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
-from dpstack.dpv1.slave.device import Device
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, patience_of
 from dpstack.drivers.line.rate import settle_ns_of
 from dpstack.drivers.segment.hub import Segment, default_directory
@@ -79,7 +78,7 @@ class SimulatedSlave:
         return self.unit.station.stats.dropped
 
 
-class Simulation:
+class Simulation(Bench):
     """All slaves of ``config`` as stations behind one ``port``; ``async with`` opens and closes it.
 
     ``port``: as everywhere, or "pty" for a new one, whose path is then ``port_name``. ``baud`` in bit/s, or "auto": the
@@ -192,44 +191,29 @@ class Simulation:
             status["search"] = self._search.state.value
         return status | {"slaves": slaves}
 
-    def names(self) -> dict[int, str]:
-        """Address and name of every slave."""
-        return {slave.address: slave.name for slave in self.slaves}
-
-    def device(self, address: int) -> Device:
-        return self._unit(address).device
-
-    def _unit(self, address: int) -> Unit:
-        return next(slave.unit for slave in self.slaves if slave.address == address)
+    @property
+    def units(self) -> Mapping[int, Unit]:
+        return {slave.address: slave.unit for slave in self.slaves}
 
     def silence(self, address: int, for_ns: int | None) -> None:
-        """Make a slave deaf and mute for a time, None: until :meth:`resume`; one that is off stays off."""
-        unit = self._unit(address)
-        if unit.powered:
-            self._line.silence(unit.station.address, NEVER if for_ns is None else self.runtime.now() + for_ns)
+        if self.units[address].powered:
+            self._line.silence(address, NEVER if for_ns is None else self.runtime.now() + for_ns)
 
     def resume(self, address: int) -> None:
-        unit = self._unit(address)
-        if unit.powered:
-            self._line.resume(unit.station.address)
+        if self.units[address].powered:
+            self._line.resume(address)
 
-    def power(self, address: int, on: bool) -> None:
-        """Switch a slave off at once, or on again; a drive keeps its EEPROM."""
-        unit = self._unit(address)
-        if on is unit.powered:
-            return
+    def _silent_ns(self, address: int) -> int | None:
+        until = self._line.silent_until(address) if self.units[address].powered else None
+        return None if until is None else until - self.runtime.now()
+
+    def _switch(self, address: int, on: bool) -> None:
         if on:
+            unit = self.units[address]
             unit.renew(self._line.params)
             self._line.add(unit.station)
         else:
-            self._line.remove(unit.station.address)
-        unit.powered = on
-
-    def injected(self, address: int) -> list[str]:
-        """Faults of the slave from outside that are not over."""
-        unit = self._unit(address)
-        until = self._line.silent_until(unit.station.address) if unit.powered else None
-        return injected_text(unit.device, unit.powered, None if until is None else until - self.runtime.now())
+            self._line.remove(address)
 
     def tell(self, event: Event) -> None:
         hand_to(self.on_event, event)

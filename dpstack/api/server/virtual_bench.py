@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.slave.application import SlaveApp
@@ -52,14 +53,6 @@ def _own(slave: SlaveConfig, description: SlaveDescription) -> SlaveDescription:
 def station_status(device: Device) -> dict[str, object]:
     """Additional keys of ``status`` for a simulated slave: ``slots`` of an I/O station."""
     return {"slots": device.as_dict()} if isinstance(device, IoStation) else {}
-
-
-def injected_text(device: Device, powered: bool, silent_ns: int | None) -> list[str]:
-    """Faults of a simulated slave from outside that are not over. ``silent_ns``: rest of a silence."""
-    found = [] if powered else ["power-off"]
-    if powered and silent_ns is not None and silent_ns > 0:
-        found.append(silence_text(silent_ns))
-    return found + list(device.injected if isinstance(device, (DriveDevice, IoStation)) else ())
 
 
 def silence_text(left_ns: int) -> str:
@@ -124,7 +117,50 @@ class Unit:
             self.on_bus = SearchingSlave(self.station, self.app, rates=rates_of(self.config))
 
 
-class VirtualBench:
+class Bench(ABC):
+    """Simulated slaves that commands can silence and switch off and on. The caller checks addresses."""
+
+    @property
+    @abstractmethod
+    def units(self) -> Mapping[int, Unit]:
+        """The slaves by address."""
+
+    @abstractmethod
+    def silence(self, address: int, for_ns: int | None) -> None:
+        """Make a slave deaf and mute; None: until :meth:`resume`. A slave that is off stays off."""
+
+    @abstractmethod
+    def resume(self, address: int) -> None: ...
+
+    @abstractmethod
+    def _silent_ns(self, address: int) -> int | None:
+        """The rest of a silence; None: the slave is not silenced."""
+
+    @abstractmethod
+    def _switch(self, address: int, on: bool) -> None: ...
+
+    def names(self) -> dict[int, str]:
+        """Address and name of every slave."""
+        return {address: unit.config.name for address, unit in self.units.items()}
+
+    def device(self, address: int) -> Device:
+        return self.units[address].device
+
+    def power(self, address: int, on: bool) -> None:
+        """Switch a slave off at once, or on again; a drive keeps its EEPROM."""
+        if on is not self.units[address].powered:
+            self._switch(address, on)
+            self.units[address].powered = on
+
+    def injected(self, address: int) -> list[str]:
+        """Faults of the slave from outside that are not over."""
+        unit = self.units[address]
+        left_ns = self._silent_ns(address) or 0
+        found = ["power-off"] if not unit.powered else [silence_text(left_ns)] if left_ns > 0 else []
+        return found + list(unit.device.injected if isinstance(unit.device, (DriveDevice, IoStation)) else ())
+
+
+class VirtualBench(Bench):
     """The simulated slaves of a bus in virtual time, at the rate of ``params``; None: they detect it."""
 
     def __init__(self, world: World, params: BusParams | None) -> None:
@@ -143,15 +179,11 @@ class VirtualBench:
         unit = self._units[config.address] = Unit(config, self._params, searching=self._searching)
         self._world.add(unit.on_bus, name=config.name)
 
-    def names(self) -> dict[int, str]:
-        """Address and name of every slave."""
-        return {address: unit.config.name for address, unit in self._units.items()}
-
-    def device(self, address: int) -> Device:
-        return self._units[address].device
+    @property
+    def units(self) -> Mapping[int, Unit]:
+        return self._units
 
     def silence(self, address: int, for_ns: int | None) -> None:
-        """Make a slave deaf and mute; None: until :meth:`resume`. A slave that is off stays off."""
         if not self._units[address].powered:
             return
         self._unplug(address)
@@ -162,18 +194,14 @@ class VirtualBench:
     def resume(self, address: int) -> None:
         self._end(address, self._silent.get(address))
 
-    def power(self, address: int, on: bool) -> None:
-        """Switch a slave off at once, or on again; a drive keeps its EEPROM."""
+    def _switch(self, address: int, on: bool) -> None:
         unit = self._units[address]
-        if on is unit.powered:
-            return
         if on:
             unit.renew(self._params)
             self._world.add(unit.on_bus, name=unit.config.name)
         else:
             self._unplug(address)
             self._silent.pop(address, None)
-        unit.powered = on
 
     def _unplug(self, address: int) -> None:
         if address not in self._silent:
@@ -181,10 +209,9 @@ class VirtualBench:
             self._world.remove(station)
             station.command(LineDown("off the line"), self._world.now)
 
-    def injected(self, address: int) -> list[str]:
-        """Faults of the slave from outside that are not over."""
-        unit, until = self._units[address], self._silent.get(address)
-        return injected_text(unit.device, unit.powered, None if until is None else until - self._world.now)
+    def _silent_ns(self, address: int) -> int | None:
+        until = self._silent.get(address)
+        return None if until is None else until - self._world.now
 
     def _end(self, address: int, until: int | None) -> None:
         """End the silence that lasts ``until``, unless another one has replaced it."""
