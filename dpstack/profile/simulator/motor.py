@@ -47,10 +47,10 @@ class Motor:
     decel: float = 1.0
     on: bool = field(default=False, init=False)
     braking: bool = field(default=False, init=False)
-    setpoint: float = field(default=0.0, init=False)
-    speed: float = field(default=0.0, init=False)
-    frequency: float = field(default=0.0, init=False)
-    torque: float = field(default=0.0, init=False)
+    setpoint: float = 0.0
+    speed: float = 0.0
+    frequency: float = 0.0
+    torque: float = 0.0
     limited: bool = field(default=False, init=False)
     _decay: float = field(init=False)
     _at: int | None = field(default=None, init=False)
