@@ -12,18 +12,19 @@ Requests of one connection are answered one after the other.
 - ``commands``: Tables of the commands that running programs accept over the control socket, for each kind of program
 - ``drive_check``: Check of orders for a drive before the first of them goes out: numbers, ranges, names and steps of
   parameters
-- ``drive_commands``: What a drive is told from outside, in words: each with its arguments as texts, answered by plain
-  JSON data
+- ``drive_commands``: Commands for a drive (``speed``, ``stop``, ``read`` ...): parser of their arguments, execution,
+  answers in JSON
 - ``errors``: Errors over the control socket: an error in the program raises the same error in its client
-- ``handlers``: The control servers of the three kinds of programs: what each command does to them
+- ``handlers``: The control servers of run, sim and segment, with a handler for each command
 - ``handlers_slaves``: Commands on simulated slaves: of a ``sim``, and of a ``run`` whose slaves are simulated in it
 - ``own_master``: A master for one drive of a configuration: the others are left alone; on leaving, the drive is
   stopped in order
-- ``record_commands``: What the records of a slave are told from outside, in words: by ``dpstack acyclic``, over the
+- ``record_commands``: Commands for the records of a slave (``read``, ``write`` ...), of ``dpstack acyclic`` and the
   control socket
-- ``remote_drive``: A drive of another program: the ``run`` that holds the port is asked over its control socket
-- ``remote_records``: Records of a slave of another program: the ``run`` that holds the port is asked over its control
-  socket
+- ``remote_drive``: A drive of another program: commands to the ``run`` that holds the port, over its control socket;
+  and its server
+- ``remote_records``: Records of a slave of another program: commands to the ``run`` that holds the port, over its
+  control socket
 - ``server``: The server's end of the control socket of a run, sim or segment
 - ``socket_path``: Control sockets as files: names, directory, and the user at the other end of a connection
 """

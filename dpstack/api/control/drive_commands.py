@@ -1,4 +1,4 @@
-"""What a drive is told from outside, in words: each with its arguments as texts, answered by plain JSON data."""
+"""Commands for a drive (``speed``, ``stop``, ``read`` ...): parser of their arguments, execution, answers in JSON."""
 
 from __future__ import annotations
 
@@ -123,22 +123,22 @@ async def carry_out(drive: Drive, word: str, args: Sequence[str]) -> dict[str, A
     """Carry out one order, see :func:`parse_order`. Raises UsageError, and what the drive raises."""
     order = parse_order(word, args)
     options = order.options
-    told: dict[str, Any] = {"order": word, "drive": drive.name, "address": drive.address, "type": drive.kind}
+    answer: dict[str, Any] = {"order": word, "drive": drive.name, "address": drive.address, "type": drive.kind}
     seconds = 5.0 if options.timeout is None else options.timeout
     places = {"data_set": options.data_set, "index": options.index}
     match word:
         case "read":
             found = await drive.parameter(order.parameter, **places, timeout=seconds)
-            return {**told, "parameter": asdict(found)}
+            return {**answer, "parameter": asdict(found)}
         case "write":
             found = await drive.write(order.parameter, order.value, **places, ram=options.ram, timeout=seconds)
-            return {**told, "parameter": asdict(found)}
+            return {**answer, "parameter": asdict(found)}
         case "parameters":
             listed = [asdict(one) for one in drive.parameters]
-            return {**told, "per_request": drive.per_request, "parameters": listed}
+            return {**answer, "per_request": drive.per_request, "parameters": listed}
         case "read_many":
             entries = await drive.read_many(order.places, timeout=seconds)
-            return {**told, "parameters": [_entry(one) for one in entries]}
+            return {**answer, "parameters": [_entry(one) for one in entries]}
         case "speed" | "frequency":
             await drive.order(word, value=order.value)
         case "status":
@@ -146,7 +146,7 @@ async def carry_out(drive: Drive, word: str, args: Sequence[str]) -> dict[str, A
         case _:
             motion = _MOTIONS[word]
             await (motion(drive) if options.timeout is None else motion(drive, options.timeout))
-    return {**told, "status": drive.status.as_dict()}
+    return {**answer, "status": drive.status.as_dict()}
 
 
 def _places(text: str) -> list[ParameterPlace]:

@@ -1,4 +1,4 @@
-"""The control servers of the three kinds of programs: what each command does to them."""
+"""The control servers of run, sim and segment, with a handler for each command."""
 
 from __future__ import annotations
 
@@ -76,9 +76,9 @@ def control_sim(simulation: Simulation, port: str) -> ControlServer:
 
 
 def control_segment(segment: Segment, on_event: OnEvent | None = None) -> ControlServer:
-    """Talks to a segment, found by its directory. ``on_event`` is told what was done to it."""
+    """Talks to a segment, found by its directory. ``on_event`` is called for each fault that is set."""
 
-    def told(command: str, act: Callable[[list[str]], None]) -> Handler:
+    def reported(command: str, act: Callable[[list[str]], None]) -> Handler:
         def carry_out(args: list[str]) -> None:
             act(args)
             hand_to(on_event, Injected(t_ns=monotonic_ns(), command=command, args=tuple(args)))
@@ -96,9 +96,9 @@ def control_segment(segment: Segment, on_event: OnEvent | None = None) -> Contro
 
     handlers: dict[str, Handler] = {
         "status": lambda _: segment_status(segment),
-        "noise": told("noise", noise),
-        "silence": told("silence", silence),
-        "resume": told("resume", lambda args: segment.resume(_station(args[0]))),
+        "noise": reported("noise", noise),
+        "silence": reported("silence", silence),
+        "resume": reported("resume", lambda args: segment.resume(_station(args[0]))),
         "stats": lambda _: segment.stats(),
     }
     return ControlServer("segment", str(segment.directory), KINDS["segment"], handlers)

@@ -53,7 +53,7 @@ class OneDrive:
         await bus.open()
         await bus.operate()
         await bus.slave(self._slave.address).ready(READY_S)
-        with contextlib.suppress(DriveError):  # one that tells nothing is still there to be told something
+        with contextlib.suppress(DriveError):  # a drive without a status can still get commands
             await self.drive.settled(_TOLD_S)
 
     async def held(self, seconds: float | None) -> None:

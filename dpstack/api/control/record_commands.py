@@ -1,4 +1,4 @@
-"""What the records of a slave are told from outside, in words: by ``dpstack acyclic``, over the control socket."""
+"""Commands for the records of a slave (``read``, ``write`` ...), of ``dpstack acyclic`` and the control socket."""
 
 from __future__ import annotations
 
@@ -110,10 +110,10 @@ async def carry_out(
 async def _all_parameters(slave: Target, slot: int, axis: int, progress: OnProgress | None) -> dict[str, object]:
     parameters = slave.parameters(slot, object=axis)
 
-    def told(what: str) -> Progress | None:
+    def counter(what: str) -> Progress | None:
         return None if progress is None else lambda done, of: progress(what, done, of)
 
-    found = await parameters.read_out(progress=told("values"), describing=told("descriptions"))
+    found = await parameters.read_out(progress=counter("values"), describing=counter("descriptions"))
     return {"ident": await _ident_of(slave), "parameters": [ListedValues.of(one).as_dict() for one in found]}
 
 

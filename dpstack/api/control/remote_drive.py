@@ -1,4 +1,4 @@
-"""A drive of another program: the ``run`` that holds the port is asked over its control socket."""
+"""A drive of another program: commands to the ``run`` that holds the port, over its control socket; and its server."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class _OfDrive(TypedDict):
     address: int
 
 
-class DriveTold(_OfDrive):
+class StatusAnswer(_OfDrive):
     """An order to a drive without an answer of its own: the status afterwards."""
 
     status: Status
@@ -62,31 +62,31 @@ class _Parameter(TypedDict):
     data_set: int | None
 
 
-class ParameterTold(_OfDrive):
+class ParameterAnswer(_OfDrive):
     """``read`` and ``write`` of a drive."""
 
     parameter: _Parameter
 
 
-class ParametersTold(_OfDrive):
+class ParametersAnswer(_OfDrive):
     """``parameters`` of a drive."""
 
     per_request: Annotated[int, msgspec.Meta(ge=1)]
     parameters: list[ListedParam]
 
 
-class ManyTold(_OfDrive):
+class ReadManyAnswer(_OfDrive):
     """``read_many`` of a drive: each entry a ``ParameterValue``, or an error as it stands in an answer."""
 
     parameters: list[dict[str, Any]]
 
 
-#: of a drive, by the order; all others are :class:`DriveTold`
+#: of a drive, by the order; all others are :class:`StatusAnswer`
 OF_DRIVE: Final[dict[str, type]] = {
-    "read": ParameterTold,
-    "write": ParameterTold,
-    "parameters": ParametersTold,
-    "read_many": ManyTold,
+    "read": ParameterAnswer,
+    "write": ParameterAnswer,
+    "parameters": ParametersAnswer,
+    "read_many": ReadManyAnswer,
 }
 
 
@@ -117,26 +117,26 @@ class RemoteDrive:
 
     @property
     def parameters(self) -> tuple[ListedParam, ...]:
-        """As told by the run. Raises UsageError before :meth:`learn`."""
+        """The answer of the run. Raises UsageError before :meth:`learn`."""
         if self._parameters is None:
             raise UsageError(f"drive {self.name}: ask the run for its parameters first")
         return self._parameters
 
     async def meet(self) -> None:
         """Who it is. Raises UsageError where the run has no such drive, BusError where it cannot tell now."""
-        told = await self.order("status")
-        self.kind, self.address = told["type"], told["address"]
+        answer = await self.order("status")
+        self.kind, self.address = answer["type"], answer["address"]
 
     async def learn(self) -> None:
         """Ask for its parameters."""
-        told = checked(await self.order(PARAMETERS), ParametersTold, self._client.port, PARAMETERS)
-        self._parameters = tuple(told["parameters"])
-        self.per_request = told["per_request"]
+        answer = checked(await self.order(PARAMETERS), ParametersAnswer, self._client.port, PARAMETERS)
+        self._parameters = tuple(answer["parameters"])
+        self.per_request = answer["per_request"]
 
     async def order(self, word: str, args: Sequence[str] = ()) -> dict[str, Any]:
         """As :func:`~dpstack.api.control.drive_commands.carry_out`, over there. Cancelled, the connection is gone."""
         try:
-            kind = OF_DRIVE.get(word, DriveTold)
+            kind = OF_DRIVE.get(word, StatusAnswer)
             answer = await asyncio.to_thread(self._client.call, "drive", self.name, word, *args, kind=kind)
         except asyncio.CancelledError:
             self.close()
@@ -148,18 +148,18 @@ class RemoteDrive:
     ) -> list[ParameterValue | ParameterError]:
         """Some parameters."""
         places = json.dumps([one.as_dict() for one in parameters])
-        told = (await self.order(READ_MANY, (places, f"timeout={timeout}")))["parameters"]
-        if len(told) != len(parameters):
+        answer = (await self.order(READ_MANY, (places, f"timeout={timeout}")))["parameters"]
+        if len(answer) != len(parameters):
             raise PortError(
-                f"{self._client.port}: {len(parameters)} parameters were asked for and {len(told)} were told; is it "
+                f"{self._client.port}: {len(parameters)} parameters were asked for and {len(answer)} were told; is it "
                 f"another version of dpstack?"
             )
-        return [self._entry(one) for one in told]
+        return [self._entry(one) for one in answer]
 
-    def _entry(self, told: Mapping[str, Any]) -> ParameterValue | ParameterError:
-        if "error" not in told:
-            return checked(told, ParameterValue, self._client.port, READ_MANY)
-        error = failure(told)
+    def _entry(self, answer: Mapping[str, Any]) -> ParameterValue | ParameterError:
+        if "error" not in answer:
+            return checked(answer, ParameterValue, self._client.port, READ_MANY)
+        error = failure(answer)
         if not isinstance(error, ParameterError):
             raise error
         return error
@@ -180,8 +180,8 @@ async def find_drive(config: Config, name: str) -> RemoteDrive | None:
     if client is None:
         return None
     try:
-        told = await asyncio.to_thread(client.help)
-        drive = RemoteDrive(client, name, told["pid"])
+        answer = await asyncio.to_thread(client.help)
+        drive = RemoteDrive(client, name, answer["pid"])
         await drive.meet()
     except BaseException:
         client.close()

@@ -1,4 +1,4 @@
-"""Records of a slave of another program: the ``run`` that holds the port is asked over its control socket."""
+"""Records of a slave of another program: commands to the ``run`` that holds the port, over its control socket."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ class _OfSlave(TypedDict):
     slot: int
 
 
-class WriteTold(_OfSlave):
+class WriteAnswer(_OfSlave):
     """``write`` of a slave's record."""
 
     index: int
     length: int
 
 
-class RecordTold(WriteTold):
+class RecordAnswer(WriteAnswer):
     """``read`` and ``transport`` of a slave."""
 
     data: Hex
 
 
-class ListTold(_OfSlave):
+class ListAnswer(_OfSlave):
     """``parameters`` of a slave; the entries come in items before."""
 
     object: int
@@ -52,7 +52,7 @@ class ListTold(_OfSlave):
     parameters: NotRequired[list[ListedValues]]
 
 
-class ImTold(_OfSlave):
+class ImAnswer(_OfSlave):
     """``im`` of a slave: the fields of each record, by its number."""
 
     im: dict[str, dict[str, Any]]
@@ -60,11 +60,11 @@ class ImTold(_OfSlave):
 
 #: of a slave's records, by the order
 OF_SLAVE: Final[dict[str, type]] = {
-    "read": RecordTold,
-    "transport": RecordTold,
-    "write": WriteTold,
-    "parameters": ListTold,
-    "im": ImTold,
+    "read": RecordAnswer,
+    "transport": RecordAnswer,
+    "write": WriteAnswer,
+    "parameters": ListAnswer,
+    "im": ImAnswer,
 }
 
 #: the commands of a run, by class of master
@@ -94,14 +94,14 @@ async def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> A
     def sign() -> dict[str, object]:
         return {"state": slave.state.value, **({"progress": progress} if progress else {})}
 
-    def told(*one: object) -> None:
+    def on_progress(*one: object) -> None:
         progress[:] = one
 
     async def work() -> dict[str, Any]:
         if not class2:
-            return await carry_out(slave, word, rest, told)
+            return await carry_out(slave, word, rest, on_progress)
         async with bus.class2.connect(slave) as connection:
-            return await carry_out(connection, word, rest, told)
+            return await carry_out(connection, word, rest, on_progress)
 
     async with contextlib.aclosing(kept_alive(work(), sign)) as items:
         async for item in items:
@@ -126,7 +126,7 @@ async def through_run(
     if client is None:
         return None
     with client:
-        told = await asyncio.to_thread(
+        answer = await asyncio.to_thread(
             client.ask, COMMANDS[master], str(slave), word, *args, kind=OF_SLAVE.get(word), progress=progress
         )
-    return {PARAMETERS: [], **told, "order": word} if word == PARAMETERS else {**told, "order": word}
+    return {PARAMETERS: [], **answer, "order": word} if word == PARAMETERS else {**answer, "order": word}

@@ -437,7 +437,7 @@ def _error(text: str) -> dict[str, object]:
     return {"ok": False, "error": " ".join(text.split())}
 
 
-#: how often the client of an order is told that it goes on, in s: without its answer it would take us for dead
+#: interval in s of the signs of life during a long command: without them its client would give up
 _SIGN_OF_LIFE_S: Final = 0.5
 
 
