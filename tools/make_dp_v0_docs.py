@@ -41,21 +41,23 @@ def _end(end: Mapping[str, Any] | None) -> str:
 
 _BITS: Final = """## The diagnosis, bit by bit
 
-What the master does after Set_Prm and Chk_Cfg (bring-up) and in data exchange; of several bits the weightiest counts.
-Bits that a master sets in the diagnosis it keeps for its user are ignored when a slave sets them, and told once.
-Each row is shown by `dp/master/test_master_dp_v0.py::test_transcript_of_the_bring_up_for_each_bit`,
+The table says what the master does after Set_Prm and Chk_Cfg (bring-up) and in data exchange. If several bits are
+set, the most serious one counts. Some bits only a master sets, in the diagnosis that it keeps for its user; if a slave
+sets one of them, the master ignores it and reports it once. These tests cover every row:
+`dp/master/test_master_dp_v0.py::test_transcript_of_the_bring_up_for_each_bit`,
 `dp/master/test_master_dp_v0.py::test_each_bit_in_data_exchange` and
 `dp/master/test_master_dp_v0.py::test_the_bits_a_master_sets`.
 
-| octet, bit | name | set by | in the bring-up the master | in data exchange | more | what you read |
+| octet, bit | name | set by | the master in the bring-up | the master in data exchange | details | message |
 |---|---|---|---|---|---|---|"""
 
 _REST: Final = (
-    "| 2, 2 | (always 1) | slave | " + f"{Does.TELLS.value} | {Does.TELLS.value} | a slave without it is told once | |",
+    "| 2, 2 | (always 1) | slave | "
+    + f"{Does.TELLS.value} | {Does.TELLS.value} | if it is missing, this is reported once | |",
     "| octet 4 | Master_Add | slave | another master's slave is never parameterised (fault `locked`) | the same | "
-    "own + 128, and whoever asks, are tolerated | is owned by master 7 |",
+    "own address + 128 and the address of the asking master are tolerated | is owned by master 7 |",
     "| octets 5, 6 | Ident | slave | another device is never parameterised (fault `wrong_ident`) | the same | "
-    '`ident = "ask"` takes what is found | is another device: ident 0x1234 instead of 0x0696 |',
+    '`ident = "ask"` accepts the ident number found | is another device: ident 0x1234 instead of 0x0696 |',
 )
 
 

@@ -18,15 +18,15 @@ class SetBy(Enum):
 
 
 class Does(Enum):
-    """What the master does when it reads the bit, the weightiest last; the values stand in the documents."""
+    """The master's reaction to the bit, the most serious one last. docs/dp-v0.md prints the values."""
 
-    TELLS = "tells it, goes on"
-    WAITS = "asks again until it is gone"
+    TELLS = "reports it, goes on"
+    WAITS = "reads the diagnosis again until the bit is 0"
     PARAMETERISES = "begins again with Set_Prm"
-    REFUSES = "ends with a fault, tries again after 1 to 10 s"
+    REFUSES = "fault; tries again after 1 to 10 s"
 
 
-#: of several bits the weightiest counts
+#: if several bits are set, the most serious one counts
 WEIGHT: Final = {does: at for at, does in enumerate(Does)}
 
 
@@ -58,11 +58,11 @@ ALWAYS_ONE: Final = 0x04
 FLAGS: Final = (
     Flag(
         1, 0x01, "station_non_existent", _M, None, None, "does not answer", "check power, address and cable",
-        "set while it does not answer; asked again after 0.1 to 1 s",
+        "set while the slave does not answer; the master asks again after 0.1 to 1 s",
     ),
     Flag(
         1, 0x02, "station_not_ready", _S, _W, _T, "is not ready for data exchange", "wait; then look at the device",
-        "after 10 s the fault not_ready, with the octet in which Get_Cfg differs",
+        "after 10 s the fault `not_ready`, with the octet in which Get_Cfg differs",
     ),
     Flag(
         1, 0x04, "cfg_fault", _S, _R, _R,
@@ -71,7 +71,7 @@ FLAGS: Final = (
     ),
     Flag(
         1, 0x08, "ext_diag", _S, _T, _T, "has something to tell in its extended diagnosis", "look at the device",
-        "decodes the blocks; without this bit they are messages of state, no error",
+        "decodes the blocks; without this bit they are status messages, not errors",
     ),
     Flag(
         1, 0x10, "not_supported", _S, _R, _T,
@@ -80,24 +80,24 @@ FLAGS: Final = (
     Flag(
         1, 0x20, "invalid_slave_response", _M, None, None,
         "gave an impossible answer", "look for a second one at its address",
-        "set after answers of the wrong length; gives safe outputs and unlocks it",
+        "set after answers of the wrong length; the master sends safe outputs and unlocks the slave",
     ),
     Flag(
         1, 0x40, "prm_fault", _S, _R, _R,
         "refuses the parameters", "compare ident number and parameters with its GSD file",
-        "tells the octets that were sent and what the slave adds",
+        "the message has the octets sent and the slave's extended diagnosis",
     ),
     Flag(
         1, 0x80, "master_lock", _M, None, None,
         "is parameterised by another master", "stop that master, or leave the slave out",
-        "set by the master address in octet 4; never parameterised",
+        "set if octet 4 has the address of another master; the slave is never parameterised",
     ),
     Flag(2, 0x01, "prm_req", _S, _P, _P, "wants to be parameterised", "the master does it", "at most three times"),
     Flag(
         2, 0x02, "stat_diag", _S, _W, _W, "cannot give valid data", "look at the device's own fault display",
-        "in data exchange every 100 ms; outputs go on, inputs are not valid until then",
+        "in data exchange every 100 ms; meanwhile outputs go on and inputs are not valid",
     ),
-    Flag(2, 0x08, "wd_on", _S, _T, _T, "watches its master", note="a slave that should and does not is told"),
+    Flag(2, 0x08, "wd_on", _S, _T, _T, "watches its master", note="reported if it is 0 and should be 1"),
     Flag(2, 0x10, "freeze_mode", _S, _T, _T, "its inputs are frozen"),
     Flag(2, 0x20, "sync_mode", _S, _T, _T, "its outputs are held until the next SYNC"),
     Flag(
@@ -110,7 +110,7 @@ FLAGS: Final = (
     ),
     Flag(
         3, 0x80, "ext_diag_overflow", _S, _T, _T, "has more diagnosis than fits", "look at the device itself",
-        "what came is decoded",
+        "the received part is decoded",
     ),
 )  # fmt: skip
 
