@@ -64,7 +64,7 @@ def test_back_to_operate_on_the_way_down() -> None:
 
 
 def test_safe_values_reach_a_slave_that_is_served_every_nth_round_only() -> None:
-    bus = operating(setup(every=100_000, safe=SAFE, initial=RUN), setup(4))
+    bus = operating(setup(every=10_000, safe=SAFE, initial=RUN), setup(4))
     bus.master.command(Shutdown(), bus.now)
     bus.run(100 * MS)
     assert outputs(bus) == [SAFE, bytes(4)]
