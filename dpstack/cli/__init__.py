@@ -1,7 +1,7 @@
-"""The program ``dpstack``: one module per command, all over the public API.
+"""The program ``dpstack``: its commands, options and terminal output.
 
-- ``commands/``: The commands of the program, a module each
-- ``terminal/``: What commands share of the terminal: output, reports, signals
-- ``main``: The entry point: finds the command, turns every expected error into one line and gives the exit code
-- ``options``: Arguments that several commands share, and their checks
+- ``commands/``: The commands of the program, one module for each
+- ``terminal/``: Output, reports and signals
+- ``main``: Entry point: command line, error output, exit codes
+- ``options``: Options and argument types that several commands share
 """

@@ -1,7 +1,7 @@
-"""The entry point: finds the command, turns every expected error into one line and gives the exit code.
+"""Entry point of ``dpstack``: command line, error output, exit codes.
 
-0 success, 1 a finding or a failed run, 2 wrong use (arguments, configuration). No traceback for what a user or the
-world outside can cause.
+0 success, 1 a finding or a failed run, 2 wrong use (arguments, configuration). Expected errors are printed in one
+line, without a traceback.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ _COMMANDS = {
     "gsd": "GSD files: show, check, configure",
 }
 _INTERRUPTED = 130
-#: set to anything: errors are shown with where they come from
+#: environment variable; any value: errors are printed with their traceback
 _DEBUG = "DPSTACK_DEBUG"
 
 
 class Parser(argparse.ArgumentParser):
-    """Refuses wrong arguments in one line."""
+    """An argument parser that prints errors in one line and imports a command's module when it is used."""
 
-    #: the command whose module adds the arguments when they are to be read; empty where they are there
+    #: the command whose module still has to add its arguments; empty afterwards
     command = ""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As in argparse, and the help of a command is asked for here, too."""
+        """Also called for the help of a command."""
         if self.command:
             importlib.import_module(f"dpstack.cli.commands.{self.command}").add_to(self)
             self.command = ""
@@ -60,12 +60,10 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        """Help, errors, version: lines of text."""
         super()._print_message("\n".join(map(printable, message.split("\n"))), file)
 
 
 def build_parser() -> Parser:
-    """All commands with their options."""
     parser = Parser(
         prog="dpstack",
         description="PROFIBUS-DP: a soft master, simulated slaves, and what belongs to them.",
@@ -82,7 +80,7 @@ def build_parser() -> Parser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code."""
+    """Run one command. Returns the exit code."""
     lost_stdout.fill()
     try:
         args = build_parser().parse_args(argv)

@@ -1,10 +1,13 @@
-"""Arguments that several commands share, and their checks."""
+"""Options and argument types that several commands share."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import functools
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from dpstack.api.config.bus import AUTO
 from dpstack.text import decimal, shortened
@@ -13,9 +16,10 @@ from dpstack.units import BAUD_RATES
 if TYPE_CHECKING:
     Commands = argparse._SubParsersAction[argparse.ArgumentParser]
 
+_N = TypeVar("_N", bound=float)
+
 
 def command(commands: Commands, name: str, text: str, example: str) -> argparse.ArgumentParser:
-    """A command with its description and, in its help, an example."""
     return commands.add_parser(
         name,
         help=text,
@@ -25,13 +29,19 @@ def command(commands: Commands, name: str, text: str, example: str) -> argparse.
     )
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """``--json``."""
+def add_other_port(parser: argparse.ArgumentParser) -> None:
+    """``--port`` and ``--baud`` instead of those of the configuration."""
+    parser.add_argument("--port", metavar="P", help="another port")
+    parser.add_argument("--baud", metavar="B|auto", type=baud_or_auto, help='another rate; "auto": listens')
+
+
+def run_by(parser: argparse.ArgumentParser, execute: Callable[[argparse.Namespace], int]) -> None:
+    """``execute`` runs the command; the last option is ``--json``."""
     parser.add_argument("--json", action="store_true", help="print JSON lines")
+    parser.set_defaults(execute=execute)
 
 
 def baud(text: str) -> int:
-    """A rate of PROFIBUS in bit/s."""
     try:
         value = int(text)
     except ValueError:
@@ -43,70 +53,29 @@ def baud(text: str) -> int:
 
 
 def baud_or_auto(text: str) -> int | str:
-    """As :func:`baud`, or "auto"."""
     return text if text == AUTO else baud(text)
 
 
-def seconds(text: str) -> float:
-    """A time in seconds, more than 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds above 0")
-    return value
+def number(read: Callable[[str], _N | None], low: float, below: float, what: str) -> Callable[[str], _N]:
+    """The type of an argument: ``low`` and more, less than ``below``. ``what``: what a refused text is not."""
+
+    def checked(text: str) -> _N:
+        with contextlib.suppress(ValueError):
+            value = read(text)
+            if value is not None and low <= value < below:
+                return value
+        raise argparse.ArgumentTypeError(f"{shortened(text)!r} is no {what}")
+
+    return checked
 
 
-def milliseconds(text: str) -> float:
-    """A time in milliseconds, more than 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of milliseconds above 0")
-    return value
-
-
-def count(text: str) -> int:
-    """A whole number from 1 on."""
-    value = decimal(text)
-    if not value:
-        raise argparse.ArgumentTypeError(f"{shortened(text)!r} is no whole number from 1 on")
-    return value
-
-
-def whole(text: str) -> int:
-    """A whole number from 0 on."""
-    value = decimal(text)
-    if value is None:
-        raise argparse.ArgumentTypeError(f"{shortened(text)!r} is no whole number from 0 on")
-    return value
-
-
-def address(text: str) -> int:
-    """A station address."""
-    value = decimal(text)
-    if value is None or value > 125:
-        raise argparse.ArgumentTypeError(f"{shortened(text)!r} is no station address, 0..125")
-    return value
-
-
-def slave_address(text: str) -> int:
-    """The address of a slave, 126 as delivered included."""
-    value = decimal(text)
-    if value is None or value > 126:
-        raise argparse.ArgumentTypeError(f"{shortened(text)!r} is no address of a slave, 0..126")
-    return value
-
-
-def ident(text: str) -> int:
-    """An ident number, in hex with or without 0x as GSD files and scans show it."""
-    try:
-        value = int(text, 16)
-    except ValueError:
-        value = -1
-    if not 0 <= value <= 0xFFFF:
-        raise argparse.ArgumentTypeError(f"{text!r} is no ident number, for instance 0x0696")
-    return value
+_MORE_THAN_0: Final = math.ulp(0.0)
+seconds = number(float, _MORE_THAN_0, 1e9, "number of seconds above 0")
+milliseconds = number(float, _MORE_THAN_0, 1e9, "number of milliseconds above 0")
+count = number(decimal, 1, math.inf, "whole number from 1 on")
+whole = number(decimal, 0, math.inf, "whole number from 0 on")
+address = number(decimal, 0, 126, "station address, 0..125")
+#: 126 is the address of a slave as delivered
+slave_address = number(decimal, 0, 127, "address of a slave, 0..126")
+#: in hex, with or without 0x, as GSD files and scans show it
+ident = number(functools.partial(int, base=16), 0, 0x10000, "ident number, for instance 0x0696")

@@ -1,4 +1,4 @@
-"""``dpstack acyclic``: Read and Write of DP-V1, I&M, at one slave."""
+"""``dpstack acyclic``: DP-V1 records and I&M of one slave."""
 
 from __future__ import annotations
 
@@ -34,19 +34,16 @@ from dpstack.text import octets_text
 _WORDS: Final = (*WORDS, TRANSPORT, *FILES)
 
 
-#: where another master has the address, or the slave
+#: the way out where another station has the master's address, or another master the slave
 _BESIDE: Final = "; or ask beside that master with --class 2, where the slave has it"
 
 
 class Order(NamedTuple):
-    """One word and what belongs to it."""
-
     word: str
     args: tuple[str, ...]
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = (
         "example: dpstack acyclic plant.toml 8 read 1 47\n"
         "         dpstack acyclic plant.toml valves write 1 47 00FF\n"
@@ -75,14 +72,12 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         type=options.address,
         help="class 2 in the foreground: ask from this address (default: the lowest not heard)",
     )
-    parser.add_argument("--port", metavar="P", help="another port")
-    parser.add_argument("--baud", metavar="B|auto", type=options.baud_or_auto, help='another rate; "auto": listens')
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
+    options.add_other_port(parser)
+    options.run_by(parser, execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """1 where the slave refuses or does not answer."""
+    """Exit code 1 where the slave refuses or does not answer."""
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
     if args.address is not None and args.master == 1:
         raise UsageError("--address is for --class 2; a master of class 1 has that of the configuration")
@@ -93,18 +88,18 @@ def execute(args: argparse.Namespace) -> int:
     check(*order, class2=args.master == 2)
     if args.all and args.order != COMPARE:
         raise UsageError(f"--all is for {COMPARE}: leave it out")
-    asked = _Asked(config, _slave_of(config, args.slave), order, args.order, args.master, args.address)
+    request = _Request(config, _slave_of(config, args.slave), order, args.order, args.master, args.address)
     match args.order:
         case "dump":
-            return _dump(asked, args.args[0], json=args.json)
+            return _dump(request, args.args[0], json=args.json)
         case "compare":
-            return _compare(asked, args.args[0], read_only=args.all, json=args.json)
+            return _compare(request, args.args[0], read_only=args.all, json=args.json)
         case _:
-            return _tell(asked, json=args.json)
+            return _tell(request, json=args.json)
 
 
-class _Asked(NamedTuple):
-    """``order`` of a slave; ``word``: as it was typed. ``master``: class 1 or 2; ``own``: its address, None: any."""
+class _Request(NamedTuple):
+    """One order to one slave. ``word``: the order as typed; ``master``: class 1 or 2; ``own``: the master's address."""
 
     config: Config
     slave: SlaveConfig
@@ -113,16 +108,16 @@ class _Asked(NamedTuple):
     master: int
     own: int | None
 
-    def told(self) -> Mapping[str, Any] | None:
-        """What came of it; None where a signal ended it before."""
-        told = asyncio.run(_run(self))
-        if told is None:
+    def answer(self) -> Mapping[str, Any] | None:
+        """The answer to the order; None, after a warning, where a signal ended the command first."""
+        answer = asyncio.run(_run(self))
+        if answer is None:
             warn(f"ended before {self.word} was done")
-        return told
+        return answer
 
 
-def _tell(asked: _Asked, *, json: bool) -> int:
-    told = asked.told()
+def _tell(request: _Request, *, json: bool) -> int:
+    told = request.answer()
     if told is None:
         return 1
     if json:
@@ -132,9 +127,9 @@ def _tell(asked: _Asked, *, json: bool) -> int:
     return 0
 
 
-def _dump(asked: _Asked, path: str, *, json: bool) -> int:
-    with RecordList.file(path, asked.slave.name) as file:
-        told = asked.told()
+def _dump(request: _Request, path: str, *, json: bool) -> int:
+    with RecordList.file(path, request.slave.name) as file:
+        told = request.answer()
         if told is None:
             return 1
         list_of(told).keep(file)
@@ -142,33 +137,29 @@ def _dump(asked: _Asked, path: str, *, json: bool) -> int:
     return 0
 
 
-def _compare(asked: _Asked, path: str, *, read_only: bool, json: bool) -> int:
+def _compare(request: _Request, path: str, *, read_only: bool, json: bool) -> int:
     saved = RecordList.load(path)
-    told = asked.told()
+    told = request.answer()
     return 1 if told is None else show_comparison(told, path, saved, read_only=read_only, json=json)
 
 
-async def _run(asked: _Asked) -> Mapping[str, Any] | None:
-    """What came of it; None where a signal ended it before."""
-    found: list[Mapping[str, Any]] = []
-    slave, order = asked.slave, asked.order
+async def _run(request: _Request) -> Mapping[str, Any] | None:
+    slave, order = request.slave, request.order
 
-    async def done(progress: OnProgress) -> None:
-        told = await through_run(asked.config, slave.address, *order, progress, master=asked.master)
+    async def done(progress: OnProgress) -> Mapping[str, Any]:
+        told = await through_run(request.config, slave.address, *order, progress, master=request.master)
         if told is not None:
-            found.append({**told, "through": "run"})
-            return
-        in_foreground = _as_master if asked.master == 1 else _as_class2
-        found.append({**await in_foreground(asked, progress), "through": "master"})
+            return {**told, "through": "run"}
+        in_foreground = _as_master if request.master == 1 else _as_class2
+        return {**await in_foreground(request, progress), "through": "master"}
 
     with StopSignal() as stop, progress_bar(f"{order.word} of {slave.name}") as progress:
-        await stop.or_done(done(progress))
-    return found[0] if found else None
+        return await stop.result_of(done(progress))
 
 
-async def _as_master(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
-    """The master stays in Clear: records are open, and no output is set."""
-    config, slave = asked.config, asked.slave
+async def _as_master(request: _Request, progress: OnProgress) -> Mapping[str, Any]:
+    """Carry out the order as class 1 master. It stays in Clear: records can be read, outputs are zero."""
+    config, slave = request.config, request.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
     tell_simulated(config)
@@ -176,7 +167,7 @@ async def _as_master(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
 
     def on_event(event: Event) -> None:
         nonlocal foreign
-        match event:  # of what keeps it from coming up the error tells
+        match event:  # the error that follows names what kept the slave from data exchange
             case AddressCollision():
                 foreign = True
             case SlaveFaulted(fault=fault) if not up:
@@ -189,7 +180,7 @@ async def _as_master(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
             found = bus.slave(slave.address)
             await found.ready(READY_S)
             up = True
-            return await carry_out(found, *asked.order, progress)
+            return await carry_out(found, *request.order, progress)
     except (BusError, SlaveFault) as error:
         if not foreign:
             raise
@@ -197,9 +188,9 @@ async def _as_master(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
         raise BusError(text) if isinstance(error, BusError) else SlaveFault(slave.address, text) from None
 
 
-async def _as_class2(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
-    """A station without slaves, at an address that nobody uses: neither the slave nor its master notices."""
-    config, slave = asked.config, asked.slave
+async def _as_class2(request: _Request, progress: OnProgress) -> Mapping[str, Any]:
+    """Carry out the order as class 2 master at a free address: it parameterises no slave."""
+    config, slave = request.config, request.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: a connection is to be opened; leave read_only out")
     tell_simulated(config)
@@ -213,8 +204,8 @@ async def _as_class2(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
         return open_bus(dataclasses.replace(config, bus=settings, slaves=()), on_event=on_bus.once(_event), world=world)
 
     taken = {config.bus.address, *(one.address for one in config.slaves)}
-    async with joined(make_bus, asked.own, avoid=taken) as bus, bus.class2.connect(slave) as connection:
-        return await carry_out(connection, *asked.order, progress)
+    async with joined(make_bus, request.own, avoid=taken) as bus, bus.class2.connect(slave) as connection:
+        return await carry_out(connection, *request.order, progress)
 
 
 def _event(event: Event) -> None:

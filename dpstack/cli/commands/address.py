@@ -14,7 +14,6 @@ from dpstack.cli.terminal.signals import StopSignal
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = "example: dpstack address 126 5 --ident 0x0696 --port /dev/ttyUSB0 --baud 500000"
     parser.add_argument("old", metavar="OLD", type=options.slave_address, help="its address, 126 as delivered")
     parser.add_argument("new", metavar="NEW", type=options.address, help="its new address, 0..125")
@@ -23,31 +22,28 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "--no-change", action="store_true", help="for good: it shall refuse any further change of its address"
     )
     on_bus.add_port(parser)
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
+    options.run_by(parser, execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """1 when the slave does not have the new address afterwards."""
+    """Exit code 1 when the slave does not have the new address afterwards."""
     on_bus.check_port(args)
     return asyncio.run(_run(args))
 
 
 async def _run(args: argparse.Namespace) -> int:
-    idents: list[int] = []
-
-    async def change() -> None:
+    async def change() -> int:
         make_bus = on_bus.bus_maker(args, await on_bus.rate_of(args))
         async with joined(make_bus, args.address, avoid=(args.old, args.new)) as bus:
             found = await bus.class2.set_address(args.old, args.new, ident=args.ident, no_change=args.no_change)
-            idents.append(found.ident)
+            return found.ident
 
     with StopSignal() as stop:
-        await stop.or_done(change())
-    if not idents:
+        changed = await stop.result_of(change())
+    if changed is None:
         warn(f"ended before the address was changed and verified: look for the slave at {args.old} and {args.new}")
         return 1
-    ident = f"0x{idents[0]:04X}"
+    ident = f"0x{changed:04X}"
     if args.json:
         output.json_line({"old": args.old, "new": args.new, "ident": ident, "no_change": args.no_change})
     else:

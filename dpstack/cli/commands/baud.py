@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 
-from dpstack.api.bus.find_baud import SILENCE_S, BaudReport, find_baud
+from dpstack.api.bus.find_baud import SILENCE_S, find_baud
 from dpstack.cli import options
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.lost_stdout import warn
@@ -13,7 +13,6 @@ from dpstack.cli.terminal.signals import StopSignal
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = "example: dpstack baud --port /dev/ttyUSB0"
     parser.add_argument("--port", metavar="P", required=True, help="the port")
     parser.add_argument(
@@ -23,26 +22,20 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         default=SILENCE_S,
         help=f"give up after so many seconds (default {SILENCE_S:g})",
     )
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
+    options.run_by(parser, execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Listen until the rate is found; 1 when it is not."""
+    """Exit code 1 when the rate is not found."""
     return asyncio.run(_run(args))
 
 
 async def _run(args: argparse.Namespace) -> int:
-    found: list[BaudReport] = []
-
-    async def listen() -> None:
-        found.append(await find_baud(args.port, timeout=args.timeout))
-
     with StopSignal() as stop:
-        if not await stop.or_done(listen()):
-            warn("ended before the baud rate was found")
-            return 1
-    (report,) = found
+        report = await stop.result_of(find_baud(args.port, timeout=args.timeout))
+    if report is None:
+        warn("ended before the baud rate was found")
+        return 1
     if args.json:
         output.json_line(report.as_dict())
     elif report.baud is not None:

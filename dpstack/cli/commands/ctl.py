@@ -11,12 +11,11 @@ from dpstack.api.control.client import connect
 from dpstack.cli import options
 from dpstack.cli.terminal import output
 
-#: what an entry may take to stand in one line
+#: longest line (characters) in which an entry is shown whole
 _LINE: Final = 130
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = "example: dpstack ctl /tmp/bus/0 trip 3 F2100\n         dpstack ctl /tmp/bus noise 1e-4"
     parser.add_argument(
         "port",
@@ -25,12 +24,10 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("order", metavar="COMMAND", nargs="?", default="help", help="what to do")
     parser.add_argument("args", metavar="ARG", nargs="*", help="its arguments")
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
+    options.run_by(parser, execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Ask and print the answer."""
     with connect(args.port) as client:
         result = client.ask(args.order, *args.args, kind=Help if args.order == "help" else None)
     if args.json:
@@ -47,7 +44,7 @@ def execute(args: argparse.Namespace) -> int:
 
 
 def _show(result: Any, indent: str = "") -> None:
-    """Nested data as indented lines; nothing to tell is ``ok``."""
+    """Print nested data as indented lines; None is printed as ``ok``."""
     if result is None:
         output.line("ok")
         return
@@ -74,7 +71,7 @@ def _show(result: Any, indent: str = "") -> None:
 
 
 def _line(entry: Mapping[str, Any]) -> str | None:
-    """An entry without entries of its own in one line, None where it has some."""
+    """A flat entry as one line; None for an entry that contains entries or lists of them."""
     members = [one for value in entry.values() for one in (value if isinstance(value, list) else [value])]
     if any(isinstance(one, (Mapping, list)) for one in members):
         return None

@@ -1,4 +1,4 @@
-"""``dpstack demo``: every known drive, simulated, under a master, in one process."""
+"""``dpstack demo``: every known drive, simulated, under one master in one process."""
 
 from __future__ import annotations
 
@@ -43,17 +43,15 @@ _BAR = 6
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = "example: dpstack demo --seconds 20"
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="go on for so long at least")
     parser.add_argument("--baud", metavar="B", type=options.baud, default=_BAUD, help=f"the rate (default {_BAUD})")
     parser.add_argument("--fast", action="store_true", help="as fast as this computer can, not in real time")
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
+    options.run_by(parser, execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """0 when every story came to its end and the rotation is the planned one."""
+    """Exit code 0 when every story ended and the measured rotation time is the planned one."""
     return run_virtual(_demo(plant(args.baud), args), paced=not args.fast)
 
 
@@ -79,7 +77,7 @@ def plant(baud: int) -> Config:
 
 @dataclass(slots=True)
 class _Stage:
-    """The stories under way: their last lines, and how they ended."""
+    """State of the running stories: their last lines, which ended, which failed."""
 
     bus: Bus
     json: bool
@@ -89,7 +87,6 @@ class _Stage:
     failures: list[str] = field(default_factory=list)
 
     async def play(self, drive: Drive) -> None:
-        """One drive's story to its end."""
         address = drive.slave.address
         kind = drive.slave.config.profile
         story = STORIES.get(kind.name if kind else "", OTHERS)
@@ -107,12 +104,11 @@ class _Stage:
         self.tell(drive, "the end")
 
     def trip(self, drive: Drive, code: str) -> None:
-        """A fault of the simulated drive, by the command of ``dpstack ctl``."""
+        """Inject a fault into the simulated drive, as ``dpstack ctl PORT trip`` does."""
         assert self.bus.bench is not None
         SlaveCommands(self.bus.bench).handlers()["trip"]([str(drive.slave.address), code])
 
     def tell(self, drive: Drive, text: str) -> None:
-        """One line of a story."""
         address, t = drive.slave.address, self.bus.seconds
         line = f"{t:9.3f} s  {drive.name}: {text}"
         self.lines.append(line)
@@ -122,7 +118,7 @@ class _Stage:
             output.line(line)
 
     def picture(self) -> Group:
-        """What moves: a row for each drive, and the last lines of the stories as the terminal has room for them."""
+        """The live table, a row for each drive, and below it as many lines of the stories as fit on the terminal."""
         bus = self.bus
         p50 = bus.view.counters().rotation.quantile_ns(0.5) / 1e6
         title = f"dpstack demo  {bus.seconds:6.1f} s  rotation {p50:.3f} ms"
@@ -140,7 +136,7 @@ class _Stage:
 
 
 def _bar(speed: float) -> str:
-    """A bar from the middle: reverse to the left, forward to the right. Without spaces, so that it is not wrapped."""
+    """A bar from the middle: reverse to the left, forward to the right. No spaces: rich would wrap it there."""
     length = min(_BAR, round(abs(speed) * _BAR))
     back, forth = ("█" * length, "") if speed < 0 else ("", "█" * length)
     return f"{back:·>{_BAR}}|{forth:·<{_BAR}}"
@@ -196,7 +192,7 @@ async def _play(stage: _Stage, seconds: float | None) -> None:
 
 
 async def _watched(stage: _Stage, stories: Sequence[asyncio.Future[None]]) -> None:
-    """The live picture, redrawn a few times a second until all is over."""
+    """Redraw the live table every :data:`_REFRESH_S` until all stories have ended."""
     with guarded(), Live(stage.picture(), auto_refresh=False) as live:
         pending = set(stories)
         while pending:

@@ -1,4 +1,4 @@
-"""What the drives of ``dpstack demo`` are put through: one short program for each, written as a user would."""
+"""The programs that ``dpstack demo`` runs, one for each known drive, as a user would write them."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from dpstack.api.slave.drive import Drive
 from dpstack.errors import DriveError
 
 _HOLD_S: Final = 0.5
-#: Takes one line of a story.
+#: Prints one line of a story.
 Tell = Callable[[str], None]
-#: A fault of the simulated drive by its code or name, as ``dpstack ctl PORT trip`` gives it.
+#: Injects a fault into the simulated drive by code or name, as ``dpstack ctl PORT trip`` does.
 Trip = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Story:
-    """``play`` runs the drive in ``telegram`` (None: its default); what it raises ends the demo with 1."""
+    """``play`` runs the drive in ``telegram`` (None: its default). An exception of it makes the exit code 1."""
 
     play: Callable[[Drive, Tell, Trip], Awaitable[None]]
     telegram: str | None = None
@@ -57,7 +57,7 @@ async def fuji(drive: Drive, tell: Tell, trip: Trip) -> None:
 
 
 async def imo(drive: Drive, tell: Tell, trip: Trip) -> None:
-    """What its process data stand for is written first; then a fault that is injected, named and acknowledged."""
+    """Write the process data map first, then inject a fault, read its name and acknowledge it."""
     found = await drive.read_map(timeout=60)  # 22 parameters: long at 9.6 kbit/s
     tell(f"P15.02 to P15.23 as delivered carry {found['outputs'] or 'nothing'}: no set frequency")
     _expect(drive, found["outputs"] == "", f"its map is {found['outputs']}")
@@ -70,7 +70,7 @@ async def imo(drive: Drive, tell: Tell, trip: Trip) -> None:
 
 
 async def keb(drive: Drive, tell: Tell, trip: Trip) -> None:
-    """Its own parameter channel; then an overload that is injected, named by ru.00 and acknowledged."""
+    """Use its own parameter channel, then inject an overload, read its name from ru.00 and acknowledge it."""
     await drive.write("oP.3", 20.0)
     hertz = await drive.read("oP.3")
     tell(f"oP.3 (digital setpoint) written and read back: {hertz} Hz, 80 counts each")
@@ -82,7 +82,7 @@ async def keb(drive: Drive, tell: Tell, trip: Trip) -> None:
 
 
 async def ls(drive: Drive, tell: Tell, trip: Trip) -> None:
-    """Its process data map over the bus, then a fault that the module's history names."""
+    """Write the process data map over the bus, then inject a fault that the module's history names."""
     await drive.write("dr-03", 2.0)
     tell(f"dr-03 (acceleration time) written and read back: {await drive.read('dr-03')} s")
     found = await drive.write_map(inputs="dr-03 In-90", outputs="dr-04", timeout=60)
@@ -115,11 +115,11 @@ async def _run(drive: Drive, tell: Tell, speed: float) -> None:
     actual = drive.status.speed
     _expect(drive, actual is not None and abs(actual - speed) < 0.02, f"reached, but at {actual} instead of {speed}")
     tell(f"{speed:.0%} of the reference reached")
-    await asyncio.sleep(_HOLD_S)  # long enough to be seen
+    await asyncio.sleep(_HOLD_S)  # so that the live table shows it
 
 
 async def _trip(drive: Drive, tell: Tell, trip: Trip, name: str) -> None:
-    """A fault is injected, named by the drive and acknowledged."""
+    """Inject a fault, wait until the drive reports it by name, acknowledge it."""
     trip(name)
     async for status in drive.statuses():
         if status.fault and name in status.fault:

@@ -1,4 +1,4 @@
-"""``dpstack doctor``: is this computer fit for a bus, and what to do about it."""
+"""``dpstack doctor``: checks of adapters, permissions, latency and real-time rights."""
 
 from __future__ import annotations
 
@@ -12,15 +12,13 @@ _STYLES = {Level.OK: "", Level.NOTE: "yellow", Level.FINDING: "red"}
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = "example: dpstack doctor --port /dev/ttyUSB0"
     parser.add_argument("--port", metavar="P", help="only this port (default: every adapter)")
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
+    options.run_by(parser, execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """1 when something has to be done."""
+    """Exit code 1 when a check has a finding."""
     checks = examine(args.port)
     findings = sum(check.level is Level.FINDING for check in checks)
     if args.json:

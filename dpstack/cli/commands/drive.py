@@ -1,4 +1,4 @@
-"""``dpstack drive``: one drive by hand, through the run that holds the port or as master in the foreground."""
+"""``dpstack drive``: manual control of one drive, through a running master or as master in the foreground."""
 
 from __future__ import annotations
 
@@ -40,7 +40,6 @@ _FOR: Final = {**OPTIONS, "data_set": OPTIONS["data_set"] | _FOR_FILES, "all": f
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = (
         "example: dpstack drive plant.toml hoist status\n"
         "         dpstack drive plant.toml hoist start speed 0.5 reached\n"
@@ -50,20 +49,18 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("config", metavar="CONFIG", help="configuration file")
     parser.add_argument("name", metavar="NAME", help="the drive, by its name there or its address")
     parser.add_argument("orders", metavar="ORDER", nargs="+", help="what it is to do, see below")
-    parser.add_argument("--port", metavar="P", help="another port")
-    parser.add_argument("--baud", metavar="B|auto", type=options.baud_or_auto, help='another rate; "auto": listens')
+    options.add_other_port(parser)
     parser.add_argument("--data-set", metavar="N", type=options.whole, help="of read, write, dump and compare")
     parser.add_argument("--index", metavar="N", type=options.whole, help="of read and write: the element of an array")
     parser.add_argument("--ram", action="store_true", help="write: do not store it in the EEPROM")
     parser.add_argument("--timeout", metavar="S", type=options.seconds, help="for each order that takes its time")
     parser.add_argument("--all", action="store_true", help="compare: what is read only, too")
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="in the foreground: end after so long")
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
+    options.run_by(parser, execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """1 where an order fails or a compare finds a difference."""
+    """Exit code 1 where an order fails or a compare finds a difference."""
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
     slave = _slave_of(config, args.name)
     orders = _orders(args)
@@ -137,7 +134,7 @@ async def _as_master(
 
 
 class _Shown:
-    """What a master in the foreground tells of its drive."""
+    """Output of the master in the foreground about its drive."""
 
     def __init__(self, name: str, *, json: bool) -> None:
         self._name = name
@@ -145,7 +142,7 @@ class _Shown:
         self._holding = False
 
     def hold(self, *, running: bool) -> None:
-        """From now on every new status is shown."""
+        """Show every new status from now on."""
         self._holding = True
         if not running:
             warn(f"{self._name} does not run: `start` starts it, for instance: {self._name} start speed 0.5")
@@ -154,14 +151,12 @@ class _Shown:
             output.line(f"master in the foreground until Ctrl-C, which {does}", "bold")
 
     def stopping(self) -> None:
-        """The end has begun."""
         if not self._json:
             output.line(f"{self._name}: stopping by its ramp; a second Ctrl-C makes its outputs safe at once")
 
     def event(self, event: Event) -> None:
-        """One event of the bus."""
         if isinstance(event, Notice) and event.source == "plan":
-            return  # what `dpstack run` and `dpstack plan` tell of a configuration
+            return  # `dpstack run` and `dpstack plan` show the findings of the plan
         if severity_of(event) is not Severity.INFO:
             warn(event.text)
         elif isinstance(event, DriveEvent):
@@ -179,7 +174,7 @@ class _Shown:
 
 
 def _last_motion(orders: Sequence[Order]) -> str:
-    """The last word that says whether the drive is to go on; a set point after a start leaves it started."""
+    """The last order that starts, holds or stops the drive; a set point after a start leaves it started."""
     last = ""
     for order in orders:
         if order.word in HALTS or order.word == START or (order.word in LASTING and last != START):
@@ -205,7 +200,7 @@ def _slave_of(config: Config, name: str) -> SlaveConfig:
 
 
 def _orders(args: argparse.Namespace) -> list[Order]:
-    """The words with what belongs to each. Raises UsageError."""
+    """The orders of the command line, each with its arguments and options. Raises UsageError."""
     given = {
         "data_set": args.data_set,
         "index": args.index,

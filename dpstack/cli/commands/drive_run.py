@@ -1,4 +1,4 @@
-"""The orders of ``dpstack drive``, carried out one after the other, and what is told of them."""
+"""Execution and output of the orders of ``dpstack drive``."""
 
 from __future__ import annotations
 
@@ -23,24 +23,22 @@ DUMP_AND_COMPARE: Final = (
 
 
 class Order(NamedTuple):
-    """One word, its arguments, its options."""
-
     word: str
     args: tuple[str, ...]
     options: Mapping[str, object]
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The arguments and options, as a drive is told them."""
+        """Arguments and options as :data:`Tell` expects them."""
         return (*self.args, *(f"{key}={str(value).lower()}" for key, value in self.options.items()))
 
 
-#: tells a drive one word with its arguments and options, wherever the drive is
+#: sends a drive one order with its arguments and options, and returns the answer
 Tell = Callable[[str, Sequence[str]], Awaitable[dict[str, Any]]]
 
 
 def check_orders(drive: DriveCheck, orders: Sequence[Order]) -> None:
-    """Judge all ``orders`` before the first one moves anything. Raises UsageError, ConfigError."""
+    """Check all ``orders`` before the first one moves the drive. Raises UsageError, ConfigError."""
     made = {order.args[0] for order in orders if order.word == "dump"}
     for order in orders:
         match order.word:
@@ -55,7 +53,7 @@ def check_orders(drive: DriveCheck, orders: Sequence[Order]) -> None:
 
 
 class Orders:
-    """What ``drive`` is told; ``through``: by a run or by a master of our own. ``code`` is the exit code so far."""
+    """Orders to ``drive``; ``through``: a run, or a master of this command. ``code`` is the exit code so far."""
 
     def __init__(self, drive: Readable, tell: Tell, orders: Sequence[Order], *, through: str, json: bool) -> None:
         self._drive = drive
@@ -64,11 +62,11 @@ class Orders:
         self._through = through
         self._json = json
         self.code = 0
-        #: the order under way
+        #: the order being carried out
         self.at: Order | None = None
 
     async def carry_out(self) -> None:
-        """All of them. Raises what the first one raises that fails."""
+        """Carry out all orders. The first failure ends it and is raised."""
         for order in self._orders:
             self.at = order
             match order.word:
@@ -125,7 +123,7 @@ class Orders:
 
     @asynccontextmanager
     async def _progress(self) -> AsyncIterator[OnParameter]:
-        """Shows on a terminal how far it is; cut short, says where what was read is."""
+        """A progress bar on a terminal; a warning with the notes of the exception when it is cut short."""
         title = f"parameters of {self._drive.name}"
         try:
             with progress_bar(title) as tell:
@@ -141,7 +139,6 @@ class Orders:
 
 
 def show_status(told: Mapping[str, Any]) -> None:
-    """Everything that a drive tells, for people."""
     status = told["status"]
     rows: list[tuple[str, object]] = [
         ("state", status["state"]),
@@ -165,13 +162,13 @@ def show_status(told: Mapping[str, Any]) -> None:
 
 
 def _settings_text(status: Mapping[str, Any]) -> str:
-    """A run of an earlier version does not compare them."""
+    """A run of an earlier version sends no ``settings``."""
     state = str(status.get("settings", "not told")).replace("_", " ")
     return "; ".join([state, *status.get("settings_texts", ())])
 
 
 def status_text(status: Mapping[str, Any]) -> str:
-    """One line: state, speed, set point, what is wrong."""
+    """One line: state, speed, set point, faults and warnings."""
     speed = "" if status["speed"] is None else f" at {_speed_text(status, 1)}"
     wrong = [f"fault {name}" for name in status["faults"]] + [f"warning {name}" for name in status["warnings"]]
     if status.get("settings") == "different":

@@ -1,4 +1,4 @@
-"""``dpstack gsd``: what a GSD file says, what is wrong with it, and the way to a [[slave]] table."""
+"""``dpstack gsd``: shows, checks, configures and copies GSD files."""
 
 from __future__ import annotations
 
@@ -37,13 +37,11 @@ _STYLES = {Severity.INFO: "dim", Severity.WARNING: "yellow", Severity.ERROR: "bo
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """Its own commands."""
     parser.epilog = "example: dpstack gsd show valves.gsd"
     inner = parser.add_subparsers(dest="gsd_command", metavar="COMMAND", required=True)
     shower = options.command(inner, "show", "what a GSD file says", "dpstack gsd show valves.gsd --json")
     shower.add_argument("file", metavar="FILE", help="GSD file, or a drive that has one here (demag-dedrive, keb-f5)")
-    options.add_json(shower)
-    shower.set_defaults(execute=show)
+    options.run_by(shower, show)
     checker = options.command(
         inner,
         "check",
@@ -51,8 +49,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "dpstack gsd check *.gsd",
     )
     checker.add_argument("files", metavar="FILE|DIR", nargs="+", help="GSD files, or directories of them")
-    options.add_json(checker)
-    checker.set_defaults(execute=check_files)
+    options.run_by(checker, check_files)
     chooser = options.command(
         inner,
         "configure",
@@ -78,7 +75,6 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def show(args: argparse.Namespace) -> int:
-    """Print what a file says."""
     file = read_gsd(args.file)
     if args.json:
         output.json_line(gsd_dict(file))
@@ -88,23 +84,21 @@ def show(args: argparse.Namespace) -> int:
 
 
 def configure(args: argparse.Namespace) -> int:
-    """Ask, then print a table."""
     return gsd_configure.run(read_gsd(args.file), args.file, args.config)
 
 
 def copy(args: argparse.Namespace) -> int:
-    """Write a drive's own file."""
     copy_gsd(args.drive, args.file)
     return 0
 
 
 def check_files(args: argparse.Namespace) -> int:
-    """Print the findings of every file, and a summary where a directory is given; 1 when a finding is an error."""
+    """Print the findings of every file, and a summary for directories. Exit code 1 when a finding is an error."""
     worst: Counter[str] = Counter()
     summary = False
     for given in args.files:
         folder = Path(given)
-        if os.path.isdir(folder):  # of a name that cannot be it says no, Path.is_dir raises
+        if os.path.isdir(folder):  # Path.is_dir would raise for an impossible name
             summary = True
             for path in gsd_files(folder):
                 worst[_check_file(str(path), json=args.json, among_many=True)] += 1
@@ -117,7 +111,7 @@ def check_files(args: argparse.Namespace) -> int:
 
 _DAMAGED: Final = "damaged"
 _UNREADABLE: Final = "unreadable"
-#: what a file is by its worst finding, and how the summary calls it
+#: worst finding of a file -> text of the summary
 _JUDGEMENTS: Final = {
     "sound": "with nothing to tell",
     "info": "with remarks only",
@@ -128,7 +122,7 @@ _JUDGEMENTS: Final = {
 
 
 def _check_file(path: str, *, json: bool, among_many: bool) -> str:
-    """Print the findings of one file; what it is by the worst of them.
+    """Print the findings of one file and return its key in :data:`_JUDGEMENTS`.
 
     ``among_many``: a file that cannot be read is a finding too, and one without findings gets no line.
     """
@@ -247,7 +241,7 @@ def _show(file: GsdFile) -> None:
 
 
 def _show_diagnosis(device: Device) -> None:
-    """All texts for a diagnosis, those of types and modules with where they count."""
+    """All texts of diagnoses; those of diagnosis types and modules with their origin."""
     sources = [("", device.diagnosis), *((f"UnitDiagType {d.type}", d) for d in device.diag_types)]
     sources += [(m.name, m.diagnosis) for m in device.modules]
     rows = [
@@ -270,7 +264,7 @@ def _where(row: Mapping[str, object]) -> str:
 
 
 def _numbers(numbers: Iterable[int]) -> str:
-    """``1..4, 7``: numbers of parameters in their order, each once."""
+    """``1..4, 7``: numbers of parameters in ascending order, each once."""
     pairs: list[tuple[int, int]] = []
     for number in sorted(set(numbers)):
         if pairs and number == pairs[-1][1] + 1:
@@ -281,7 +275,7 @@ def _numbers(numbers: Iterable[int]) -> str:
 
 
 def _users(device: Device) -> dict[int, str]:
-    """Number of a parameter -> who has it: the device itself and modules, the first of them by name."""
+    """Number of a parameter -> its users: the device, and the first modules by name."""
     found: dict[int, dict[str, None]] = {number: {} for number in device.parameters}
     for title, prm in (("device", device.prm), *((m.name, m.prm) for m in device.modules)):
         for ref in prm.refs:

@@ -1,7 +1,7 @@
-"""``dpstack gsd configure``: asks its way from a GSD file to a [[slave]] table.
+"""``dpstack gsd configure``: a dialogue that makes a [[slave]] table from a GSD file.
 
 Questions go to stderr and the table to stdout, so that its output can be appended to a configuration; answers may come
-from a pipe. An answer that is not possible is refused with the reason and asked for again. From the end of input on
+from a pipe. An impossible answer is refused with the reason, and the question comes again. After the end of input
 every question gets its default; a question without one ends the command, and nothing is written.
 """
 
@@ -27,14 +27,14 @@ from dpstack.gsd.prm import Field, containing, is_slot_number, value_of
 from dpstack.text import printable
 
 _T = TypeVar("_T")
-#: more modules than this are not listed unasked
+#: longest list of modules that is printed without a request
 _LISTED = 40
-#: ends the modules, or the parameters
+#: answer that ends the modules or the parameters
 _DONE: Final = "done"
 
 
 def run(file: GsdFile, path: str, beside: str | None = None) -> int:
-    """Ask, then print the table. ``beside``: the configuration that the table is for; it may not be there yet."""
+    """Ask, then print the table. ``beside``: path of the configuration that the table is for; it need not exist."""
     return _Dialogue(file, path, beside).run()
 
 
@@ -46,8 +46,6 @@ def say(text: str) -> None:
 
 
 class _Dialogue:
-    """The questions of one run, in their order."""
-
     def __init__(self, file: GsdFile, path: str, beside: str | None) -> None:
         self._file = file
         self._device = file.device
@@ -96,7 +94,7 @@ class _Dialogue:
                 warn(str(error))
 
     def _line(self, prompt: str) -> str:
-        """One line of input with its end; empty at the end of input, which is remembered."""
+        """One line of input with its line end; empty at the end of input."""
         with guarded():
             sys.stderr.write(printable(prompt))
             sys.stderr.flush()
@@ -130,7 +128,7 @@ class _Dialogue:
     # --- modules ----------------------------------------------------------------------------------------------------
 
     def _modules(self) -> list[Module | None]:
-        """Fixed presets and whatever is taken of the file's defaults, then one module after the other."""
+        """The modules: fixed presets, the file's default modules if accepted, then one answer for each further slot."""
         device = self._device
         chosen: list[Module | None] = list(fixed_modules(device))
         if chosen:
@@ -158,7 +156,7 @@ class _Dialogue:
         return chosen
 
     def _room(self, chosen: list[Module | None]) -> bool:
-        """Something can be plugged behind ``chosen``."""
+        """True while a further module can be plugged behind ``chosen``."""
         device = self._device
         if all(is_fixed(device, module) for module in device.modules):
             return False
@@ -184,7 +182,7 @@ class _Dialogue:
         return module
 
     def _list_modules(self, part: str) -> None:
-        """The modules whose name, info text or number has ``part`` in it; all of them where it is empty."""
+        """Print the modules whose name, info text or number contains ``part``; all where it is empty."""
         modules = [module for module in self._device.modules if not is_fixed(self._device, module)]
         numbers = ["" if module.reference is None else str(module.reference) for module in modules]
         texts = [f"{module.name} {module.info} {n}" for module, n in zip(modules, numbers, strict=True)]
@@ -198,7 +196,7 @@ class _Dialogue:
     # --- parameters -------------------------------------------------------------------------------------------------
 
     def _parameters(self, choice: Choice) -> None:
-        """Every parameter that may be changed, with its default; what differs goes into the table."""
+        """Ask for every parameter that may be changed; the values that differ from the default go into ``choice``."""
         configuration = plug(self._device, choice.modules)
         for note in configuration.notes:
             say(f"note: {note}")

@@ -1,4 +1,4 @@
-"""Lists of parameters as people read them and as JSON: of a drive, and of a device's own list; dumped and compared."""
+"""Output of parameter lists, dumps and comparisons, as text and JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ FILES: Final = (
 
 
 def show_list(told: Mapping[str, Any]) -> None:
-    """All parameters with their values."""
     found = list_of(told)
     rows = [(one.number, one.name, one.format, one.text, "ro" * one.read_only) for one in found.parameters]
     title = f"{_who(told)}: {len(rows)} parameters of slot {found.slot}, object {found.object}"
@@ -26,14 +25,12 @@ def show_list(told: Mapping[str, Any]) -> None:
 
 
 def tell_dump(who: str, found: SavedList[Any], path: str) -> None:
-    """What is in the file now, for people."""
     output.line(f"{who}: {len(found.parameters) - len(found.unreadable)} parameters are in {path}")
     for one in found.unreadable:
         output.line(f"not read: {one.title_label}: {one.unreadable}")
 
 
 def tell_comparison(who: str, found: ListComparison[Any, Any], path: str) -> None:
-    """What differs, for people."""
     for difference in found.differences:
         output.line(difference.text, "yellow")
     for why in dict.fromkeys(why for _, why in found.skipped):
@@ -43,7 +40,6 @@ def tell_comparison(who: str, found: ListComparison[Any, Any], path: str) -> Non
 
 
 def show_dump(told: Mapping[str, Any], path: str, *, json: bool) -> None:
-    """What is in the file of a device's list now."""
     found = list_of(told)
     if json:
         plain = [one.as_dict() for one in found.unreadable]
@@ -53,7 +49,7 @@ def show_dump(told: Mapping[str, Any], path: str, *, json: bool) -> None:
 
 
 def show_comparison(told: Mapping[str, Any], path: str, saved: RecordList, *, read_only: bool, json: bool) -> int:
-    """The exit code: 1 where something of a device differs."""
+    """Exit code 1 where a parameter differs."""
     found = compared(list_of(told), saved, read_only=read_only, where=path)
     if json:
         differences = [

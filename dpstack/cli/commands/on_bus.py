@@ -1,8 +1,4 @@
-"""What commands share that are on a bus: one errand on it, or a master's run, and the control socket beside it.
-
-An errand: the rate, the bus, what is told meanwhile. A master's run: `run`; `drive` and `acyclic` where no run holds
-the port. The control socket is nice to have, never a reason not to run.
-"""
+"""Shared parts of the commands that open a bus: port options, baud rate, checks and the control socket."""
 
 from __future__ import annotations
 
@@ -23,7 +19,6 @@ from dpstack.units import baud_text
 
 
 def add_port(parser: argparse.ArgumentParser) -> None:
-    """``--port``, ``--baud`` and ``--address``."""
     parser.add_argument("--port", metavar="P", required=True, help="the port")
     parser.add_argument(
         "--baud",
@@ -38,13 +33,13 @@ def add_port(parser: argparse.ArgumentParser) -> None:
 
 
 def check_port(args: argparse.Namespace) -> None:
-    """Raises UsageError for a port where nobody can be."""
+    """Raises UsageError for a port without other stations."""
     if args.port in ("virtual", "pty"):
         raise UsageError(f'{args.command}: nobody is on port "{args.port}"; name the port of a bus')
 
 
 async def rate_of(args: argparse.Namespace) -> int:
-    """The rate given, or found by listening. Raises BusError."""
+    """The baud rate of the arguments, or the one found by listening. Raises BusError."""
     if args.baud != AUTO:
         return int(args.baud)
     report = await find_baud(args.port)
@@ -58,7 +53,7 @@ async def rate_of(args: argparse.Namespace) -> int:
 
 
 def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
-    """Makes buses without slaves on the port, whose findings are told; ``bus`` are further keys of [bus]."""
+    """A function that makes buses without slaves on the port. ``bus``: further keys of [bus]."""
 
     def make_bus(address: int) -> Bus:
         config = make_config(args.port, baud, address, where=args.command, bus=bus)
@@ -74,13 +69,14 @@ def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
 
 
 def once(tell: Callable[[Event], None]) -> Callable[[Event], None]:
-    """``tell`` for the events of one bus, but what is raised as an error as well: the command prints that one."""
+    """``tell`` for the events of one bus, without those that are also raised: the command prints the exception."""
     in_ring = False
 
     def told(event: Event) -> None:
         nonlocal in_ring
         in_ring = in_ring or isinstance(event, RingJoined)
-        collided = isinstance(event, AddressCollision) and not in_ring  # raised, or another address is tried
+        # before the ring is joined, a collision is raised as BusError or the next address is tried
+        collided = isinstance(event, AddressCollision) and not in_ring
         if not (collided or isinstance(event, BusFailed)):
             tell(event)
 
@@ -88,12 +84,11 @@ def once(tell: Callable[[Event], None]) -> Callable[[Event], None]:
 
 
 def nobody_text(baud: int) -> str:
-    """What to do where nobody answers."""
     return f"nobody answers at {baud_text(baud)}: check rate, power, A and B, and the termination"
 
 
 def tell_simulated(config: Config) -> None:
-    """On the port "virtual" nobody else is: say that the slaves are simulated for this one command."""
+    """Warn that the slaves of the port "virtual" are simulated for this one command."""
     if config.virtual:
         warn(
             'no run holds the port "virtual": its slaves are simulated for this command only; '
@@ -114,7 +109,9 @@ def refuse_application_watchdog(config: Config, command: str) -> None:
 
 @asynccontextmanager
 async def reachable(server: ControlServer, *, quiet: bool = False) -> AsyncIterator[str | None]:
-    """``dpstack ctl`` works within; where it cannot, the line that says why is given, and printed unless ``quiet``."""
+    """Open the control socket for ``dpstack ctl``. A failure does not stop the command: its text is the value of
+    the context, and is printed unless ``quiet``.
+    """
     why = None
     async with AsyncExitStack() as stack:
         try:

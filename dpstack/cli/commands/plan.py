@@ -1,4 +1,4 @@
-"""``dpstack plan``: what a bus will do, before it is switched on."""
+"""``dpstack plan``: bus parameters, rotation times and watchdogs of a configuration."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _HOW: Final = {
     Verdict.UNDISTURBED: "kept while nothing is repeated",
     Verdict.ALWAYS: "always kept",
 }
+_CASES: Final = {Case.SHORTEST: "shortest", Case.TYPICAL: "typical", Case.LONGEST: "longest"}
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = "example: dpstack plan plant.toml --baud all --cycle-ms 4"
     parser.add_argument("config", metavar="CONFIG", help="configuration file")
     parser.add_argument("--baud", metavar="B|all", type=_baud_or_all, help="another rate, or all of them")
@@ -35,8 +35,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--octets", action="store_true", help="the octets of Set_Prm and Chk_Cfg of each slave, as they will be sent"
     )
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
+    options.run_by(parser, execute)
 
 
 def _baud_or_all(text: str) -> int | str:
@@ -44,7 +43,7 @@ def _baud_or_all(text: str) -> int | str:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Print one plan, or one for each rate; 1 when something is out of bounds at the bus's own rate."""
+    """Exit code 1 when the plan has findings at the baud rate of the configuration."""
     config = load_config(args.config).with_bus(cycle_ms=args.cycle_ms)
     needs = cycle_rates(config, config.bus.cycle_ns) if config.bus.cycle_ns else {}
     if args.baud == "all":
@@ -60,7 +59,7 @@ def execute(args: argparse.Namespace) -> int:
 
 
 def _all_rates(config: Config, needs: Needs, *, json: bool, octets: bool) -> int:
-    """One plan for each rate; why there is none where the parameters given are impossible at a rate."""
+    """One plan for each baud rate, or the reason why the bus parameters are impossible at that rate."""
     plans: list[Plan] = []
     without: dict[int, ConfigError] = {}
     for rate in BAUD_RATES:
@@ -88,10 +87,8 @@ def _all_rates(config: Config, needs: Needs, *, json: bool, octets: bool) -> int
     return 1 if any(plan.findings for plan in plans if plan.params.baud == config.bus.baud) else 0
 
 
-def us(plan: Plan, case: Case) -> str:
-    """A rotation for people."""
-    ns = plan.rotation_ns(case)
-    return f"{ns / 1_000_000:.3f} ms"
+def _rotation_text(plan: Plan, case: Case) -> str:
+    return f"{plan.rotation_ns(case) / NS_PER_MS:.3f} ms"
 
 
 def _with_rates(data: dict[str, object], needs: Needs) -> dict[str, object]:
@@ -126,11 +123,10 @@ def _show(plan: Plan, needs: Needs) -> None:
             f"{others} other master{'s' * (others > 1)}: a T_TR of {plan.figures.t_tr_needed} or more on all of them, "
             f"then each sees this rotation"
         )
-    cases = ((Case.SHORTEST, "shortest"), (Case.TYPICAL, "typical"), (Case.LONGEST, "longest"))
     output.table(
         "Bus rotation time",
         ("case", "bit times", "time"),
-        [(name, plan.rotations[case].bits, us(plan, case)) for case, name in cases],
+        [(name, plan.rotations[case].bits, _rotation_text(plan, case)) for case, name in _CASES.items()],
     )
     service = plan.figures.acyclic_bits
     output.line(f"one acyclic service makes it longer by {service} bit times at the most, {ms_text(p.ns(service))}")
@@ -164,7 +160,7 @@ def _show(plan: Plan, needs: Needs) -> None:
 
 
 def _show_octets(plan: Plan, where: str = "") -> None:
-    """A line for each telegram: a table would cut what is long."""
+    """One line for each telegram: a table would cut long ones."""
     for slave in plan.slaves:
         for service, octets in (("Set_Prm", slave.set_prm), ("Chk_Cfg", slave.chk_cfg)):
             spaced = " ".join(octets[at : at + 2] for at in range(0, len(octets), 2)).upper()
@@ -177,9 +173,7 @@ def _show_rates(config: Config, plans: list[Plan]) -> None:
     rows = [
         (
             baud_text(plan.params.baud),
-            us(plan, Case.SHORTEST),
-            us(plan, Case.TYPICAL),
-            us(plan, Case.LONGEST),
+            *(_rotation_text(plan, case) for case in _CASES),
             *([plan.cycle.verdict.value] if plan.cycle else []),
             f"{plan.watchdog_ms} ms",
             len(plan.findings) or "none",
@@ -188,14 +182,13 @@ def _show_rates(config: Config, plans: list[Plan]) -> None:
     ]
     title = f"Bus rotation time of {len(config.slaves)} slaves"
     cycle = [f"cycle {config.bus.cycle_ms:g} ms"] if config.bus.cycle_ms else []
-    output.table(title, ("rate", "shortest", "typical", "longest", *cycle, "watchdog", "findings"), rows)
+    output.table(title, ("rate", *_CASES.values(), *cycle, "watchdog", "findings"), rows)
     for plan in plans:
         for finding in plan.findings:
             output.line(f"{baud_text(plan.params.baud)}: {finding}")
 
 
 def _show_needs(needs: Needs) -> None:
-    """Which baud rate the cycle needs."""
     if needs:
         told = (f"{_HOW[verdict]} {_from(baud)}" for verdict, baud in needs.items())
         output.line(f"this cycle is {', '.join(told)}")

@@ -10,14 +10,11 @@ from dpstack.cli.terminal import output
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = "example: dpstack ports --json"
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
+    options.run_by(parser, execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Print them."""
     adapters = list_adapters()
     if args.json:
         output.json_line({"ports": [adapter.as_dict() for adapter in adapters]})

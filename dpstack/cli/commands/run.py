@@ -23,15 +23,13 @@ from dpstack.errors import UsageError
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = (
         "example: dpstack run plant.toml --outputs valves=07 9=00FF --seconds 10\n"
         "         dpstack run plant.toml --read-only --address 1"
     )
     # optional, because --outputs may stand before it
     parser.add_argument("config", metavar="CONFIG", nargs="?", help="configuration file")
-    parser.add_argument("--port", metavar="P", help="another port")
-    parser.add_argument("--baud", metavar="B|auto", type=options.baud_or_auto, help='another rate; "auto": listens')
+    options.add_other_port(parser)
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds in the ring")
     parser.add_argument("--rotations", metavar="N", type=options.count, help="end after so many rotations")
     parser.add_argument("--driver", choices=("auto", "asyncio", "process"), help="what keeps the bus going")
@@ -53,13 +51,12 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         help="join the token ring as one more master, show who is there and in what state, write nothing to any slave; "
         "with --address beside the master that has the same file",
     )
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
+    options.run_by(parser, execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Run until a limit or a signal; 1 when a slave is not in data exchange at the end, after a stall, when the
-    master went to Clear by itself and still is there, and when safe values and Clear could not be sent at the end."""
+    """Exit code 1 when at the end a slave is not in data exchange, the master is in Clear by itself, or safe values and
+    Clear could not be sent; and after a stall."""
     name, given = _config_and_outputs(args)
     config = load_config(name).with_bus(
         port=args.port,
@@ -78,7 +75,7 @@ def execute(args: argparse.Namespace) -> int:
 
 
 def _config_and_outputs(args: argparse.Namespace) -> tuple[str, list[str]]:
-    """CONFIG and all SLAVE=HEX. A file straight behind ``--outputs SLAVE=HEX`` is not one of them but CONFIG."""
+    """CONFIG and all SLAVE=HEX. A text without "=" behind ``--outputs SLAVE=HEX`` is CONFIG."""
     given = list(args.outputs)
     name: str | None = args.config
     others = [text for text in given if "=" not in text]
@@ -96,7 +93,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         bus = reporter.bus = open_bus(config, on_event=reporter.event)
         if bus.searching:
             reporter.searching()
-        # reachable while it searches or waits for its turn in the ring, too; of a port that is held one line is enough
+        # `dpstack ctl` also works while the bus searches its rate or joins the ring; a held port is reported once
         control = control_run(bus, config.port)
         async with reachable(control, quiet=True) as unreachable:
             await stop.or_done(_open(bus, control))
@@ -130,7 +127,7 @@ async def _open(bus: Bus, control: ControlServer) -> None:
 
 
 async def _limit(bus: Bus, seconds: float | None, rotations: int | None) -> None:
-    """Until the first of the limits, counted from the first token on; without one for ever."""
+    """Wait until the first of the limits, counted from the first token on; for ever where there is none."""
     try:
         await bus.rotated(rotations, None if seconds is None else max(0.0, seconds - bus.seconds_in_ring))
     except TimeoutError:

@@ -1,4 +1,4 @@
-"""``dpstack scan``: who is on the bus, without changing anything there."""
+"""``dpstack scan``: the live list of a bus: stations with type, ident number, state and owner; writes nothing."""
 
 from __future__ import annotations
 
@@ -17,30 +17,25 @@ from dpstack.units import baud_text
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = "example: dpstack scan --port /dev/ttyUSB0 --baud 500000 --config > plant.toml"
     on_bus.add_port(parser)
     parser.add_argument("--config", action="store_true", help="print a configuration file of what was found")
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
+    options.run_by(parser, execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """1 when nobody answers."""
+    """Exit code 1 when no station answers."""
     on_bus.check_port(args)
     return asyncio.run(_run(args))
 
 
 async def _run(args: argparse.Namespace) -> int:
-    result: LiveListResult | None = None
-
-    async def scan() -> None:
-        nonlocal result
+    async def scan() -> LiveListResult:
         make_bus = on_bus.bus_maker(args, await on_bus.rate_of(args), read_only=True)
-        result = await scan_port(make_bus, address=args.address, configs=args.config)
+        return await scan_port(make_bus, address=args.address, configs=args.config)
 
     with StopSignal() as stop:
-        await stop.or_done(scan())
+        result = await stop.result_of(scan())
     if result is None:
         warn("ended before the live list was complete")
         return 1

@@ -22,7 +22,6 @@ _COLUMNS = ("path", "sent", "received", "dropped", "overrun", "telegrams", "dama
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = "example: dpstack segment --stations 2 --dir /tmp/bus"
     parser.add_argument("--stations", metavar="N", type=options.count, default=2, help="how many ptys (default 2)")
     parser.add_argument("--dir", metavar="DIR", help="where the links 0, 1 ... are made")
@@ -35,25 +34,19 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--paced", action="store_true", help="octets take their time on the wire")
     parser.add_argument("--echo", action="store_true", help="a station hears itself")
-    parser.add_argument("--error-rate", metavar="P", type=_rate, default=0.0, help="probability that a bit is inverted")
+    parser.add_argument(
+        "--error-rate",
+        metavar="P",
+        type=options.number(float, 0, 1, "probability, 0 up to 1"),
+        default=0.0,
+        help="probability that a bit is inverted",
+    )
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the noise")
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
-
-
-def _rate(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is no probability, 0 up to 1")
-    return value
+    options.run_by(parser, execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Join the ptys until a signal."""
     with unhurried(output.missing(args.json)):
         return asyncio.run(_run(args))
 

@@ -24,7 +24,6 @@ from dpstack.units import baud_text, ns_to_s
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    """The options of the command."""
     parser.epilog = (
         "example: dpstack sim plant.toml --port pty\n"
         "         dpstack sim --drive fuji-frenic --address 4 --port pty\n"
@@ -49,12 +48,10 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "--baud", metavar="B|auto", type=options.baud_or_auto, help="the rate, else the configuration's; auto: listens"
     )
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
-    options.add_json(parser)
-    parser.set_defaults(execute=execute)
+    options.run_by(parser, execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Simulate until a signal; 0 unless something failed."""
     config = _config(args)
     baud = args.baud or config.bus.baud or DEFAULT_BAUD
     with unhurried(output.missing(args.json)):
@@ -116,7 +113,6 @@ def _printer(simulation: Simulation, json: bool) -> Callable[[Event], None]:
 
 
 def print_summary(simulation: Simulation, json: bool) -> None:
-    """What the slaves did, as a table or as a JSON line."""
     if json:
         slaves = {
             str(s.address): {

@@ -16,11 +16,12 @@ import signal
 from collections.abc import Callable, Coroutine
 from time import monotonic
 from types import FrameType
-from typing import Final
+from typing import Final, TypeVar
 
 from dpstack.api.bus.shutdown import hurry_all
 from dpstack.cli.terminal import lost_stdout
 
+_T = TypeVar("_T")
 #: exit code of a command that was hurried, or left at once
 INTERRUPTED: Final = 130
 #: signals within so many seconds of the first are the same one
@@ -103,6 +104,15 @@ class StopSignal:
 
     async def wait(self) -> None:
         await self._event.wait()
+
+    async def result_of(self, work: Coroutine[object, object, _T]) -> _T | None:
+        """What ``work`` returns; None where a signal ended it first."""
+        found: list[_T] = []
+
+        async def kept() -> None:
+            found.append(await work)
+
+        return found[0] if await self.or_done(kept()) else None
 
     async def or_done(self, work: Coroutine[object, object, object]) -> bool:
         """Wait until ``work`` is done (True; raises its exception) or the first signal (False; cancels it)."""
