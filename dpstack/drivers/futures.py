@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Coroutine
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -34,13 +34,22 @@ async def whole(doing: Coroutine[Any, Any, T]) -> T:
     return task.result()
 
 
-def carried_out(act: Callable[[], None]) -> asyncio.Future[object]:
-    """What :meth:`dpstack.drivers.runtime.Runtime.order` returns where ``act`` carries the order out at once."""
-    done: asyncio.Future[object] = asyncio.get_running_loop().create_future()
-    try:
-        act()
-    except Exception as error:
-        done.set_exception(error)
-    else:
-        done.set_result(None)
-    return done
+class ActsAtOnce:
+    """Orders and outputs of a driver whose machine runs in the application's process: they take effect at once."""
+
+    def command(self, command: object) -> None:
+        raise NotImplementedError
+
+    async def hand_over_outputs(self) -> None:
+        """The machine has the outputs as soon as they are set."""
+
+    def order(self, command: object) -> asyncio.Future[object]:
+        """:meth:`command` with its outcome in a future that is done."""
+        done: asyncio.Future[object] = asyncio.get_running_loop().create_future()
+        try:
+            self.command(command)
+        except Exception as error:
+            done.set_exception(error)
+        else:
+            done.set_result(None)
+        return done

@@ -2,7 +2,7 @@
 of the port.
 
 :class:`EndSteps` is the rule, for every driver. An application carries it out in its event loop
-(:mod:`dpstack.api.bus.shutdown`). :class:`Ending` carries it out in a :class:`PlainLoop`: in a bus process without its
+(:mod:`dpstack.api.bus.shutdown`). :class:`Ending` carries it out in a :class:`SelectLoop`: in a bus process without its
 application, and in :func:`end_on_port`, where the application's event loop can run no more.
 """
 
@@ -17,8 +17,8 @@ from dpstack.dp.master.commands import Shutdown
 from dpstack.dp.master.events import MasterStopped
 from dpstack.dpv1.master.ms2_commands import CloseConnections, ConnectionsClosed
 from dpstack.drivers.line.echo import Echo
-from dpstack.drivers.line.select_loop import Alarm, PlainLoop
-from dpstack.drivers.line.select_runtime import PlainRuntime
+from dpstack.drivers.line.select_loop import Alarm, SelectLoop
+from dpstack.drivers.line.select_runtime import SelectRuntime
 from dpstack.drivers.runtime import END_LIMIT, last_bits_ns
 from dpstack.errors import DpError
 from dpstack.fdl.active.station import ActiveStation
@@ -114,7 +114,7 @@ class Ending:
 
     def __init__(
         self,
-        loop: PlainLoop,
+        loop: SelectLoop,
         give: Callable[[EndOrder], None],
         station: ActiveStation,
         longest_rotation: Callable[[], int],
@@ -196,13 +196,13 @@ def end_on_port(port: Port, station: ActiveStation, echo: Echo) -> str:
         return "a port of this kind needs the event loop"
     if not _nobody_else_sends(port, station):
         return "somebody else sends on the bus, and without the token nothing may be sent"
-    loop = PlainLoop()
+    loop = SelectLoop()
 
     def on_events(events: list[Event]) -> None:
         for event in events:
             ending.on_event(event)
 
-    runtime = PlainRuntime(loop, port, station, on_events, echo=echo)
+    runtime = SelectRuntime(loop, port, station, on_events, echo=echo)
 
     def give(order: EndOrder) -> None:
         if isinstance(order, Shutdown):  # before the first step, which might find that the token was lost long ago

@@ -12,8 +12,8 @@ from typing import Any
 
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
-from dpstack.drivers.line.select_loop import PlainLoop
-from dpstack.drivers.line.select_runtime import PlainRuntime
+from dpstack.drivers.line.select_loop import SelectLoop
+from dpstack.drivers.line.select_runtime import SelectRuntime
 from dpstack.drivers.runtime import OnEvents
 from dpstack.machine import Machine
 from dpstack.ports import Port, memory_pair
@@ -33,8 +33,8 @@ class PlainBeside:
     """A plain driver whose loop runs in slices within the test's asyncio loop; looks like the asyncio driver."""
 
     def __init__(self, port: Port, machine: Machine, on_events: OnEvents, **options: Any) -> None:
-        self.loop = PlainLoop(report=self._report)
-        self.plain = PlainRuntime(self.loop, port, machine, on_events, **options)
+        self.loop = SelectLoop(report=self._report)
+        self.plain = SelectRuntime(self.loop, port, machine, on_events, **options)
         self._running: asyncio.Task[None] | None = None
 
     def __getattr__(self, name: str) -> Any:

@@ -17,8 +17,8 @@ import pytest
 from dpstack.drivers.line import asyncio_runtime, line_runtime, select_loop, select_runtime
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
-from dpstack.drivers.line.select_loop import PlainLoop
-from dpstack.drivers.line.select_runtime import PlainRuntime
+from dpstack.drivers.line.select_loop import SelectLoop
+from dpstack.drivers.line.select_runtime import SelectRuntime
 from dpstack.machine import HeldUp, Machine
 from dpstack.ports.fdport import FdPort
 from dpstack.units import NEVER, NS_PER_MS
@@ -220,7 +220,7 @@ class Driven:
     ) -> None:
         self.kernel = kernel
         self.events: list[Any] = []
-        self._loop: PlainLoop | None = None
+        self._loop: SelectLoop | None = None
         port = Line(kernel, paced=paced)
         for module in (line_runtime, asyncio_runtime, select_runtime, select_loop):
             patch.setattr(module, "monotonic_ns", kernel.clock)
@@ -234,8 +234,8 @@ class Driven:
             self.stop = asyncio_loop.stop
         else:
             patch.setattr(select_loop, "select", _Select(kernel))
-            self._loop = loop = PlainLoop()
-            runtime = PlainRuntime(loop, port, machine, self.events.extend, echo=Echo.OFF, held_up=held_up)
+            self._loop = loop = SelectLoop()
+            runtime = SelectRuntime(loop, port, machine, self.events.extend, echo=Echo.OFF, held_up=held_up)
             runtime.open()
             self._run = partial(_run_plain, loop)
             self.stop = loop.stop
@@ -252,7 +252,7 @@ class Driven:
             self._loop.close()
 
 
-def _run_plain(loop: PlainLoop, until: int) -> None:
+def _run_plain(loop: SelectLoop, until: int) -> None:
     alarm = loop.call_at(until, loop.stop)
     loop.run()
     alarm.close()

@@ -1,13 +1,13 @@
-"""A machine on a port of this process: event loops, timers, the lateness of ports.
+"""Real-time drivers of one protocol machine on one serial port: event loops, timers, echo, port latency.
 
-- ``answer_timing``: When an answer is to be expected: requests that begin alike were answered after so long
-- ``asyncio_runtime``: The asyncio driver: one machine on one port, inside the application's event loop
-- ``baud_search``: Finding the baud rate of a bus: the search listens
-- ``echo``: Adapters that echo what they send: recognised at start, removed by comparing octets
-- ``line_runtime``: What every real-time driver does, however it waits: step the machine, follow the port
-- ``port_latency``: What a port costs: how late the first octets after a transmission arrive
-- ``rate``: The state of a port: its rate follows what its machine wants, and a lost one is opened again
-- ``select_loop``: An event loop for the bus process: file descriptors, deadlines in nanoseconds, and nothing else
-- ``select_runtime``: The plain driver: one machine on one port in a loop of its own, without asyncio
-- ``timers``: Deadlines inside an event loop (a timerfd on Linux, the loop's own timer elsewhere)
+- ``answer_timing``: Expected time of an answer, learned from earlier answers to requests with the same header
+- ``asyncio_runtime``: The asyncio driver: runs one protocol machine on one serial port
+- ``baud_search``: Search for the baud rate of a bus: listens on a port at one rate after the other
+- ``echo``: Echo filter for adapters that return the transmitted octets
+- ``line_runtime``: Common part of the real-time drivers: steps the protocol machine, dispatches its events
+- ``port_latency``: Latency of a port: how late the first octets after a transmission arrive
+- ``rate``: Baud rate of an open port, which follows its machine; pauses between attempts to open a lost port
+- ``select_loop``: Event loop of the bus process on select(): file descriptors, deadlines in nanoseconds, signals
+- ``select_runtime``: The driver on select(), without asyncio: runs one protocol machine on one serial port
+- ``timers``: Timers for deadlines in an event loop (timerfd on Linux, else the loop's own); the clock of system sleep
 """

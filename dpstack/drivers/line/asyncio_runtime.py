@@ -1,15 +1,14 @@
-"""The asyncio driver: one machine on one port, inside the application's event loop."""
+"""The asyncio driver: runs one protocol machine on one serial port inside the application's event loop."""
 
 from __future__ import annotations
 
 import asyncio
-from functools import partial
 from time import monotonic_ns
 
-from dpstack.drivers.futures import carried_out, outlast
-from dpstack.drivers.line.line_runtime import SPIN_NS, Stepping
+from dpstack.drivers.futures import ActsAtOnce, outlast
+from dpstack.drivers.line.line_runtime import SPIN_NS, LineRuntime
 from dpstack.drivers.line.port_latency import patience_of
-from dpstack.drivers.line.rate import Attempts
+from dpstack.drivers.line.rate import ReopenAttempts
 from dpstack.drivers.line.timers import make_timer
 from dpstack.drivers.runtime import IN_PARENT, OnFailure
 from dpstack.drivers.shutdown import end_on_port
@@ -20,33 +19,22 @@ from dpstack.units import NEVER, NS_PER_S
 __all__ = ["SPIN_NS", "AsyncioRuntime", "OnFailure", "patience_of"]
 
 
-class AsyncioRuntime(Stepping):
-    """:class:`Stepping` in the running asyncio loop; implements :class:`dpstack.drivers.runtime.Runtime`."""
+class AsyncioRuntime(LineRuntime, ActsAtOnce):
+    """:class:`LineRuntime` in the running asyncio loop; implements :class:`dpstack.drivers.runtime.Runtime`."""
 
     blocked_by = "the program did not let its event loop run, or was stopped,"
-    _loop: asyncio.AbstractEventLoop | None = None  # of the last open
-    _quiet_until = 0  # until then the port hands nothing over; the timer waits for it, or for something sooner
+    _loop: asyncio.AbstractEventLoop | None = None  # set by open()
+    _quiet_until = 0  # the port delivers nothing before this time; the timer ends it
     _reopening: asyncio.Task[None] | None = None
-    _left: str | None = None  # why nobody runs it any more, though it was not closed
+    _left: str | None = None  # why it no longer runs although it was not closed
+    #: a real bus cannot fall behind real time
+    behind_ns = 0
 
     @property
     def not_running(self) -> str | None:
-        """The defect that stopped it, or why it was left; None when there was none."""
         if self._left is not None:
             return self._left
         return None if self.failed is None else f"the bus was stopped by a defect in dpstack: {self.failed}"
-
-    @property
-    def behind_ns(self) -> int:
-        """A real bus is where it is."""
-        return 0
-
-    async def hand_over_outputs(self) -> None:
-        """The machine has them as soon as they are set."""
-
-    def order(self, command: object) -> asyncio.Future[object]:
-        """:meth:`command`, which carries it out at once."""
-        return carried_out(partial(self.command, command))
 
     async def open(self) -> None:
         """Open the port and begin. Raises PortError; ConfigError when the port knows none of the machine's rates."""
@@ -56,7 +44,7 @@ class AsyncioRuntime(Stepping):
         self._begin(loop, make_timer(loop, self._timer_due))
 
     async def close(self) -> None:
-        """Stop and release the port; what the machine still had to tell is told. May be called again."""
+        """Stop, release the port and dispatch the machine's last events. May be called again."""
         was_open = self._at is not None
         self._halt()
         task, self._reopening = self._reopening, None
@@ -67,16 +55,16 @@ class AsyncioRuntime(Stepping):
         finally:
             self._end(was_open)
 
-    #: a port that is being opened when it is closed gives that up at once
+    #: close() cancels an opening that is under way
     close_limit_ns = 0
 
     def end_without_loop(self) -> str:
-        """The loop was closed or never runs again: the end of its bus by this thread alone, see :func:`end_on_port`."""
+        """For a loop that was closed or never runs again: this thread ends the bus, see :func:`end_on_port`."""
         self._left = self._ended_here()
         return self._left or ""
 
     def _ended_here(self) -> str | None:
-        """The end by this thread alone; why safe values and Clear could not be sent, None where they were."""
+        """Returns why safe values and Clear could not be sent, None where they were."""
         port, station = self._port, self._machine
         lost = self._at is None or self._attempts is not None or self.failed is not None
         self._reopening = None
@@ -91,7 +79,6 @@ class AsyncioRuntime(Stepping):
             port.close()
 
     def forsake(self) -> None:
-        """In the child of a fork: no more steps; line, timer and loop stay the parent's."""
         self._left = IN_PARENT
         super().forsake()
 
@@ -112,7 +99,7 @@ class AsyncioRuntime(Stepping):
         elif min(quiet_until, self._deadline) - monotonic_ns() > self._early_ns:
             self._arm(min(quiet_until, self._deadline))
         elif quiet_until < self._deadline:
-            self._armed = NEVER  # before the step: whatever it leads to may arm afresh
+            self._armed = NEVER  # before the step, which may arm it again
             self._quiet_until = 0
             self._port.hush(False)
             self._step(self._drain())
@@ -122,13 +109,13 @@ class AsyncioRuntime(Stepping):
                 self._arm(self._quiet_until)
 
     def _waited(self, spun_ns: int, now: int) -> None:
-        """Nothing: an ordinary process may spin as it likes."""
+        """Spinning is limited only in a process with real-time priority."""
 
-    def _begin_reopening(self, attempts: Attempts) -> None:
+    def _begin_reopening(self, attempts: ReopenAttempts) -> None:
         if self._loop is not None:
             self._reopening = self._loop.create_task(self._reopen(attempts))
 
-    async def _reopen(self, attempts: Attempts) -> None:
+    async def _reopen(self, attempts: ReopenAttempts) -> None:
         while True:
             await asyncio.sleep(attempts.pause_ns() / NS_PER_S)
             try:

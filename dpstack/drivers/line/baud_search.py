@@ -1,4 +1,4 @@
-"""Finding the baud rate of a bus: the search listens, the driver lets the port follow it from rate to rate."""
+"""Search for the baud rate of a bus: listens on a port at one rate after the other and sends nothing."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ async def search_baud(
         settle_ns=settle_ns_of(port),
     )
     outcome = _Outcome(port.name)
-    runtime = AsyncioRuntime(port, search, outcome.told, echo=Echo.OFF, on_failure=outcome.failed)
+    runtime = AsyncioRuntime(port, search, outcome.on_events, echo=Echo.OFF, on_failure=outcome.on_failure)
     return await outcome.of(runtime)
 
 
@@ -43,27 +43,25 @@ async def search_in(world: SimulatedBus, *, silence_ns: int = NEVER, limit_ns: i
     """As :func:`search_baud`, on a simulated bus."""
     outcome = _Outcome("the simulated bus")
     search = AutoBaud(world.now, silence_ns=silence_ns, limit_ns=limit_ns)
-    runtime = VirtualRuntime(world, search, outcome.told, on_failure=outcome.failed)
+    runtime = VirtualRuntime(world, search, outcome.on_events, on_failure=outcome.on_failure)
     return await outcome.of(runtime)
 
 
 class _Outcome:
-    """What the events of a search lead to."""
+    """Result of a search, from the events of the search and of the port."""
 
     def __init__(self, where: str) -> None:
         self._where = where
         self._result: asyncio.Future[BaudFound | BaudNotFound] = asyncio.get_running_loop().create_future()
 
     async def of(self, runtime: Runtime) -> BaudFound | BaudNotFound:
-        """Run the search to its end."""
         await runtime.open()
         try:
             return await self._result
         finally:
             await runtime.close()
 
-    def told(self, events: list[Event]) -> None:
-        """Of the search and the port."""
+    def on_events(self, events: list[Event]) -> None:
         for event in events:
             if self._result.done():
                 return
@@ -73,7 +71,6 @@ class _Outcome:
                 case PortLost(reason=reason):
                     self._result.set_exception(PortError(f"{self._where} vanished while listening: {reason}"))
 
-    def failed(self, error: Exception) -> None:
-        """By a defect."""
+    def on_failure(self, error: Exception) -> None:
         if not self._result.done():
             self._result.set_exception(error)

@@ -1,7 +1,7 @@
-"""Adapters that echo what they send: recognised at start, removed by comparing octets.
+"""Echo filter for adapters that return the transmitted octets: detects the echo at start and removes it.
 
-Nothing on a bus answers with the octets of the request, so a station that hears its own telegram back, octet by octet,
-sits on an adapter with echo (or on a segment that has one).
+No station answers with the octets of the request. A station that receives its own telegram, octet by octet, therefore
+uses an adapter with echo (or sits on a segment that has one).
 """
 
 from __future__ import annotations
@@ -9,39 +9,36 @@ from __future__ import annotations
 from enum import Enum
 from typing import Final
 
-#: So many transmissions followed by something else than themselves: there is no echo.
+#: After this many transmissions that were followed by other octets than their own there is no echo.
 _MISSES: Final = 3
-#: A short acknowledgement proves nothing, another one may follow it; a token is the shortest telegram that does.
+#: Octets that prove an echo. A short acknowledgement (1 octet) may follow another one; a token (3) proves it.
 _PROOF: Final = 3
-#: more than this is not waited for: some of it was lost
+#: octets of an outstanding echo; with more of them some were lost
 _LONGEST_ECHO: Final = 1000
 
 
 class Echo(Enum):
-    """Whether the line echoes."""
-
     AUTO = "auto"  # not known yet
     ON = "on"
     OFF = "off"
 
 
 class EchoFilter:
-    """Takes a station's own octets out of what its port delivers. ``state`` leaves AUTO by what is heard."""
+    """Removes a station's own octets from the received ones. ``state`` changes from AUTO to ON or OFF by them."""
 
     __slots__ = ("_expected", "_held", "_last", "_misses", "_whole", "lost", "state")
 
     def __init__(self, state: Echo) -> None:
         self.state = state
-        self._last = b""  # what was sent last
-        self._expected = b""  # the part of what was sent that has not come back yet
-        self._whole = 0  # size of the first telegram that is expected, with what is held of it
-        self._held = b""  # while AUTO: came back as sent so far, may still be the start of something else
+        self._last = b""  # last transmission
+        self._expected = b""  # transmitted octets whose echo is outstanding
+        self._whole = 0  # size of the first telegram whose echo is outstanding, including the held octets
+        self._held = b""  # while AUTO: received octets that equal the transmitted ones so far
         self._misses = 0
         #: telegrams that did not come back as they were sent: collisions, or a damaged echo
         self.lost = 0
 
     def sent(self, octets: bytes) -> None:
-        """``octets`` go out now."""
         if self._expected and len(self._expected) < _LONGEST_ECHO:
             self._expected += octets  # an echo may be later than the next telegram
         else:
@@ -50,13 +47,13 @@ class EchoFilter:
         self._last = octets
 
     def strip(self, chunk: bytes) -> bytes:
-        """What remains of ``chunk``; in state AUTO with what was held before in front of it."""
+        """``chunk`` without echo; in state AUTO preceded by octets that were held back before."""
         if not self._expected or not chunk or self.state is Echo.OFF:
             return chunk
         return self._learn(chunk) if self.state is Echo.AUTO else self._remove(chunk)
 
     def release(self) -> bytes:
-        """What is held back: a deadline is due, so the rest of it does not come."""
+        """Octets held back so far: a deadline is due, so their rest will not arrive."""
         held, self._held = self._held, b""
         if held:
             self._expected = b""
@@ -96,7 +93,7 @@ class EchoFilter:
 
 
 def _common(one: bytes, other: bytes) -> int:
-    """How many octets at the start are the same."""
+    """Length of the common prefix."""
     limit = min(len(one), len(other))
     if one[:limit] == other[:limit]:
         return limit

@@ -1,8 +1,8 @@
-"""What every real-time driver does, however it waits: step the machine, follow the port, tell what happened.
+"""Common part of the real-time drivers: steps the protocol machine, follows its baud rate, dispatches its events.
 
-The way from an answer to the next request is: the loop calls the port's reader, which reads and calls
-:meth:`Stepping._step`; that pumps the machine, spins to the end of the idle time when it is near, and writes.
-Everything that can wait (events, arming the timer) comes after the write.
+Subclasses differ only in how they wait. From an answer to the next request: the loop calls the port's reader, which
+reads and calls :meth:`LineRuntime._step`. That pumps the machine, spins to the end of the idle time when it is near,
+and writes. Events and the timer follow after the write.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
 from time import monotonic_ns
-from typing import Final
+from typing import Final, TypedDict
 
 from dpstack.drivers.line.answer_timing import Answers
 from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.drivers.line.port_latency import Lateness, Tune
-from dpstack.drivers.line.rate import BACKOFF_NS, Attempts, NoRateError, follow, wire_times
+from dpstack.drivers.line.rate import BACKOFF_NS, LONGEST, NoRateError, ReopenAttempts, follow, wire_times
 from dpstack.drivers.line.timers import Timer, boottime_ns, suspended_ns
 from dpstack.drivers.runtime import OnEvents, OnFailure, PortBack, PortLost
 from dpstack.errors import BusError, DpError, PortError, UsageError
@@ -26,40 +26,50 @@ from dpstack.text import printable
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_US, ms_text
 
-#: Waits shorter than this are spun: a timer would be later (measured 40 us).
+#: The driver spins through shorter waits: a timer would fire later (measured 40 us).
 SPIN_NS: Final = 20 * NS_PER_US
-#: A deadline missed by more than this is judged only after the port was read again.
+#: After a deadline missed by more than this the port is read again before the machine acts on the deadline.
 _LATE_NS: Final = 30 * NS_PER_US
-#: A machine that is run later than this is told. No slave's watchdog is shorter.
+#: The driver reports to the machine that it ran later than this. No slave's watchdog is shorter.
 _HELD_UP_NS: Final = 10 * NS_PER_MS
-#: A line that is never silent is not looked at more often before a deadline is judged.
+#: Reads of a line that is never silent before the machine acts on a missed deadline.
 _LOOKS: Final = 4
-#: Steps without giving the loop a turn; a lone master's token at 12 Mbit/s is due every few microseconds.
+#: Steps before the loop has a turn; a lone master's token at 12 Mbit/s is due every few microseconds.
 _BURST: Final = 8
 
-_LONGEST: Final = 256
-
-#: Takes what a machine is told when it was not run in time, and the time. True: what it has handed out to be sent, and
-#: is not sent yet, is too old by it.
+#: Called with the report for a machine that did not run in time, and the time. True: a telegram that the machine has
+#: handed out but that is not sent yet is too old now.
 OnHeldUp = Callable[[HeldUp, int], bool]
+
+
+class LineOptions(TypedDict, total=False):
+    """Keyword arguments of :class:`LineRuntime`."""
+
+    echo: Echo
+    on_failure: OnFailure | None
+    tune: Tune | None
+    held_up: OnHeldUp | None
+    backoff_ns: tuple[int, int]
 
 
 def _filter(echo: Echo) -> EchoFilter | None:
     return None if echo is Echo.OFF else EchoFilter(echo)
 
 
-class Stepping(ABC):
-    """Keeps ``machine`` running on ``port``, with a loop that a subclass knows.
+class LineRuntime(ABC):
+    """Keeps ``machine`` running on ``port`` in the loop of a subclass.
 
-    Events of the machine and of the driver go to ``on_events``. The port follows the rate that the machine wants. A
-    port that vanishes is an event and is opened again with back-off. When the machine raises, which it never should,
-    the driver stops, tells ``on_failure`` (without one: the loop's exception handler) and keeps the exception in
-    ``failed``. ``echo``: whether the line returns what is sent. ``held_up`` is told when the machine was run late, or
-    the computer slept, before the machine does anything.
+    Events of the machine and of the driver go to ``on_events``. The port follows the baud rate of the machine. The
+    loss of the port is an event; the driver opens it again with back-off (``backoff_ns``: first and longest pause).
+    An exception of the machine is a defect: the driver stops, calls ``on_failure`` (without one: the loop's exception
+    handler) and keeps the exception in ``failed``. ``echo``: whether the line returns transmitted octets. ``held_up``
+    is called when the machine ran late, or the computer slept, before the machine acts.
     """
 
-    #: for people: why a machine is run late
+    #: for people: why a machine ran late
     blocked_by = "the process was stopped, or had no processor"
+    #: longest wait within a step that is spun
+    spin_ns = SPIN_NS
 
     def __init__(
         self,
@@ -71,39 +81,37 @@ class Stepping(ABC):
         on_failure: OnFailure | None = None,
         tune: Tune | None = None,
         held_up: OnHeldUp | None = None,
-        spin_ns: int = SPIN_NS,
         backoff_ns: tuple[int, int] = BACKOFF_NS,
     ) -> None:
         self.failed: Exception | None = None
-        #: how late answers arrive; with ``tune`` the machine's patience follows from it
+        #: lateness of answers; with ``tune`` the machine's patience follows from it
         self.lateness = Lateness(tune)
         self._port = port
         self._machine = machine
         self._on_events = on_events
         self._on_failure = on_failure
         self._held_up = held_up
-        self._stepped_at = 0  # the last step was over
-        self._suspended_ns = 0  # so long the computer has slept, as far as the machine knows
-        self._spin_ns = spin_ns
-        self._early_ns = spin_ns  # so much before a deadline the timer shall call: the rest is spun
+        self._stepped_at = 0  # end of the last step
+        self._suspended_ns = 0  # sleep of the computer that the machine has been told of
+        self._spin_ns = self._early_ns = self.spin_ns  # the timer fires _early_ns before a deadline, the rest is spun
         self._backoff_ns = backoff_ns
-        self._attempts: Attempts | None = None  # while the port is lost
+        self._attempts: ReopenAttempts | None = None  # while the port is lost
         self._echo_wanted = echo
         self._echo = _filter(echo)
-        self._at: Loop | None = None  # where it runs; set while running
+        self._at: Loop | None = None  # the loop; set while running
         self._timer: Timer | None = None
         self._armed = NEVER  # the deadline the timer waits for: never later than _deadline
         self._deadline = NEVER
         self._answers = Answers()
-        self._tolerated: set[str] = set()  # what the port cannot do: told once, however often it is opened
+        self._tolerated: set[str] = set()  # notices of the port that were reported, once for all openings
         self._again: Pending | None = None
         self._wire_ns = wire_times(port)
-        self._flood_from = 1  # discarded octets from which on the owner is told again
-        self._transmit = self._put  # bound once
+        self._flood_from = 1  # number of discarded octets from which on the next notice is due
+        self._transmit = self._put  # bound once, for speed
 
     @property
     def port_name(self) -> str:
-        """What the port is called (a pty made here: the path of its other end, once it is open)."""
+        """Name of the port (of a pty made here: the path of its other end, once it is open)."""
         return self._port.name
 
     @property
@@ -112,47 +120,46 @@ class Stepping(ABC):
         return self._port.paced
 
     def damage(self) -> dict[str, int]:
-        """Octets that arrived damaged, by cause, as far as the port can tell."""
+        """Number of damaged octets by cause, as far as the port counts them."""
         return self._port.damage()
 
     @property
     def echo(self) -> Echo:
-        """Whether the line returns what is sent, as far as is known."""
         return Echo.OFF if self._echo is None else self._echo.state
 
-    # --- what a subclass knows ----------------------------------------------------------------------------------------
+    # --- for subclasses -----------------------------------------------------------------------------------------------
 
     @abstractmethod
     def _report(self, message: str, error: Exception) -> None:
-        """A defect that nobody was told of: say it as the loop says such things."""
+        """Report a defect in the way of the loop."""
 
     @abstractmethod
     def _expect(self, at: int, quiet_until: int) -> None:
-        """A telegram went out; its answer should be whole at ``at`` (ns, NEVER: nobody knows), and what arrives before
-        ``quiet_until`` need not wake the loop up (0: all shall)."""
+        """After a transmission: the answer should be complete at ``at`` (ns, NEVER: unknown). Octets that arrive before
+        ``quiet_until`` need not wake the loop (0: they shall)."""
 
     @abstractmethod
     def _waited(self, spun_ns: int, now: int) -> None:
-        """So long was spun within a step that is over."""
+        """A step has spun for ``spun_ns``."""
 
     @abstractmethod
-    def _begin_reopening(self, attempts: Attempts) -> None:
-        """The port is lost: :meth:`_refused` or :meth:`_back` after each of the attempts."""
+    def _begin_reopening(self, attempts: ReopenAttempts) -> None:
+        """The port is lost: try to open it; after each attempt call :meth:`_refused` or :meth:`_back`."""
 
     # --- opening and closing ------------------------------------------------------------------------------------------
 
     def _may_open(self) -> None:
-        """Raises UsageError or BusError when it may not be opened (any more)."""
+        """Raises UsageError, BusError."""
         if self._at is not None:
             raise UsageError("the driver is open already")
         if self.failed is not None:
             raise BusError("the driver was stopped by a defect, make a new one") from self.failed
 
     def _begin(self, loop: Loop, timer: Timer) -> None:
-        """The port has just been opened: run in ``loop``. Raises as open() does; the port is closed then."""
+        """Run in ``loop`` on the port just opened. Raises as open() does; the port is closed then."""
         try:
             if self._machine.baud != self._port.baud:
-                self._port.set_baud(self._port.baud)  # one that cannot change its rate says so
+                self._port.set_baud(self._port.baud)  # raises where the port cannot change its rate
                 follow(self._port, self._machine)
                 self._wire_ns = wire_times(self._port)
         except DpError:
@@ -167,24 +174,24 @@ class Stepping(ABC):
         self._step(b"")
 
     def _end(self, was_open: bool) -> None:
-        """After :meth:`_halt`: release the port, tell what the machine still had to tell."""
+        """After :meth:`_halt`: release the port, dispatch the machine's last events."""
         self._port.close()
         if was_open and self.failed is None:
             self._tell(self._machine.take_events())
 
     def forsake(self) -> None:
-        """In the child of a fork: no more steps; line, timer and loop stay the parent's."""
+        """In the child of a fork: stop; line, timer and loop stay the parent's."""
         self._port.forsake()
         self._halt()
 
     def command(self, command: object) -> None:
-        """Hand an order to the machine and let it act at once. What it raises is the caller's."""
+        """Hand an order to the machine and let it act at once. Exceptions of the machine reach the caller."""
         if self.failed is not None:
             raise BusError("the driver was stopped by a defect") from self.failed
         if self._at is None:
             raise UsageError("the driver is not open: open() comes first")
         self._machine.command(command, monotonic_ns())
-        # as with a late timer: what arrived while the loop was held up counts before a deadline is judged
+        # as after a late timer: octets that arrived while the loop was blocked count before a deadline
         self._step(self._drain())
 
     def now(self) -> int:
@@ -194,17 +201,17 @@ class Stepping(ABC):
     # --- the lean path ------------------------------------------------------------------------------------------------
 
     def _step(self, chunk: bytes) -> None:
-        """Pump until nothing is due within the spin time, then tell events and arm the timer."""
+        """Pump until nothing is due within the spin time, then arm the timer and dispatch events."""
         machine, transmit, spin_ns = self._machine, self._transmit, self._spin_ns
         steps = _BURST
         heard, sent_at, spun = 0, 0, 0
         try:
             now = monotonic_ns()
-            # one look at the clock of sleep a step: nothing old may go out after it
+            # one reading of the sleep clock a step: no old telegram may go out after a sleep
             if self._held_up is not None and (
                 boottime_ns() - now - self._suspended_ns >= _HELD_UP_NS or now - self._deadline >= _HELD_UP_NS
             ):
-                self._tell_held_up(self._held_up, now)
+                self._report_late_run(self._held_up, now)
             if now >= self._deadline:
                 chunk, now = self._look(chunk, now)
             arrived = now
@@ -236,7 +243,7 @@ class Stepping(ABC):
             self._deadline = deadline
             self._stepped_at = now
             if sent_at:
-                self.lateness.heard(sent_at, self._wire_ns[min(heard, _LONGEST - 1)], arrived)
+                self.lateness.heard(sent_at, self._wire_ns[min(heard, LONGEST - 1)], arrived)
             events = machine.take_events()
         except NoRateError as exc:
             self._lost(str(exc))
@@ -254,8 +261,8 @@ class Stepping(ABC):
         if events:
             self._tell(events)
 
-    def _tell_held_up(self, tell: OnHeldUp, now: int) -> None:
-        """Tell the machine before it acts that it was not run in time, or that the computer slept."""
+    def _report_late_run(self, tell: OnHeldUp, now: int) -> None:
+        """Report to the machine, before it acts, that it did not run in time or that the computer slept."""
         asleep = suspended_ns() - self._suspended_ns
         if asleep >= _HELD_UP_NS:
             self._suspended_ns += asleep
@@ -268,7 +275,7 @@ class Stepping(ABC):
         return HeldUp(late_ns, f"{self.blocked_by} for {ms_text(late_ns)}")
 
     def _put(self, octets: bytes, now: int) -> int:
-        """Transmit: the return value is when the last bit leaves, as well as can be known."""
+        """Transmit. Returns the estimated time at which the last bit leaves."""
         if self._held_up is not None:
             before = monotonic_ns()
             if before - now >= _HELD_UP_NS and self._held_up(self._late(before - now), before):
@@ -283,14 +290,13 @@ class Stepping(ABC):
         return end
 
     def _arm(self, deadline: int) -> None:
-        """Wait for ``deadline``; a later one is looked at when this one is reached, which saves most of the arming."""
+        """Set the timer to ``deadline``. A later deadline is armed when this one has been reached: few calls."""
         if self._timer is not None:
             self._armed = deadline
-            # A timer is late by more than the spin time: the rest is spun.
             self._timer.set(deadline - self._early_ns)
 
     def _timer_due(self) -> None:
-        self._armed = NEVER  # before the step: whatever it leads to may arm afresh
+        self._armed = NEVER  # before the step, which may arm it again
         deadline = self._deadline
         now = monotonic_ns()
         if deadline - now > self._early_ns:
@@ -300,16 +306,17 @@ class Stepping(ABC):
         while now < deadline:
             now = monotonic_ns()
         echo, chunk = self._echo, b""
-        if echo is not None:  # a deadline is due: the rest of what is held does not come
+        if echo is not None:  # a deadline is due: the rest of the held octets will not arrive
             chunk = self._drain()
             chunk = echo.release() + chunk
         self._step(chunk)
 
     def _look(self, chunk: bytes, now: int) -> tuple[bytes, int]:
-        """A deadline has passed at ``now``: ``chunk`` with what arrived since it was read, and the time to judge at.
+        """After a deadline has passed at ``now``: ``chunk`` with the octets that have arrived since, and the time that
+        counts for the deadline.
 
-        Timers fire late, and a process can be held up anywhere, also between reading the line and reading the clock,
-        and for longer than a slot time. So the clock is read first: up to the time that counts nothing was missed.
+        Timers fire late, and the process may lose the processor between reading the line and reading the clock, for
+        longer than a slot time. So the clock is read before the line: no octet up to that time is missed.
         """
         discarded = self._port.discarded
         for _ in range(_LOOKS):
@@ -318,14 +325,14 @@ class Stepping(ABC):
                 break
             chunk += more
             now = monotonic_ns()  # the idle time after these octets counts from here
-            if self._port.discarded != discarded:  # a line that is never silent and faster than we are
+            if self._port.discarded != discarded:  # a line that is never silent and faster than this computer
                 break
         return chunk, now
 
     def _drain(self) -> bytes:
         octets = self._port.read_now()
         if self._port.discarded >= self._flood_from:
-            self._tell_flood()
+            self._report_flood()
         return octets if self._echo is None else self._stripped(self._echo, octets)
 
     def _let_loop_turn(self) -> None:
@@ -339,7 +346,7 @@ class Stepping(ABC):
     # --- echo ---------------------------------------------------------------------------------------------------------
 
     def _attach(self) -> None:
-        """Take what the port delivers, through the echo filter unless there is no echo."""
+        """Connect the port's reader, through the echo filter unless there is no echo."""
         if self._at is None:
             return
         self._echo = _filter(self._echo_wanted)
@@ -356,7 +363,7 @@ class Stepping(ABC):
         self._step(self._stripped(echo, chunk))
 
     def _stripped(self, echo: EchoFilter, chunk: bytes) -> bytes:
-        """``chunk`` without echo; what the line turns out to be takes effect here, whoever has read the port."""
+        """``chunk`` without echo; a newly detected state of the echo takes effect here."""
         before = echo.state
         rest = echo.strip(chunk)
         if echo.state is not before:
@@ -371,23 +378,22 @@ class Stepping(ABC):
     # --- loss, defects, events ----------------------------------------------------------------------------------------
 
     def _lost(self, reason: str) -> None:
-        """The port vanished: an event, and attempts to open it again."""
+        """The port vanished: report it and begin to open it again."""
         if self._at is None:
             return
         self._port.close()
-        self._attempts = Attempts(self._backoff_ns)
+        self._attempts = ReopenAttempts(self._backoff_ns)
         self._tell([PortLost(t_ns=monotonic_ns(), port=self.port_name, reason=reason)])
         self._order(LineDown(reason))
         if self._at is not None:
             self._begin_reopening(self._attempts)
 
-    def _refused(self, attempts: Attempts, refusal: PortError) -> None:
-        """The lost port could not be opened."""
-        if attempts.is_news(str(refusal)):
+    def _refused(self, attempts: ReopenAttempts, refusal: PortError) -> None:
+        if attempts.is_new_reason(str(refusal)):
             self._tell([self._notice(f"still without its port: {refusal}", Severity.WARNING)])
 
-    def _back(self, attempts: Attempts) -> None:
-        """The lost port is open again; closed at once where nobody wants it any more."""
+    def _back(self, attempts: ReopenAttempts) -> None:
+        """The lost port is open again; it is closed where the driver was closed meanwhile."""
         if self._at is None:
             self._port.close()
         if attempts is not self._attempts:
@@ -409,14 +415,14 @@ class Stepping(ABC):
         self._step(b"")
 
     def _dropped(self) -> None:
-        """A telegram was not sent: told at the first, the tenth, the hundredth ..."""
+        """A telegram was not sent: a notice at the first, the tenth, the hundredth ..."""
         count = self._port.dropped
         if self._at is not None and self._attempts is None and str(count).strip("0") == "1":
             text = f"{count} telegrams dropped: the line takes no more, is anybody reading at the other end?"
             self._at.call_soon(partial(self._tell, [self._notice(text, Severity.WARNING)]))
 
-    def _tell_flood(self) -> None:
-        """Octets were thrown away unread: told at the first ones, then whenever there are ten times as many."""
+    def _report_flood(self) -> None:
+        """Octets were discarded unread: a notice at the first ones, then at ten times as many."""
         count = self._port.discarded
         self._flood_from = 10 * count
         if self._at is not None:
@@ -430,7 +436,7 @@ class Stepping(ABC):
         return Notice(t_ns=monotonic_ns(), source=self.port_name, message=text, severity=severity)
 
     def _tell(self, events: list[Event]) -> None:
-        """Hand over events; an owner whose handler raises is told by the loop, and the bus goes on."""
+        """Call the event handler; the loop reports its exceptions, and the bus goes on."""
         if not events:
             return
         try:
@@ -439,7 +445,7 @@ class Stepping(ABC):
             self._report("the handler of bus events raised", exc)
 
     def _fail(self, exc: Exception) -> None:
-        """The machine raised: stop, tell the owner."""
+        """The machine raised: stop, and call the failure handler."""
         if self._at is None:
             raise exc
         self.failed = exc
@@ -453,7 +459,6 @@ class Stepping(ABC):
             self._report(printable(f"{self.port_name}: {text}"), exc)
 
     def _halt(self) -> None:
-        """No more steps."""
         self._at = None
         self._attempts = None
         self._armed = self._deadline = NEVER

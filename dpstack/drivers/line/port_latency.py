@@ -1,4 +1,4 @@
-"""What a port costs: how late the first octets after a transmission arrive, and the patience that follows from it."""
+"""Latency of a port: how late the first octets after a transmission arrive, and the patience derived from it."""
 
 from __future__ import annotations
 
@@ -9,41 +9,39 @@ from dpstack.phy.patience import ADAPTER, HOST, Patience, measured
 from dpstack.ports import Delivery, Port
 from dpstack.stats import Histogram
 
-#: Takes the patience that was derived, and the time in ns.
+#: Called with the derived patience and the time in ns.
 Tune = Callable[[Patience, int], None]
-#: p99.9 of fewer answers says nothing; then the patience is derived anew from time to time.
+#: The patience is derived from p99.9 of at least so many answers, and anew after every 10000.
 FIRST: Final = 1_000
 _EVERY: Final = 10_000
 
 
 def patience_of(port: Port) -> Patience:
-    """The patience a port's kind needs until it was measured."""
+    """The patience for the kind of a port, used until it is measured."""
     return ADAPTER if port.delivery is Delivery.ADAPTER else HOST
 
 
 class Lateness:
-    """Counts always; with ``tune`` it also derives the patience. Durations in ns.
+    """Histogram of latencies in ns; with ``tune`` it also derives the patience.
 
-    Counted is the time from the last bit of a transmission to the delivery of what follows, less the time that took on
-    the wire: host, adapter, and the T_SDR of who answers. Who does not answer is not counted: the next transmission
-    takes the place of the one before.
+    A latency is the time from the last bit of a transmission to the delivery of the octets after it, less the time of
+    these on the wire: the sum of host, adapter and the answering station's T_SDR. Only answers count.
     """
 
     __slots__ = ("_due", "_tune", "histogram", "patience", "sent_at")
 
     def __init__(self, tune: Tune | None = None) -> None:
         self.histogram = Histogram()
-        #: what was derived last
         self.patience: Patience | None = None
-        #: the end of the transmission that nothing has followed yet, 0 for none
+        #: end of the transmission without octets after it, 0 for none
         self.sent_at = 0
         self._tune = tune
         self._due = FIRST
 
     def heard(self, sent_at: int, wire_ns: int, now: int) -> None:
-        """Octets that took ``wire_ns`` on the wire were delivered at ``now``, after the transmission of ``sent_at``.
+        """The port delivered octets of duration ``wire_ns`` at ``now``, after a transmission that ended at ``sent_at``.
 
-        It can wait until the next request is out: the caller takes ``sent_at`` and sets it to 0 when they arrive.
+        The caller sets the attribute ``sent_at`` to 0 when they arrive, and may call this after its next request.
         """
         histogram = self.histogram
         histogram.add(now - sent_at - wire_ns)

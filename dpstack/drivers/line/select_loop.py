@@ -1,15 +1,15 @@
-"""An event loop for the bus process: file descriptors, deadlines in nanoseconds, and nothing else.
+"""Event loop of the bus process on select(): file descriptors, deadlines in nanoseconds, signals.
 
-It waits in two ways. It sleeps, and wakes up as much too early as nine of ten wake-ups were late; the rest of the wait
-it looks again and again, as far as the :class:`~dpstack.drivers.realtime.cpu_budget.Budget` allows. A look costs 0.5
-us, a wake-up was measured on a virtual machine 20 to 80 us late with the timer slack at 1 ns, and 90 to 120 us without.
-``select`` takes its timeout in microseconds, needs no timer to be armed, is as precise as ``ppoll``, and more than
-``epoll``, whose grain is 1 ms.
+A wait has two parts. The loop sleeps and wakes up before the deadline by the lateness of nine of ten wake-ups. Then it
+polls until the deadline, as far as the :class:`~dpstack.drivers.realtime.cpu_budget.Budget` allows. A poll costs 0.5
+us. On a virtual machine a wake-up was 20 to 80 us late with a timer slack of 1 ns, and 90 to 120 us without it.
+``select`` takes its timeout in microseconds and needs no timer. It is as precise as ``ppoll``; ``epoll`` has a grain of
+1 ms.
 
-Answers are slept for, however soon they are expected. Looking was tried: an exchange over a pty took as long (70 us and
-more with 30 us at the other end) or, at p50, twice as long, and 1.5 times the processor's time. The kernel hands
-octets from the UART (or the pty) to the tty in a worker of ordinary priority: who looks for them on the worker's
-processor keeps them away.
+The loop never polls for answers, however soon they are expected. Measured with polling, an exchange over a pty took as
+long (70 us and more with 30 us at the other end) or, at p50, twice as long, and 1.5 times the processor time: the
+kernel hands octets from the UART (or the pty) to the tty in a worker of ordinary priority, which cannot run on the
+processor of a process that polls.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from dpstack.errors import UsageError
 from dpstack.text import traceback_text
 from dpstack.units import NEVER, NS_PER_S, NS_PER_US
 
-#: How much earlier than needed it wakes up: at first, at least, at most.
+#: The loop wakes up this much before a deadline: first value, minimum, maximum.
 _LEAD_NS: Final = 40 * NS_PER_US
 _LEAST_LEAD_NS: Final = 15 * NS_PER_US
 _MOST_LEAD_NS: Final = 90 * NS_PER_US
-#: So much it learns from a wake-up that was late by less; from one that was later nine times that.
+#: A wake-up that was less late than the lead shortens it by this; a later one lengthens it by nine times this.
 _LESSON_NS: Final = NS_PER_US // 2
 _LESSONS: Final = 9
 
 #: select's own limit (FD_SETSIZE)
 _MOST_FDS: Final = 1024
 
-#: Told of what a callback raised: a sentence and the exception.
+#: Called with a sentence and the exception of a callback.
 Report = Callable[[str, Exception], None]
 
 
@@ -58,45 +58,39 @@ class Alarm:
         alarms.append(self)
 
     def set(self, at: int) -> None:
-        """Wait for ``at`` (CLOCK_MONOTONIC, ns) instead of what was waited for."""
+        """Replace the deadline by ``at`` (CLOCK_MONOTONIC, ns)."""
         self.at = at
 
     def close(self) -> None:
-        """Call back no more. May be called again."""
         self.at = NEVER
         with contextlib.suppress(ValueError):
             self._alarms.remove(self)
 
-    def cancel(self) -> None:
-        """The same, as asyncio calls it."""
-        self.close()
+    cancel = close  # the name of asyncio's handles
 
 
 class _Soon:
-    """A call of the next turn."""
-
     __slots__ = ("callback",)
 
     def __init__(self, callback: Callable[[], object]) -> None:
         self.callback: Callable[[], object] | None = callback
 
     def cancel(self) -> None:
-        """Do not call."""
         self.callback = None
 
 
-class PlainLoop:
+class SelectLoop:
     """Runs callbacks one at a time in the thread that calls :meth:`run`. A :class:`dpstack.ports.Loop`.
 
-    What a callback raises goes to ``report`` (standard: a traceback on standard error) and stops nothing.
+    Exceptions of callbacks go to ``report`` (default: a traceback on standard error); the loop goes on.
     """
 
     def __init__(self, *, report: Report | None = None, budget: Budget | None = None) -> None:
         self.report = _print if report is None else report
         self.budget = Budget() if budget is None else budget
-        #: when something is expected to arrive (ns), NEVER for nobody knows; it is told to ``on_idle``
+        #: expected time of the next octets (ns), NEVER where it is unknown; for ``on_idle``
         self.expected_at = NEVER
-        #: called before it sleeps: with the time, and when something is due or expected next (ns)
+        #: called before the loop sleeps: with the time, and the time of the next deadline or expected octets (ns)
         self.on_idle: Callable[[int, int], object] | None = None
         self._readers: dict[int, Callable[[], object]] = {}
         self._writers: dict[int, Callable[[], object]] = {}
@@ -114,53 +108,51 @@ class PlainLoop:
         self._stopping = False
         self._closed = False
 
-    # --- what asyncio's loops have too ---
+    # --- as in asyncio ---
     def add_reader(self, fd: int, callback: Callable[[], object], /) -> None:
-        """Call back whenever ``fd`` is readable or hung up. A second callback takes the place of the first."""
+        """Call back whenever ``fd`` is readable or hung up. A second callback replaces the first."""
         self._readers[fd] = callback
         self._register(fd)
 
     def remove_reader(self, fd: int, /) -> bool:
-        """No longer; whether it was."""
         known = self._readers.pop(fd, None) is not None
         self._register(fd)
         return known
 
     def add_writer(self, fd: int, callback: Callable[[], object], /) -> None:
-        """Call back whenever ``fd`` takes octets."""
+        """Call back whenever ``fd`` is writable."""
         self._writers[fd] = callback
         self._register(fd)
 
     def remove_writer(self, fd: int, /) -> bool:
-        """No longer; whether it was."""
         known = self._writers.pop(fd, None) is not None
         self._register(fd)
         return known
 
     def call_soon(self, callback: Callable[[], object], /) -> _Soon:
-        """Call once, at the next turn."""
+        """Call once, in the next turn."""
         soon = _Soon(callback)
         self._soon.append(soon)
         return soon
 
     def call_soon_threadsafe(self, callback: Callable[[], object], /) -> _Soon:
-        """The same from another thread or a signal handler."""
+        """:meth:`call_soon` from another thread or a signal handler. Raises RuntimeError when the loop is closed."""
         if self._closed:
             raise RuntimeError("the loop is closed")
         soon = self.call_soon(callback)
         if self._bell is not None:
-            with contextlib.suppress(BlockingIOError):  # it rings already
+            with contextlib.suppress(BlockingIOError):  # a wake-up is pending already
                 self._bell[1].send(b"\0")
         return soon
 
     def add_signal_handler(self, sig: int, callback: Callable[[], object]) -> None:
-        """Call back when signal ``sig`` arrives, as any other callback. From the main thread only."""
+        """Call back after signal ``sig``. From the main thread only."""
         signal.set_wakeup_fd(self._bell_fd(), warn_on_full_buffer=False)
         self._signals[sig] = callback
         signal.signal(sig, self._signalled)
 
     def remove_signal_handler(self, sig: int) -> bool:
-        """The system's own handling again; whether there was a handler."""
+        """Restore the system's default; whether there was a handler."""
         if self._signals.pop(sig, None) is None:
             return False
         signal.signal(sig, signal.SIG_DFL)
@@ -169,18 +161,17 @@ class PlainLoop:
         return True
 
     def is_closed(self) -> bool:
-        """Whether :meth:`close` was called."""
         return self._closed
 
-    # --- its own ---
+    # --- beyond asyncio ---
     def alarm(self, callback: Callable[[], object]) -> Alarm:
-        """A deadline that can be set again and again."""
+        """A deadline that can be set repeatedly; none is set yet."""
         return Alarm(self._alarms, callback, NEVER, lasts=True)
 
     def hush(self, fd: int | None, until: int) -> None:
-        """Sleep up to ``until`` (ns) although octets arrive at ``fd``, one descriptor; 0: wake up for all.
+        """Do not wake up before ``until`` (ns) for octets at ``fd``, one descriptor; 0: wake up for all.
 
-        Who is awake anyway is told of them.
+        A loop that is awake for another reason still calls the reader.
         """
         self._quiet_fd = fd
         self._quiet_until = until
@@ -203,11 +194,11 @@ class PlainLoop:
             self._is_running = self._stopping = False
 
     def stop(self) -> None:
-        """Let :meth:`run` return after this turn; before it runs: after the first one."""
+        """Let :meth:`run` return after this turn; a loop that does not run yet: after its first one."""
         self._stopping = True
 
     def close(self) -> None:
-        """Release what the loop itself holds. It must not run. May be called again."""
+        """Release the loop's own descriptors. Raises UsageError while it runs. May be called again."""
         if self._is_running:
             raise UsageError("the loop is running: stop it first")
         for sig in list(self._signals):
@@ -234,7 +225,7 @@ class PlainLoop:
             if event & select.POLLNVAL:
                 self._drop_closed()
                 continue
-            # A callback may take another descriptor away: look each one up.
+            # A callback may remove another descriptor: look each one up.
             if event & ~select.POLLOUT and (callback := self._readers.get(fd)) is not None:
                 self._call(callback)
             if event & ~select.POLLIN and (callback := self._writers.get(fd)) is not None:
@@ -247,7 +238,7 @@ class PlainLoop:
 
     def _sound(self, now: int) -> None:
         for alarm in [alarm for alarm in self._alarms if alarm.at <= now]:
-            if alarm.at > now:  # moved by a callback before
+            if alarm.at > now:  # a callback has changed it meanwhile
                 continue
             alarm.at = NEVER
             if not alarm.lasts:
@@ -261,7 +252,7 @@ class PlainLoop:
             self.report("a callback raised", exc)
 
     def _wait(self) -> Iterable[tuple[int, int]]:
-        """Until something is ready or due; what is ready."""
+        """Wait until a descriptor is ready or a deadline is due; descriptors with their events."""
         budget, poll = self.budget, self._poll.poll
         now = monotonic_ns()
         if budget.rests and (owed := budget.owed_ns(now)):
@@ -289,7 +280,7 @@ class PlainLoop:
         return self._sleep(now, due)
 
     def _sleep(self, now: int, due: int) -> Iterable[tuple[int, int]]:
-        """In the kernel; ends early enough to look at the rest."""
+        """Sleep in the kernel; ends early enough to poll until ``due``."""
         budget = self.budget
         if self.on_idle is not None:
             expected = self.expected_at
@@ -328,7 +319,7 @@ class PlainLoop:
                 self._poll.unregister(fd)
 
     def _drop_closed(self) -> None:
-        """Somebody closed a descriptor that is still waited for: that must not stop the others."""
+        """Remove descriptors that were closed without being removed, so that the others go on."""
         for fd in {*self._readers, *self._writers}:
             try:
                 os.fstat(fd)
@@ -339,7 +330,7 @@ class PlainLoop:
                 self.report(f"descriptor {fd} was closed without being removed", exc)
 
     def _bell_fd(self) -> int:
-        """What wakes it from another thread or a signal; the end to write to."""
+        """The write end of the socket pair that wakes the loop from another thread or a signal."""
         if self._bell is None:
             self._bell = socket.socketpair()
             for end in self._bell:

@@ -1,7 +1,6 @@
-"""The plain driver: one machine on one port in a loop of its own, without asyncio; the bus process runs on it.
+"""The driver on select(), without asyncio: runs one protocol machine on one serial port; used by the bus process.
 
-It is :class:`~dpstack.drivers.line.line_runtime.Stepping` as the asyncio driver is, and differs in how it waits: a
-deadline costs no system call, and its last microseconds are looked at, not slept, within a budget.
+Setting a deadline costs no system call. The loop polls for the last microseconds before a deadline, within a budget.
 """
 
 from __future__ import annotations
@@ -9,74 +8,55 @@ from __future__ import annotations
 import threading
 from functools import partial
 from time import monotonic_ns
-from typing import Final
+from typing import Unpack
 
-from dpstack.drivers.line.echo import Echo
-from dpstack.drivers.line.line_runtime import OnHeldUp, Stepping
-from dpstack.drivers.line.port_latency import Tune
-from dpstack.drivers.line.rate import BACKOFF_NS, Attempts
-from dpstack.drivers.line.select_loop import Alarm, PlainLoop
-from dpstack.drivers.runtime import OnEvents, OnFailure
+from dpstack.drivers.line.line_runtime import LineOptions, LineRuntime
+from dpstack.drivers.line.rate import ReopenAttempts
+from dpstack.drivers.line.select_loop import Alarm, SelectLoop
+from dpstack.drivers.runtime import OnEvents
 from dpstack.errors import PortError
 from dpstack.machine import Machine
 from dpstack.ports import Port
 from dpstack.units import NEVER, NS_PER_US
 
-#: Waits within a step shorter than this are spun: going round the loop costs 8 us more, measured at 500 kbit/s, where
-#: T_ID1 is 74 us and most of it is left when an answer has been looked at. Shorter than any slot time.
-PLAIN_SPIN_NS: Final = 70 * NS_PER_US
 
+class SelectRuntime(LineRuntime):
+    """:class:`LineRuntime` in a :class:`SelectLoop`; the caller runs it: ``loop.run()``.
 
-class PlainRuntime(Stepping):
-    """:class:`Stepping` in a :class:`PlainLoop`, which runs elsewhere: ``loop.run()``.
-
-    As :class:`dpstack.drivers.runtime.Runtime`, with an ``open`` and a ``close`` that return when it is done. A port
-    without a file descriptor is refused by ``open``.
+    As :class:`dpstack.drivers.runtime.Runtime`, with ordinary functions ``open`` and ``close``. ``open`` refuses a port
+    without a file descriptor.
     """
+
+    #: A turn of the loop costs 8 us more than spinning, measured at 500 kbit/s, where T_ID1 is 74 us and most of it is
+    #: left when an answer has been decoded. Shorter than any slot time.
+    spin_ns = 70 * NS_PER_US
 
     def __init__(
         self,
-        loop: PlainLoop,
+        loop: SelectLoop,
         port: Port,
         machine: Machine,
         on_events: OnEvents,
-        *,
-        echo: Echo = Echo.AUTO,
-        on_failure: OnFailure | None = None,
-        tune: Tune | None = None,
-        held_up: OnHeldUp | None = None,
-        spin_ns: int = PLAIN_SPIN_NS,
-        backoff_ns: tuple[int, int] = BACKOFF_NS,
+        **options: Unpack[LineOptions],
     ) -> None:
-        super().__init__(
-            port,
-            machine,
-            on_events,
-            echo=echo,
-            on_failure=on_failure,
-            tune=tune,
-            held_up=held_up,
-            spin_ns=spin_ns,
-            backoff_ns=backoff_ns,
-        )
+        super().__init__(port, machine, on_events, **options)
         self._loop = loop
         self._budget = loop.budget
-        self._spin_wanted_ns = spin_ns
-        self._early_ns = 0  # the loop looks at what is near by itself
+        self._early_ns = 0  # the loop itself polls before a deadline
         self._retry: Alarm | None = None
         self._connecting: threading.Thread | None = None
 
     def open(self) -> None:
         """Open the port and begin. Raises PortError; ConfigError when the port knows none of the machine's rates."""
         self._may_open()
-        if self._connecting is not None:  # of before the last close: it has a limit of some seconds
+        if self._connecting is not None:  # begun before the last close; ends within seconds
             self._connecting.join()
             self._connecting = None
         self._port.open_now()
         self._begin(self._loop, self._loop.alarm(self._timer_due))
 
     def take_over(self, command: object) -> None:
-        """Go on with a port that another driver has opened and a machine that it has left: ``command`` comes first.
+        """Continue with the open port and the machine of another driver that has stopped; first hand it ``command``.
 
         Raises as ``open``; the port is closed then.
         """
@@ -85,7 +65,7 @@ class PlainRuntime(Stepping):
         self._begin(self._loop, self._loop.alarm(self._timer_due))
 
     def close(self) -> None:
-        """Stop and release the port; what the machine still had to tell is told. May be called again."""
+        """Stop, release the port and dispatch the machine's last events. May be called again."""
         was_open = self._at is not None
         self._halt()
         self._expect(NEVER, 0)
@@ -107,14 +87,14 @@ class PlainRuntime(Stepping):
 
     def _timer_due(self) -> None:
         if not self._spin_ns and self._budget.may_spin(monotonic_ns()):
-            self._spin_ns = self._spin_wanted_ns
+            self._spin_ns = self.spin_ns
         super()._timer_due()
 
     # --- a lost port ---
-    def _begin_reopening(self, attempts: Attempts) -> None:
+    def _begin_reopening(self, attempts: ReopenAttempts) -> None:
         self._retry = self._loop.call_at(monotonic_ns() + attempts.pause_ns(), partial(self._attempt, attempts))
 
-    def _attempt(self, attempts: Attempts) -> None:
+    def _attempt(self, attempts: ReopenAttempts) -> None:
         self._retry = None
         if self._port.connects:
             name = f"connecting {self.port_name}"
@@ -123,8 +103,8 @@ class PlainRuntime(Stepping):
         else:
             self._outcome(attempts, self._try())
 
-    def _attempt_aside(self, attempts: Attempts) -> None:
-        """The same where it may take seconds: in a thread, while the loop does what else there is."""
+    def _attempt_aside(self, attempts: ReopenAttempts) -> None:
+        """:meth:`_attempt` in a thread, for a port whose opening may take seconds."""
         error = self._try()
         try:
             self._loop.call_soon_threadsafe(partial(self._outcome, attempts, error))
@@ -138,7 +118,7 @@ class PlainRuntime(Stepping):
             return exc
         return None
 
-    def _outcome(self, attempts: Attempts, error: Exception | None) -> None:
+    def _outcome(self, attempts: ReopenAttempts, error: Exception | None) -> None:
         if error is None:
             self._back(attempts)
         elif attempts is not self._attempts:

@@ -1,4 +1,4 @@
-"""Deadlines inside an event loop (a timerfd on Linux, the loop's own timer elsewhere); how long the computer slept."""
+"""Timers for deadlines in an event loop (timerfd on Linux, else the loop's own); the clock of system sleep."""
 
 from __future__ import annotations
 
@@ -15,33 +15,28 @@ if TYPE_CHECKING:  # the bus process runs without asyncio, and starts sooner wit
 
 
 if hasattr(time, "CLOCK_BOOTTIME"):
-    #: the clock that goes on while the computer sleeps (CLOCK_BOOTTIME), in ns; CLOCK_MONOTONIC where there is no such
-    #: clock. Without a function of Python's around it: it is read in each step.
+    #: CLOCK_BOOTTIME in ns, which goes on while the computer sleeps; CLOCK_MONOTONIC where there is none. Called in
+    #: each step, so without a Python function around it.
     boottime_ns: Callable[[], int] = partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME)
 else:
     boottime_ns = time.monotonic_ns
 
 
 def suspended_ns() -> int:
-    """How long the computer has slept since it was started, in ns: CLOCK_BOOTTIME less CLOCK_MONOTONIC. About 0 on
-    systems without CLOCK_BOOTTIME.
+    """Sleep of the computer since its start in ns: CLOCK_BOOTTIME less CLOCK_MONOTONIC; 0 without CLOCK_BOOTTIME.
 
-    Never too much: a pause between looking at the two clocks only makes it smaller.
+    Never too large: a pause between reading the two clocks only makes it smaller.
     """
     return boottime_ns() - time.monotonic_ns()
 
 
 class Timer(Protocol):
-    """Calls back once when a deadline is reached, never early by more than the clock's grain.
-
-    The deadline is taken off before the call.
-    """
+    """Calls back once when its deadline is reached, early at most by the clock's grain. The call may use ``set``."""
 
     def set(self, at: int) -> None:
-        """Wait for ``at`` (CLOCK_MONOTONIC, ns) instead of what was waited for."""
+        """Replace the deadline by ``at`` (CLOCK_MONOTONIC, ns)."""
 
-    def close(self) -> None:
-        """Call back no more."""
+    def close(self) -> None: ...
 
 
 class FdTimer:
@@ -56,11 +51,9 @@ class FdTimer:
         loop.add_reader(self._timer.fd, self._fired)
 
     def set(self, at: int) -> None:
-        """Wait for ``at``."""
         self._timer.set(at)
 
     def close(self) -> None:
-        """Give the descriptor back."""
         if self._timer.fd >= 0 and not self._loop.is_closed():
             self._loop.remove_reader(self._timer.fd)
         self._timer.close()
@@ -81,13 +74,11 @@ class LoopTimer:
         self._handle: asyncio.TimerHandle | None = None
 
     def set(self, at: int) -> None:
-        """Wait for ``at``."""
         if self._handle is not None:
             self._handle.cancel()
         self._handle = self._loop.call_later(max(0, at - time.monotonic_ns()) / NS_PER_S, self._fired)
 
     def close(self) -> None:
-        """Cancel."""
         if self._handle is not None:
             self._handle.cancel()
             self._handle = None
@@ -98,7 +89,7 @@ class LoopTimer:
 
 
 def make_timer(loop: asyncio.AbstractEventLoop, callback: Callable[[], None]) -> Timer:
-    """The most precise timer that this system and this loop can have."""
+    """The most precise timer that this system and this loop offer."""
     if timerfd.AVAILABLE:
         try:
             return FdTimer(loop, callback)

@@ -15,7 +15,7 @@ import socket
 import sys
 from typing import Final
 
-from dpstack.drivers.line.select_loop import PlainLoop
+from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.process.messages import (
     FROM_TERMINALS,
     Answer,
@@ -44,7 +44,7 @@ def main(arguments: list[str]) -> int:
         signal.signal(sig, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, FROM_TERMINALS)  # they waited for that since before its start
     sock_fd, memory_fd, parent = map(int, arguments)
-    loop = PlainLoop()
+    loop = SelectLoop()
     hosts: list[Host] = []
     loop.add_signal_handler(signal.SIGTERM, lambda: _terminated(loop, hosts))
     # the second way to know of the parent's death; the first is the end of the socket
@@ -73,7 +73,7 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _terminated(loop: PlainLoop, hosts: list[Host]) -> None:
+def _terminated(loop: SelectLoop, hosts: list[Host]) -> None:
     if hosts:
         hosts[0].terminated("it was told to end (SIGTERM)")
     else:

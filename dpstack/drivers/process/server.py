@@ -13,8 +13,8 @@ from dpstack.dp.master.commands import AddSlave, Mode, SendControl, Shutdown
 from dpstack.dp.master.events import DriveEvent
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.process_image import SlaveImage
-from dpstack.drivers.line.select_loop import PlainLoop
-from dpstack.drivers.line.select_runtime import PlainRuntime
+from dpstack.drivers.line.select_loop import SelectLoop
+from dpstack.drivers.line.select_runtime import SelectRuntime
 from dpstack.drivers.process import plugins
 from dpstack.drivers.process.messages import (
     Answer,
@@ -69,7 +69,7 @@ class Host:
     Raises ConfigError and PortError (:meth:`open`). Ends the loop when it is over.
     """
 
-    def __init__(self, loop: PlainLoop, sock: socket.socket, image: SharedImage, setup: SetUp) -> None:
+    def __init__(self, loop: SelectLoop, sock: socket.socket, image: SharedImage, setup: SetUp) -> None:
         self._loop = loop
         self._sock = sock
         self._image = image
@@ -84,7 +84,7 @@ class Host:
             self._master.handlers[address].image.unit = plugins.load(ref)
         port = open_port(setup.port, setup.stack.params.baud, event_char=setup.event_char, rs485=setup.rs485)
         self._port = port
-        self.runtime = PlainRuntime(
+        self.runtime = SelectRuntime(
             loop,
             port,
             self._station,

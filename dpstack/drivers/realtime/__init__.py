@@ -1,6 +1,6 @@
-"""What makes a bus process punctual: rights, its share of the processor, the collector.
+"""Real-time operation of a bus process: scheduling rights, processor budget, garbage collection.
 
-- ``cpu_budget``: How much a driver with real-time priority may take of its processor
-- ``gc_control``: Garbage collection out of the cycle: by hand, where nothing is due for longer than it takes
-- ``rights``: What a process asks of Linux to be punctual; each refusal is a notice that says what to do
+- ``cpu_budget``: Limit of the processor time that a driver with real-time priority takes
+- ``gc_control``: Garbage collection outside the cycle: in pauses that are longer than a collection
+- ``rights``: Real-time rights on Linux: priority, locked memory, exact timers, processors
 """

@@ -1,9 +1,9 @@
-"""How much a driver with real-time priority may take of its processor.
+"""Limit of the processor time that a driver with real-time priority takes.
 
-Under SCHED_FIFO nobody else runs while it does. The kernel holds up a real-time process that leaves less than 5 % of a
-second (``sched_rt_runtime_us`` 950000 of 1000000): measured 51 to 53 ms in every second of a loop that never waits,
-which loses slaves; with the rest taken here, none. So what is merely waiting for something is bounded, and who never
-waits is made to rest a little and often.
+A SCHED_FIFO process keeps all others off its processor. The kernel stops one that leaves less than 5 % of a second free
+(``sched_rt_runtime_us`` 950000 of 1000000): measured 51 to 53 ms in every second of a loop that never waits, and slaves
+were lost. So the driver limits its spinning, and a loop that never waits sleeps briefly and often; then the kernel
+never stops it.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from typing import Final
 
 from dpstack.units import NS_PER_MS, NS_PER_US
 
-#: The longest spin without anything done in between.
+#: The longest spin without work in between.
 SPIN_AT_ONCE_NS: Final = 100 * NS_PER_US
-#: Spinning may take 27 % for good and 30 ms more at once: in any second no more than 30 %.
+#: Spinning may take 27 % of the time, and 30 ms more at once: at most 30 % of any second.
 _NS_PER_SPUN_NS: Final = 100 / 27
 _CREDIT_NS: Final = int(30 * NS_PER_MS * _NS_PER_SPUN_NS)
-#: At least 8 % of the time is rest: what sleeps for 1 ns may be awake for this much.
+#: Sleep is at least 8 % of the time: each ns of sleep allows so many ns awake.
 _NS_PER_SLEPT_NS: Final = 12.5
-#: A sleep this short was none: the call itself takes as long.
+#: A shorter sleep does not count: the call itself takes as long.
 _NO_SLEEP_NS: Final = 5 * NS_PER_US
-#: Rest that is owed is taken when it is this much: a shorter one would be as late as it is long.
+#: The shortest sleep that is forced: a shorter one would end as late as it is long.
 _NAP_NS: Final = 200 * NS_PER_US
 
 
 class Budget:
-    """Two accounts: of spinning, and of rest. All times in ns of one clock, never running backwards.
+    """Limits spinning, and forces sleep. All times in ns of one monotonic clock.
 
-    ``rests``: whether rest is owed; None: under a real-time scheduler, as found out by :meth:`begin`.
+    ``rests``: whether sleep is forced; None: under a real-time scheduler, which :meth:`begin` finds out.
     """
 
     __slots__ = ("_paid_until", "_spun_until", "_streak", "_wanted_rests", "rests")
@@ -37,36 +37,34 @@ class Budget:
     def __init__(self, *, rests: bool | None = None) -> None:
         self._wanted_rests = rests
         self.rests = bool(rests)
-        self._spun_until = 0  # when what was spun is paid off
-        self._streak = 0  # spun since something was done
-        self._paid_until = 0  # up to when enough was slept
+        self._spun_until = 0  # when the time spun so far is within 27 %
+        self._streak = 0  # spun since the last work
+        self._paid_until = 0  # the sleep so far suffices up to this time
 
     def begin(self, now: int) -> None:
-        """The loop begins to run."""
         self.rests = is_real_time() if self._wanted_rests is None else self._wanted_rests
         self._paid_until = now
 
     def may_spin(self, now: int) -> bool:
-        """Whether there is anything left to spin with."""
         return self._spun_until - now < _CREDIT_NS
 
     def left_ns(self) -> int:
-        """How long a spin may be that begins now; 0: sleep first."""
+        """Longest spin that may begin now; 0: sleep first."""
         return max(0, SPIN_AT_ONCE_NS - self._streak)
 
     def spun(self, ns: int, now: int, *, in_vain: bool = False) -> None:
-        """So long was spun up to ``now``; ``in_vain``: nothing was ready or due after it."""
+        """The loop spun for ``ns`` up to ``now``; ``in_vain``: nothing was ready or due after it."""
         self._streak = self._streak + ns if in_vain else 0
         self._spun_until = max(self._spun_until, now) + int(ns * _NS_PER_SPUN_NS)
 
     def slept(self, ns: int, now: int) -> None:
-        """So long was slept up to ``now``."""
+        """The loop slept for ``ns`` up to ``now``."""
         if ns > _NO_SLEEP_NS:
             self._streak = 0
             self._paid_until = min(now, self._paid_until + int(ns * _NS_PER_SLEPT_NS))
 
     def owed_ns(self, now: int) -> int:
-        """How long it must sleep now, whatever is due; 0: it need not."""
+        """Forced sleep, whatever is due; 0 for none."""
         if not self.rests:
             return 0
         owed = int((now - self._paid_until) / _NS_PER_SLEPT_NS)

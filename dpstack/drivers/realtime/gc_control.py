@@ -1,8 +1,8 @@
-"""Garbage collection out of the cycle: off, and done by hand where nothing is due for longer than it takes.
+"""Garbage collection outside the cycle: Python's own is off, the loop collects in pauses longer than a collection.
 
-Nearly all a stack makes is freed when it is used up (4000 exchanges leave some hundred objects more than before); what
-refers to itself is left to the collector. Measured on a virtual machine: a full collection takes 30 ms, with all frozen
-that there is at the start 0.3 us; a young one of 2000 objects that refer to themselves 0.1 ms.
+Reference counting frees nearly all objects of the stack (4000 exchanges leave some hundred); the collector is needed
+for reference cycles. Measured on a virtual machine: a full collection takes 30 ms, or 0.3 us when all objects of the
+start are frozen; a young one of 2000 objects in reference cycles 0.1 ms.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from typing import Final
 
 from dpstack.units import NS_PER_US
 
-#: A young collection is due after so many more objects than went.
+#: A young collection is due when so many more objects were made than freed.
 _YOUNG: Final = 700
-#: The next older generation is due after so many collections of one.
+#: Collections of a generation after which the next older one is due.
 _EVERY: Final = 10
-#: It is done whatever is due when that is exceeded by this factor, so that memory does not grow for ever.
+#: Without pauses it is collected when _YOUNG is exceeded by this factor, so that memory does not grow for ever.
 _FORCED: Final = 10
-#: The measured time counts so often: collections differ.
+#: Factor on the measured duration: collections differ.
 _MARGIN: Final = 2
 _LEAST_NS: Final = 40 * NS_PER_US
 _OLDEST: Final = 2
 
 
 class Collector:
-    """Collects when told that there is time: ``loop.on_idle = collector.idle``.
+    """Collects in the loop's pauses: ``loop.on_idle = collector.idle``.
 
-    ``done``: collections by generation; ``forced``: those at a bad time.
+    ``done``: collections by generation; ``forced``: those without a pause.
     """
 
     def __init__(self) -> None:
@@ -38,18 +38,18 @@ class Collector:
         self._cost_ns = [_LEAST_NS] * 3
 
     def begin(self) -> None:
-        """Everything is loaded and made: keep that out of all collections, and let none begin by itself."""
+        """At the end of the start: exclude the objects of the start from collections, and switch automatic ones off."""
         gc.collect()
         gc.freeze()
         gc.disable()
 
     def end(self) -> None:
-        """The interpreter's own rules again."""
+        """Restore the interpreter's automatic collection."""
         gc.unfreeze()
         gc.enable()
 
     def idle(self, now: int, until: int) -> None:
-        """Nothing is due or expected before ``until`` (ns): collect what is due and fits."""
+        """No work is expected before ``until`` (ns): collect the oldest generation that is due and fits."""
         young = gc.get_count()[0]
         if young < _YOUNG:
             return
@@ -65,7 +65,7 @@ class Collector:
             self._collect(overdue)
 
     def _due(self, every: int) -> int:
-        """The oldest generation that is due where each takes ``every`` of the one before."""
+        """The oldest generation that is due after ``every`` collections of the younger one."""
         generation = 0
         while generation < _OLDEST and self._since[generation] >= every:
             generation += 1

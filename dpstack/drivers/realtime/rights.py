@@ -1,6 +1,6 @@
-"""What a process asks of Linux to be punctual; each refusal is a notice that says what to do, never an error.
+"""Real-time rights on Linux: priority, locked memory, exact timers, processors.
 
-What is permitted is judged here alone: the bus process asks for it, ``dpstack doctor`` looks beforehand.
+The bus process requests them, ``dpstack doctor`` checks them beforehand. A refusal is a notice with a remedy, no error.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import Final
 
 from dpstack.errors import ConfigError
 
-#: Of SCHED_FIFO: above every ordinary process, below 50, where Linux runs threaded interrupts: a UART's and a USB
-#: controller's deliver the octets that are waited for.
+#: Of SCHED_FIFO: above all ordinary processes, below the 50 of Linux's threaded interrupts: those of UART and USB
+#: controller deliver the octets.
 PRIORITY: Final = 45
 #: In front of a pty, see :func:`become_real_time`.
 NICENESS: Final = -20
-#: What is to be locked at least: the interpreter with its modules.
+#: Octets to be locked at least: the interpreter with its modules.
 MEMORY: Final = 64 << 20
-#: What to do about missing rights.
+#: Remedy for missing rights, for people.
 SET_UP: Final = "run tools/setup_adapter.sh once (it asks for root), then log in again"
 
 _CONTAINER: Final = "in a container: --cap-add SYS_NICE --cap-add IPC_LOCK"
@@ -36,20 +36,20 @@ _STATUS: Final = Path("/proc/self/status")
 
 @dataclass(frozen=True, slots=True)
 class Rights:
-    """What a process may: ``priority``, ``memory`` (octets): its limits, None for none; ``privileged``: beyond them."""
+    """Limits of a process: ``priority``, ``memory`` in octets, None for none. ``privileged``: they do not apply."""
 
     privileged: bool
     priority: int | None
     memory: int | None
 
     def no_priority(self) -> str:
-        """Why it may have no real-time priority, "" when it may."""
+        """Why it cannot have a real-time priority; "" when it can."""
         if self.privileged or self.priority != 0:
             return ""
         return "no real-time priority is allowed (RLIMIT_RTPRIO 0): a busy computer holds the bus up"
 
     def no_memory(self) -> str:
-        """Why it may not lock enough memory, "" when it may."""
+        """Why it cannot lock enough memory; "" when it can."""
         if self.privileged or self.memory is None or self.memory >= MEMORY:
             return ""
         return f"only {self.memory >> 10} KiB may be locked in memory (RLIMIT_MEMLOCK): swapping holds the bus up"
@@ -66,7 +66,7 @@ def limit(name: str) -> int | None:
 
 
 def is_privileged() -> bool:
-    """Whether this process may beyond its limits: root may, unless a container took it away."""
+    """Whether the limits do not apply to this process: for root, unless a container has removed the capabilities."""
     try:
         (line,) = (line for line in _STATUS.read_text("utf-8").splitlines() if line.startswith("CapEff:"))
         capabilities = int(line.split()[1], 16)
@@ -76,14 +76,14 @@ def is_privileged() -> bool:
 
 
 def rights() -> Rights:
-    """Those of this process. Linux only."""
+    """The rights of this process. Linux only."""
     return Rights(is_privileged(), limit("RLIMIT_RTPRIO"), limit("RLIMIT_MEMLOCK"))
 
 
 def become_real_time(processors: Iterable[int] = (), *, pty: bool = False) -> list[str]:
-    """All that a bus process asks for, ``processors`` only when given; the notices of what was refused.
+    """Request all rights of a bus process, ``processors`` only when given. Returns the notices of the refusals.
 
-    ``pty``: its port is a pty, whose octets an ordinary worker of the kernel carries over. Beside a SCHED_FIFO process
+    ``pty``: its port is a pty, whose octets pass through an ordinary worker of the kernel. Beside a SCHED_FIFO process
     that worker was late: ten slaves at 500 kbit/s took 15.7 ms a rotation, with a niceness of -20 11.5 to 12.1 ms,
     a loop without any protocol 11.4 (``bench rotation`` on two processors).
     """
@@ -98,7 +98,7 @@ def become_real_time(processors: Iterable[int] = (), *, pty: bool = False) -> li
 
 
 def set_niceness() -> str:
-    """Before all ordinary processes, and yet one of them."""
+    """Highest precedence among ordinary processes."""
     try:
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
     except (AttributeError, OSError) as exc:
@@ -107,7 +107,7 @@ def set_niceness() -> str:
 
 
 def set_priority(priority: int = PRIORITY) -> str:
-    """SCHED_FIFO at ``priority``, or at what the limit allows; not for what this process starts later."""
+    """SCHED_FIFO at ``priority``, or at the limit if lower; child processes do not inherit it."""
     if sys.platform != "linux":
         return "no real-time priority: that is asked for on Linux only"
     mine = rights()
@@ -126,13 +126,13 @@ def set_priority(priority: int = PRIORITY) -> str:
 
 
 def lock_memory() -> str:
-    """Keep all memory from being swapped out, of now and later."""
+    """Keep present and future memory from being swapped out."""
     if sys.platform != "linux":
         return "memory is not locked: that is asked for on Linux only"
     mine = rights()
     if mine.no_memory():
         return f"{mine.no_memory()}; {SET_UP}; {_CONTAINER}"
-    # Under a limit later memory is left alone: beyond the limit the system would refuse to give it.
+    # Under a limit only present memory: beyond the limit later allocations would fail.
     later = _MCL_FUTURE if mine.privileged or mine.memory is None else 0
     lib = ctypes.CDLL(None, use_errno=True)
     if lib.mlockall(_MCL_CURRENT | later):
@@ -142,7 +142,7 @@ def lock_memory() -> str:
 
 
 def exact_timers() -> str:
-    """Sleeps of this thread end when they should: 1 ns slack instead of 50 us, where it has no real-time priority."""
+    """Timer slack of this thread 1 ns instead of 50 us; it counts without real-time priority."""
     if sys.platform != "linux":
         return "timers are as exact as the system makes them: asked for on Linux only"
     lib = ctypes.CDLL(None, use_errno=True)
@@ -152,7 +152,7 @@ def exact_timers() -> str:
 
 
 def stay_on(processors: Iterable[int]) -> str:
-    """Run on ``processors`` only. Raises ConfigError for numbers that this computer has not."""
+    """Run on ``processors`` only. Raises ConfigError for numbers that do not exist."""
     wanted = set(processors)
     if not hasattr(os, "sched_setaffinity"):
         return "runs on any processor: which ones is asked for on Linux only"

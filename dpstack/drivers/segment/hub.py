@@ -1,15 +1,16 @@
 """A virtual RS-485 segment: ptys joined as one bus, which any program may open as serial ports.
 
-What one station sends, all others receive. One edge-triggered epoll watches all master ends (a deserted one would be
-'ready' for ever in a level-triggered selector); the event loop watches that epoll. A round trip through this hub costs
-about 80 us with two stations: no judge of timing from 1.5 Mbit/s up.
+Every station receives the octets of all others. One edge-triggered epoll watches all master ends (in a level-triggered
+selector a pty without a program would be ready for ever); the event loop watches that epoll. A round trip through this
+hub costs about 80 us with two stations, so it cannot verify timing from 1.5 Mbit/s up.
 
-The rate of a station is that of its tty. A station at another rate than the sender's gets what its UART would sample of
-the waveform. Noise inverts bits. What a UART with IGNPAR drops is dropped: on a pty errors cannot be marked.
+A station has the baud rate of its tty. At another rate than the sender's it receives the octets that its UART would
+sample from the waveform. Noise inverts bits. Characters with errors are dropped, as by a UART with IGNPAR: a pty cannot
+mark errors.
 
-Nothing a station does holds up the others. Of one that never stops sending only so much is read at a time: after those
-that had nothing to say before, and far less than a pty holds, so that who reads on finds the others' telegrams too.
-What a paced wire cannot take and what nobody reads is dropped, counted, and told once.
+No station blocks the others. From a station that sends without pause the hub reads at most one chunk a turn, after the
+other stations, and far less than a pty holds, so that a slow reader still finds the others' telegrams. Octets beyond
+the capacity of a paced wire, and octets that a station does not read, are dropped, counted and reported once.
 """
 
 from __future__ import annotations
@@ -38,16 +39,16 @@ from dpstack.ports.runtime_dir import open_own, own_directory, runtime_path
 from dpstack.units import BAUD_RATES, NEVER, NS_PER_S, baud_text, bits_to_ns, chars_to_ns, ns_to_s
 
 MAX_STATIONS: Final = 64
-_CHUNK: Final = 4096  # read from one station before the others have their turn: a quarter of what a pty takes
+_CHUNK: Final = 4096  # octets read from one station a turn: a quarter of the capacity of a pty
 
 
 class Segment:
     """``stations`` ptys joined as one bus, linked as ``directory``/0, /1 ...
 
     ``directory``: default :func:`default_directory`; made with mode 0700 when it is missing. ``baud``: the rate of a
-    station whose tty nobody set, in bit/s. ``paced``: octets take their time on the wire. ``echo``: a station hears
-    itself. ``error_rate``: probability that a bit is inverted. ``seed``: of the noise. ``on_notice``: told in one line
-    when octets are lost by a station's doing.
+    station whose tty has none set, in bit/s. ``paced``: octets take their time on the wire. ``echo``: a station
+    receives its own octets. ``error_rate``: probability that a bit is inverted. ``seed``: of the noise. ``on_notice``:
+    called with one line when a station causes the loss of octets.
     """
 
     def __init__(
@@ -75,7 +76,7 @@ class Segment:
         self._count = stations
         self._rng = random.Random(seed)
         self._noise = BitNoise(error_rate, random.Random(seed + 1))
-        self._lost = self._changed = 0  # octets that noise dropped, or made others of
+        self._lost = self._changed = 0  # octets dropped or changed by noise
         self._on_notice = on_notice
         self._links = [self.directory / str(n) for n in range(stations)]
         self._stations: list[SegmentStation] = []
@@ -83,7 +84,7 @@ class Segment:
         self._epoll: select.epoll | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._wire: PacedWire[SegmentStation] | None = None
-        self._unread: dict[SegmentStation, None] = {}  # those that had more to say than one turn takes
+        self._unread: dict[SegmentStation, None] = {}  # stations with more octets than one turn reads
         self._last_sender: SegmentStation | None = None
         self._line_free_ns = 0  # when the last octet left the line
         self._lock_fd = -1
@@ -91,12 +92,12 @@ class Segment:
 
     @property
     def paths(self) -> list[str]:
-        """The stations' ports, to be opened by anyone, in order."""
+        """The stations' serial ports, in order."""
         return [str(link) for link in self._links]
 
     @property
     def error_rate(self) -> float:
-        """Probability of a damaged bit; may be set while the segment runs."""
+        """Probability that a bit is inverted; may be set while the segment runs."""
         return self._noise.per_bit
 
     @error_rate.setter
@@ -112,7 +113,7 @@ class Segment:
             station.cut_off = self._loop.call_later(ns_to_s(for_ns), self.resume, number)
 
     def silenced(self) -> dict[int, int]:
-        """Stations that are cut off, and for how long yet in ns; NEVER: until :meth:`resume`."""
+        """Stations that are cut off, with the remaining time in ns; NEVER: until :meth:`resume`."""
         found = {}
         for number, station in enumerate(self._stations):
             if isinstance(station.cut_off, asyncio.TimerHandle) and self._loop is not None:
@@ -122,11 +123,10 @@ class Segment:
         return found
 
     def resume(self, number: int) -> None:
-        """Connect it again."""
+        """End the silence of station ``number``. Raises UsageError."""
         self._connected(number)
 
     def _connected(self, number: int) -> SegmentStation:
-        """Station ``number``, no longer cut off. Raises UsageError."""
         if not 0 <= number < len(self._stations):
             raise UsageError(f"no station {number} on this segment; it has 0 to {self._count - 1}")
         station = self._stations[number]
@@ -136,7 +136,7 @@ class Segment:
         return station
 
     def stats(self) -> dict[str, object]:
-        """``stations``: of each what StationStats has; octets ``damaged`` by noise: ``lost`` and ``changed`` ones."""
+        """``stations``: the StationStats of each; ``damaged``: octets damaged by noise, ``lost`` and ``changed``."""
         lost, changed = self._lost, self._changed
         stations = [asdict(station.stats) for station in self._stations]
         return {"stations": stations, "damaged": lost + changed, "lost": lost, "changed": changed}
@@ -150,8 +150,8 @@ class Segment:
             self._take_directory()
             self._epoll = select.epoll()
             for link in self._links:
-                self._add_station(link)
-            self._epoll.poll(0)  # takes the hang-ups that everyone begins with
+                self._add_station(link, self._epoll)
+            self._epoll.poll(0)  # discards the hang-up that each new pty reports
             if self.paced:
                 self._wire = PacedWire(loop, self._deliver)
         except OSError as exc:
@@ -178,14 +178,14 @@ class Segment:
     async def __aexit__(self, *_exc: object) -> None:
         await self.close()
 
-    # --- the way of the octets ----------------------------------------------------------------------------------------
+    # --- octets ---------------------------------------------------------------------------------------------------
 
     def _ready(self) -> None:
-        if not self._unread:  # else the turn that is due looks
+        if not self._unread:  # else a turn is due already
             self._turn()
 
     def _turn(self) -> None:
-        """Every station that has something to say is read once; who was not through last time comes last."""
+        """Read every ready station once; those with more octets than the last turn read come last."""
         if self._epoll is None or self._loop is None:
             return
         unread, self._unread = self._unread, {}
@@ -197,14 +197,14 @@ class Segment:
             self._loop.call_soon(self._turn)
 
     def _read(self, station: SegmentStation) -> bool:
-        """Forward what a station has sent. Edges come once: True when there may be more, for the loop's next turn."""
+        """Forward the octets of a station. True when there may be more (edge-triggered): read it in the next turn."""
         read = 0
         while read < _CHUNK:
             try:
                 chunk = os.read(station.master.fd, _CHUNK - read)
             except BlockingIOError:
                 return False
-            except OSError:  # EIO: everybody has closed it, which is normal
+            except OSError:  # EIO: no program has it open, which is normal
                 station.left()
                 return False
             read += len(chunk)
@@ -224,7 +224,7 @@ class Segment:
             self._tell(sender, f"sends faster than {baud_text(baud)}: what the wire cannot take is dropped")
 
     def _deliver(self, sender: SegmentStation, chunk: bytes, baud: int) -> None:
-        """``chunk`` is on the wire: every other station hears it."""
+        """``chunk`` is on the wire: give it to every other station."""
         start_ns = self._placed(sender, len(chunk), baud)
         flips = self._noise.flips(len(chunk))
         heard = sender.put(chunk, flips)
@@ -245,7 +245,7 @@ class Segment:
                 self._tell(station, "takes no more: what it does not read is dropped")
 
     def _placed(self, sender: SegmentStation, size: int, baud: int) -> int:
-        """When ``size`` octets begin on the wire: now (paced ones are over now), but never within others."""
+        """Start of ``size`` octets on the wire: now (paced ones end now), but not before the previous ones end."""
         duration = chars_to_ns(size, baud)
         start = monotonic_ns() - (duration if self.paced else 0)
         free = self._line_free_ns
@@ -258,16 +258,16 @@ class Segment:
         return start
 
     def _tell(self, station: SegmentStation, what: str) -> None:
-        """Once for each station and what became of it; the octets are counted."""
-        if what not in station.told:
-            station.told.add(what)
+        """Report ``what`` once for each station."""
+        if what not in station.reported:
+            station.reported.add(what)
             if self._on_notice is not None:
                 self._on_notice(f"station {Path(station.stats.path).name} of the segment {what}")
 
     # --- set-up -------------------------------------------------------------------------------------------------------
 
     def _take_directory(self) -> None:
-        """Make the directory or check it, and hold it against a second segment. Raises PortError, OSError."""
+        """Make or check the directory and lock it against a second segment. Raises PortError, OSError."""
         try:
             if self._chosen:
                 self._made_directory = own_directory(self.directory)
@@ -287,17 +287,15 @@ class Segment:
                 f"a segment runs in {self.directory} already, by {holder}: end it or give another --dir"
             ) from None
         for entry in self.directory.iterdir():
-            if entry.name.isdecimal() and entry.is_symlink():  # left over by a segment that was killed
+            if entry.name.isdecimal() and entry.is_symlink():  # of a segment that was killed
                 entry.unlink()
 
-    def _add_station(self, link: Path) -> None:
-        if self._epoll is None:
-            return
+    def _add_station(self, link: Path, epoll: select.epoll) -> None:
         master = PtyMaster()
         station = SegmentStation(master, str(link))
         self._stations.append(station)
         self._by_fd[master.fd] = station
-        self._epoll.register(master.fd, select.EPOLLIN | select.EPOLLET)
+        epoll.register(master.fd, select.EPOLLIN | select.EPOLLET)
         try:
             link.symlink_to(master.path)
         except FileExistsError:
@@ -330,11 +328,11 @@ class Segment:
 
 
 def _remove_link(link: Path, target: str) -> None:
-    """Remove ``link`` when it is still ours."""
+    """Remove ``link`` if it still leads to ``target``."""
     try:
         if os.readlink(link) == target:
             link.unlink()
-    except OSError:  # gone already, or replaced by something else
+    except OSError:  # removed or replaced by another program
         return
 
 

@@ -1,4 +1,4 @@
-"""One station of a segment: its pty, its receiver, and the truth about what it sent."""
+"""One station of a segment: its pty, its receiver, counters of octets and telegrams before noise."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from dpstack.units import NEVER
 
 @dataclass(slots=True)
 class StationStats:
-    """What a station sent and was given, and what noise did to it.
+    """Counters of one station.
 
-    Octets: ``sent``, ``received``, ``dropped`` (its pty was full, telegram by telegram), ``overrun`` (sent faster than
-    a paced wire takes it). Telegrams of its on the wire: ``telegrams`` in all, ``damaged`` those with an inverted bit,
-    ``erased`` those of them of which no octet came through, so that no receiver can have noticed anything.
+    Octets: ``sent``, ``received``, ``dropped`` (its pty was full), ``overrun`` (beyond the capacity of a paced wire).
+    Telegrams it sent: ``telegrams`` in all, ``damaged`` those with an inverted bit, ``erased`` the damaged ones without
+    any octet left, which no receiver can notice.
     """
 
     path: str
@@ -32,25 +32,25 @@ class StationStats:
 
 
 class SegmentStation:
-    """A pty of the segment and who has it open."""
+    """A pty of the segment and its state."""
 
-    __slots__ = ("_arrived", "_damaged", "_receiver", "_telegrams", "cut_off", "master", "present", "stats", "told")
+    __slots__ = ("_arrived", "_damaged", "_receiver", "_telegrams", "cut_off", "master", "present", "reported", "stats")
 
     def __init__(self, master: PtyMaster, link: str) -> None:
         self.master = master
         self.present = False
-        #: neither heard nor hearing until this handle ends it (True: until told)
+        #: neither sends nor receives until this timer ends it (True: until :meth:`Segment.resume`)
         self.cut_off: asyncio.TimerHandle | bool = False
         self.stats = StationStats(link)
-        #: what was told of it: once is enough
-        self.told: set[str] = set()
-        self._receiver: Receiver | None = None  # of a station at another rate than those who send
-        # where the telegrams it sends end, before noise; no time passes there, so none of them stalls
+        #: notices about it, each is reported once
+        self.reported: set[str] = set()
+        self._receiver: Receiver | None = None  # while senders have another rate
+        # finds the ends of its telegrams, before noise
         self._telegrams = Decoder(stall_ns=NEVER)
-        self._damaged = self._arrived = False  # of the telegram it is sending: hit; an octet of it came through
+        self._damaged = self._arrived = False  # of the telegram it is sending: by noise; at least one octet
 
     def left(self) -> None:
-        """Nobody has it open any more."""
+        """No program has its pty open any more."""
         if self.present:
             self.present = False
             self.master.forget()
@@ -58,9 +58,9 @@ class SegmentStation:
             self._damaged = self._arrived = False
 
     def put(self, octets: bytes, flips: dict[int, int]) -> bytes:
-        """It sends ``octets`` with the bits ``flips`` inverted: what UARTs at its rate make of them.
+        """It sends ``octets`` with the bits ``flips`` inverted: the octets that UARTs at its rate receive.
 
-        A UART drops a character with a parity or framing error; two errors in one may pass for another octet.
+        A UART drops a character with a parity or framing error; two inverted bits may give another valid octet.
         """
         stats, telegrams = self.stats, self._telegrams
         if not flips and not telegrams.pending:
@@ -85,7 +85,7 @@ class SegmentStation:
         return bytes(arrived)
 
     def misread(self, octets: bytes, baud: int, reading: int, start_ns: int, flips: dict[int, int]) -> bytes:
-        """What its UART at ``reading`` bit/s makes of ``octets`` that are sent at ``baud`` from ``start_ns`` on."""
+        """Octets that its UART at ``reading`` bit/s receives of ``octets`` sent at ``baud`` from ``start_ns`` on."""
         receiver = self._receiver
         if receiver is None or receiver.baud != reading:
             receiver = self._receiver = Receiver(reading)
@@ -94,7 +94,7 @@ class SegmentStation:
         return bytes(character.octet for character in heard if character.good)
 
     def give(self, octets: bytes) -> bool:
-        """Hand over what it hears; False when its pty takes no more."""
+        """Write ``octets`` to its pty; False when that is full."""
         try:
             done = os.write(self.master.fd, octets)
         except OSError:  # full, or closed this very moment

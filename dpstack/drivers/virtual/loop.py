@@ -1,8 +1,8 @@
-"""An asyncio event loop whose time is virtual: exact, deterministic, and as fast as the machine can compute.
+"""Asyncio event loop in virtual time: exact, deterministic, and as fast as the computer allows.
 
-An unmodified program runs in it: sleeping, timeouts, queues and tasks see the loop's own time, and waiting for
-something advances the worlds attached to the loop to the next event instead of letting real time go by. The program's
-own computing takes no virtual time. ``paced`` holds virtual time back to real time; what happens is the same.
+Unmodified programs run in it: sleeps, timeouts, queues and tasks use the loop's time. A wait takes no real time, it
+advances the simulated worlds attached to the loop to their next event. The program's own computing takes no virtual
+time. With ``paced`` virtual time does not go faster than real time; the events are the same.
 """
 
 from __future__ import annotations
@@ -22,41 +22,40 @@ from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ns_to_s, s_to_ns
 _T = TypeVar("_T")
 _Ts = TypeVarTuple("_Ts")
 
-#: A program that polls with ``sleep(0)`` must not stop the time: after so many turns without waiting ...
+#: Turns without a wait after which time goes on by _NUDGE_NS: a program that polls with ``sleep(0)`` must not stop it.
 _TURNS: Final = 1_000
-#: ... the time goes on by this much.
 _NUDGE_NS: Final = 100_000
-#: So many world events are run before real file descriptors (signals, sockets) are looked at again.
+#: World events between two polls of real file descriptors (signals, sockets).
 _EVENTS_PER_POLL: Final = 500
-#: A paced loop that is later than this does not catch up: virtual time falls behind, it never skips.
+#: A paced loop catches up at most this much; beyond it virtual time falls behind. It never skips.
 _DEBT_NS: Final = 50 * NS_PER_MS
 
 _Ready = list[tuple[selectors.SelectorKey, int]]
 
 
 class StandstillError(DpError, RuntimeError):
-    """Everybody in a virtual loop waits, and no timer, no world and nothing real can ever wake them."""
+    """All tasks of a virtual loop wait, and no timer, simulated world, socket, signal or thread can wake them."""
 
 
 class Timeline(Protocol):
-    """Something that has its own virtual time and events in it: a simulated world. Times in ns."""
+    """A simulated world: events in its own virtual time. Times in ns."""
 
     @property
     def now(self) -> int:
-        """The time of the last event, or what it was run up to."""
+        """Time of the last event, or the end of the last :meth:`run`."""
 
     def next_at(self) -> int:
-        """When something may happen next; NEVER when nothing will."""
+        """Earliest time of the next event; NEVER without one."""
 
     def run(self, until_ns: int, stop: Callable[[], bool]) -> bool:
-        """All events up to and including ``until_ns``; then that is ``now`` (unless it is NEVER).
+        """Run all events up to and including ``until_ns``, which becomes ``now`` (unless it is NEVER).
 
-        Ends after the event after which ``stop()`` is true, with ``now`` at this event, and returns True.
+        Returns True, with ``now`` at the last event run, when ``stop()`` was true after it.
         """
 
 
 class _Attached:
-    """A timeline and the difference between its time and the loop's."""
+    """An attached timeline. ``offset``: the loop's time less the timeline's, ns."""
 
     __slots__ = ("offset", "timeline", "users")
 
@@ -71,7 +70,7 @@ class _Attached:
 
 
 class _Selector(selectors.DefaultSelector):
-    """A selector whose waiting is the loop's."""
+    """A selector whose wait is :meth:`VirtualLoop._wait`."""
 
     wait: Callable[[float | None], _Ready] | None = None
 
@@ -79,15 +78,15 @@ class _Selector(selectors.DefaultSelector):
         return self.poll(timeout) if self.wait is None else self.wait(timeout)
 
     def poll(self, timeout: float | None) -> _Ready:
-        """Really wait."""
+        """Wait in real time."""
         return super().select(timeout)
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
     """An asyncio loop on virtual time, from 0. ``paced``: never ahead of real time.
 
-    Real file descriptors, signals and threads work in both modes. While a thread of an executor is at work, virtual
-    time is held back to real time, for nobody knows how long the thread needs.
+    Real file descriptors, signals and threads work in both modes. While a thread of an executor works, virtual time
+    goes no faster than real time, because the duration of the thread's work is unknown.
     """
 
     def __init__(self, *, paced: bool = False) -> None:
@@ -95,7 +94,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self._at_ns = 0
         self._attached: list[_Attached] = []
         self._running: _Attached | None = None
-        self._stirred = False  # a callback became ready, or a timer was set, while worlds ran
+        self._stirred = False  # a callback or a timer was added while worlds ran
         self._events = 0
         self._turns = 0
         self._threads = 0
@@ -114,11 +113,11 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def time_ns(self) -> int:
         """Virtual time in ns."""
         running = self._running
-        # called from within a world: its time is ahead of the loop's
+        # inside a world: its time is ahead of the loop's
         return self._at_ns if running is None else running.timeline.now + running.offset
 
     def attach(self, timeline: Timeline) -> None:
-        """From now on the time of ``timeline`` goes with the loop's. May be repeated; detach as often."""
+        """Advance ``timeline`` with the loop's time. May be repeated; detach as often."""
         for attached in self._attached:
             if attached.timeline is timeline:
                 attached.users += 1
@@ -128,7 +127,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self._attached.append(attached)
 
     def detach(self, timeline: Timeline) -> None:
-        """The opposite of :meth:`attach`: ``timeline`` stands still."""
+        """Undo one :meth:`attach`; after the last one ``timeline`` stands still."""
         for attached in self._attached:
             if attached.timeline is timeline:
                 attached.users -= 1
@@ -136,11 +135,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
                     self._attached.remove(attached)
                 return
 
-    # --- what is watched to know when to stop and whether to go on ---
+    # --- asyncio's methods, which note callbacks, threads and signals ---
     def call_soon(
         self, callback: Callable[[Unpack[_Ts]], object], *args: *_Ts, context: Context | None = None
     ) -> asyncio.Handle:
-        """As in asyncio."""
         self._stirred = True
         return super().call_soon(callback, *args, context=context)
 
@@ -151,21 +149,20 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         *args: *_Ts,
         context: Context | None = None,
     ) -> asyncio.TimerHandle:
-        """As in asyncio, in virtual time."""
         self._stirred = True
         return super().call_at(when, callback, *args, context=context)
 
     def run_in_executor(
         self, executor: Executor | None, func: Callable[[Unpack[_Ts]], _T], *args: *_Ts
     ) -> asyncio.Future[_T]:
-        """As in asyncio; virtual time is held back to real time until the thread is done."""
+        """As in asyncio; until the thread is done virtual time goes no faster than real time."""
         future = super().run_in_executor(executor, func, *args)
         self._threads += 1
         future.add_done_callback(self._thread_done)
         return future
 
     async def shutdown_default_executor(self, timeout: float | None = None) -> None:
-        """As in asyncio; its time-out is real time."""
+        """As in asyncio; the time-out is in real time."""
         self._threads += 1
         try:
             if sys.version_info >= (3, 12):
@@ -176,12 +173,11 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             self._threads -= 1
 
     def add_signal_handler(self, sig: int, callback: Callable[[Unpack[_Ts]], object], *args: *_Ts) -> None:
-        """As in asyncio; a loop that waits for nothing but a signal waits in real time."""
+        """As in asyncio; a loop that waits only for a signal waits in real time."""
         super().add_signal_handler(sig, callback, *args)
         self._signals.add(sig)
 
     def remove_signal_handler(self, sig: int) -> bool:
-        """As in asyncio."""
         self._signals.discard(sig)
         return super().remove_signal_handler(sig)
 
@@ -190,10 +186,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     # --- the waiting step ---
     def _wait(self, timeout: float | None) -> _Ready:
-        """What the selector would do: return when something is ready or ``timeout`` seconds are over."""
+        """Return when a descriptor is ready or ``timeout`` seconds of virtual time are over."""
         ready = self._waiting.poll(0)
         if timeout is not None and timeout <= 0:
-            # callbacks are ready: no time goes by
+            # callbacks are ready: time stands still
             self._turns += 1
             if ready or self._turns < _TURNS:
                 return ready
@@ -215,7 +211,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return ready
 
     def _advance(self, horizon: int) -> bool:
-        """Run the worlds up to ``horizon``; True when stopped before, to look around."""
+        """Run the worlds up to ``horizon``; True when stopped earlier."""
         attached = self._attached
         if len(attached) > 1:
             return self._advance_many(horizon)
@@ -228,7 +224,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return False
 
     def _advance_many(self, horizon: int) -> bool:
-        """Several worlds: always the one that is next, and none beyond the others."""
+        """Several worlds: always run the one with the next event, up to the next event of another one."""
         self._events = 0
         stopped = False
         while not stopped:
@@ -264,12 +260,12 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             self._origin_ns = real - self._at_ns - _DEBT_NS
 
     def _allowed(self) -> int:
-        """How far virtual time may go."""
+        """Virtual time up to which a held loop may run now."""
         assert self._origin_ns is not None
         return max(self._at_ns, time.monotonic_ns() - self._origin_ns)
 
     def _wait_really(self, limit: int) -> _Ready:
-        """Until something real happens, or it is time for what is next."""
+        """Wait in real time for a descriptor, or until the next virtual event is due."""
         at = min([limit, *(attached.next_at() for attached in self._attached)])
         if at < NEVER:
             ready = self._waiting.poll(max(0.0, ns_to_s(at - self._allowed())))

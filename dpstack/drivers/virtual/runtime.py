@@ -1,19 +1,18 @@
 """The virtual driver: one station of a simulated bus, driven by the application's event loop.
 
-In a :class:`~dpstack.drivers.virtual.loop.VirtualLoop` the world's time is the loop's, exactly. In an ordinary loop the
-world is held back to real time: a timer runs it up to the real time elapsed, in bounded portions. Where the
-machine cannot keep up virtual time falls behind; it never skips.
+In a :class:`~dpstack.drivers.virtual.loop.VirtualLoop` the bus has exactly the loop's time. In an ordinary loop a timer
+runs the bus up to the real time elapsed, in bounded portions. On a computer that is too slow bus time falls behind; it
+never skips.
 """
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from functools import partial
 from time import monotonic_ns
 from typing import Final, Protocol
 
-from dpstack.drivers.futures import carried_out
+from dpstack.drivers.futures import ActsAtOnce
 from dpstack.drivers.line.port_latency import Lateness
 from dpstack.drivers.runtime import IN_PARENT, BehindRealTime, OnEvents
 from dpstack.drivers.virtual.loop import Timeline, VirtualLoop
@@ -22,43 +21,39 @@ from dpstack.fdl.interface import BusStation
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ns_to_s
 
-#: Told when a machine raised: a defect of ours, the world stands still.
+#: Called with the exception of a protocol machine: a defect in dpstack, the simulated bus stands still.
 OnFailure = Callable[[Exception], None]
 
-#: In an ordinary loop: the shortest and the longest pause between two portions, and how long a portion computes.
+#: In an ordinary loop: shortest and longest pause between two portions, and the computing time of a portion.
 _TICK_NS: Final = NS_PER_MS
 _LONG_TICK_NS: Final = 10 * NS_PER_MS
 _PORTION_NS: Final = 4 * NS_PER_MS
-#: Later than this is not caught up any more.
+#: The bus catches up at most this much.
 _DEBT_NS: Final = 50 * NS_PER_MS
 _EVENTS_PER_LOOK: Final = 16
-#: A bus whose time goes slower than this part of real time falls behind; above the other one it keeps up again.
+#: Bus time by real time: below _SLOW the bus falls behind, above _KEEPS_UP it keeps up again.
 _SLOW: Final = 0.9
 _KEEPS_UP: Final = 0.97
-#: Told again when the speed has changed by this factor.
+#: The driver reports a change of the speed by this factor.
 _MUCH: Final = 2
 
 
 class SimulatedBus(Timeline, Protocol):
-    """What the driver needs of a world (:class:`dpstack.sim.world.World` is one)."""
+    """A simulated bus as the driver uses it; :class:`dpstack.sim.world.World` implements it."""
 
     def add(
         self, station: BusStation, *, name: str | None = None, on_events: Callable[[list[Event]], None] | None = None
-    ) -> None:
-        """Plug ``station`` in."""
-
-    def remove(self, station: BusStation) -> None:
-        """Unplug ``station``."""
-
+    ) -> None: ...
+    def remove(self, station: BusStation) -> None: ...
     def command(self, station: BusStation, command: object) -> None:
         """Hand ``command`` to the station and let it act."""
 
 
-class VirtualRuntime:
+class VirtualRuntime(ActsAtOnce):
     """Keeps ``station`` running on ``world``; implements :class:`dpstack.drivers.runtime.Runtime`.
 
-    Several runtimes may share one world. When a machine of the world raises, which it never should, the world stands
-    still and ``on_failure`` is told (without one: the loop's exception handler; a VirtualLoop raises it).
+    Several runtimes may share one world. An exception of a machine is a defect: the world stands still and
+    ``on_failure`` is called (without one: the loop's exception handler; a VirtualLoop raises it).
     """
 
     #: octets take their time on the virtual wire
@@ -74,7 +69,7 @@ class VirtualRuntime:
         port_name: str = "virtual",
     ) -> None:
         self.port_name = port_name
-        #: nothing is late in virtual time
+        #: stays empty: no latency in virtual time
         self.lateness = Lateness()
         self.on_failure = on_failure
         self._world = world
@@ -83,11 +78,10 @@ class VirtualRuntime:
         self._clockwork: _Clockwork | None = None
         self._forsaken = False
         self._behind_at_open_ns = 0
-        self._behind_ns = 0  # of a bus that was closed
+        self._behind_ns = 0  # at the closing
 
     @property
     def not_running(self) -> str | None:
-        """That a defect stopped the simulated bus, or that it was forked away from; None when it runs."""
         if self._forsaken:
             return IN_PARENT
         failed = self._clockwork is not None and self._clockwork.failed
@@ -95,33 +89,26 @@ class VirtualRuntime:
 
     @property
     def behind_ns(self) -> int:
-        """How far the bus's time has fallen behind real time since the opening (ns); 0 where it is not held to it."""
+        """How far bus time has fallen behind real time since the opening (ns); 0 in unpaced virtual time."""
         clockwork = self._clockwork
         return self._behind_ns if clockwork is None else clockwork.behind_ns - self._behind_at_open_ns
 
-    async def hand_over_outputs(self) -> None:
-        """The machine has them as soon as they are set."""
-
-    def order(self, command: object) -> asyncio.Future[object]:
-        """:meth:`command`, which carries it out at once."""
-        return carried_out(partial(self.command, command))
-
     def damage(self) -> dict[str, int]:
-        """A medium in virtual time tells every octet as it is; the decoder's counters are all there is."""
+        """Empty: only the decoder counts damaged octets in virtual time."""
         return {}
 
     async def open(self) -> None:
-        """Plug the station in; from now on the world's time goes. Raises UsageError when it is open."""
+        """Plug the station in and start the world's time. Raises UsageError when it is open."""
         if self._clockwork is not None:
             raise UsageError(f"{self.port_name} is open already")
         clockwork = _clockwork(self._world, asyncio.get_running_loop())
-        self._world.add(self._station, on_events=self._tell)
+        self._world.add(self._station, on_events=self.emit)
         self._clockwork = _clockworks[self._world] = clockwork
         clockwork.join(self)
         self._behind_at_open_ns = clockwork.behind_ns
 
     async def close(self) -> None:
-        """Unplug the station; with the last one the world stands still."""
+        """Unplug the station; without stations the world stands still."""
         clockwork = self._clockwork
         if clockwork is not None:
             self._behind_ns = self.behind_ns
@@ -129,15 +116,15 @@ class VirtualRuntime:
             self._world.remove(self._station)
             clockwork.leave(self)
 
-    #: nothing is waited for
+    #: close() does not wait
     close_limit_ns = 0
 
     def end_without_loop(self) -> str:
-        """The world stands still with its loop: nobody real has outputs."""
+        """Empty: the world stands still with its loop, and no real slave has outputs."""
         return ""
 
     def forsake(self) -> None:
-        """Both processes have a world of their own now; the child's stands still."""
+        """In the child of a fork: its copy of the world stands still."""
         self._clockwork = None
         self._forsaken = True
 
@@ -155,11 +142,8 @@ class VirtualRuntime:
         """The world's time in ns."""
         return self._world.now
 
-    def tell(self, event: Event) -> None:
-        """Hand an event of the clockwork to the application."""
-        self._tell([event])
-
-    def _tell(self, events: list[Event]) -> None:
+    def emit(self, events: list[Event]) -> None:
+        """Call the application's event handler; the loop reports its exceptions."""
         try:
             self._on_events(events)
         except Exception as exc:
@@ -172,14 +156,13 @@ class Pace:
 
     def __init__(self, real: int, bus: int) -> None:
         self._start = self._window = (real, bus)
-        self._told: float | None = None  # bus time by real time, as told last; None: it keeps up
+        self._told: float | None = None  # bus time by real time as last reported; None: it keeps up
 
     def behind_ns(self, real: int, bus: int) -> int:
-        """In all."""
         return max(0, (real - self._start[0]) - (bus - self._start[1]))
 
     def look(self, real: int, bus: int) -> BehindRealTime | None:
-        """What is to be told, judged once a second: that it falls behind, anew at another speed, that it keeps up."""
+        """The event to be reported, if any, at most once a second: falls behind, another speed, keeps up again."""
         real_ns, bus_ns = real - self._window[0], bus - self._window[1]
         if real_ns < NS_PER_S:
             return None
@@ -200,13 +183,13 @@ class Pace:
 
 
 class _Clockwork:
-    """Makes the time of one world go, for all runtimes on it. A Timeline itself."""
+    """Advances the time of one world for all runtimes on it; itself a Timeline."""
 
     def __init__(self, world: SimulatedBus, loop: asyncio.AbstractEventLoop) -> None:
         self.loop = loop
         self._world = world
         self._users: list[VirtualRuntime] = []
-        self._pace: Pace | None = None  # where bus time is held to real time
+        self._pace: Pace | None = None  # where bus time is paced by real time
         self.failed = False
         self._timer: asyncio.TimerHandle | None = None
         self._resting = False  # the timer is a long one
@@ -214,7 +197,7 @@ class _Clockwork:
         self._events = 0
         self._until_ns = 0
 
-    # --- who uses it ---
+    # --- its runtimes ---
     def join(self, user: VirtualRuntime) -> None:
         self._users.append(user)
         if len(self._users) > 1:
@@ -238,7 +221,7 @@ class _Clockwork:
             self._timer.cancel()
 
     def hurry(self) -> None:
-        """There may be something to do earlier than it seemed."""
+        """Shorten a long pause: a command may have made an earlier event."""
         if self._resting and self._timer is not None:
             self._timer.cancel()
             self._set_timer(_TICK_NS)
@@ -252,7 +235,7 @@ class _Clockwork:
         event = None if self._pace is None else self._pace.look(monotonic_ns(), self.now)
         if event is not None:
             for user in tuple(self._users):
-                user.tell(event)
+                user.emit([event])
 
     # --- Timeline ---
     @property
@@ -269,12 +252,12 @@ class _Clockwork:
             stopped = self._world.run(until_ns, stop)
         except Exception as exc:
             self.failed = True
-            told = [user.on_failure for user in self._users if user.on_failure is not None]
-            if not told and isinstance(self.loop, VirtualLoop):
+            handlers = [user.on_failure for user in self._users if user.on_failure is not None]
+            if not handlers and isinstance(self.loop, VirtualLoop):
                 raise
-            for on_failure in told:
+            for on_failure in handlers:
                 on_failure(exc)
-            if not told:
+            if not handlers:
                 self.loop.call_exception_handler({"message": "the simulated bus stands still", "exception": exc})
             return True
         self._look()
@@ -302,7 +285,7 @@ class _Clockwork:
         return self._events % _EVENTS_PER_LOOK == 0 and monotonic_ns() > self._until_ns
 
 
-#: worlds that are going
+#: worlds whose time goes
 _clockworks: dict[SimulatedBus, _Clockwork] = {}
 
 

@@ -18,8 +18,8 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.answer_timing import Answers
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import patience_of
-from dpstack.drivers.line.select_loop import PlainLoop
-from dpstack.drivers.line.select_runtime import PlainRuntime
+from dpstack.drivers.line.select_loop import SelectLoop
+from dpstack.drivers.line.select_runtime import SelectRuntime
 from dpstack.drivers.realtime.cpu_budget import Budget
 from dpstack.drivers.runtime import PortBack, PortLost
 from dpstack.errors import PortError
@@ -34,7 +34,7 @@ from dpstack.units import NEVER, NS_PER_MS, NS_PER_US
 OTHER = bytes.fromhex("10 03 02 49 4E 16")
 
 
-def run_until(loop: PlainLoop, condition: Callable[[], bool]) -> None:
+def run_until(loop: SelectLoop, condition: Callable[[], bool]) -> None:
     """Looks after every millisecond; the limit is for hangs only."""
     limit = monotonic_ns() + 10_000 * NS_PER_MS
 
@@ -79,10 +79,10 @@ def test_what_is_remembered_of_requests_is_bounded() -> None:
 
 
 def test_the_driver_tells_its_loop_when_an_answer_is_expected() -> None:
-    loop = PlainLoop()
+    loop = SelectLoop()
     near, far = memory_pair(500_000)
     machine = Script()
-    driver = PlainRuntime(loop, near, machine, lambda _events: None, echo=Echo.OFF)
+    driver = SelectRuntime(loop, near, machine, lambda _events: None, echo=Echo.OFF)
     far.open_now()
     driver.open()
     driver.command(REQUEST)
@@ -100,7 +100,7 @@ def test_the_driver_tells_its_loop_when_an_answer_is_expected() -> None:
 
 
 def test_a_driver_without_budget_waits_by_timer_and_is_never_early() -> None:
-    loop = PlainLoop()
+    loop = SelectLoop()
     near, _far = memory_pair(500_000)
     machine = Script()
 
@@ -110,7 +110,7 @@ def test_a_driver_without_budget_waits_by_timer_and_is_never_early() -> None:
             machine.deadline = now + 10 * NS_PER_US
 
     machine.on_wake = again
-    driver = PlainRuntime(loop, near, machine, lambda _events: None, echo=Echo.OFF)
+    driver = SelectRuntime(loop, near, machine, lambda _events: None, echo=Echo.OFF)
     driver.open()
     driver.command(10 * NS_PER_US)
     run_until(loop, lambda: len(machine.did("wake")) == 30)
@@ -129,12 +129,12 @@ class Spent(Budget):
 
 @pytest.mark.parametrize("baud", [45_450, 500_000, 12_000_000])
 def test_at_every_rate_a_bus_goes_on_when_the_budget_is_used_up(baud: int) -> None:
-    loop = PlainLoop(budget=Spent())
+    loop = SelectLoop(budget=Spent())
     port = open_port("pty", baud)
     params = BusParams.preset(baud, address=2, gap=0)
     master = Master(params, [SlaveParams(address=3, name="s", ident=0x0696, config=b"\xf3\xf1")], watchdog_ms=1000)
     station = ActiveStation(params, [master], patience=patience_of(port), now=monotonic_ns())
-    driver = PlainRuntime(loop, port, station, lambda _events: None, echo=Echo.OFF)
+    driver = SelectRuntime(loop, port, station, lambda _events: None, echo=Echo.OFF)
     driver.open()
     driver._waited(1, monotonic_ns())  # as after a spin that was the last
     with Responder(driver.port_name, ["3:0696:f3f1:12:12"]):
@@ -149,7 +149,7 @@ def test_at_every_rate_a_bus_goes_on_when_the_budget_is_used_up(baud: int) -> No
 
 @pytest.mark.parametrize("port", [open_port("rfc2217://127.0.0.1:7000", 500_000), PySerialPort("COM3", 500_000)])
 def test_a_port_that_needs_asyncio_is_refused(port: Port) -> None:
-    driver = PlainRuntime(PlainLoop(), port, Script(), lambda _events: None)
+    driver = SelectRuntime(SelectLoop(), port, Script(), lambda _events: None)
     with pytest.raises(PortError, match='works with the asyncio driver only: set driver = "asyncio"'):
         driver.open()
 
@@ -174,8 +174,8 @@ class SlowLine:
 
 def test_a_lost_connection_is_made_again_while_the_loop_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     line = SlowLine(monkeypatch)
-    loop, machine, events = PlainLoop(), Script(), list[Event]()
-    driver = PlainRuntime(loop, line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
+    loop, machine, events = SelectLoop(), Script(), list[Event]()
+    driver = SelectRuntime(loop, line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
     driver.open()
     line.far.hang_up()
     run_until(loop, lambda: any(isinstance(event, PortLost) for event in events))
@@ -204,8 +204,8 @@ def test_a_connection_that_comes_about_too_late_is_closed(
     monkeypatch: pytest.MonkeyPatch, loop_is_closed: bool
 ) -> None:
     line = SlowLine(monkeypatch)
-    loop, events = PlainLoop(), list[Event]()
-    driver = PlainRuntime(loop, line.port, Script(), events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
+    loop, events = SelectLoop(), list[Event]()
+    driver = SelectRuntime(loop, line.port, Script(), events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
     driver.open()
     line.far.hang_up()
 
@@ -229,8 +229,8 @@ def test_a_connection_that_comes_about_too_late_is_closed(
 
 def test_opened_again_while_an_old_attempt_connects(monkeypatch: pytest.MonkeyPatch) -> None:
     line = SlowLine(monkeypatch)
-    loop, events, machine = PlainLoop(), list[Event](), Script()
-    driver = PlainRuntime(loop, line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
+    loop, events, machine = SelectLoop(), list[Event](), Script()
+    driver = SelectRuntime(loop, line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
     driver.open()
     line.far.hang_up()
     run_until(loop, lambda: driver._connecting is not None)
@@ -247,10 +247,10 @@ def test_opened_again_while_an_old_attempt_connects(monkeypatch: pytest.MonkeyPa
 
 
 def test_notices_of_the_port_are_told_at_open() -> None:
-    loop, events = PlainLoop(), list[Event]()
+    loop, events = SelectLoop(), list[Event]()
     near, _far = memory_pair(500_000)
     near.notices = ["has no parity bit"]
-    driver = PlainRuntime(loop, near, Script(), events.extend)
+    driver = SelectRuntime(loop, near, Script(), events.extend)
     driver.open()
     assert [event.text for event in events if isinstance(event, Notice)] == [f"{near.name}: has no parity bit"]
     driver.close()

@@ -12,7 +12,7 @@ from time import monotonic_ns
 
 import pytest
 
-from dpstack.drivers.line.select_loop import PlainLoop
+from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.realtime.cpu_budget import Budget
 from dpstack.errors import UsageError
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_US
@@ -31,8 +31,8 @@ def failures() -> Failures:
 
 
 @pytest.fixture
-def loop(failures: Failures) -> Iterator[PlainLoop]:
-    loop = PlainLoop(report=failures)
+def loop(failures: Failures) -> Iterator[SelectLoop]:
+    loop = SelectLoop(report=failures)
     yield loop
     loop.close()
 
@@ -46,14 +46,14 @@ def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
     far.close()
 
 
-def run(loop: PlainLoop) -> None:
+def run(loop: SelectLoop) -> None:
     """Until it is stopped."""
     hang = loop.call_at(monotonic_ns() + LIMIT_NS, lambda: pytest.fail("nobody stopped the loop"))
     loop.run()
     hang.cancel()
 
 
-def test_what_is_readable_is_told_until_it_is_read(loop: PlainLoop, pair: tuple[socket.socket, socket.socket]) -> None:
+def test_what_is_readable_is_told_until_it_is_read(loop: SelectLoop, pair: tuple[socket.socket, socket.socket]) -> None:
     near, far = pair
     calls: list[bytes] = []
 
@@ -68,7 +68,7 @@ def test_what_is_readable_is_told_until_it_is_read(loop: PlainLoop, pair: tuple[
     assert calls == [b"ab", b"cd", b"ef"]
 
 
-def test_a_hang_up_is_readable(loop: PlainLoop, pair: tuple[socket.socket, socket.socket]) -> None:
+def test_a_hang_up_is_readable(loop: SelectLoop, pair: tuple[socket.socket, socket.socket]) -> None:
     near, far = pair
     got: list[bytes] = []
 
@@ -83,7 +83,7 @@ def test_a_hang_up_is_readable(loop: PlainLoop, pair: tuple[socket.socket, socke
 
 
 def test_a_descriptor_is_told_when_it_takes_octets_again(
-    loop: PlainLoop, pair: tuple[socket.socket, socket.socket]
+    loop: SelectLoop, pair: tuple[socket.socket, socket.socket]
 ) -> None:
     near, far = pair
     with contextlib.suppress(BlockingIOError):
@@ -111,7 +111,7 @@ def test_a_descriptor_is_told_when_it_takes_octets_again(
     assert not loop.remove_writer(near.fileno())
 
 
-def test_who_is_removed_in_the_same_turn_is_not_called(loop: PlainLoop) -> None:
+def test_who_is_removed_in_the_same_turn_is_not_called(loop: SelectLoop) -> None:
     pairs = [socket.socketpair() for _ in range(2)]
     called: list[int] = []
 
@@ -135,7 +135,7 @@ def test_who_is_removed_in_the_same_turn_is_not_called(loop: PlainLoop) -> None:
 
 
 @pytest.mark.parametrize("wait_ns", [-1, 1, 10 * NS_PER_US, 60 * NS_PER_US, 300 * NS_PER_US, 3 * NS_PER_MS])
-def test_an_alarm_is_never_early(loop: PlainLoop, wait_ns: int) -> None:
+def test_an_alarm_is_never_early(loop: SelectLoop, wait_ns: int) -> None:
     at = monotonic_ns() + wait_ns
     called: list[int] = []
 
@@ -149,7 +149,7 @@ def test_an_alarm_is_never_early(loop: PlainLoop, wait_ns: int) -> None:
     assert now >= at
 
 
-def test_an_alarm_is_never_early_when_the_budget_is_used_up(loop: PlainLoop) -> None:
+def test_an_alarm_is_never_early_when_the_budget_is_used_up(loop: SelectLoop) -> None:
     wanted: list[int] = []
     late: list[int] = []
 
@@ -172,7 +172,7 @@ def test_an_alarm_is_never_early_when_the_budget_is_used_up(loop: PlainLoop) -> 
     assert min(late) >= 0
 
 
-def test_alarms_move_and_are_cancelled(loop: PlainLoop) -> None:
+def test_alarms_move_and_are_cancelled(loop: SelectLoop) -> None:
     told: list[str] = []
     now = monotonic_ns()
     loop.call_at(now, lambda: told.append("cancelled")).cancel()
@@ -196,7 +196,7 @@ def test_alarms_move_and_are_cancelled(loop: PlainLoop) -> None:
 
 
 def test_calls_of_the_next_turn_keep_their_order_and_let_others_have_theirs(
-    loop: PlainLoop, pair: tuple[socket.socket, socket.socket]
+    loop: SelectLoop, pair: tuple[socket.socket, socket.socket]
 ) -> None:
     near, far = pair
     told: list[str] = []
@@ -220,7 +220,7 @@ def test_calls_of_the_next_turn_keep_their_order_and_let_others_have_theirs(
     assert "never" not in told
 
 
-def test_what_a_callback_raises_is_told_and_stops_nothing(loop: PlainLoop, failures: Failures) -> None:
+def test_what_a_callback_raises_is_told_and_stops_nothing(loop: SelectLoop, failures: Failures) -> None:
     def broken() -> None:
         raise ValueError("the callback's own")
 
@@ -233,7 +233,7 @@ def test_what_a_callback_raises_is_told_and_stops_nothing(loop: PlainLoop, failu
 
 
 def test_nobody_told_prints_it(capsys: pytest.CaptureFixture[str]) -> None:
-    loop = PlainLoop()
+    loop = SelectLoop()
 
     def broken() -> None:
         raise ValueError("the callback's own")
@@ -245,7 +245,7 @@ def test_nobody_told_prints_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert "ValueError: the callback's own" in capsys.readouterr().err
 
 
-def test_another_thread_wakes_it(loop: PlainLoop) -> None:
+def test_another_thread_wakes_it(loop: SelectLoop) -> None:
     idle = threading.Event()
     loop.on_idle = lambda _now, _until: idle.set()
 
@@ -262,7 +262,7 @@ def test_another_thread_wakes_it(loop: PlainLoop) -> None:
         loop.call_soon_threadsafe(loop.stop)
 
 
-def test_a_signal_wakes_it(loop: PlainLoop) -> None:
+def test_a_signal_wakes_it(loop: SelectLoop) -> None:
     told: list[int] = []
 
     def signalled() -> None:
@@ -278,7 +278,7 @@ def test_a_signal_wakes_it(loop: PlainLoop) -> None:
     assert signal.getsignal(signal.SIGUSR1) is signal.SIG_DFL
 
 
-def test_idle_time_is_told_with_its_end(loop: PlainLoop, pair: tuple[socket.socket, socket.socket]) -> None:
+def test_idle_time_is_told_with_its_end(loop: SelectLoop, pair: tuple[socket.socket, socket.socket]) -> None:
     near, far = pair
     told: list[int] = []
     loop.on_idle = lambda _now, until: told.append(until)
@@ -313,7 +313,7 @@ class Counting(Budget):
 
 def test_who_owes_rest_gets_it_whatever_is_due() -> None:
     budget = Counting()
-    loop = PlainLoop(budget=budget)
+    loop = SelectLoop(budget=budget)
     end = monotonic_ns() + 20 * NS_PER_MS
 
     def busy() -> None:
@@ -330,7 +330,7 @@ def test_who_owes_rest_gets_it_whatever_is_due() -> None:
 
 @pytest.mark.parametrize("sleeps", [True, False])
 def test_a_descriptor_that_was_closed_is_told_and_waited_for_no_more(
-    loop: PlainLoop, failures: Failures, pair: tuple[socket.socket, socket.socket], sleeps: bool
+    loop: SelectLoop, failures: Failures, pair: tuple[socket.socket, socket.socket], sleeps: bool
 ) -> None:
     near, far = pair
     got: list[bytes] = []
@@ -354,7 +354,7 @@ def test_a_descriptor_that_was_closed_is_told_and_waited_for_no_more(
     assert [message for message, _ in failures] == [f"descriptor {closed} was closed without being removed"]
 
 
-def test_misuse_raises_at_once(loop: PlainLoop) -> None:
+def test_misuse_raises_at_once(loop: SelectLoop) -> None:
     raised: list[str] = []
 
     def nested() -> None:

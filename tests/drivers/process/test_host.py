@@ -15,7 +15,7 @@ from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SetMode, Shu
 from dpstack.dp.master.events import DriveEvent
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
-from dpstack.drivers.line.select_loop import PlainLoop
+from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.process import messages as m
 from dpstack.drivers.process.outbox import FULL, Outbox
 from dpstack.drivers.process.server import Host
@@ -35,7 +35,7 @@ def is_full(outbox: Outbox) -> bool:
 
 def test_nobody_reads_what_the_bus_process_tells() -> None:
     """Bounded: beyond the limit it says so, and what somebody waits for is still taken."""
-    loop = PlainLoop()
+    loop = SelectLoop()
     ours, theirs = socket.socketpair()
     with theirs:
         ours.setblocking(False)
@@ -79,7 +79,7 @@ class Rig:
             read_only=False,
             watched=True,
         )
-        self.loop = PlainLoop()
+        self.loop = SelectLoop()
         ours, self.sock = socket.socketpair()
         memory = make_memory()
         self.image = SharedImage(memory)
