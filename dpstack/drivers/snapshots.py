@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.events import Fault, SlaveState
-from dpstack.dp.master.fixed_cycle import CycleBook, CycleData
+from dpstack.dp.master.fixed_cycle import CycleData, CycleStats
 from dpstack.dp.master.scanner import Found, SurveyOrder, SurveyResult
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
@@ -80,7 +80,7 @@ class Counters:
     lateness: Histogram = field(default_factory=Histogram)
     link: LinkStats = field(default_factory=LinkStats)
     decoder: DecoderStats = field(default_factory=DecoderStats)
-    cycles: CycleBook = field(default_factory=lambda: CycleBook(0))
+    cycles: CycleStats = field(default_factory=lambda: CycleStats(0))
     held_back: int = 0
     forced: int = 0
     damage: Mapping[str, int] = field(default_factory=dict)

@@ -9,7 +9,7 @@ import pytest
 from bus_kit import mirror, setup
 from support import MS, S, WorldFactory
 
-from dpstack.api.bus.ring_entry import Beside, join_limit_s, pass_ns
+from dpstack.api.bus.ring_entry import OtherMasterNotices, join_limit_s, pass_ns
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -94,7 +94,7 @@ def test_a_newcomer_is_told_how_long_and_what_the_others_need_once() -> None:
     params = BusParams.preset(187_500, address=5)
     none: frozenset[int] = frozenset()
     bus = BusSnapshot(Mode.CLEAR, none, none, in_ring=False, claimed=False, las=none, patience=ADAPTER)
-    beside = Beside(params, lambda: bus)
+    beside = OtherMasterNotices(params, lambda: bus)
     assert list(beside.notices(MasterSeen(t_ns=5, address=2, present=False))) == []
     waiting, advice = beside.notices(MasterSeen(t_ns=7, address=2, present=True))
     assert (waiting.severity, advice.severity) == (Severity.INFO, Severity.WARNING)

@@ -1,4 +1,4 @@
-"""The bus as an application sees it."""
+"""``Bus``: opening, modes, slaves, events and the end of a running bus."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from types import TracebackType
 
 from dpstack.api.bus.compose import compose
 from dpstack.api.bus.cycles import Cycle, Cycles
-from dpstack.api.bus.parts import Composed
-from dpstack.api.bus.plan_checks import news_of_plan
-from dpstack.api.bus.ring_entry import Beside, join, what_was_heard
+from dpstack.api.bus.parts import BusBase
+from dpstack.api.bus.plan_checks import new_plan_texts
+from dpstack.api.bus.ring_entry import OtherMasterNotices, heard_before_joining, join
 from dpstack.api.bus.scan import scan_on
 from dpstack.api.bus.shutdown import OrderedEnd
 from dpstack.api.bus.statistics import BusStats, collect
@@ -42,13 +42,13 @@ from dpstack.units import ns_to_s
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusFailed(Notice):
-    """The failure that ends the bus; it is raised to everybody who waits, too."""
+    """The failure that ends the bus. Every pending and later call on the bus raises it as well."""
 
 
 SlaveTable = Mapping[str, object] | SlaveConfig
 
 
-class Bus(Sealed, Composed):
+class Bus(Sealed, BusBase):
     """A running bus: the slaves of a configuration under a class 1 master. Made by :func:`dpstack.open_bus`."""
 
     def __init__(
@@ -82,7 +82,7 @@ class Bus(Sealed, Composed):
 
     def _build(self, config: Config) -> None:
         super()._build(config)
-        self._beside = Beside(self.params, lambda: self.snapshot)
+        self._other_masters = OtherMasterNotices(self.params, lambda: self.snapshot)
         for slave in config.slaves:
             self._register(slave, self.parts.plugins.get(slave.address))
 
@@ -171,7 +171,7 @@ class Bus(Sealed, Composed):
             self._open = False
             try:
                 if not self.searching:
-                    with contextlib.suppress(asyncio.CancelledError):  # it goes on to its end, too
+                    with contextlib.suppress(asyncio.CancelledError):  # the runtime closes all the same
                         await self.runtime.close()
             finally:
                 self._nothing_more(UsageError("the bus is closed"))
@@ -263,7 +263,7 @@ class Bus(Sealed, Composed):
             raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
         setup = self.fitting(config)
         slave = await whole(self._add(config, setup))
-        for note in (*config.notes, *news_of_plan(self.config, self.plan, others, setup)):
+        for note in (*config.notes, *new_plan_texts(self.config, self.plan, others, setup)):
             self.notice("plan", note, Severity.WARNING)
         return slave
 
@@ -338,7 +338,7 @@ class Bus(Sealed, Composed):
         if rotations is None:
             await self.until(lambda: False, timeout)
             return
-        with self.rounds.watched(functools.partial(self._waiters.check)):  # one of its own for each caller
+        with self.rounds.watched(functools.partial(self._waiters.check)):  # each caller registers a function of its own
             await self.until(lambda: self.view.rotations >= rotations, timeout)
 
     # --- from the machine ---------------------------------------------------------------------------------------
@@ -346,7 +346,7 @@ class Bus(Sealed, Composed):
     def _on_events(self, events: list[Event]) -> None:
         for event in events:
             self._ordered_end.on_event(event)
-            if self.services.take(event):  # told to who waits for it, and to nobody else
+            if self.services.take(event):  # only the caller that awaits this service gets it
                 continue
             match event:
                 case DriveEvent(address=address, payload=payload):
@@ -365,11 +365,11 @@ class Bus(Sealed, Composed):
                     self.forced_clear = None
             self._groups.on_event(event)
             self._events.tell(event)
-            for notice in self._beside.notices(event):
+            for notice in self._other_masters.notices(event):
                 self._events.tell(notice)
             if isinstance(event, RingJoined) and not self._joined_ns:
                 self._joined_ns = event.t_ns
-                text, severity = what_was_heard(self.params.address, self.view)
+                text, severity = heard_before_joining(self.params.address, self.view)
                 self._events.tell(Notice(t_ns=event.t_ns, source="bus", message=text, severity=severity))
         self._waiters.check()
 
@@ -385,7 +385,7 @@ class Bus(Sealed, Composed):
                 self._refused = error
 
     def _on_failure(self, error: Exception) -> None:
-        """Nothing runs the bus any more: everybody who waits is told. What is no BusError is a defect of ours."""
+        """The bus no longer runs: pending calls raise ``error``. Anything but a BusError is a defect of dpstack."""
         failure = error
         if not isinstance(failure, BusError):
             text = f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error}); please report it"
@@ -396,7 +396,7 @@ class Bus(Sealed, Composed):
         self._nothing_more(failure)
 
     def _nothing_more(self, error: DpError) -> None:
-        """Everybody who waits is told why, now and later; the first reason stands."""
+        """Every pending and later call raises ``error``, or the first one where this was called before."""
         if self._over is None:
             self._over = error
         self._ordered_end.is_over()

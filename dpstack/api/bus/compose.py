@@ -1,4 +1,4 @@
-"""From a configuration to running parts: parameters, plan, master, station, and what keeps them running."""
+"""Construction of the objects behind a bus from its configuration: plan, master, station and runtime."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 
 from dpstack.api.bus.driver_choice import PROCESS, driver_for
 from dpstack.api.bus.plan_checks import adapter_notes, data_control_ns, other_masters, refuse_misfit, with_t_tr
-from dpstack.api.bus.remote_plugins import attach_remote, core_of, known_places, plugin_of, remote_plugin
+from dpstack.api.bus.remote_plugins import attach_remote, core_of, plugin_of, remote_plugin
 from dpstack.api.config.bus import SAFE
 from dpstack.api.config.config import Config, rate_findings
 from dpstack.api.config.slave import SlaveConfig
@@ -27,6 +27,7 @@ from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
+from dpstack.profile import registry
 from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS
 
@@ -36,7 +37,7 @@ ECHO: Final = {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}
 def plan_bus(config: Config, baud: int | None = None) -> Plan:
     """The plan of ``config`` at ``baud`` (default: its own rate). Raises ConfigError.
 
-    What keeps the bus from being opened is told there, and stands in the plan as a finding.
+    Reasons why the bus cannot be opened raise nothing here: they are findings of the plan.
     """
     rate = config.baud if baud is None else baud
     setups = config.slave_params
@@ -67,12 +68,12 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
 
 
 def port_of(config: Config, baud: int, name: str | None = None) -> Port:
-    """The port of ``config`` (or ``name``, treated as it says), not open yet. Raises PortError."""
+    """The port of ``config`` (or the port ``name`` with its settings), not open yet. Raises PortError."""
     return open_port(name or config.port, baud, event_char=config.bus.event_char, rs485=config.bus.rs485)
 
 
 def patience_for(config: Config, port: Port) -> Patience:
-    """How long to wait on ``port``: the user's ``host_slack_ms``, or by its kind."""
+    """Waiting times on ``port``: from ``host_slack_ms``, or by the kind of port."""
     if config.bus.host_slack_ms is not None:
         return slack(round(config.bus.host_slack_ms * NS_PER_MS), patience_of(port))
     return patience_of(port)
@@ -80,7 +81,7 @@ def patience_for(config: Config, port: Port) -> Patience:
 
 @dataclass(slots=True, kw_only=True)
 class Parts:
-    """Everything one bus is made of, in whichever process its machines run."""
+    """The objects of one bus, whether its machines run in this process or in a bus process."""
 
     config: Config
     plan: Plan
@@ -88,13 +89,13 @@ class Parts:
     runtime: Runtime
     #: "asyncio", "process", or "virtual" on a simulated bus
     driver: str
-    #: the drive plugins of the slaves that it is made with, by address
+    #: drive plugins of the configured slaves by address
     plugins: Mapping[int, DrivePlugin]
-    #: puts the drive plugin of a new slave onto its process image; None where it has none. Raises ConfigError
+    #: attaches the drive plugin of a new slave to its process image; None for a slave without. Raises ConfigError
     attach: Callable[[SlaveConfig], Awaitable[DrivePlugin | None]]
     rounds: Rounds
     world: World | None = None
-    #: the simulated slaves, where they are part of it
+    #: the simulated slaves; None where there are none
     bench: VirtualBench | None = None
 
 
@@ -109,10 +110,10 @@ def compose(
 ) -> Parts:
     """Build the parts of ``config``, with simulated slaves in a world of its own when its port is "virtual".
 
-    ``on_failure`` is told when a machine raised (a defect of ours), or the bus process ended; ``on_refused`` when a bus
-    process refuses an order that nobody awaits. ``world`` puts the master into an existing simulated bus, with nothing
-    added. A read-only bus has a guard in front of all that could write, and is watched unless told otherwise. Raises
-    ConfigError, PortError.
+    ``on_failure`` is called when a machine raised (a defect of dpstack) or the bus process ended, ``on_refused`` when
+    the bus process refuses an order that no caller awaits. ``world``: the master joins this simulated bus, without
+    slaves of its own. A read-only bus filters every request that could write; ``watched``: it shows the state of its
+    stations. Raises ConfigError, PortError.
     """
     plan = plan_bus(config)
     refuse_misfit(config, plan, config.slave_params)
@@ -135,7 +136,7 @@ def compose(
         cycle_sync=config.bus.cycle_sync,
     )
     driver = driver_for(config, port)
-    # a pty is given what a stalled computer needs, and a user's own figure stands
+    # on a pty the waiting times allow for a stalled computer; host_slack_ms of the user is never tuned
     tune = port is not None and port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None
     if driver == PROCESS:
         return in_process(config, plan, spec, on_events, on_failure, on_refused, tune=tune)
@@ -190,9 +191,9 @@ def in_process(
     *,
     tune: bool,
 ) -> Parts:
-    """The parts where the machines run in a process of their own. Raises ConfigError for plugins without a name."""
+    """The parts of a bus in a bus process. Raises ConfigError for plugins without an entry point."""
     from dpstack.drivers.process.client import ProcessRuntime
-    from dpstack.drivers.process.messages import SetUp  # msgspec and all it needs: only for who wants it
+    from dpstack.drivers.process.messages import SetUp  # imports msgspec, which only the process driver needs
 
     plugins = {slave.address: ref for slave in config.slaves if (ref := plugin_of(slave)) is not None}
     setup = SetUp(
@@ -203,7 +204,7 @@ def in_process(
         tune=tune,
         stack=spec,
         plugins=plugins,
-        preload=known_places(),
+        preload=tuple(registry.places().values()),  # drives that may be added while the bus runs
     )
     runtime = ProcessRuntime(setup, on_events, on_failure, on_refused)
     return Parts(
@@ -219,9 +220,9 @@ def in_process(
 
 
 def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> DrivePlugin | None:
-    """Put the drive plugin of ``slave`` onto its process image; None where it has none.
+    """Attach the drive plugin of ``slave`` to its process image; None for a slave without plugin.
 
-    ``simulated``: the slave is one of ours, in the same process.
+    ``simulated``: the slave is simulated in this process.
     """
     core = core_of(slave, simulated=simulated)
     if core is None:

@@ -1,4 +1,4 @@
-"""A configuration made of what a live list found: a start to be read and completed, not the last word."""
+"""A configuration skeleton made from a live list; the user has to check and complete it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def drive_of(found: Found) -> DriveProfile | None:
 def config_skeleton(result: LiveListResult, port: str) -> str:
     """The text of a configuration file with every slave found.
 
-    What cannot be used as it stands (no identifier octets, address 126) is there as a comment that says why.
+    Stations that cannot be configured (no identifier octets, address 126) are comments with the reason.
     """
     lines = [
         "# Made by dpstack scan from what was found on the bus. Compare it with the GSD files of the devices:",

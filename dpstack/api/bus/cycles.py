@@ -1,4 +1,4 @@
-"""The cycles of a bus as an application sees them: one picture of all inputs at a time, the latest wins."""
+"""``bus.cycles()``: consistent inputs of all slaves, once a round of data exchange; a slow reader gets the latest."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
 
-from dpstack.api.bus.parts import Composed
+from dpstack.api.bus.parts import BusBase
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.process_data import FieldMap, Value
 from dpstack.dp.process_image import inputs_are_valid
@@ -22,10 +22,9 @@ class Cycle:
     the machine's time of its first bit, ``late_ns`` how much later that was than due (0 free running). ``inputs`` are
     the octets of every slave in data exchange by name, all as they stood at the end of this round, never some of this
     and some of the next; ``fresh`` names the slaves that answered in it, :attr:`stale` the others. A slave is left out
-    where this round, when it
-    was handed over, was older than its valid inputs may be (``Slave.inputs_limit``); all are where nobody kept the bus
-    running. ``skipped``: rounds since the one read before
-    that this reader was too slow for. ``missed``: deadline misses since the start of the bus.
+    where the round was older than ``Slave.inputs_limit`` when the reader got it; all slaves are while the bus does not
+    run. ``skipped``: rounds that this reader missed since its last one. ``missed``: deadline misses since the start of
+    the bus.
     """
 
     number: int
@@ -42,12 +41,11 @@ class Cycle:
 
     @property
     def late_ms(self) -> float:
-        """How late it began."""
         return self.late_ns / NS_PER_MS
 
     @property
     def age(self) -> float:
-        """How long ago it began, in seconds at this moment."""
+        """Time since its first bit in seconds, at this moment."""
         return ns_to_s(max(0, self._now() - self.t_ns))
 
     @property
@@ -82,21 +80,21 @@ class Cycle:
 
 
 class Cycles:
-    """Whoever reads the cycles of one bus."""
+    """All readers of the cycles of one bus."""
 
-    def __init__(self, bus: Composed) -> None:
+    def __init__(self, bus: BusBase) -> None:
         self._bus = bus
         self._readers: list[_Reader] = []
         self._over = False
 
     def end(self) -> None:
-        """There will be no more."""
+        """End all readers."""
         self._over = True
         for reader in self._readers:
             reader.more.set()
 
     async def read(self) -> AsyncIterator[Cycle]:
-        """Each new one; a slow reader gets the latest."""
+        """Each new cycle; a slow reader gets the latest."""
         reader = _Reader(self._bus)
         self._readers.append(reader)
         self._bus.rounds.watch(reader.on_round)
@@ -113,18 +111,18 @@ class Cycles:
 
 
 class _Reader:
-    def __init__(self, bus: Composed) -> None:
+    def __init__(self, bus: BusBase) -> None:
         self._bus = bus
         self.more = asyncio.Event()
         self.data: CycleData | None = None
         last = bus.view.cycle
         self._last = 0 if last is None else last.published
-        self._before: int | None = None  # published up to the one read last
+        self._before: int | None = None  # count of published rounds at the last read
 
     def on_round(self) -> None:
         data = self._bus.view.cycle
         if data is None or data.published == self._last:
-            return  # a round in which nobody had a turn
+            return  # no slave had its turn in this round
         if self._before is None:
             self._before = data.published - 1
         self.data = data

@@ -1,4 +1,4 @@
-"""Which driver keeps a bus going: what is asked for, or for "auto" what was measured to be better (docs/drivers.md)."""
+"""The choice of the driver: asyncio, process or virtual; for "auto" by measurements (docs/drivers.md)."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ VIRTUAL: Final = "virtual"
 
 
 def driver_for(config: Config, port: Port | None) -> str:
-    """ASYNCIO or PROCESS for ``port``; VIRTUAL where there is none: simulated slaves, a given world.
+    """ASYNCIO or PROCESS for ``port``; VIRTUAL without a port (simulated bus).
 
-    Raises ConfigError where "process" is wanted and cannot be.
+    Raises ConfigError where "process" is configured and impossible.
     """
     wanted = config.bus.driver
     if port is None:
@@ -42,19 +42,19 @@ def driver_for(config: Config, port: Port | None) -> str:
 
 
 def _worth_it(port: Port) -> bool:
-    """A real line, a second processor, and the right to go before everybody else."""
+    """True with a real line, a second processor and real-time priority."""
     if sys.platform != "linux" or port.delivery is not Delivery.ADAPTER or _needs_asyncio(port) or _frozen():
         return False
     return len(os.sched_getaffinity(0)) > 1 and not rights().no_priority() and not _no_messages()
 
 
 def _frozen() -> bool:
-    """The program was packed: starting its executable again starts the program, not an interpreter."""
+    """True in a packed program: its executable starts the program, not an interpreter."""
     return not sys.executable or bool(getattr(sys, "frozen", False))
 
 
 def _no_messages() -> str:
-    """Why the messages between both processes cannot be written: msgspec is compiled, a zipapp cannot hold it."""
+    """Why msgspec, needed for the messages between both processes, cannot be imported; a zipapp cannot hold it."""
     try:
         import_module("msgspec")
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Every event an application may meet, and the JSON lines they become."""
+"""Events of a bus for applications, their severity and their JSON."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Injected(Event):
-    """Something was done to a simulated slave, or to the segment, by ``dpstack ctl``.
+    """``dpstack ctl`` acted on a simulated slave or on the segment.
 
     ``address`` and ``name``: of the slave; None where it is the segment. ``args`` as typed.
     """
@@ -116,11 +116,12 @@ class Injected(Event):
         return {**line, "command": self.command, "args": list(self.args), "text": self.text}
 
 
+#: their JSON has no ``text``
+_WITHOUT_TEXT = (SlaveStateChanged, SlaveDiagnosis, DriveEvent, ModeChanged, MasterStopped)
 _RING = (RingJoined, RingLeft, MasterSeen, TokenLost, AddressCollision)
 
 
 def severity_of(event: Event) -> Severity:
-    """How much a person should care."""
     match event:
         case Notice(severity=severity):
             return severity
@@ -138,7 +139,6 @@ def severity_of(event: Event) -> Severity:
 
 
 def _message_json(message: Alarm | Status) -> dict[str, object]:
-    """What an alarm and a status have in common."""
     return {
         "type": message.type,
         "title": message.title,
@@ -149,71 +149,76 @@ def _message_json(message: Alarm | Status) -> dict[str, object]:
 
 
 def event_json(event: Event, t: float) -> dict[str, object] | None:
-    """The JSON line of ``event`` at ``t`` seconds; None for what is not told (answers to orders)."""
-    line: dict[str, object] = {"t": round(t, 6)}
+    """The JSON line of ``event`` at ``t`` seconds; None for answers to orders."""
+    if isinstance(event, Injected):
+        return event.as_dict(t)
+    found = _kind_and_fields(event)
+    if found is None:
+        return None
+    kind, fields = found
+    line: dict[str, object] = {"event": kind, "t": round(t, 6)}
     if isinstance(event, SlaveEvent):
         line |= {"address": event.address, "name": event.name}
+    line |= fields
+    return line if "text" in fields or isinstance(event, _WITHOUT_TEXT) else {**line, "text": event.text}
+
+
+def _kind_and_fields(event: Event) -> tuple[str, dict[str, object]] | None:
     match event:
-        case Injected():
-            return event.as_dict(t)
         case SlaveStateChanged(state=state):
-            return {"event": "slave", **line, "state": state.value}
+            return "slave", {"state": state.value}
         case SlaveDiagnosis(diagnosis=diagnosis, texts=texts):
-            return {"event": "diagnosis", **line, "flags": list(diagnosis.flags), "texts": list(texts)}
+            return "diagnosis", {"flags": list(diagnosis.flags), "texts": list(texts)}
         case AlarmRaised(alarm=alarm):
             more = {"sequence": alarm.sequence, "user_ack": alarm.add_ack, "texts": list(event.texts)}
-            return {"event": "alarm", **line, **_message_json(alarm), **more, "text": event.text}
+            return "alarm", {**_message_json(alarm), **more}
         case StatusTold(status=status):
-            return {"event": "status_message", **line, **_message_json(status), "text": event.text}
+            return "status_message", _message_json(status)
         case SlaveFaulted(fault=fault):
-            return {"event": "fault", **line, "kind": fault.kind.value, "text": fault.text}
+            return "fault", {"kind": fault.kind.value, "text": fault.text}
         case SlaveFlapping(count=count):
-            return {"event": "flapping", **line, "count": count, "text": event.text}
+            return "flapping", {"count": count}
         case SlaveRemark(message=message):
-            return {"event": "remark", **line, "text": message}
+            return "remark", {"text": message}
         case DriveEvent(payload=payload):
             if payload.get("type") == "result":
                 return None
             rest = {key: value for key, value in payload.items() if key != "type"}
-            return {"event": "drive", **line, "type": payload.get("type"), **rest}
+            return "drive", {"type": payload.get("type"), **rest}
         case ModeChanged(mode=mode):
-            return {"event": "mode", **line, "mode": mode.name.lower()}
+            return "mode", {"mode": mode.name.lower()}
         case AutoCleared(slaves=slaves) | OperateWaits(slaves=slaves):
             name = "auto_clear" if isinstance(event, AutoCleared) else "operate_waits"
-            return {"event": name, **line, "slaves": list(slaves), "text": event.text}
+            return name, {"slaves": list(slaves)}
         case Stalled(slaves=slaves, gap_ns=gap, blocked=blocked):
             gap_ms = None if gap is None else round(gap / NS_PER_MS, 3)
             by = None if blocked is None else blocked.value
-            return {
-                "event": "stalled", **line, "gap_ms": gap_ms, "blocked": by, "slaves": list(slaves), "text": event.text,
-            }  # fmt: skip
+            return "stalled", {"gap_ms": gap_ms, "blocked": by, "slaves": list(slaves)}
         case ApplicationSilent(limit_ns=limit):
-            return {"event": "application_silent", **line, "limit_ms": round(limit / NS_PER_MS), "text": event.text}
+            return "application_silent", {"limit_ms": round(limit / NS_PER_MS)}
         case ControlSent() | ControlFailed() | PictureTaken():
             return None
         case CyclesMissed(number=number, count=count, missed=missed, late_ns=late_ns):
             late_us = round(late_ns / NS_PER_US)
-            told = {"number": number, "count": count, "missed": missed, "late_us": late_us, "text": event.text}
-            return {"event": "cycles_missed", **line, **told}
+            return "cycles_missed", {"number": number, "count": count, "missed": missed, "late_us": late_us}
         case MasterStopped():
-            return {"event": "stopped", **line}
+            return "stopped", {}
         case StationSeen(found=found, present=present):
-            return {"event": "station", **line, **found.as_dict(), "present": present, "text": event.text}
+            return "station", {**found.as_dict(), "present": present}
         case StationFound(address=address):
-            return {"event": "station", **line, "address": address, "text": event.text}
+            return "station", {"address": address}
         case ConnectionOver(address=address):
-            return {"event": "connection_over", **line, "address": address, "text": event.text}
+            return "connection_over", {"address": address}
         case PortLost(port=port) | PortBack(port=port):
-            return {"event": "port", **line, "port": port, "lost": isinstance(event, PortLost), "text": event.text}
+            return "port", {"port": port, "lost": isinstance(event, PortLost)}
         case BusProcessSilent(silent_ns=silent_ns) | BusProcessBack(silent_ns=silent_ns):
-            silent = {"silent": isinstance(event, BusProcessSilent), "silent_ms": round(silent_ns / NS_PER_MS, 1)}
-            return {"event": "bus_process", **line, **silent, "text": event.text}
+            silent = isinstance(event, BusProcessSilent)
+            return "bus_process", {"silent": silent, "silent_ms": round(silent_ns / NS_PER_MS, 1)}
         case BehindRealTime(bus_ns=bus_ns, real_ns=real_ns, behind_ns=behind_ns):
-            told = {"speed": round(bus_ns / real_ns, 3), "behind_ms": round(behind_ns / NS_PER_MS, 1)}
-            return {"event": "behind", **line, **told, "keeps_up": event.keeps_up, "text": event.text}
+            speed, behind_ms = round(bus_ns / real_ns, 3), round(behind_ns / NS_PER_MS, 1)
+            return "behind", {"speed": speed, "behind_ms": behind_ms, "keeps_up": event.keeps_up}
         case OutputsDropped(outputs=outputs):
-            return {"event": "outputs_dropped", **line, "outputs": outputs.hex(), "text": event.text}
+            return "outputs_dropped", {"outputs": outputs.hex()}
         case Notice():
-            return {"event": "notice", **line, "severity": event.severity.value, "text": event.text}
-    kind = "ring" if isinstance(event, _RING) else "notice"
-    return {"event": kind, **line, "text": event.text}
+            return "notice", {"severity": event.severity.value}
+    return "ring" if isinstance(event, _RING) else "notice", {}

@@ -1,4 +1,4 @@
-"""The baud rate of a bus, found by listening only."""
+"""Baud rate search by listening only."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from dpstack.ports import open_port
 from dpstack.sim.world import World
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s, s_to_ns
 
-#: so much silence ends the search, in seconds
+#: time of silence (s) that ends the search
 SILENCE_S: Final = 5.0
-#: and so much time in which something was heard, but no telegram
+#: time of noise (s), octets without a telegram, that ends the search
 _NOISE_S: Final = 20.0
-#: what to do about it: something was heard, or nothing
+#: advice after noise, after silence
 _GIVE: Final = (
     "or give the rate, for instance baud = 500000",
     "a master that is alone on its bus must give the rate, for instance baud = 500000",
@@ -26,7 +26,7 @@ _GIVE: Final = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaudReport:
-    """What listening led to. ``baud`` in bit/s, None when nothing was recognised; ``seconds`` of listening.
+    """Result of a search. ``baud`` in bit/s, None when no telegram was recognised; ``seconds`` of listening.
 
     ``telegrams``: heard in a row, with no octet left over between. ``confidence``: "checked" (telegrams with check
     sum) or "token" (the same token three times). ``missing``: "silence" or "noise". ``text``: the same for people.
@@ -53,13 +53,13 @@ async def find_baud(port: str, *, timeout: float | None = SILENCE_S, silence: fl
     None is no limit. Raises ConfigError for a port that has no wire; PortError.
     """
     need_wire(port)
-    # every adapter can do the slowest rate, so a port that does not open there is not there
+    # every adapter supports the slowest rate: a port that does not open at it does not exist
     line = open_port(port, BAUD_RATES[0])
     return _report(await search_baud(line, limit_ns=_limit(timeout), silence_ns=_limit(silence)))
 
 
 def need_wire(port: str) -> None:
-    """Raises ConfigError for a port that is made here: nobody can be there already."""
+    """Raises ConfigError for a port that this process makes: no master can be on it."""
     if port in (VIRTUAL, "pty"):
         raise ConfigError(f'port "{port}": nobody else is on it who could be listened to; give the rate')
 

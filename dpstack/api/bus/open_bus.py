@@ -1,4 +1,4 @@
-"""The way to a bus: from a configuration file, or from arguments alone."""
+"""``open_bus``: a bus from a configuration file or from arguments."""
 
 from __future__ import annotations
 
@@ -30,12 +30,11 @@ def open_bus(
 
     Use it as ``async with open_bus(...) as bus``: entering listens, joins the token ring and begins to bring the slaves
     up in Clear; ``await bus.operate()`` lets outputs out. ``slaves`` are mappings with the keys of a [[slave]] table,
-    ``bus`` further keys of [bus].
-    ``driver="process"``: the bus runs in a process of its own, which the application cannot hold up (docs/drivers.md).
-    ``port="virtual"`` simulates the slaves in this process. ``on_event`` is called for
-    every event at once; ``world`` joins an existing simulated bus
-    (see :func:`simulate`). ``join_timeout`` in seconds: how long to wait
-    for the token beside other masters (default: two passes over a GAP like this master's, 30 s at least).
+    ``bus`` further keys of [bus]. ``driver="process"``: the bus runs in a process of its own, which the application
+    cannot hold up (docs/drivers.md). ``port="virtual"`` simulates the slaves in this process. ``on_event`` is called
+    for every event at once; ``world`` joins an existing simulated bus (see :func:`simulate`). ``join_timeout`` in
+    seconds: how long to wait for the token beside other masters (default: two passes over a GAP like this master's,
+    30 s at least).
 
     ``baud="auto"``: entering listens for the rate first. Until it is found ``bus.searching`` is true, and what depends
     on it (``plan``, ``params``, slaves and drives) raises UsageError. After 5 s of silence it gives up: a master that

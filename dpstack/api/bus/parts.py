@@ -1,4 +1,4 @@
-"""What a bus consists of once its baud rate is known: its parts, its slaves, orders to it, waiting for it."""
+"""Base class of ``Bus``: its parts (known once the baud rate is), its slaves, commands and waiting."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from dpstack.units import ns_to_s
 SEARCHING: Final = "searching for the baud rate"
 
 
-class Composed:
-    """Made by ``make`` of a ``config``: at once, or once the rate is found where it is "auto".
+class BusBase:
+    """``make`` builds the parts of ``config``: at once, or with the baud rate "auto" when the rate has been found.
 
-    Until then every part raises UsageError. ``world``: the simulated bus to find it on, if any. Raises ConfigError
-    where nothing can be found.
+    Until then every part raises UsageError. ``world``: the simulated bus on which the rate is searched. Raises
+    ConfigError for "auto" on a port without a wire.
     """
 
     def __init__(
@@ -48,9 +48,9 @@ class Composed:
         self.unreadable: frozenset[int] = frozenset()
         #: machine time of the start in ns
         self.started_ns = 0
-        #: what was heard of another station at this one's address
+        #: text of the address collision with another station; None: there was none
         self.collision: str | None = None
-        #: why the master is in Clear by itself, until Operate is ordered; None while it is not
+        #: the event of a Clear that the master went to by itself, until Operate is ordered
         self.forced_clear: ForcedClear | None = None
         self.services = Services(self.command, self.order, lambda: self.is_open)
         self._slaves: dict[int, Slave] = {}
@@ -60,13 +60,13 @@ class Composed:
         self._open = False
         self._ending: asyncio.Task[None] | None = None
         self._left = False
-        #: why nothing will happen any more: a failure, or the end
+        #: the failure or the end after which the bus does nothing
         self._over: DpError | None = None
-        self._refused: DpError | None = None  # an order that was not awaited
+        self._refused: DpError | None = None  # of an order that no caller awaited
         self._given_world = world
         self._make = make
         self._parts: Parts | None = None
-        self._round_ns: int | None = None  # None: to be counted again
+        self._round_ns: int | None = None  # None: not calculated for the slaves of this moment
         if self.searching and world is None:
             need_wire(config.port)
 
@@ -76,7 +76,7 @@ class Composed:
         self.config = config
 
     async def _find_rate(self) -> str | None:
-        """Listen for the rate where it is to be found, then make the parts; what it was recognised by, for people.
+        """With the baud rate "auto": search the rate, then make the parts. Returns a text about the evidence.
 
         Raises BusError, ConfigError, PortError.
         """
@@ -88,24 +88,21 @@ class Composed:
 
     @property
     def searching(self) -> bool:
-        """The baud rate is to be found and not known yet."""
+        """True while the baud rate "auto" has not been found."""
         return self._parts is None and self.config.bus.baud == AUTO
 
     @property
     def parts(self) -> Parts:
-        """All of them."""
         if self._parts is None:
             raise UsageError(f"{SEARCHING}: what depends on it is known once the bus is entered (async with)")
         return self._parts
 
     @property
     def plan(self) -> Plan:
-        """Rotation times, watchdogs, findings."""
         return self.parts.plan
 
     @property
     def params(self) -> BusParams:
-        """The bus parameters."""
         return self.parts.plan.params
 
     def fitting(self, slave: SlaveConfig) -> SlaveParams:
@@ -144,7 +141,7 @@ class Composed:
 
     @property
     def mode(self) -> Mode:
-        """The mode of the master; OFFLINE while nobody keeps it running."""
+        """The mode of the master; OFFLINE while its runtime does not run."""
         return self.snapshot.mode if self.runtime.not_running is None else Mode.OFFLINE
 
     @property
@@ -154,22 +151,21 @@ class Composed:
 
     @property
     def snapshot(self) -> BusSnapshot:
-        """Mode, token ring and its masters, SYNC and FREEZE, the stations found: as the bus told them last."""
+        """The last snapshot: mode, token ring and its masters, SYNC and FREEZE, stations found."""
         return self.parts.view.bus()
 
     @property
     def driver(self) -> str:
-        """What keeps it running: "asyncio", "process", or "virtual" on a simulated bus."""
+        """The driver: "asyncio", "process", or "virtual" on a simulated bus."""
         return self.parts.driver
 
     @property
     def runtime(self) -> Runtime:
-        """What keeps it running."""
         return self.parts.runtime
 
     @property
     def rounds(self) -> Rounds:
-        """The ends of the rounds with data exchange."""
+        """Callbacks at the end of each round of data exchange."""
         return self.parts.rounds
 
     @property
@@ -179,19 +175,17 @@ class Composed:
 
     @property
     def bench(self) -> VirtualBench | None:
-        """The simulated slaves, where they are part of this bus."""
+        """The simulated slaves of this bus; None where there are none."""
         return self.parts.bench
 
     # --- slaves and drives ---------------------------------------------------------------------------------------
 
     @property
     def slaves(self) -> tuple[Slave, ...]:
-        """All slaves by address."""
         return tuple(self._slaves[address] for address in sorted(self._slaves))
 
     @property
     def drives(self) -> tuple[Drive, ...]:
-        """All drives by address."""
         return tuple(self._drives[address] for address in sorted(self._drives))
 
     def slave(self, which: str | int) -> Slave:
@@ -210,7 +204,7 @@ class Composed:
         known = ", ".join(d.name for d in self.drives) or "none"
         raise UsageError(f"no drive {which!r} on this bus; there are: {known}")
 
-    # --- orders and what is waited for --------------------------------------------------------------------------
+    # --- commands and waiting ------------------------------------------------------------------------------------
 
     @property
     def is_open(self) -> bool:
@@ -220,7 +214,7 @@ class Composed:
     def command(self, command: object) -> None:
         """Hand an order to the machine. Raises UsageError when the bus is not open.
 
-        What a bus process refuses of it comes as a notice, and is raised by the next ``operate()``, ``clear()``,
+        A refusal by the bus process comes as a notice, and is raised by the next ``operate()``, ``clear()``,
         ``stop()`` or ``outputs_taken()``.
         """
         self.check_open()
@@ -232,7 +226,7 @@ class Composed:
             raise
 
     async def order(self, command: object) -> None:
-        """As :meth:`command`; returns when the machine has carried it out. What it raises is raised here."""
+        """As :meth:`command`; returns when the machine has carried it out, and raises the machine's exception."""
         self.check_open()
         await self._unless_over(self.runtime.order(command))
 
@@ -257,7 +251,7 @@ class Composed:
             raise refused
 
     async def until(self, condition: Callable[[], bool], timeout: float | None = None) -> None:
-        """Wait until ``condition()``, judged after every event; what it raises is raised here. Raises TimeoutError."""
+        """Wait until ``condition()``, evaluated after every event, is true; it may raise. Raises TimeoutError."""
 
         def judged() -> bool:
             if self._over is not None:
@@ -284,21 +278,21 @@ class Composed:
 
     @property
     def end_limit_s(self) -> float:
-        """No end takes longer than this (s), whatever port and slaves do."""
+        """Upper limit of the time (s) that the end of the bus takes."""
         return ns_to_s(end_limit_ns(self.params, self.rotation_limit_ns) + self.runtime.close_limit_ns)
 
     @property
     def ender(self) -> asyncio.Task[None] | None:
-        """The task that carries the end out, once it was begun."""
+        """The task that carries out the end; None before."""
         return self._ending
 
     @property
     def is_left(self) -> bool:
-        """A finaliser has ended it, or this process is a fork of its own: there is nothing to close."""
+        """True after the end by a finaliser, and in a forked child: ``close()`` does nothing."""
         return self._left
 
     def leave(self, why: DpError) -> None:
-        """It is over without :meth:`close`; ``why`` is raised by every order. Its event loop is not touched."""
+        """End without :meth:`close` and without the event loop; later calls raise ``why``."""
         self._open = False
         self._left = True
         self._over = why

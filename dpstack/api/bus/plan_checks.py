@@ -1,4 +1,4 @@
-"""What the plan of a bus takes from the configuration beside the slaves, and what keeps a bus from being opened."""
+"""Inputs of the plan from the configuration (other masters, T_TR, adapter), and plans that are refused."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text, ms_text
 
-#: what an exchange and the token cost over an adapter with a latency timer of 1 ms (docs/bus-parameters.md)
+#: time (ns) of an exchange and of the token over an adapter with a latency timer of 1 ms (docs/bus-parameters.md)
 _ADAPTER_EXCHANGE: Final = 2 * NS_PER_MS
 _ADAPTER_TOKEN: Final = NS_PER_MS
 
 
 def other_masters(config: Config, baud: int) -> OtherMasters:
-    """``other_masters`` at ``baud``. What they need in ms they need at the bus's own rate: in bit times it is the same
-    at every rate.
+    """``other_masters`` at ``baud``. Their times in ms apply to the bus's own rate: in bit times they are the same at
+    every rate.
     """
     given = config.bus.other_masters
     if isinstance(given, int):
@@ -42,7 +42,7 @@ def data_control_ns(config: Config) -> int:
     return config.bus.data_control_time_ms * NS_PER_MS if config.bus.auto_clear else 0
 
 
-def news_of_plan(config: Config, plan: Plan, setups: Sequence[SlaveParams], added: SlaveParams) -> list[str]:
+def new_plan_texts(config: Config, plan: Plan, setups: Sequence[SlaveParams], added: SlaveParams) -> list[str]:
     """Findings and notes of the running bus of ``plan`` that are new because ``added`` joins ``setups``."""
 
     def texts(slaves: Sequence[SlaveParams]) -> tuple[str, ...]:
@@ -73,12 +73,12 @@ def _at_rates(config: Config) -> Iterable[Figures]:
         try:
             params, setups = config.params(rate), config.slave_params
         except ConfigError:
-            continue  # its parameters are for another rate
+            continue  # the bus parameters of the file are for another rate
         yield figures(params, setups, others=other_masters(config, rate))
 
 
 def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveParams]) -> list[str]:
-    """What a USB adapter does to the cycle, which is known before one is opened; nothing where there is time for it."""
+    """A note where the fixed cycle is too short for the delay of a USB adapter; known before the port is opened."""
     slaves = len(rotation(params, setups, Case.SHORTEST).together)
     round_ns = slaves * _ADAPTER_EXCHANGE + _ADAPTER_TOKEN
     if not config.bus.cycle_ns or round_ns <= config.bus.cycle_ns:
@@ -91,7 +91,7 @@ def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveParam
 
 
 def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveParams]) -> None:
-    """Refuse ``setups`` that the cycle of ``plan`` cannot have. Raises ConfigError, one line."""
+    """Raises ConfigError, one line, where the fixed cycle of ``plan`` is impossible with ``setups``."""
     cycle_ns = config.bus.cycle_ns
     if not cycle_ns:
         return
@@ -113,7 +113,7 @@ __all__ = [
     "adapter_notes",
     "cycle_rates",
     "data_control_ns",
-    "news_of_plan",
+    "new_plan_texts",
     "other_masters",
     "refuse_misfit",
     "with_t_tr",

@@ -1,4 +1,4 @@
-"""Drive plugins of a bus that runs in a process of its own: named here, working there."""
+"""Drive plugins that run in the bus process."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 def core_of(slave: SlaveConfig, *, simulated: bool = False) -> DriveCore | None:
-    """The drive plugin of ``slave``; None where it has none, or the application makes the outputs octet by octet.
+    """The drive plugin of ``slave``; None for a slave without one, or whose outputs the application sets as octets.
 
-    ``simulated``: the slave is one of ours, in the same process.
+    ``simulated``: the slave is simulated in this process.
     """
     if slave.profile is None or slave.raw:
         return None
@@ -27,7 +27,7 @@ def core_of(slave: SlaveConfig, *, simulated: bool = False) -> DriveCore | None:
 
 
 def plugin_of(slave: SlaveConfig) -> PluginRef | None:
-    """The plugin of ``slave`` by name. Raises ConfigError for one that is in no entry point: it cannot go along."""
+    """The plugin of ``slave`` by name. Raises ConfigError for one that has no entry point to import."""
     if slave.profile is None or slave.raw:
         return None
     place = registry.places().get(slave.profile.name)
@@ -46,13 +46,8 @@ def plugin_of(slave: SlaveConfig) -> PluginRef | None:
     )
 
 
-def known_places() -> tuple[str, ...]:
-    """Where all drives that may be added while the bus runs are imported from."""
-    return tuple(registry.places().values())
-
-
 def remote_plugin(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin:
-    """The drive plugin of ``slave`` in the bus process. One like it stands here, which knows ranges and references."""
+    """The drive plugin of ``slave`` in the bus process. A copy in this process knows ranges and references."""
     core = core_of(slave)
     assert core is not None
 
@@ -66,7 +61,7 @@ def remote_plugin(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin:
 
 
 async def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin | None:
-    """Put the drive plugin of ``slave`` onto its process image in the running bus process; None where it has none.
+    """Attach the drive plugin of ``slave`` in the running bus process; None for a slave without plugin.
 
     Raises ConfigError where it cannot be imported there.
     """

@@ -1,11 +1,11 @@
-"""Beside other masters: joining their ring, how long it may take, why it failed, and what they need; for people."""
+"""Joining the token ring of other masters: time limit, failure texts, and notices for the user."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-from dpstack.api.bus.parts import Composed
+from dpstack.api.bus.parts import BusBase
 from dpstack.drivers.snapshots import BusSnapshot, View
 from dpstack.errors import BusError
 from dpstack.fdl.events import MasterSeen
@@ -15,7 +15,7 @@ from dpstack.phy.patience import Patience
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_S, ns_to_s
 
-#: a master of another make may be slower than ours: nobody gives up sooner
+#: shortest time limit (s): masters of other makers may be slower
 _LEAST_LIMIT_S: Final = 30.0
 #: the first poll may come before the newcomer knows the ring, or its answer may be damaged
 _PASSES: Final = 2
@@ -23,35 +23,34 @@ _PASSES: Final = 2
 
 def pass_ns(params: BusParams, patience: Patience) -> int:
     """How long a newcomer waits at most for the GAP poll of a master set like this one: the pause between two passes,
-    and one pass over every address up to HSA. (Of what is polled in each rotation only the slot time is counted.)"""
+    and one pass over every address up to HSA. (Only the slot time of each poll is counted.)"""
     cost_ns = patience.silent_ns(params)
     polls = params.hsa + 1
     return params.gap * params.ns(params.t_tr) + polls * cost_ns * max(1, patience.gap_share(polls, cost_ns))
 
 
 def join_limit_s(params: BusParams, patience: Patience) -> float:
-    """When to give up: two passes, 30 s at least."""
+    """Time limit for joining in seconds: two passes, 30 s at least."""
     return max(_LEAST_LIMIT_S, float(-(-_PASSES * pass_ns(params, patience) // NS_PER_S)))
 
 
-class Beside:
-    """What is to be told of other masters: how long joining takes, and what they need beside a port such as ours.
+class OtherMasterNotices:
+    """Notices about other masters: how long joining takes, and the settings they need beside this port.
 
-    The figures are those of the moment: told again when the port was measured and another master comes.
+    The figures are those of the moment: a notice comes again where they changed when another master appears.
     """
 
     def __init__(self, params: BusParams, snapshot: Callable[[], BusSnapshot]) -> None:
         self._params = params
         self._snapshot = snapshot
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     def notices(self, event: Event) -> Iterator[Notice]:
-        """What ``event`` gives cause for."""
         if not (isinstance(event, MasterSeen) and event.present):
             return
         params, bus = self._params, self._snapshot()
         patience = bus.patience
-        if not bus.in_ring and not self._told:
+        if not bus.in_ring and not self._reported:
             within = ns_to_s(pass_ns(params, patience))
             text = (
                 f"waiting for master {event.address} to let station {params.address} into the ring: up to "
@@ -60,15 +59,15 @@ class Beside:
             yield self._notice(event.t_ns, text, Severity.INFO)
         lowest = min(bus.las - {params.address}, default=event.address)
         advice = Neighbours(params, patience, lowest).advice()
-        if advice and advice not in self._told:
+        if advice and advice not in self._reported:
             yield self._notice(event.t_ns, advice, Severity.WARNING)
 
     def _notice(self, now: int, text: str, severity: Severity) -> Notice:
-        self._told.add(text)
+        self._reported.add(text)
         return Notice(t_ns=now, source="ring", message=text, severity=severity)
 
 
-async def join(bus: Composed, timeout: float | None) -> None:
+async def join(bus: BusBase, timeout: float | None) -> None:
     """Wait until the station is in the ring, for :func:`join_limit_s` unless ``timeout`` is given. Raises BusError."""
     limit = join_limit_s(bus.params, bus.snapshot.patience) if timeout is None else timeout
 
@@ -84,7 +83,7 @@ async def join(bus: Composed, timeout: float | None) -> None:
 
 
 def why_not_joined(own: int, view: View, after_s: float) -> str:
-    """One line that says what was heard instead, and what to do."""
+    """One line: the telegrams heard instead, and what to do."""
     counters = view.counters()
     late = f"station {own} is not in the token ring after {after_s:g} s"
     others = sorted(view.bus().las - {own})
@@ -106,8 +105,8 @@ def why_not_joined(own: int, view: View, after_s: float) -> str:
     return f"{late}: nothing is heard and nothing could be sent; check port and cable"
 
 
-def what_was_heard(own: int, view: View) -> tuple[str, Severity]:
-    """One line about what station ``own`` heard before it joined the ring, and its severity."""
+def heard_before_joining(own: int, view: View) -> tuple[str, Severity]:
+    """One line about the telegrams that station ``own`` received before it joined the ring, and its severity."""
     counters, las = view.counters(), view.bus().las
     heard, bad = counters.link.heard, counters.decoder.bad
     others = sorted(las - {own})

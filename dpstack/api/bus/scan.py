@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 from collections.abc import Iterable
 
-from dpstack.api.bus.parts import Composed
+from dpstack.api.bus.parts import BusBase
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found, SlaveView, SurveyOrder, view_of
@@ -14,8 +14,7 @@ from dpstack.errors import DpError
 from dpstack.fdl.telegram import StationType
 
 
-async def scan_on(bus: Composed, *, configs: bool, addresses: Iterable[int], quick: bool | None) -> tuple[Found, ...]:
-    """See ``Bus.scan``."""
+async def scan_on(bus: BusBase, *, configs: bool, addresses: Iterable[int], quick: bool | None) -> tuple[Found, ...]:
     if quick is None:
         quick = not any(slave.ready_now for slave in bus.slaves if not bus.view.read_only)
     own = bus.params.address
@@ -35,7 +34,7 @@ async def scan_on(bus: Composed, *, configs: bool, addresses: Iterable[int], qui
 
 
 def _of_ours(found: Found, slave: Slave | None, own: int) -> Found:
-    """What the master knows of a slave of its own; asking it again would take a diagnosis away from the master."""
+    """``found`` with the master's knowledge of its own slave. A request would take a diagnosis from it."""
     if slave is None or found.kind is not StationType.SLAVE:
         return found
     exchanging = slave.state is SlaveState.DATA_EXCHANGE

@@ -1,6 +1,6 @@
-"""The end of a bus by its application: through cancellations and Ctrl-C, by a finaliser where the event loop is over,
-and not at all in a forked child. The steps are :class:`dpstack.drivers.shutdown.EndSteps`;
-docs/ends.md has every way out.
+"""The ordered end of a bus: through cancellations and Ctrl-C, by a finaliser after the event loop, none in a fork.
+
+The steps are :class:`dpstack.drivers.shutdown.EndSteps`; docs/ends.md lists every way out.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from time import monotonic
 from types import FrameType
 from typing import Final
 
-from dpstack.api.bus.parts import Composed
+from dpstack.api.bus.parts import BusBase
 from dpstack.dp.master.commands import Mode
 from dpstack.drivers.futures import outlast
 from dpstack.drivers.shutdown import EndSteps, at_slaves
@@ -34,32 +34,32 @@ from dpstack.units import NS_PER_MS, ns_to_s
 
 _log: Final = logging.getLogger("dpstack")
 
-#: of the buses of this process that are open: for :func:`hurry_all` and for the child of a fork
+#: ends of the open buses of this process, for :func:`hurry_all` and the child of a fork
 _open: weakref.WeakSet[OrderedEnd] = weakref.WeakSet()
-#: a loop that calls so much too late was blocked
+#: delay (ns) of a timer from which the event loop counts as blocked
 _HELD_UP_NS: Final = 10 * NS_PER_MS
-#: what the system sends to end a program
+#: signals that end a program
 _ENDING_SIGNALS: Final = tuple(
     number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None
 )
-#: Ctrl-C within so many seconds of the beginning of the end is the one that began it
+#: Ctrl-C within this time (s) of the beginning of the end is the one that began it
 SAME_SIGNAL_S: Final = 1.0
 
 
 def hurry_all() -> None:
-    """End every open bus of this process now, without what is not needed to make outputs safe. Within their loop."""
+    """Hurry the end of every open bus of this process (see ``Bus.hurry``). To be called in their event loop."""
     for end in list(_open):
         end.hurry_bus()
 
 
 class OrderedEnd:
-    """The end of ``bus``: how far it is, who makes it, what is said where slaves were not told to be safe.
+    """The end of ``bus``: its steps, the task or finaliser that carries it out, and the report where it failed.
 
-    ``close`` and ``hurry`` are its own.
+    ``close``, ``hurry_bus``: methods of the bus.
     """
 
     def __init__(
-        self, bus: Composed, close: Callable[[], Coroutine[object, object, None]], hurry_bus: Callable[[], None]
+        self, bus: BusBase, close: Callable[[], Coroutine[object, object, None]], hurry_bus: Callable[[], None]
     ) -> None:
         self._bus = bus
         self._close = close
@@ -79,7 +79,7 @@ class OrderedEnd:
     # --- the bus opens and closes -------------------------------------------------------------------------------
 
     async def watch(self) -> None:
-        """The bus has been opened: from now on somebody ends it, whatever becomes of its task, its loop, the program.
+        """The bus has been opened: register everything that ends it when its task, its loop or the program ends.
 
         An asynchronous generator has asyncio.run() end a bus that nobody closed; a finaliser is there for a loop that
         is closed or never runs again.
@@ -97,9 +97,9 @@ class OrderedEnd:
                 self._wake_fd = fd
             except NotImplementedError:
                 os.close(fd)
-        if self._bus.driver == "virtual":  # nobody real has outputs
+        if self._bus.driver == "virtual":  # simulated slaves need no safe values
             return
-        if self._wake_fd < 0:  # only the end of the interpreter is noticed then
+        if self._wake_fd < 0:  # without the descriptor only the end of the interpreter is noticed
             self._held = held
         self._finalizer = weakref.finalize(held, self._without_loop)
         self._finalizer.atexit = False  # see _at_exit
@@ -116,7 +116,7 @@ class OrderedEnd:
         return ender is not None and asyncio.current_task() is ender
 
     async def unwatch(self) -> None:
-        """The bus is closed: nothing is left to be done."""
+        """The bus is closed: undo :meth:`watch`."""
         self._forget()
         keeper, self._keeper = self._keeper, None
         if keeper is not None:
@@ -137,7 +137,6 @@ class OrderedEnd:
     # --- in the loop --------------------------------------------------------------------------------------------
 
     def on_event(self, event: Event) -> None:
-        """The master has stopped, the ring was left."""
         if self._steps is not None:
             self._steps.on_event(event)
             if self._steps.done:
@@ -151,31 +150,30 @@ class OrderedEnd:
             self._wake()
 
     def is_over(self) -> None:
-        """Nothing can be sent any more: no step is waited for."""
+        """The bus can send nothing more: do not wait for further steps."""
         if self._steps is not None:
             self._steps.done = True
             self._wake()
 
     async def carry_out(self) -> None:
-        """All of it, as far as the bus still can, in the time that :func:`~dpstack.drivers.shutdown.end_limit_ns`
-        gives.
+        """All steps that the bus still can carry out, within :func:`~dpstack.drivers.shutdown.end_limit_ns`.
 
-        A cancellation of the task that runs this (asyncio.run() cancels all) changes nothing.
+        A cancellation of the task that runs this (asyncio.run() cancels all) has no effect.
         """
         bus = self._bus
         steps = self._steps = EndSteps(bus.params, lambda: bus.snapshot.in_ring)
         if self._hurried:
             steps.hurry(bus.runtime.now())
-        owed = self._exchanging()
+        exchanging = self._exchanging()
         rotation = bus.rotation_limit_ns
         with self._interrupts_deferred():
             while (order := steps.next_order()) is not None:
                 begun = bus.runtime.now()
-                with contextlib.suppress(DpError):  # a bus that can no longer do it does not hold the program up
-                    given = bus.runtime.order(order)
+                with contextlib.suppress(DpError):  # a failed step must not hold up the program
+                    ordered = bus.runtime.order(order)
                     with contextlib.suppress(asyncio.CancelledError):
-                        await outlast(given)
-                    given.result()
+                        await outlast(ordered)
+                    ordered.result()
                     held_up = False
                     while not steps.done and (left := steps.wait_until(begun, rotation) - bus.runtime.now()) > 0:
                         paused = bus.runtime.now()
@@ -187,10 +185,10 @@ class OrderedEnd:
             # no event: no port tells when the last bit is on the wire, only time does
             self._steps = None
             await self._pause(ns_to_s(steps.over_at(now) - now))
-        self.failed = bool(owed) and not steps.cleared
-        # a bus process that is no more has its own words for that
+        self.failed = bool(exchanging) and not steps.cleared
+        # the process driver itself reports a bus process that has ended
         if self.failed and not (steps.cleared is None and bus.driver == "process"):
-            text = f"the end could not be sent: the slaves got neither safe values nor Clear. {at_slaves(owed)}"
+            text = f"the end could not be sent: the slaves got neither safe values nor Clear. {at_slaves(exchanging)}"
             bus.notice("bus", text, Severity.ERROR)
 
     def _exchanging(self) -> dict[str, int]:
@@ -201,7 +199,7 @@ class OrderedEnd:
         return {s.name: view.slave(s.address).watchdog_ns for s in view.setups.values() if view.image(s).exchanges}
 
     async def _pause(self, seconds: float) -> None:
-        """Until :meth:`_wake`, for so long at most; cancellations change nothing."""
+        """Wait for :meth:`_wake`, at most ``seconds``; cancellations have no effect."""
         loop = asyncio.get_running_loop()
         self._step = step = loop.create_future()
         timer = loop.call_later(seconds, _set, step)
@@ -218,7 +216,7 @@ class OrderedEnd:
 
     @contextlib.contextmanager
     def _interrupts_deferred(self) -> Iterator[None]:
-        """A Ctrl-C that would raise KeyboardInterrupt somewhere in the middle of the end is raised after it.
+        """Defer a Ctrl-C that would raise KeyboardInterrupt in the middle of the end until after it.
 
         One that comes later than :data:`SAME_SIGNAL_S` after the beginning hurries the end. Handlers of signals that
         the program itself has set stay as they are.
@@ -239,7 +237,7 @@ class OrderedEnd:
     # --- without a loop -----------------------------------------------------------------------------------------
 
     def at_exit(self) -> None:
-        """The interpreter ends: the finaliser acts now, if the bus has one."""
+        """The interpreter ends: run the finaliser now, if the bus has one."""
         if self._finalizer is not None and self._finalizer.detach():
             self._without_loop()
 
@@ -266,18 +264,18 @@ class OrderedEnd:
             loop.call_soon_threadsafe(self.hurry_bus)
 
     def _end_now(self, how: str) -> None:
-        """The end by this thread, without the loop. ``how`` the bus was left, for people."""
+        """The end in this thread, without the loop. ``how`` the bus was left, for the log."""
         bus = self._bus
-        owed = self._exchanging()
+        exchanging = self._exchanging()
         why = bus.runtime.end_without_loop()
         bus.leave(UsageError("the bus was left with its event loop"))
         self._forget()
         self._drop_keeper()
-        self.failed = bool(owed and why)
+        self.failed = bool(exchanging and why)
         if not why:
             _log.warning("%s: safe values and Clear were sent at the last moment", how)
-        elif owed:
-            _log.error("%s, and safe values and Clear could not be sent: %s. %s", how, why, at_slaves(owed))
+        elif exchanging:
+            _log.error("%s, and safe values and Clear could not be sent: %s. %s", how, why, at_slaves(exchanging))
 
     async def elsewhere(self) -> bool:
         """Close the bus for a caller outside of the bus's event loop; False where the caller is in that loop.
@@ -331,7 +329,7 @@ class OrderedEnd:
 
 
 class _HeldByLoop:
-    """Nobody but an event loop refers to it: it is gone when the loop is closed."""
+    """Only an event loop refers to it: it is finalised when the loop is closed."""
 
     def never(self) -> None:
         """Its descriptor never becomes readable."""
@@ -351,7 +349,7 @@ def _raises(handler: object) -> bool:
 
 
 class _DeferredSignals:
-    """Signals of ``numbers`` are kept from now on until :meth:`restore`, whichever thread the system gives them to.
+    """Keeps signals of ``numbers`` until :meth:`restore`, whichever thread receives them.
 
     Nothing is changed in threads other than the main one, where no handler runs, and for ignored signals.
     ``late`` is called by one that comes more than :data:`SAME_SIGNAL_S` after the beginning.
@@ -382,12 +380,12 @@ class _DeferredSignals:
             self._late()
 
     def raise_again(self) -> None:
-        """The handlers from before are back, and see the signals that came."""
+        """Restore the earlier handlers and raise the kept signals again."""
         for number in self.restore():
             signal.raise_signal(number)
 
     def restore(self) -> list[int]:
-        """The handlers from before are back. Returns the signals that came, each once."""
+        """Restore the earlier handlers. Returns the kept signals, each once."""
         for number, before in self._before.items():
             if callable(before) or isinstance(before, signal.Handlers):
                 signal.signal(number, before)
@@ -398,8 +396,8 @@ def _separate(watched_fd: int) -> None:
     """In the child of a fork: an event loop's epoll that watches ``watched_fd`` becomes one of the child's own.
 
     The copy of a loop has the parent's epoll. Closing the loop in the child, as asyncio.run() does, would take
-    descriptors out of the parent's loop, among them the one by which threads and signals wake it up. Which epoll it is
-    Linux tells, so it may be the loop of asyncio or another one (uvloop).
+    descriptors out of the parent's loop, among them the one by which threads and signals wake it up. Linux
+    tells which epoll it is, so other loops (uvloop) work, too.
     """
     if sys.platform != "linux" or watched_fd < 0:
         return
@@ -417,7 +415,7 @@ def _in_child() -> None:
 
 
 def _at_exit() -> None:
-    """End all buses that are left, before a signal that comes meanwhile ends the program."""
+    """End all open buses; a signal that comes meanwhile ends the program afterwards."""
     deferred = _DeferredSignals(_ENDING_SIGNALS, lambda: None)
     for end in list(_open):
         end.at_exit()

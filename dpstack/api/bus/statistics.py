@@ -1,4 +1,4 @@
-"""Counters and rotation times of a bus, as one picture."""
+"""Counters and rotation times of a bus: ``bus.stats``."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.master.diag_reader import AlarmCounts
-from dpstack.dp.master.fixed_cycle import CycleBook
+from dpstack.dp.master.fixed_cycle import CycleStats
 from dpstack.dp.process_data import as_json
 from dpstack.fdl.interface import LinkStats, StationStats
 from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s
 
 if TYPE_CHECKING:
-    from dpstack.api.bus.parts import Composed
+    from dpstack.api.bus.parts import BusBase
     from dpstack.api.slave.drive import Drive
     from dpstack.api.slave.slave import Slave
 
-#: counters that are older are not those of this moment
+#: age (ns) from which counters are stale
 STALE_NS: Final = NS_PER_S
 
 
@@ -27,7 +27,7 @@ class SlaveStats:
     """One slave's counters since the start; ``link`` are those of the link layer.
 
     ``inputs_valid``, ``inputs_age`` (seconds, None: there never were any): see :class:`~dpstack.api.slave.slave.Slave`.
-    ``master`` owns it on a read-only bus, as far as is known. ``fields``: its named inputs and outputs,
+    ``master``: address of its master on a read-only bus, None: not known. ``fields``: its named inputs and outputs,
     octets as hex.
     """
 
@@ -50,9 +50,9 @@ class SlaveStats:
     alarms: AlarmCounts | None = None
     #: flags and texts of its last diagnosis; empty before the first
     diagnosis: Mapping[str, object] = field(default_factory=dict)
-    #: what people are told of it, empty where there is nothing
+    #: unusual flags and texts of its last diagnosis in one line
     conspicuous: str = ""
-    #: status and notices of the drive that it is
+    #: status and notices of its drive; empty for other slaves
     drive: Mapping[str, object] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
@@ -77,7 +77,7 @@ class SlaveStats:
 
 
 def inputs_dict(valid: bool, age: float | None) -> dict[str, object]:
-    """What is printed beside inputs: whether they are valid, and their age in ms (null: there never were any)."""
+    """JSON of the validity of inputs and of their age in ms (null: no inputs yet)."""
     return {"inputs_valid": valid, "inputs_age_ms": None if age is None else round(age * 1000, 1)}
 
 
@@ -89,14 +89,13 @@ def diagnosis_dict(slave: Slave) -> dict[str, object]:
     return {"diagnosis": {"flags": list(diagnosis.flags), "texts": list(slave.block_texts)}}
 
 
-def drive_dict(bus: Composed, drive: Drive) -> dict[str, object]:
+def drive_dict(bus: BusBase, drive: Drive) -> dict[str, object]:
     """The status of ``drive``, and ``notices`` with ``t`` in seconds since the start, where there were some."""
     notices = [{"t": round(ns_to_s(one.t_ns - bus.started_ns), 3), "text": one.text} for one in drive.notices]
     return drive.status.as_dict() | ({"notices": notices} if notices else {})
 
 
 def _link_dict(link: StationStats) -> dict[str, object]:
-    """What is printed beside requests given up and repeated."""
     return {"telegrams": link.telegrams, "late": link.late, "wrong": link.wrong, "bad": dict(link.bad)}
 
 
@@ -105,13 +104,13 @@ class BusStats:
     """The whole bus. Rotation times in whole microseconds: ``min``, ``p50``, ``p99``, ``p999``, ``max``.
 
     ``rotation_us`` is first Data_Exchange of a round to that of the next, ``token_us`` token receipt to token receipt.
-    ``paced`` is false where no wire gives the octets their time: the figures are the host's. ``bad`` counts octets and
+    ``paced`` is false on a port without octet times (pty): the figures are the host's. ``bad`` counts octets and
     telegrams that could not be read, by cause (names of DecoderStats); ``uart_...`` are octets that the adapter or its
     driver found damaged. ``stations`` are the link layer's counters of every station that was asked anything, ``link``
     those of this station; ``retries``, ``timeouts`` are their sums.
 
     ``age`` is how old the counters are in seconds: 0 where the bus runs in this process, some 0.1 s with a bus process.
-    ``stale``: nobody keeps the bus running, or they are older than 1 s.
+    ``stale``: the bus does not run, or they are older than 1 s.
     """
 
     seconds: float
@@ -125,14 +124,14 @@ class BusStats:
     late: int
     bad: dict[str, int]
     link: LinkStats
-    #: the books over the fixed cycles; None free running
-    cycles: CycleBook | None
-    #: requests that did not fit between two cycles: waits, and what was sent all the same
+    #: statistics of the fixed cycles; None free running
+    cycles: CycleStats | None
+    #: requests that did not fit between two cycles: delayed, and sent all the same
     held_back: int
     forced: int
-    #: how late answers are delivered, as ``rotation_us``: host, adapter and T_SDR; None where nothing was measured
+    #: how late answers are delivered, as ``rotation_us``: host, adapter and T_SDR; None before the first measurement
     host_us: dict[str, int] | None
-    #: how long a station that matters is waited for beyond its slot time, in ms
+    #: waiting time beyond the slot time for a known station, in ms
     host_slack_ms: float
     age: float = 0.0
     stale: bool = False
@@ -141,7 +140,6 @@ class BusStats:
 
     @property
     def stations(self) -> dict[int, StationStats]:
-        """Counters by station address."""
         return self.link.stations
 
     @property
@@ -151,26 +149,24 @@ class BusStats:
 
     @property
     def retries(self) -> int:
-        """Repeated requests."""
         return sum(station.retries for station in self.stations.values())
 
     @property
     def timeouts(self) -> int:
-        """Requests given up."""
         return sum(station.timeouts for station in self.stations.values())
 
     def _cycle_dict(self) -> dict[str, object]:
-        """A fixed cycle's keys of the summary."""
-        book = self.cycles
-        if book is None:
+        """Keys of the summary about the fixed cycle."""
+        stats = self.cycles
+        if stats is None:
             return {}
         return {
-            "cycle_us": book.cycle_ns / NS_PER_US,
-            "cycles": book.begun,
-            "late_us": book.late.summary_us(),
-            "missed": book.missed,
-            "left_out": book.left_out,
-            "missed_by": {reason.value: count for reason, count in book.reasons.items()},
+            "cycle_us": stats.cycle_ns / NS_PER_US,
+            "cycles": stats.begun,
+            "late_us": stats.late.summary_us(),
+            "missed": stats.missed,
+            "left_out": stats.left_out,
+            "missed_by": {reason.value: count for reason, count in stats.reasons.items()},
             "held_back": self.held_back,
             "forced": self.forced,
         }
@@ -205,8 +201,8 @@ class BusStats:
         }
 
 
-def collect(bus: Composed) -> BusStats:
-    """The picture at this moment: a copy, later counts do not change it. It never waits for a bus process."""
+def collect(bus: BusBase) -> BusStats:
+    """A copy of the counters of this moment. Never waits for a bus process."""
     view, now = bus.view, bus.runtime.now()
     counters = view.counters()
     age_ns = max(0, now - counters.t_ns) if counters.t_ns else 0

@@ -1,4 +1,4 @@
-"""SYNC and FREEZE as an application sees them: orders that return when they have been sent, and groups of slaves."""
+"""SYNC and FREEZE of groups of slaves; the calls return when the Global_Control has been sent."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from types import TracebackType
 from typing import TypeVar
 
-from dpstack.api.bus.parts import Composed
+from dpstack.api.bus.parts import BusBase
 from dpstack.api.slave.slave import Slave
 from dpstack.argcheck import Sealed
 from dpstack.dp.master.commands import SendControl
@@ -26,9 +26,9 @@ T = TypeVar("T", bound=Event)
 
 
 class GroupOrders:
-    """The orders of one bus that wait for the wire."""
+    """Global_Controls of one bus that have not been sent yet."""
 
-    def __init__(self, bus: Composed) -> None:
+    def __init__(self, bus: BusBase) -> None:
         self._bus = bus
         self._pending: dict[int, tuple[asyncio.Future[Event], type[Event]]] = {}
 
@@ -41,7 +41,7 @@ class GroupOrders:
         sent = await self._order(SendControl(next(_tokens), numbers(groups), **what), ControlSent)
         ahead = sent.t_ns - self._bus.runtime.now()
         if ahead > 0:
-            await asyncio.sleep(ns_to_s(ahead + NS_PER_US))  # never early by the rounding of a float
+            await asyncio.sleep(ns_to_s(ahead + NS_PER_US))  # the rounding of the float must not make it early
         return sent
 
     async def picture(self, groups: Groups) -> dict[int, bytes]:
@@ -61,7 +61,6 @@ class GroupOrders:
         return event
 
     def on_event(self, event: Event) -> None:
-        """An outcome from the machine."""
         if not isinstance(event, (ControlSent, PictureTaken, ControlFailed)) or event.token not in self._pending:
             return
         future, wanted = self._pending[event.token]
@@ -73,14 +72,14 @@ class GroupOrders:
             future.set_result(event)
 
     def end(self, error: DpError) -> None:
-        """Nothing will be sent any more."""
+        """All pending calls raise ``error``."""
         for future, _ in self._pending.values():
             if not future.done():
                 future.set_exception(error)
 
 
 def numbers(groups: Groups) -> tuple[int, ...]:
-    """The group numbers meant; empty for all slaves."""
+    """Group numbers; empty for all slaves."""
     given = (groups,) if isinstance(groups, int) else tuple(groups)
     return () if given == (0,) else given
 
@@ -103,7 +102,7 @@ class Group(Sealed):
     Leaving the block ends SYNC and FREEZE. However the bus is left, safe values reach the outputs all the same.
     """
 
-    def __init__(self, bus: Composed, orders: GroupOrders, groups: Groups) -> None:
+    def __init__(self, bus: BusBase, orders: GroupOrders, groups: Groups) -> None:
         self._bus = bus
         self._orders = orders
         self._groups = numbers(groups)
@@ -141,7 +140,6 @@ class Group(Sealed):
         return {self._bus.slave(address).name: octets for address, octets in picture.items()}
 
     async def exchange(self, outputs: Mapping[str | int, bytes]) -> dict[str, bytes]:
-        """:meth:`write`, then :meth:`read`."""
         await self.write(outputs)
         return await self.read()
 

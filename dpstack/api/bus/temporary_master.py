@@ -1,4 +1,4 @@
-"""A master for one errand: at an address that nobody uses into the ring, and out of it in order; the live list."""
+"""A temporary master at a free address: joining and leaving the ring; the live list of a port."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dpstack.errors import BusError
 from dpstack.fdl.telegram import StationType
 from dpstack.params import MAX_STATION
 
-#: so many addresses in use are tried before somebody has to name one
+#: occupied addresses that are tried before the user has to name one
 _TRIES: Final = 8
 
 #: Makes a bus at a station address that is not open yet.
@@ -45,7 +45,7 @@ async def joined(make_bus: MakeBus, address: int | None = None, *, avoid: Collec
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveListResult:
-    """What is on a bus. ``address`` is the one that this station asked from; ``notes`` are worth a line each."""
+    """The stations of a bus. ``address``: of this station; ``notes``: one line each."""
 
     baud: int
     address: int
@@ -65,7 +65,7 @@ class LiveListResult:
 
 
 async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: bool = False) -> LiveListResult:
-    """Join the bus, ask everybody, leave in order; on a silent bus then ask the own address from another one.
+    """Join the bus, ask all addresses, leave the ring. On a silent bus then ask the own address from another one.
 
     ``make_bus`` makes read-only buses; ``address`` as in :func:`joined`.
     Raises PortError, BusError.
@@ -74,7 +74,7 @@ async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: b
         own = bus.params.address
         stations = await bus.scan(configs=configs)
     notes = list(_notes(stations, bus.unreadable))
-    if bus.snapshot.claimed:  # else another master asked the own address and understood the one answer it got
+    if bus.snapshot.claimed:  # otherwise another master polled the own address and got one answer
         taken = {own, *(found.address for found in stations)}
         other = next(free for free in range(MAX_STATION + 1) if free not in taken)
         try:

@@ -1,4 +1,4 @@
-"""Running an unmodified program in virtual time."""
+"""Programs on simulated buses in virtual time: ``run_virtual``, ``simulate``."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def run_virtual(program: Coroutine[object, object, T], *, paced: bool = False) -
 def simulate(world: World, slaves: Iterable[SlaveTable], *, baud: int | Literal["auto"] = AUTO) -> VirtualBench:
     """Put simulated ``slaves`` (mappings with the keys of a [[slave]] table) on the bus of ``world``.
 
-    ``baud`` in bit/s, or "auto": they listen until they have found the rate, and search anew when the bus falls silent.
-    Buses that share the world are opened with ``open_bus(world=world, ...)``. What is returned switches the slaves off
-    and on, and silences them. Raises ConfigError.
+    ``baud`` in bit/s, or "auto": they search the rate, and again in silence.
+    Buses that share the world are opened with ``open_bus(world=world, ...)``. The bench switches the slaves off and
+    on, and silences them. Raises ConfigError.
     """
     bench = VirtualBench(world, None if baud == AUTO else BusParams.preset(baud))
     for slave in slaves:

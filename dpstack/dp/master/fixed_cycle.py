@@ -80,7 +80,7 @@ class CycleData:
 
 
 @dataclass(slots=True)
-class CycleBook:
+class CycleStats:
     """The books over all fixed cycles; ``cycle_ns`` 0: free running, and nothing is counted but ``begun``.
 
     ``late`` is how late the cycles began that did begin. A deadline miss is a cycle that began later than
@@ -137,7 +137,7 @@ class Cadence:
     )
 
     def __init__(self, cycle_ns: int, emit: Callable[[Event], None]) -> None:
-        self.book = CycleBook(cycle_ns)
+        self.book = CycleStats(cycle_ns)
         self.budget = CycleWindow()
         self.number = 0
         self.started_at = 0
@@ -254,7 +254,7 @@ class _Misses:
 
     __slots__ = ("_book", "_count", "_emit", "_number", "_told_at", "_why", "_worst", "why")
 
-    def __init__(self, book: CycleBook, emit: Callable[[Event], None]) -> None:
+    def __init__(self, book: CycleStats, emit: Callable[[Event], None]) -> None:
         #: the reason for the round under way, should it turn out to be late
         self.why: tuple[MissReason, str] = (MissReason.LATE, "")
         self._book = book

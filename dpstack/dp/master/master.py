@@ -25,7 +25,7 @@ from dpstack.dp.master.commands import (
 from dpstack.dp.master.cycle import ModeTransition, Round
 from dpstack.dp.master.diag_reader import DiagObserver
 from dpstack.dp.master.events import AutoCleared, ForcedClear, MasterStopped, ModeChanged, OperateWaits, SlaveState
-from dpstack.dp.master.fixed_cycle import Cadence, CycleBook, CycleData
+from dpstack.dp.master.fixed_cycle import Cadence, CycleData, CycleStats
 from dpstack.dp.master.global_control import Controls
 from dpstack.dp.master.outputs_watch import DATA_CONTROL_TIME, DataControl, OutputsWatch, missing_reasons
 from dpstack.dp.master.poll_order import Turns
@@ -150,7 +150,7 @@ class Master:
         return self._course.mode
 
     @property
-    def cycles(self) -> CycleBook:
+    def cycles(self) -> CycleStats:
         """The books over the fixed cycles."""
         return self._cadence.book
 
