@@ -5,14 +5,11 @@ from __future__ import annotations
 import json
 import tomllib
 import unicodedata
-from types import FunctionType, ModuleType
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import dpstack
-import dpstack.profile
 from dpstack.api.config.toml import quoted
 from dpstack.api.streams import SlaveFlapping, hand_to
 from dpstack.dp.master.events import DriveEvent, SlaveRemark
@@ -130,11 +127,3 @@ async def test_what_an_event_handler_raises_is_logged_printable(caplog: pytest.L
 
 def assert_printable(text: str) -> None:
     assert all(line.isprintable() for line in text.split("\n")), text
-
-
-@pytest.mark.parametrize("namespace", [dpstack, dpstack.profile], ids=lambda namespace: str(namespace.__name__))
-def test_public_classes_and_functions_have_a_docstring(namespace: ModuleType) -> None:
-    public = {name: getattr(namespace, name) for name in namespace.__all__}
-    assert [
-        name for name, found in public.items() if isinstance(found, type | FunctionType) and not found.__doc__
-    ] == []
