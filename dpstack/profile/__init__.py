@@ -1,12 +1,12 @@
-"""What a drive plugin is written against: declared words, states and parameters, the two ends, the registry.
+"""API of drive plugins: declared words, states and parameters, master side, simulated drive, registry.
 
 - ``channel/``: The parameter channel in a drive's cyclic data
-- ``master/``: The master's end of a drive
-- ``model/``: What a drive plugin declares: words, states, parameters, telegrams
+- ``master/``: Master side of a drive: state machine, orders, process data maps, comparison of settings
+- ``model/``: Declarations of a drive plugin: words, states, parameters, telegrams; orders and status of a drive
 - ``record47/``: PROFIdrive's parameter channel over DP-V1, record 47: both ends as pure machines
 - ``simulator/``: The simulated drive
-- ``declared``: A plugin as a declaration: words, scales, states, safe outputs, texts and parameters
-- ``drive_profile``: One drive as a frozen object: what the bus, the configuration and the simulation must know of it
+- ``declared``: Drive plugins by declaration, without code: words, scales, states, texts and parameters
+- ``drive_profile``: Profile of one drive: its data for bus, configuration and simulation, and its options
 - ``registry``: Drives by name, found by the entry point group ``dpstack.drives``; any installed package can add one
 """
 

@@ -1,7 +1,7 @@
-"""A plugin as a declaration: words, scales, states, safe outputs, texts and parameters; nothing to be programmed.
+"""Drive plugins by declaration, without code: words, scales, states, safe outputs, texts and parameters.
 
-What a drive needs beyond that (an obstacle to name, a direction bit) is a subclass of :class:`DeclaredCore` with the
-hooks of :class:`~dpstack.profile.master.core.DriveCore`.
+A drive with peculiarities (a named obstacle to starting, a direction bit) is a subclass of :class:`DeclaredCore` with
+the hooks of :class:`~dpstack.profile.master.core.DriveCore`.
 
 Its parameter channel is that of a drive without peculiarities: every parameter by its PNU, PROFIdrive's error numbers.
 Both ends are here: :func:`plain_resolver` for :class:`~dpstack.profile.channel.pkw_access.PkwAccess`,
@@ -97,7 +97,7 @@ _CURRENT: Final = Scale("current")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Declaration:
-    """What a drive is, as data.
+    """Data of a drive without code of its own.
 
     ``inputs``: what the words of the process data are, in order: ``status`` first, then ``speed``, ``current``,
     ``torque``, ``fault`` (a number), ``warning`` (bits), or a name of its own; a telegram has as many of them as it

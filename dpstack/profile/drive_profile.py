@@ -1,4 +1,4 @@
-"""One drive as a frozen object: what the bus, the configuration and the simulation must know of it."""
+"""Profile of one drive: its data for bus, configuration and simulation, and its options."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _OPTIONS: Final = {
 
 
 class RateSetting(NamedTuple):
-    """A drive that cannot find the baud rate: its ``option`` says how it is set, ``rates`` what each value means."""
+    """Baud rate of a drive that cannot detect it: the ``option`` with its setting, ``rates`` in bit/s by value."""
 
     option: str
     rates: Mapping[int, int]
@@ -143,7 +143,7 @@ class DriveProfile(DriveType):
         return self.device_factory(self, self.telegram(telegram), checked, extra)
 
     def shared(self, options: Mapping[str, object]) -> dict[str, object]:
-        """Of the core's options those that its simulated drive has, too."""
+        """The options of the core that the simulated drive has too."""
         return {name: value for name, value in options.items() if name in self.device_options}
 
     def _options(

@@ -1,6 +1,6 @@
-"""The master's end of a drive.
+"""Master side of a drive: state machine, orders, process data maps, comparison of settings.
 
-- ``core``: The master's end of one drive: runs once a rotation, walks the drive's state machine
-- ``mapped_core``: A drive whose process data carry more than control word and set point, as its maps say
-- ``settings``: Settings of a drive that its plugin relies on, compared with the drive's own when data exchange begins
+- ``core``: Master side of one drive, called once a rotation: state machine, set point, orders, status events
+- ``mapped_core``: Master side of a drive with process data maps: orders to read and write maps and values
+- ``settings``: Comparison of the settings that a plugin relies on with those in the drive
 """

@@ -1,4 +1,4 @@
-"""The master's end of one drive: runs once a rotation, walks the drive's state machine, answers the application.
+"""Master side of one drive, called once a rotation: state machine, set point, orders, status events.
 
 A plugin subclasses :class:`DriveCore`, hands it its tables and overrides the few hooks at the end of the class. Time
 comes in as ``now`` in ns; nothing here blocks or reads a clock.
@@ -43,9 +43,10 @@ T = TypeVar("T")
 
 
 class Lookup(Generic[T]):
-    """Asked once while ``when()`` is true: ``ask(deadline)``. ``value`` is None until the drive has told.
+    """One request to the drive, ``ask(deadline)``, made once while ``when()`` is true.
 
-    Asked again after the drive was away, and after a time-out; an answer never counts for what came later.
+    ``value``: None until the answer. It is repeated after the drive was offline, and after a time-out. An answer from
+    before that does not count.
     """
 
     __slots__ = ("_ask", "_asked", "_turn", "_when", "value")
@@ -58,14 +59,14 @@ class Lookup(Generic[T]):
         self.value: T | None = None
 
     def reset(self) -> None:
-        """Nothing is known, nothing was asked."""
+        """Forget the answer."""
         if self._asked:
             self._asked = False
             self._turn += 1
             self.value = None
 
     def watch(self, core: DriveCore) -> None:
-        """Inputs have come."""
+        """After new inputs: ask if due."""
         if not self._when():
             self.reset()
         elif not self._asked:
@@ -85,7 +86,6 @@ class Lookup(Generic[T]):
         return {}
 
 
-#: all that one drive is asked
 Lookups = tuple[Lookup[Any], ...]
 
 
@@ -97,9 +97,9 @@ class DriveCore:
     """
 
     scale: Scale = SPEED
-    #: why an acknowledgement may not be taken, for people
+    #: why the drive may ignore an acknowledgement, for people
     lock_hint: str = ""
-    #: what to look at when it does not start and nothing tells why, for people
+    #: what to check when the drive does not start for no known reason, for people
     start_hint: str = ""
     #: orders beyond those of every drive, see :meth:`order`
     own_ops: tuple[str, ...] = ()
@@ -223,7 +223,6 @@ class DriveCore:
     # -- for the application in the same process ------------------------------------------------------------------
 
     def status(self) -> DriveStatus:
-        """Decoded from the last inputs and the last command."""
         online = self.online
         speed, current, torque = self.measured() if online else (None, None, None)
         word = self.status_word if online else 0
@@ -262,7 +261,7 @@ class DriveCore:
 
     @property
     def raw_state(self) -> State:
-        """What the status word alone tells."""
+        """State by the status word alone."""
         return self.table.states.decode(self.status_word) if self.online else State.OFFLINE
 
     def set_goal(self, goal: Goal) -> None:
@@ -273,11 +272,11 @@ class DriveCore:
         self.update()
 
     def achieved(self) -> None:
-        """RUN was reached: from now on leaving it is the drive's doing and is not undone by itself."""
+        """RUN was reached: when the drive leaves it by itself, the master does not start it again."""
         self._achieved = True
 
     def update(self) -> None:
-        """Derive state and control word from the status word and the goal; tell what changed."""
+        """Derive state and control word from the status word and the goal; emit a status event on changes."""
         if self.online:
             status = self.status_word
             raw = self.table.states.decode(status)
@@ -305,7 +304,7 @@ class DriveCore:
         self._orders.tell({"type": "notice", "text": text})
 
     def spawn(self, op: str, steps: Steps[dict[str, object]]) -> None:
-        """Run something of our own; its failure is silent, what it learns it stores itself."""
+        """Run a job without a result event; its failure is silent."""
         self._orders.spawn(DriveJob(op, None, steps, motion=False))
 
     def set_speed(self, fraction: float) -> None:
@@ -321,7 +320,7 @@ class DriveCore:
         self._dirty = True
         self.update()
 
-    # -- hooks: what a plugin overrides ---------------------------------------------------------------------------
+    # -- hooks for a plugin -------------------------------------------------------------------------------------
 
     def cannot(self, op: str) -> str | None:
         """Why an order that moves the drive can never be carried out as things are configured; None where it can."""
@@ -344,7 +343,7 @@ class DriveCore:
         return self._pack(control, setpoint, *self._rest)
 
     def received(self) -> None:
-        """``words`` are new: take from them what the table does not know."""
+        """``words`` are new: decode the fields that the table does not have."""
 
     def control_bits(self) -> int:
         """Bits of the control word besides those that the goal asks for (selectors, direction)."""
@@ -363,7 +362,7 @@ class DriveCore:
         return ("fault",) if self.raw_state in FAULTED else ()
 
     def fault_named(self) -> bool:
-        """True when :meth:`faults` tells all that it ever will."""
+        """True when :meth:`faults` has its final answer."""
         return True
 
     def warnings(self) -> tuple[str, ...]:
@@ -459,7 +458,7 @@ class DriveCore:
         return DriveJob(op, token, steps, motion=False)
 
     def _cancel(self, token: int | None) -> Steps[dict[str, object]]:
-        """Nobody waits any more for the order with ``token``: it ends now, and a start() never comes true later."""
+        """End the order with ``token`` now, so that a start() does not take effect later."""
         yield from ()
         return {"value": self._orders.cancel(token)}
 

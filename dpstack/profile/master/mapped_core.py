@@ -1,4 +1,4 @@
-"""A drive whose process data carry more than control word and set point, as its maps say: the orders about them."""
+"""Master side of a drive with process data maps: orders to read and write maps and values."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ class MappedCore(DriveCore, Generic[M]):
     """
 
     own_ops: tuple[str, ...] = MAP_OPS
-    #: what to do where the telegram has no parameter channel, for people
+    #: remedy where the telegram has no parameter channel, for people
     channel_hint: str = ""
-    #: what people call the output map
+    #: name of the output map for people
     outputs_name: str = "the output map"
 
-    #: as the drive has them; None until that is known
+    #: the drive's maps; None until they are known
     inputs_map: M | None
     outputs_map: M | None
     #: the word at which the inputs' map begins, and that of the outputs
     inputs_at: int = 0
     outputs_at: int = 0
-    #: of a word
+    #: octet order of a word
     octet_order: Literal["big", "little"] = "big"
     #: values of the outputs by key: those of the option, and the present ones
     presets: Mapping[int, int] = MappingProxyType({})
     values: dict[int, int]
     _last_map: M | None = None
-    #: maps that the drive takes at its next power-on, as options; and whether that may have been
+    #: maps that act after the next power-on, as options; and whether a power-on was possible since
     _later: str | None = None
     _doubtful = False
 
@@ -77,12 +77,12 @@ class MappedCore(DriveCore, Generic[M]):
             )
 
     def missing(self) -> list[str]:
-        """The parameters among the outputs that nobody gave a value, by name."""
+        """Names of the parameters among the outputs that have no value."""
         fields = () if self.outputs_map is None else self.outputs_map.fields
         return [f.name for f in fields if f is not None and not f.neutral and f.key not in self.values]
 
     def lost(self, now: int) -> None:
-        """Parameters keep their values; commands and set points do not come back by themselves."""
+        """Parameters keep their values; commands and set points fall back to those of the option."""
         self._last_map = self.outputs_map or self._last_map
         self._doubtful |= self._later is not None
         self.values = {**self.presets, **self._parameters()}
@@ -103,7 +103,7 @@ class MappedCore(DriveCore, Generic[M]):
         return bytes(octets)
 
     def prepare(self, deadline: int) -> Steps[None]:
-        """Nothing runs with a parameter at 0 that nobody chose, nor with words that may stand in another's place."""
+        """Refuse a start with a parameter without a value, or with maps that may not be the drive's."""
         yield from ()
         if self._doubtful:
             raise CommandError(
@@ -119,7 +119,6 @@ class MappedCore(DriveCore, Generic[M]):
             )
 
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
-        """See the class."""
         if op not in MAP_OPS or op not in self.own_ops:
             return None
         deadline = self.now + args.timeout_ns(_TIMEOUT_S)
@@ -134,18 +133,17 @@ class MappedCore(DriveCore, Generic[M]):
             return self.read_map(deadline)
         return self._write(args.text("inputs"), args.text("outputs"), deadline)
 
-    # -- hooks: what a plugin gives ---------------------------------------------------------------------------------
+    # -- hooks for a plugin ---------------------------------------------------------------------------------------
 
     @abstractmethod
     def parse_map(self, text: str | None, *, outputs: bool) -> M:
-        """What a user wrote; None: the map as it is to be without that. Raises ValueError."""
+        """The map of the text ``text``; None: the default map. Raises ValueError."""
 
     def check_maps(self, inputs: M, outputs: M) -> str | None:
-        """Why the drive would not take two maps together; None where it would."""
+        """Why the drive would refuse the two maps together; None where it accepts them."""
         return None
 
     def read_map(self, deadline: int) -> Steps[dict[str, object]]:
-        """Ask the drive for its maps."""
         raise NotImplementedError
 
     def write_map(self, inputs: M, outputs: M, deadline: int) -> Steps[dict[str, object]]:
@@ -185,7 +183,7 @@ class MappedCore(DriveCore, Generic[M]):
         return self._with(maps, values, deadline)
 
     def _with(self, maps: tuple[M, M], values: dict[int, int], deadline: int) -> Steps[dict[str, object]]:
-        """A parameter without a value gets the one that the drive has, before its map acts."""
+        """A parameter without a value gets the drive's present one before the map acts."""
         inputs, outputs = maps
         for field in outputs.fields:
             if field is None or field.neutral or field.key in values or field.key in self.values:
@@ -216,7 +214,7 @@ class MappedCore(DriveCore, Generic[M]):
         )
 
     def _parameters(self) -> dict[int, int]:
-        """The present values of those that are not neutral."""
+        """Present values of the outputs that are not neutral."""
         outputs = self.outputs_map or self._last_map
         fields = () if outputs is None else outputs.fields
         return {f.key: self.values[f.key] for f in fields if f is not None and not f.neutral and f.key in self.values}

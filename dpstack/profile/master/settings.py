@@ -1,4 +1,4 @@
-"""Settings of a drive that its plugin relies on, compared with the drive's own when data exchange begins.
+"""Comparison of the settings that a plugin relies on with those in the drive, when data exchange begins.
 
 The plugin declares each as a :class:`Setting`. The comparison runs in the background, one request of the parameter
 channel at a time, so that an order of the application waits for one of them at most. ``start()`` waits for the result.
@@ -51,12 +51,12 @@ def equal(name: str, expected: float, remedy: str, *, unit: str = "", refuse: bo
 
 
 def same(value: float, expected: float) -> bool:
-    """Equal as far as a parameter with two decimals can tell."""
+    """Equal within 0.01, the step of a parameter with two decimals."""
     return abs(value - expected) < 0.01
 
 
 class CheckedCore(Protocol):
-    """What the comparison needs of the master's end of a drive (:class:`~dpstack.profile.master.core.DriveCore`)."""
+    """Master side of a drive as the comparison uses it (:class:`~dpstack.profile.master.core.DriveCore`)."""
 
     telegram: TelegramSpec
     access: ParameterChannel | None
@@ -100,7 +100,6 @@ class SettingsCheck:
 
     @property
     def state(self) -> SettingsState:
-        """How far it is, or that something differs."""
         if self._differences:
             return SettingsState.DIFFERENT
         if self._busy:
@@ -111,7 +110,7 @@ class SettingsCheck:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """What differs and what was not checked, for people."""
+        """Differences, and settings that were not checked, for people."""
         return (*self._differences, *self._unchecked)
 
     def begin(self) -> None:
@@ -130,7 +129,7 @@ class SettingsCheck:
             core.spawn("settings", self._compare(self._turn))
 
     def reset(self) -> None:
-        """The drive left data exchange: nothing is known."""
+        """Forget all results: the drive left data exchange."""
         self._turn += 1
         self._stale = self._busy = self._known = False
         self._differences, self._refused, self._unchecked = [], [], []

@@ -1,15 +1,15 @@
-"""What a drive plugin declares: words, states, parameters, telegrams.
+"""Declarations of a drive plugin: words, states, parameters, telegrams; orders and status of a drive.
 
-- ``drive_type``: What a drive is on the bus: its ident number and telegrams
+- ``drive_type``: Type of a drive on the bus: ident number, telegrams, user parameters
 - ``drivecom_states``: The DRIVECOM state machine as data: words, commands, states and transitions
 - ``jobs``: Orders of the application that take several cycles, written as generators that are resumed once a cycle
 - ``param_errors``: The error numbers of PROFIdrive's parameter access and their texts
-- ``param_listing``: The parameters of a drive as a list to be read from end to end: what a dump asks for
+- ``param_listing``: List of a drive's parameters for a dump
 - ``param_store``: The parameters of a simulated drive: RAM and EEPROM values, data sets, a count of EEPROM writes
 - ``params``: Drive parameters declared as data: number, type, scale, unit, limits
-- ``process_data_map``: What stands in a drive's process data beside control word and set point: fields in their order
+- ``process_data_map``: Process data maps: the fields in a drive's inputs and outputs beside control word and set point
 - ``profidrive_states``: The PROFIdrive state machine S1 to S5 as data, and its slave side
-- ``states``: States of a drive by common names, decoded by mask and value; the words that lead to a wanted state
-- ``status``: What a drive tells, decoded
+- ``states``: States of a drive by common names, decoded from the status word; control words that lead to a wanted state
+- ``status``: Status of a drive, decoded from its inputs; plain JSON data of it
 - ``words``: Words of process data declared as data: named bits, and scaled fields with unit and range
 """

@@ -1,4 +1,4 @@
-"""What a drive is on the bus: its ident number and telegrams."""
+"""Type of a drive on the bus: ident number, telegrams, user parameters."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class TelegramSpec:
 
 
 class TelegramFamily(NamedTuple):
-    """Telegrams too many to list, made when they are asked for.
+    """Telegrams too many to list, made on request.
 
     ``named``: from a name, raises ConfigError. ``of_config``: from identifier octets, None where they are none.
     """

@@ -84,7 +84,7 @@ _COMMANDS: Final = tuple(
 
 
 class Transition(NamedTuple):
-    """``number``: DRIVECOM's; 0 is the maker's short cut."""
+    """``number``: DRIVECOM's; 0 is the manufacturer's short cut."""
 
     number: int
     source: State
@@ -118,17 +118,8 @@ TRANSITIONS: Final = (
 )
 _NEXT: Final = {(t.source, t.command): t for t in TRANSITIONS}
 
-#: what the status word shows in bits 0-6
-SHOWN: Final = {
-    State.NOT_READY: 0x00,
-    State.SWITCH_ON_INHIBITED: 0x40,
-    State.READY_TO_SWITCH_ON: 0x21,
-    State.READY: 0x23,
-    State.RUNNING: 0x27,
-    State.QUICK_STOP: 0x07,
-    State.FAULT: 0x08,
-    State.FAULT_REACTION: 0x0F,
-}
+#: bits 0-6 of the status word by state
+SHOWN: Final = {row.state: row.value for row in STATES.rows}
 
 #: the master's side: shutdown, switch on, enable; stop is transition 5, quick stop 11, coast 9
 TABLE: Final = ControlTable(
@@ -162,7 +153,7 @@ class DrivecomMachine:
 
     def __init__(self) -> None:
         self.state = State.SWITCH_ON_INHIBITED
-        #: transition 5 has begun, the drive is on its way to standstill
+        #: transition 5 has begun: the drive ramps down
         self.stopping = False
         self._reset = False
 

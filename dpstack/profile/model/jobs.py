@@ -15,11 +15,11 @@ T = TypeVar("T")
 #: Yields once a cycle until it returns its result or raises :class:`CommandError`.
 Steps = Generator[None, None, T]
 
-#: No drive has a larger number; with any up to it a plugin can calculate.
+#: The largest number in an order, an option or a parameter.
 LARGEST: Final = 1e15
-#: no parameter, index or data set has a larger number
+#: The largest parameter number, index or data set.
 _LARGEST_WHOLE: Final = 999_999_999
-#: names of parameters are shorter
+#: Characters of the longest parameter name.
 _LONGEST_NAME: Final = 100
 
 #: Why an order failed: the drive's fault, time, the parameter channel, wrong use, or the slave left data exchange.
@@ -27,7 +27,7 @@ ErrorKind = Literal["fault", "timeout", "parameter", "usage", "lost"]
 
 
 class CommandError(Exception):
-    """An order that cannot be or was not carried out; becomes a result event."""
+    """Failure of an order; becomes its result event. ``number``: the drive's error number."""
 
     def __init__(self, kind: ErrorKind, text: str, number: int | None = None) -> None:
         super().__init__(text)
@@ -49,7 +49,7 @@ class DriveJob:
 
 
 class Args:
-    """The arguments of one order, plain JSON data, checked as they are read. Raises CommandError of kind usage."""
+    """The arguments of one order in plain JSON data. Each method checks one; it raises CommandError of kind usage."""
 
     __slots__ = ("_given", "_op", "_read")
 
@@ -64,32 +64,31 @@ class Args:
         if value is None and default is not None:
             return default
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not -math.inf < value < math.inf:
-            raise CommandError("usage", f"{self._op}: {name} must be a number, not {value!r}")
+            raise self._wrong(name, "a number", value)
         if abs(value) > LARGEST:
             raise CommandError("usage", f"{self._op}: {name} must be a number up to {LARGEST:g}")
         return value
 
     def optional(self, name: str) -> float | None:
-        """A finite number or None."""
         return None if self._get(name) is None else self.number(name)
 
     def integer(self, *names: str) -> int | None:
-        """The first of ``names`` that is given, a whole number from 0 on, or None."""
+        """The first of ``names`` that is present, a whole number from 0 on, or None."""
         found: int | None = None
         for name in names:
             value = self._get(name)
             if value is None or found is not None:
                 continue
             if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-                raise CommandError("usage", f"{self._op}: {name} must be a whole number from 0 on, not {value!r}")
+                raise self._wrong(name, "a whole number from 0 on", value)
             found = self._whole(name, value)
         return found
 
     def name_or_number(self, name: str) -> str | int:
-        """A parameter as users name it."""
+        """Name or number of a parameter."""
         value = self._get(name)
         if isinstance(value, bool) or not isinstance(value, (int, str)):
-            raise CommandError("usage", f"{self._op}: {name} must be a parameter number or name, not {value!r}")
+            raise self._wrong(name, "a parameter number or name", value)
         if isinstance(value, int):
             return self._whole(name, value)
         if len(value) > _LONGEST_NAME:
@@ -99,17 +98,16 @@ class Args:
         return value
 
     def text(self, name: str) -> str | None:
-        """A text or None."""
         value = self._get(name)
         if value is not None and not isinstance(value, str):
-            raise CommandError("usage", f"{self._op}: {name} must be a text, not {value!r}")
+            raise self._wrong(name, "a text", value)
         return value
 
     def tables(self, name: str) -> list[Args]:
         """A list of tables, each with arguments of its own."""
         value = self._get(name)
         if not isinstance(value, (list, tuple)) or not all(isinstance(one, Mapping) for one in value):
-            raise CommandError("usage", f"{self._op}: {name} must be a list of tables, not {value!r}")
+            raise self._wrong(name, "a list of tables", value)
         return [Args(f"{self._op}: {name} {number}", one) for number, one in enumerate(value, 1)]
 
     def flag(self, name: str) -> bool:
@@ -118,7 +116,7 @@ class Args:
         if value is None:
             return False
         if not isinstance(value, bool):
-            raise CommandError("usage", f"{self._op}: {name} must be true or false, not {value!r}")
+            raise self._wrong(name, "true or false", value)
         return value
 
     def timeout_ns(self, default_s: float) -> int:
@@ -129,7 +127,7 @@ class Args:
         return s_to_ns(seconds)
 
     def done(self) -> None:
-        """Refuse what nobody asked for."""
+        """Refuse arguments that no method has read."""
         unknown = [name for name in self._given if name not in self._read]
         if unknown:
             raise CommandError("usage", f"{self._op}: unknown argument {unknown[0]!r}")
@@ -139,13 +137,16 @@ class Args:
             raise CommandError("usage", f"{self._op}: {name} must be a whole number up to {_LARGEST_WHOLE}")
         return value
 
+    def _wrong(self, name: str, wanted: str, value: object) -> CommandError:
+        return CommandError("usage", f"{self._op}: {name} must be {wanted}, not {value!r}")
+
     def _get(self, name: str) -> object:
         self._read.add(name)
         return self._given.get(name)
 
 
 class Orders:
-    """Jobs in the order in which they came; each is resumed once a cycle and ends with a result event."""
+    """The jobs of one drive in order of arrival; each is resumed once a cycle and ends with a result event."""
 
     __slots__ = ("_events", "_jobs")
 
@@ -154,7 +155,7 @@ class Orders:
         self._events: list[dict[str, object]] = []
 
     def begin(self, job: DriveJob) -> None:
-        """A new order; one that moves the drive supersedes the one that did."""
+        """Begin an order; a new motion order supersedes the present one."""
         if job.motion:
             for other in [other for other in self._jobs if other.motion]:
                 self._drop(other)
@@ -163,35 +164,33 @@ class Orders:
         self._resume(job)
 
     def spawn(self, job: DriveJob) -> None:
-        """A job of the plugin's own: it begins with the next cycle."""
+        """Add a job of the plugin; it begins with the next cycle."""
         self._jobs.append(job)
 
     def step(self) -> None:
-        """Another cycle."""
         if self._jobs:
             for job in tuple(self._jobs):
                 self._resume(job)
 
     def end(self, kind: ErrorKind, text: str) -> None:
-        """All end, for this reason."""
+        """End all jobs, as failed."""
         jobs, self._jobs = self._jobs, []
         for job in jobs:
             job.steps.close()
             self._failed(job.token, kind, text)
 
     def cancel(self, token: int | None) -> int:
-        """Nobody waits for this order any more: it ends without a result. How many that were."""
+        """End the orders with ``token`` without a result; their number."""
         ended = [job for job in self._jobs if job.token == token and token is not None]
         for job in ended:
             self._drop(job)
         return len(ended)
 
     def refused(self, token: int, error: CommandError) -> None:
-        """An order that was not begun."""
+        """Result of an order that was not begun."""
         self._failed(token, error.kind, error.text, error.number)
 
     def tell(self, event: dict[str, object]) -> None:
-        """Anything else for the application."""
         self._events.append(event)
 
     def take_events(self) -> list[dict[str, object]]:

@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
-#: what follows a number in record 47 where anything does
+#: the usual additional information behind an error number in record 47
 SUBINDEX: Final = "subindex"
 
 
 class ErrorText(NamedTuple):
-    """``text``; ``info``: what the additional information is, "" where the sources name none."""
+    """``info``: meaning of the additional information, "" where the sources name none."""
 
     text: str
     info: str = ""
@@ -74,7 +74,7 @@ SIEMENS: Final[Mapping[int, str]] = {
 
 #: texts by number
 PARAMETER_ERRORS: Final[Mapping[int, str]] = {number: row.text for number, row in _ROWS.items()}
-#: from here on a number means what the maker says
+#: numbers from here on are the manufacturer's
 MAKERS_FROM: Final = 0x65
 
 

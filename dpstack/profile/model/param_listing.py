@@ -1,4 +1,4 @@
-"""The parameters of a drive as a list to be read from end to end: what a dump asks for, and what cannot be read."""
+"""List of a drive's parameters for a dump: every index and data set, and why a parameter cannot be read."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dpstack.profile.model.params import ParamSpec, ParamTable
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ListedParam:
-    """One line of the list, read by ``name`` with ``data_set`` and ``index`` as a user would.
+    """One line of the list; ``name``, ``data_set`` and ``index`` are the arguments of the read.
 
     ``number`` and ``subindex`` are what the table declares. ``why_not``: why it cannot be read, for people.
     ``per_unit``: counts on the wire that make 1 in ``unit``, 0 where it is not known.

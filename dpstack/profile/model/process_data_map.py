@@ -1,7 +1,7 @@
-"""What stands in a drive's process data beside control word and set point: fields in their order, one map each way.
+"""Process data maps: the fields in a drive's inputs and outputs beside control word and set point, in their order.
 
-How a map is written, which fields there are and where the drive keeps it differ; that a value is checked before it is
-sent and that a wrong map is refused by name does not: :class:`~dpstack.profile.master.mapped_core.MappedCore`.
+Notation, fields and storage of a map belong to the drive. The checks of maps and values are the same for all drives:
+:class:`~dpstack.profile.master.mapped_core.MappedCore`.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ class Field(Protocol):
 
     @property
     def key(self) -> int:
-        """What the drive calls it."""
+        """Number of the field in the drive."""
 
     @property
     def name(self) -> str:
-        """What people call it."""
+        """Name for people."""
 
     @property
     def octets(self) -> int:
@@ -27,7 +27,7 @@ class Field(Protocol):
 
     @property
     def neutral(self) -> bool:
-        """Of an output: 0 moves and changes nothing, so it may be sent before anybody gave a value.
+        """Of an output: the value 0 moves and changes nothing, so it may be sent while there is no other value.
 
         A parameter that the drive keeps (a ramp time, a limit) is not neutral: 0 would be written to it.
         """

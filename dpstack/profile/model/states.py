@@ -1,4 +1,4 @@
-"""States of a drive by common names, decoded by mask and value; the words that lead to a wanted state."""
+"""States of a drive by common names, decoded from the status word; control words that lead to a wanted state."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dpstack.profile.model.words import Word
 
 
 class State(StrEnum):
-    """What a drive is doing, by the same names for every drive; the values are those of the JSON lines."""
+    """State of a drive, with the same names for every drive; the values are those of the JSON lines."""
 
     OFFLINE = "offline"  # no inputs of a drive in data exchange
     UNKNOWN = "unknown"  # a status word that is in no row of the drive's table
@@ -28,7 +28,7 @@ class State(StrEnum):
 
 #: States in which the power stage may turn the motor.
 MOVING = frozenset({State.RUNNING, State.STOPPING, State.QUICK_STOP, State.FAULT_REACTION})
-#: States in which only an acknowledgement helps.
+#: States that only an acknowledgement ends.
 FAULTED = frozenset({State.FAULT, State.FAULT_REACTION})
 
 
@@ -59,7 +59,7 @@ class StateTable:
             self._mask |= row.mask
 
     def decode(self, word: int) -> State:
-        """The state that ``word`` tells, UNKNOWN where it is in no row. Never raises."""
+        """The state of the first row that matches ``word``, else UNKNOWN. Never raises."""
         key = word & self._mask
         state = self._known.get(key)
         if state is None:
@@ -69,7 +69,7 @@ class StateTable:
 
 
 class Goal(Enum):
-    """What the control word works towards."""
+    """Goal of the control word."""
 
     IDLE = "idle"
     RUN = "run"
@@ -99,13 +99,13 @@ class ControlTable:
     releasing: frozenset[State]
 
     def word(self, goal: Goal, state: State) -> int:
-        """The control word for ``goal`` while the drive tells ``state``."""
+        """The control word for ``goal`` while the drive reports ``state``."""
         if goal is Goal.RUN:
             return self.run.get(state, self.steady[Goal.IDLE])
         return self.steady[goal]
 
     def state(self, status: int, own: int) -> State:
-        """The state that ``status`` tells a master whose last control word was ``own``."""
+        """The state of a drive with the status word ``status`` whose master last sent the control word ``own``."""
         state = self.states.decode(status)
         if state in self.releasing and own & self.released_mask != self.released_mask:
             return State.STOPPING

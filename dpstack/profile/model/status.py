@@ -1,4 +1,4 @@
-"""What a drive tells, decoded."""
+"""Status of a drive, decoded from its inputs; plain JSON data of it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from dpstack.profile.model.states import State
 
 
 class SettingsState(StrEnum):
-    """How far the comparison is; the values are those of the JSON lines."""
+    """State of the comparison of the drive's settings; the values are those of the JSON lines."""
 
-    NONE = "none"  # the plugin relies on none, or nothing is known of the drive
+    NONE = "none"  # the plugin relies on no setting, or the drive is offline
     CHECKING = "checking"
-    CHECKED = "checked"  # all are as the plugin expects them
+    CHECKED = "checked"  # all are as the plugin requires
     DIFFERENT = "different"
-    NOT_CHECKED = "not_checked"  # at least one could not be read, the others are as expected
+    NOT_CHECKED = "not_checked"  # at least one could not be read, the others are as required
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,34 +57,23 @@ class DriveStatus:
         return ", ".join(self.warnings) or None
 
     def unknown(self) -> DriveStatus:
-        """The same drive when nothing is known of it: offline, without what it told."""
-        return dataclasses.replace(
-            self,
+        """The same drive offline: set point and settings stay, all values from inputs are removed."""
+        return DriveStatus(
             state=State.OFFLINE,
             running=False,
             reached=False,
+            remote=self.remote,
+            setpoint=self.setpoint,
             speed=None,
             frequency_hz=None,
-            current=None,
-            torque=None,
-            warnings=(),
-            faults=(),
-            words=(),
-            bits=(),
+            settings=self.settings,
+            settings_texts=self.settings_texts,
         )
 
     def as_dict(self) -> dict[str, object]:
         """Plain JSON data; words as four hex digits."""
-        return {
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)} | {
             "state": str(self.state),
-            "running": self.running,
-            "reached": self.reached,
-            "remote": self.remote,
-            "setpoint": self.setpoint,
-            "speed": self.speed,
-            "frequency_hz": self.frequency_hz,
-            "current": self.current,
-            "torque": self.torque,
             "warnings": list(self.warnings),
             "faults": list(self.faults),
             "words": [f"{word:04X}" for word in self.words],
