@@ -27,9 +27,8 @@ from dpstack.profile.model import drivecom_states, process_data_map, profidrive_
 from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramFamily, TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, Steps
 from dpstack.profile.model.param_errors import PARAMETER_ERRORS, error_text
-from dpstack.profile.model.param_listing import ListedParam, listing
 from dpstack.profile.model.param_store import ParamStore
-from dpstack.profile.model.params import ParamSpec, ParamTable, count_of
+from dpstack.profile.model.params import ListedParam, ParamSpec, ParamTable, count_of, listing
 from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
 from dpstack.profile.model.status import DriveStatus, SettingsState
 from dpstack.profile.model.words import N4, SPEED, Scale, Word, signed16

@@ -24,9 +24,8 @@ from dpstack.profile.master.core import DriveCore
 from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
 from dpstack.profile.model.jobs import CommandError
 from dpstack.profile.model.param_errors import PARAMETER_ERRORS
-from dpstack.profile.model.param_listing import ListedParam, listing
 from dpstack.profile.model.param_store import ParamStore
-from dpstack.profile.model.params import ParamSpec, ParamTable
+from dpstack.profile.model.params import ListedParam, ParamSpec, ParamTable, listing
 from dpstack.profile.model.states import FAULTED, ControlTable
 from dpstack.profile.model.words import SPEED, Scale
 from dpstack.profile.record47.client import PLUGIN, ParameterClient

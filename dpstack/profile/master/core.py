@@ -15,7 +15,7 @@ from dpstack.profile.channel.base import ParameterChannel, ParamKey, read_many
 from dpstack.profile.master.settings import Setting, SettingsCheck
 from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, DriveJob, Orders, Steps
-from dpstack.profile.model.param_listing import ListedParam
+from dpstack.profile.model.params import ListedParam
 from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State
 from dpstack.profile.model.status import DriveStatus
 from dpstack.profile.model.words import SPEED, Scale

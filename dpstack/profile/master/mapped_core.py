@@ -172,11 +172,8 @@ class MappedCore(DriveCore, Generic[M]):
         bare, behind = (None, ()) if outputs is None else process_data_map.split(outputs)
         try:
             maps = self.parse_map(inputs, outputs=False), self.parse_map(bare, outputs=True)
-        except ValueError as error:
-            raise CommandError("usage", f"write_map: {error}") from None
-        if (wrong := self.check_maps(*maps)) is not None:
-            raise CommandError("usage", f"write_map: {wrong}")
-        try:
+            if (wrong := self.check_maps(*maps)) is not None:
+                raise ValueError(wrong)
             values = process_data_map.given(behind, maps[1].fields)
         except ValueError as error:
             raise CommandError("usage", f"write_map: {error}") from None

@@ -4,9 +4,8 @@
 - ``drivecom_states``: The DRIVECOM state machine as data: words, commands, states and transitions
 - ``jobs``: Orders of the application that take several cycles, written as generators that are resumed once a cycle
 - ``param_errors``: The error numbers of PROFIdrive's parameter access and their texts
-- ``param_listing``: List of a drive's parameters for a dump
 - ``param_store``: The parameters of a simulated drive: RAM and EEPROM values, data sets, a count of EEPROM writes
-- ``params``: Drive parameters declared as data: number, type, scale, unit, limits
+- ``params``: Drive parameters declared as data: number, type, scale, unit, limits; the list of them that a dump reads
 - ``process_data_map``: Process data maps: the fields in a drive's inputs and outputs beside control word and set point
 - ``profidrive_states``: The PROFIdrive state machine S1 to S5 as data, and its slave side
 - ``states``: States of a drive by common names, decoded from the status word; control words that lead to a wanted state

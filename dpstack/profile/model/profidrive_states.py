@@ -72,12 +72,20 @@ def table(control: Word, status: Word, *, acknowledge: tuple[int, int] = (0x0480
 
 
 _POWERED: Final = frozenset({State.RUNNING, State.STOPPING, State.QUICK_STOP})
+#: the next state after OFF3 (control word bit 2 is 0)
+_OFF3: Final = {
+    State.READY_TO_SWITCH_ON: State.SWITCH_ON_INHIBITED,
+    State.READY: State.SWITCH_ON_INHIBITED,
+    State.RUNNING: State.QUICK_STOP,
+    State.STOPPING: State.QUICK_STOP,
+}
 
 
 class ProfidriveMachine:
-    """The drive's side. ``state``: SWITCH_ON_INHIBITED S1, READY_TO_SWITCH_ON S2, READY S3, RUNNING S4,
+    """The drive's side. Starts in S1.
 
-    STOPPING or QUICK_STOP S5 (by OFF1 or OFF3), FAULT. Starts in S1.
+    ``state``: SWITCH_ON_INHIBITED S1, READY_TO_SWITCH_ON S2, READY S3, RUNNING S4, STOPPING or QUICK_STOP S5 (by OFF1
+    or OFF3), FAULT.
     """
 
     __slots__ = ("_acknowledge", "state")
@@ -119,29 +127,23 @@ class ProfidriveMachine:
         off2, off3 = not control & 0x02, not control & 0x04
         if off2:
             return State.SWITCH_ON_INHIBITED  # coasts from anywhere
+        if off3 and state in _OFF3:
+            return _OFF3[state]
         match state:
             case State.SWITCH_ON_INHIBITED:
                 # bit 0 must be 0 here: a drive does not start because the bus comes up with ON set
                 return State.READY_TO_SWITCH_ON if not off3 and not control & 0x01 else state
             case State.READY_TO_SWITCH_ON:
-                if off3:
-                    return State.SWITCH_ON_INHIBITED
                 return State.READY if on else state
             case State.READY:
-                if off3:
-                    return State.SWITCH_ON_INHIBITED
                 if not on:
                     return State.READY_TO_SWITCH_ON
                 return State.RUNNING if control & 0x08 else state
             case State.RUNNING:
-                if off3:
-                    return State.QUICK_STOP
                 if not on:
                     return State.STOPPING
                 return state if control & 0x08 else State.READY
             case State.STOPPING:
-                if off3:
-                    return State.QUICK_STOP
                 if on and control & 0x08:
                     return State.RUNNING  # taken back during the ramp
                 return State.READY_TO_SWITCH_ON if still else state
