@@ -196,12 +196,10 @@ class SlaveConfig:
 
     @property
     def address(self) -> int:
-        """Its station address."""
         return self.params.address
 
     @property
     def name(self) -> str:
-        """Its name."""
         return self.params.name
 
 

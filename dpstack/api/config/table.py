@@ -179,7 +179,6 @@ class Table:
         return value
 
     def flag(self, key: str, default: bool = False) -> bool:
-        """True or false."""
         value = self._data.get(key, default)
         if not isinstance(value, bool):
             self._wrong(key, "true or false")

@@ -46,7 +46,7 @@ class ParameterPlace:
 
 
 class Listing(Protocol):
-    """A drive of which it is known which parameters it has."""
+    """A drive with known parameters."""
 
     @property
     def name(self) -> str:
@@ -66,7 +66,7 @@ class Readable(Listing, Protocol):
 
     @property
     def address(self) -> int:
-        """Its station address."""
+        """Station address."""
 
     @property
     def per_request(self) -> int:
@@ -80,7 +80,7 @@ class Readable(Listing, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A parameter whose value is not what the file says: ``found`` has the drive's, or why it cannot be read now."""
+    """A parameter that differs from the file: ``found`` has the drive's value, or why it cannot be read."""
 
     saved: SavedParam
     found: SavedParam
@@ -144,7 +144,7 @@ async def compare(
 ) -> Comparison:
     """Read the drive's parameters that are in ``saved`` (a list, or a file) and tell where they differ.
 
-    What is read only is what the drive measures or is, and is compared with ``read_only`` alone. Raises ConfigError
+    Read-only parameters (actual values, properties) are compared only with ``read_only``. Raises ConfigError
     for a file of another type of drive and for a value between two steps of its parameter, UsageError, DriveError.
     """
     listed = saved if isinstance(saved, ParameterList) else ParameterList.load(saved)
@@ -171,7 +171,7 @@ def check_compare(drive: Listing, path: str | Path, *, data_set: int | None = No
 def _compared(
     drive: Listing, listed: ParameterList, where: str, data_set: int | None, read_only: bool
 ) -> tuple[list[tuple[SavedParam, ListedParam]], list[tuple[SavedParam, str]]]:
-    """What is to be compared, and what is not, with the reason. Raises as :func:`compare`."""
+    """The pairs to be compared, and the others with the reason. Raises as :func:`compare`."""
     if listed.drive != drive.kind:
         raise ConfigError(
             f"{where} holds the parameters of a {listed.drive} ({listed.name}), {drive.name} is a {drive.kind}: "

@@ -1,6 +1,6 @@
-"""A list of parameters as a file: TOML, a head and one line an entry, read with every doubt named, written whole.
+"""File format of parameter lists: TOML, a head and one line an entry.
 
-What the lists hold is in :mod:`dpstack.api.lists.parameter_list` and :mod:`dpstack.api.lists.record_list`.
+Its two kinds are in :mod:`dpstack.api.lists.parameter_list` and :mod:`dpstack.api.lists.record_list`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Element = int | float | bool | str
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ListFile:
-    """What files of one kind are made of.
+    """The layout of one kind of file.
 
     ``program`` makes them, ``comment`` is their first line; ``kind`` stands in the head and tells what such a file is
     (None: it has none); ``head``: the other keys of the head, ``entry``: those of an entry, with the types they may
@@ -40,7 +40,6 @@ class ListFile:
     value: str
 
     def text(self, head: Iterable[str], entries: Iterable[str]) -> str:
-        """The file, from lines."""
         marks = [_FORMAT] if self.kind is None else [_FORMAT, f"kind = {quoted(self.kind)}"]
         return "\n".join([f"# {self.comment}", *marks, *head, f"{_ENTRIES} = [", *entries, "]", ""])
 
@@ -75,7 +74,7 @@ class ListFile:
         return table, entries
 
     def check(self, entry: object, where: str, needs: Sequence[str]) -> Mapping[str, Any]:
-        """``entry`` with what it ``needs``, and nothing that there is not. Raises ConfigError naming ``where``."""
+        """``entry``, checked: it has all keys of ``needs`` and no unknown ones. Raises ConfigError naming ``where``."""
         if not isinstance(entry, Mapping):
             self.refuse(where, "is no table")
         for key, value in entry.items():
@@ -91,7 +90,7 @@ class ListFile:
         return entry
 
     def once(self, where: str, entries: Iterable[tuple[object, str]]) -> None:
-        """Raises ConfigError where two entries, each what it is found by and its label, are the same."""
+        """Raises ConfigError where two entries (place, label) have the same place."""
         seen: set[object] = set()
         for place, label in entries:
             if place in seen:
@@ -112,15 +111,15 @@ class Entry(Protocol):
 
     @property
     def place(self) -> Hashable:
-        """What it is found by."""
+        """The key under which an entry is compared."""
 
     @property
     def label(self) -> str:
-        """For people."""
+        """Name or number for messages."""
 
     @property
     def read_only(self) -> bool:
-        """It is what the drive measures or is."""
+        """True for actual values and properties of the drive."""
 
     @property
     def unreadable(self) -> str | None:
@@ -131,11 +130,10 @@ class Entry(Protocol):
 
 
 class ReadOnly(Protocol):
-    """What a parameter of a list is compared with."""
+    """A parameter of the drive or device that an entry is compared with."""
 
     @property
-    def read_only(self) -> bool:
-        """See :class:`Entry`."""
+    def read_only(self) -> bool: ...
 
 
 E = TypeVar("E", bound=Entry)
@@ -164,16 +162,15 @@ class SavedList(Generic[E]):
 
     @property
     def who(self) -> tuple[str, ...]:
-        """Whose list it is: one of the same drive or device may be replaced by it."""
+        """The owner of the list: a file of the same owner may be replaced."""
         return (self.name,)
 
     @property
     def unreadable(self) -> tuple[E, ...]:
-        """Those that could not be read."""
+        """The entries that could not be read."""
         return tuple(one for one in self.parameters if one.unreadable is not None)
 
     def text(self) -> str:
-        """As it stands in a file."""
         head = (f"{key} = {_toml(getattr(self, key), key)}" for key in self.FILE.head)
         lines = (
             ", ".join(f"{key} = {_toml(value)}" for key, value in one.as_dict().items()) for one in self.parameters
@@ -195,7 +192,7 @@ class SavedList(Generic[E]):
 
     @classmethod
     def file(cls, path: str | Path, *who: str) -> FileToBe:
-        """The file for a list of :attr:`who`: no other file than one of the same is replaced."""
+        """The file for a list of :attr:`who`: only an earlier list of the same owner is replaced."""
 
         def is_earlier(there: Path) -> bool:
             try:
@@ -206,13 +203,13 @@ class SavedList(Generic[E]):
         return FileToBe(path, is_earlier, f"earlier dump of {who[-1]}")
 
     def keep(self, file: FileToBe) -> Path:
-        """Write it. Where it is now. Raises UsageError."""
+        """Write it. Returns the path. Raises UsageError."""
         return file.keep(self.text().encode(), complete=self.complete)
 
 
 @dataclass(frozen=True, slots=True)
 class ListComparison(Generic[D, E]):
-    """What a compare found. ``same``: how many are equal; ``skipped``: what was not compared, and why."""
+    """Result of a comparison. ``same``: number of equal entries; ``skipped``: entries not compared, with the reason."""
 
     differences: tuple[D, ...]
     same: int
@@ -222,9 +219,9 @@ class ListComparison(Generic[D, E]):
 def pairs_of(
     saved: Iterable[E], there: Mapping[Any, T], as_entry: Callable[[T], E], *, missing: str, read_only: bool
 ) -> tuple[list[tuple[E, T]], list[tuple[E, str]]]:
-    """What is to be compared, each with what is ``there`` at its place, and what is not, with the reason.
+    """The entries to be compared, each with its counterpart in ``there``, and the others with the reason.
 
-    ``missing``: of what is not there. What is read only is compared with ``read_only`` alone.
+    ``missing``: the reason for an entry without counterpart. Read-only entries are compared only with ``read_only``.
     """
     pairs: list[tuple[E, T]] = []
     skipped: list[tuple[E, str]] = []

@@ -1,4 +1,4 @@
-"""Parameters of a drive in a file: TOML, one line a parameter, so that people read it and `diff` shows what changed."""
+"""``ParameterList``: the parameters of a drive in a file: TOML, one line a parameter, fit for `diff`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FILE: Final = ListFile(
 )
 
 
-#: what a parameter is found by: its name in lower case, and the data set or the element where there are several
+#: the key of a parameter: its name in lower case, and the data set or the element where there are several
 Place = tuple[str, int | None, int | None]
 
 
@@ -51,22 +51,18 @@ class SavedParam:
 
     @property
     def place(self) -> Place:
-        """What it is found by."""
         return self.name.lower(), self.data_set, self.index
 
     @property
     def label(self) -> str:
-        """For people."""
         return label(self.name, self.data_set, self.index)
 
     @property
     def title_label(self) -> str:
-        """With its title."""
         return f"{self.label} ({self.title})"
 
     @property
     def text(self) -> str:
-        """Value and unit for people."""
         return value_text(self.value, self.unit)
 
     def as_dict(self) -> dict[str, Any]:
@@ -90,7 +86,6 @@ class ParameterList(SavedList[SavedParam]):
 
     @property
     def who(self) -> tuple[str, ...]:
-        """Its type, too."""
         return self.drive, self.name
 
     @classmethod

@@ -1,7 +1,4 @@
-"""All parameters of a device's own list (record 47, 980 to 989) in a file: TOML, a line a parameter, arrays whole.
-
-Written into a file and compared with one: what was read as a whole, of whatever program.
-"""
+"""``RecordList``: all parameters that a device lists (record 47, 980 to 989) in a file: TOML, one line a parameter."""
 
 from __future__ import annotations
 
@@ -44,7 +41,6 @@ class ListedValues:
 
     @classmethod
     def of(cls, found: ReadParameter) -> ListedValues:
-        """As it was read."""
         told, form = found.description, found.format
         return cls(
             number=found.pnu,
@@ -57,7 +53,6 @@ class ListedValues:
 
     @property
     def place(self) -> int:
-        """What it is found by."""
         return self.number
 
     @property
@@ -87,12 +82,11 @@ class ListedValues:
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> ListedValues:
-        """From what :meth:`as_dict` made."""
         known = {name: plain[name] for name in _FILE.entry if name in plain}
         return cls(**{**known, "values": tuple(plain.get("values", ()))})
 
     def differences(self, other: ListedValues) -> tuple[int, ...]:
-        """The elements that are not the same, from 0 on; those that one of the two does not have are among them."""
+        """Indexes, from 0, of the elements that differ or that one of the two does not have."""
         count = max(len(self.values), len(other.values))
         both = min(len(self.values), len(other.values))
         return tuple(at for at in range(count) if at >= both or not is_same(self.values[at], other.values[at]))
@@ -123,7 +117,7 @@ class RecordList(SavedList[ListedValues]):
 
 @dataclass(frozen=True, slots=True)
 class RecordDifference:
-    """A parameter whose values are not what the file says; ``elements`` that are not, from 0 on."""
+    """A parameter that differs from the file; ``elements``: indexes, from 0, of the differing ones."""
 
     saved: ListedValues
     found: ListedValues
@@ -150,7 +144,7 @@ RecordComparison = ListComparison[RecordDifference, ListedValues]
 
 
 def list_of(told: Mapping[str, Any]) -> RecordList:
-    """The list in what the order ``parameters`` told (:mod:`dpstack.api.control.record_commands`)."""
+    """The list in the answer to the order ``parameters`` (:mod:`dpstack.api.control.record_commands`)."""
     return RecordList(
         name=told["slave"],
         address=told["address"],
@@ -165,9 +159,9 @@ def list_of(told: Mapping[str, Any]) -> RecordList:
 def compared(
     found: RecordList, saved: RecordList, *, read_only: bool = False, where: str | Path = "the list"
 ) -> RecordComparison:
-    """Where the device is not as ``saved``, element by element.
+    """The differences between the device and ``saved``, element by element.
 
-    What is read only is what the device measures or is, and is compared with ``read_only`` alone. Raises ConfigError
+    Read-only parameters (actual values, properties) are compared only with ``read_only``. Raises ConfigError
     for a list of another type of device.
     """
     if saved.ident != found.ident:

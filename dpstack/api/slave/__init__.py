@@ -1,13 +1,13 @@
-"""A slave and a drive of a bus as their user sees them.
+"""``Slave`` and ``Drive`` of the public API: process data, records, alarms, class 2 services.
 
-- ``alarms``: ``slave.alarms()``: alarms as an application takes and acknowledges them
-- ``class2``: The services of a class 2 master, to be awaited: ``bus.class2``
-- ``drive``: One drive as an application sees it: orders as awaitable calls, errors by type, the latest status
-- ``host``: What a slave, a drive and the class 2 services need of the bus that they are on
-- ``ms2_connection``: A class 2 connection (MS2) to a slave, to be awaited: ``bus.class2.connect(...)``
-- ``record_parameters``: PROFIdrive's parameter access in an asyncio program: any number of parameters, whole lists
-- ``records``: Read and Write of DP-V1 at one slave, to be awaited, by whatever way they go; I&M as typed records
-- ``service_errors``: What each failure of an acyclic service is raised as, whatever the service
-- ``services``: Acyclic services to be awaited: who waits for which
-- ``slave``: One slave as an application sees it
+- ``alarms``: ``slave.alarms()``: alarms of DP-V1 and their acknowledgement
+- ``class2``: ``bus.class2``: the services of a class 2 master
+- ``drive``: ``Drive``: orders, status and parameters of a drive
+- ``host``: Protocol of the bus that slaves, drives and class 2 services use
+- ``ms2_connection``: ``bus.class2.connect(...)``: a class 2 connection (MS2) to a slave
+- ``record_parameters``: PROFIdrive parameter access (record 47) for asyncio programs
+- ``records``: Read, Write and I&M of DP-V1 at one slave, over MS1 or MS2
+- ``service_errors``: Exceptions of failed acyclic services
+- ``services``: Pending acyclic services of a bus: requests, results, cancellation
+- ``slave``: ``Slave``: state, diagnosis, process data and records of a slave
 """

@@ -1,8 +1,8 @@
-"""``slave.alarms()``: alarms as an application takes them, and what that has to do with their acknowledgement.
+"""``slave.alarms()``: alarms of DP-V1 and their acknowledgement.
 
-While nobody listens the station acknowledges alarms itself, so that no slave waits for ever; they are events then, as
-they always are. While somebody listens an alarm is acknowledged when every listener has it: a slow one holds further
-alarms of the slave back at the slave, and nothing piles up here.
+Without a listener the station acknowledges alarms itself, so that no slave waits for ever. With listeners an alarm is
+acknowledged when every listener has read it: a slow listener delays further alarms in the slave, and no queue grows
+here. In both cases an alarm is also an event.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import DpError
 from dpstack.trace import Event
 
-#: statuses kept for a reader that does not read
+#: longest queue of status messages of one reader
 _STATUSES: Final = 64
 
 
 @dataclass(eq=False)
 class _Held:
-    """An alarm that the station holds for this application: who has not let go of it yet, and its end."""
+    """An alarm that is not acknowledged yet: the listeners that have not read it (``keepers``), and its end."""
 
     raised: AlarmRaised
     keepers: set[_Listener]
@@ -40,7 +40,6 @@ class _Held:
 
     @property
     def key(self) -> tuple[int, int]:
-        """By slave and number."""
         return self.raised.address, self.raised.number
 
 
@@ -49,11 +48,11 @@ class SlaveAlarm:
 
     ``type`` 1 diagnosis, 2 process, 3 pull, 4 plug, 5 status, 6 update, 32..126 the maker's own, ``title`` in words;
     ``slot`` 0..254; ``sequence`` number 0..31; ``data`` up to 59 octets, whose meaning is in the device's manual.
-    ``user_ack``: it wants something else of the user beside its acknowledgement, for instance a Write (Add_Ack).
-    ``diagnosis`` is the one it came in, ``texts`` what else stands there. ``t_ns``: bus time.
+    ``user_ack`` (Add_Ack): the device expects a user action besides the acknowledgement, for instance a Write.
+    ``diagnosis``: the telegram with the alarm, ``texts``: its other blocks. ``t_ns``: bus time.
     """
 
-    def __init__(self, held: _Held, desk: AlarmDesk) -> None:
+    def __init__(self, held: _Held, desk: AlarmListeners) -> None:
         raised = held.raised
         self.address = raised.address
         self.name = raised.name
@@ -77,22 +76,21 @@ class SlaveAlarm:
 
     @property
     def alarm(self) -> Alarm:
-        """As it came."""
         return self._held.raised.alarm
 
     @property
     def appears(self) -> bool:
-        """Something is wrong with the slot from now on."""
+        """True where the alarm reports a new fault of the slot."""
         return self.specifier is Specifier.APPEARS
 
     @property
     def disappears(self) -> bool:
-        """Something is no longer wrong; :attr:`slot_good` says whether anything still is."""
+        """True where a fault has gone; :attr:`slot_good` tells whether the slot has others."""
         return self.specifier in (Specifier.DISAPPEARS, Specifier.DISAPPEARS_OTHERS)
 
     @property
     def slot_good(self) -> bool | None:
-        """What it says of the slot; None: nothing."""
+        """True: the slot has no fault left; None: the alarm does not tell."""
         return None if self.specifier is Specifier.NONE else self.specifier is Specifier.DISAPPEARS
 
     async def acknowledge(self) -> None:
@@ -107,7 +105,7 @@ class SlaveAlarm:
 
 @dataclass(eq=False)
 class _Listener:
-    """What one ``alarms()`` has not taken yet."""
+    """The unread alarms of one ``alarms()``."""
 
     waiting: deque[SlaveAlarm] = field(default_factory=deque)
     more: asyncio.Event = field(default_factory=asyncio.Event)
@@ -122,18 +120,18 @@ class _Listener:
 class AlarmStream(AsyncIterator[SlaveAlarm]):
     """An async iterator over the alarms of one slave. Ends with the bus, or when the slave is removed from it."""
 
-    def __init__(self, desk: AlarmDesk, address: int, acknowledge: bool) -> None:
+    def __init__(self, desk: AlarmListeners, address: int, acknowledge: bool) -> None:
         self._desk = desk
         self._address = address
         self._acknowledge = acknowledge
         self._listener = _Listener()
         desk.listen(address, self._listener)
-        # who leaves an ``async for`` does not say so; the slave must not wait for him
+        # a program may leave an ``async for`` without close(): the slave must not wait for it
         self._leave = weakref.finalize(self, desk.leave_later, address, self._listener, asyncio.get_running_loop())
         self._leave.atexit = False
 
     def close(self) -> None:
-        """The reader has had enough: what it has not taken is acknowledged. May be repeated."""
+        """End the stream; its unread alarms are acknowledged. May be repeated."""
         self._leave.detach()
         self._desk.leave(self._address, self._listener)
 
@@ -160,8 +158,8 @@ class StatusStream(Stream[Status]):
         super().__init__(_STATUSES)
 
 
-class AlarmDesk:
-    """All alarms of one bus that are listened for."""
+class AlarmListeners:
+    """The alarm and status listeners of one bus."""
 
     def __init__(self, command: Callable[[object], None]) -> None:
         self._command = command
@@ -185,12 +183,12 @@ class AlarmDesk:
     # --- listeners ----------------------------------------------------------------------------------------------
 
     def listen(self, address: int, listener: _Listener) -> None:
-        """From now on ``listener`` has the alarms of the slave at ``address``. Raises UsageError, BusError."""
+        """Give ``listener`` the alarms of the slave at ``address``. Raises UsageError, BusError."""
         self._command(HoldAlarms(address, True))
         self._listeners.setdefault(address, []).append(listener)
 
     def leave(self, address: int, listener: _Listener) -> None:
-        """No longer; may be repeated."""
+        """Undo :meth:`listen`. May be repeated."""
         listeners = self._listeners.get(address, [])
         if listener not in listeners:
             return
@@ -202,16 +200,16 @@ class AlarmDesk:
             self._order(HoldAlarms(address, False))
 
     def leave_later(self, address: int, listener: _Listener, loop: asyncio.AbstractEventLoop) -> None:
-        """From a finalizer, which may run anywhere."""
+        """For a finalizer, which may run in any thread."""
         with contextlib.suppress(RuntimeError):  # the loop is over, and the bus with it
             loop.call_soon_threadsafe(self.leave, address, listener)
 
     def taken(self, alarm: SlaveAlarm, listener: _Listener) -> None:
-        """``listener`` handed it to the application."""
+        """``listener`` has given ``alarm`` to the application."""
         self._let_go(alarm._held, listener)
 
     async def acknowledge(self, held: _Held) -> None:
-        """All listeners let go of it; returns when the slave took the acknowledgement."""
+        """Acknowledge for all listeners; returns when the slave has confirmed."""
         for listener in tuple(held.keepers):
             self._let_go(held, listener)
         await held.ended.wait()
@@ -233,13 +231,13 @@ class AlarmDesk:
             self._held.pop(held.key, None)
 
     def _order(self, command: object) -> None:
-        with contextlib.suppress(DpError):  # the bus is over, or the slave removed: nothing is held any more
+        with contextlib.suppress(DpError):  # the bus has ended, or the slave was removed
             self._command(command)
 
     # --- from the machine ---------------------------------------------------------------------------------------
 
     def take(self, event: Event) -> bool:
-        """True for what is told to nobody else."""
+        """True for events that no other reader gets."""
         match event:
             case AlarmRaised(held=True):
                 self._raised(event)
@@ -256,7 +254,7 @@ class AlarmDesk:
     def _raised(self, event: AlarmRaised) -> None:
         listeners = self._listeners.get(event.address, [])
         if not listeners:
-            return  # the last one left just now, which has them all acknowledged
+            return  # the last listener left just now: the station acknowledges
         held = self._held[event.address, event.number] = _Held(event, set(listeners))
         for listener in listeners:
             listener.waiting.append(SlaveAlarm(held, self))
@@ -288,7 +286,7 @@ class AlarmDesk:
         self._end_held("was removed from the bus", address)
 
     def end(self, error: DpError) -> None:
-        """Nothing more will come; what is there can still be taken."""
+        """The bus has ended; unread alarms can still be read."""
         self._over = error
         for listeners in self._listeners.values():
             for listener in listeners:
@@ -301,9 +299,9 @@ class AlarmDesk:
     def _end_held(self, why: str, address: int | None = None) -> None:
         for held in tuple(self._held.values()):
             if address in (None, held.raised.address):
-                held.keepers.clear()  # its number may become that of another one
+                held.keepers.clear()  # its number may be used again
                 text = f"an alarm of slave {held.raised.address} was not acknowledged: {why}"
                 self._done(held, held.end or Outcome(failure=ServiceFailure.LINE, text=text))
 
 
-__all__ = ["AlarmDesk", "AlarmStream", "SlaveAlarm", "StatusStream"]
+__all__ = ["AlarmListeners", "AlarmStream", "SlaveAlarm", "StatusStream"]

@@ -1,4 +1,4 @@
-"""The services of a class 2 master, to be awaited: ``bus.class2``.
+"""``bus.class2``: the services of a class 2 master.
 
 They work for the slaves of this bus and for those of others, and take no slave away from its master. Each is one
 request in time that is left in a token hold; it has one result or one error.
@@ -87,7 +87,7 @@ class Class2(Sealed):
         return self._told(await self._read(slave, Service.DIAGNOSIS, timeout))
 
     async def config(self, slave: Slave | str | int, *, timeout: float = 5.0) -> Configuration:
-        """Get_Cfg: the real configuration."""
+        """Get_Cfg: the identifier octets."""
         return Configuration.of((await self._read(slave, Service.CONFIG, timeout)).outcome.data)
 
     async def inputs(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ProcessData:

@@ -1,4 +1,4 @@
-"""One drive as an application sees it: orders as awaitable calls, errors by type, the latest status."""
+"""``Drive``: orders, status and parameters of a drive."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Drive(Sealed):
 
     @property
     def status(self) -> DriveStatus:
-        """What the drive tells at this moment; offline while nobody keeps the bus running."""
+        """The latest status of the drive; offline while the bus does not run."""
         status = self._told()
         if self._setpoints:
             status = dataclasses.replace(status, setpoint=[*self._setpoints.values()][-1])
@@ -284,7 +284,7 @@ class Drive(Sealed):
         return _members(await self.order("write_map", timeout, inputs=inputs, outputs=outputs))
 
     async def order(self, op: str, timeout: float = 5.0, **args: object) -> object:
-        """An order of this drive's own, by name, with its arguments. Raises UsageError naming those it has."""
+        """A drive-specific order by name, with its arguments. Raises UsageError naming the known ones."""
         return (await self._order(op, timeout, **args)).get("value")
 
     async def statuses(self) -> AsyncIterator[DriveStatus]:
@@ -306,7 +306,7 @@ class Drive(Sealed):
     # --- from the bus -------------------------------------------------------------------------------------------
 
     def on_round(self) -> None:
-        """A round is over: hand on the status when the inputs are new."""
+        """Called after each round: gives readers the status when the inputs are new."""
         inputs = self.slave.inputs
         if inputs is not self._seen and inputs != self._seen:
             self._seen = inputs
@@ -317,7 +317,7 @@ class Drive(Sealed):
         self._hand_on()
 
     def on_payload(self, payload: Mapping[str, object], t_ns: int) -> None:
-        """What the plugin told at ``t_ns``."""
+        """``payload`` of the plugin at ``t_ns``."""
         kind = payload.get("type")
         if kind == "result":
             token = payload.get("token")
@@ -341,12 +341,12 @@ class Drive(Sealed):
             self._refuse(DriveError(self.name, f"drive {self.name}: its plugin failed: {payload.get('text')}"))
 
     def on_refused(self, token: int, error: DpError) -> None:
-        """The bus process did not take a set point."""
+        """The bus process refused a set point."""
         if self._setpoints.pop(token, None) is not None:
             self._refused = error
 
     def end(self, error: DpError) -> None:
-        """The bus is over, or the drive was removed: nothing will be answered or told any more."""
+        """The bus has ended or the drive was removed: pending orders and readers end."""
         self._over = True
         self._setpoints.clear()
         self._refuse(error)
@@ -356,7 +356,7 @@ class Drive(Sealed):
     # --- inside -------------------------------------------------------------------------------------------------
 
     def _refuse(self, error: DpError) -> None:
-        """What is pending will not be answered."""
+        """Pending orders raise the error."""
         pending, self._pending = self._pending, {}
         for future in pending.values():
             if not future.done():

@@ -1,4 +1,4 @@
-"""What a slave, a drive and the class 2 services need of the bus that they are on."""
+"""Protocol of the bus that slaves, drives and class 2 services use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A class 2 connection (MS2) to a slave, to be awaited: ``bus.class2.connect(...)``."""
+"""``bus.class2.connect(...)``: a class 2 connection (MS2) to a slave."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TypeVar
 from dpstack.api.config.dpv1 import Ms2Limits
 from dpstack.api.slave.record_parameters import RecordParameters, over_records
 from dpstack.api.slave.records import RecordAccess, usual_timeout
-from dpstack.api.slave.services import Ending, Services
+from dpstack.api.slave.services import ConnectionEnd, Services
 from dpstack.argcheck import Sealed, octets, whole
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.layouts import MAX_RECORD
@@ -49,7 +49,7 @@ class Connection(Sealed, RecordAccess):
         self,
         services: Services,
         done: InitiateDone,
-        ending: Ending,
+        ending: ConnectionEnd,
         name: str,
         longest: int,
         response_ns: int,
@@ -64,7 +64,7 @@ class Connection(Sealed, RecordAccess):
         self._im_call = asyncio.Lock()
         #: the slave's name on this bus, or "slave" and its address
         self.name = name
-        # who forgets it does not say so
+        # a program may drop the connection without close()
         left = weakref.finalize(self, _close_later, services, done.token, ending, asyncio.get_running_loop())
         left.atexit = False
         self._seal(Connection)
@@ -74,12 +74,10 @@ class Connection(Sealed, RecordAccess):
 
     @property
     def address(self) -> int:
-        """Of the slave."""
         return self._done.address
 
     @property
     def who(self) -> str:
-        """The slave for people."""
         return f"slave {self.address} (server SAP {self.server_sap})"
 
     @property
@@ -89,7 +87,7 @@ class Connection(Sealed, RecordAccess):
 
     @property
     def server_sap(self) -> int:
-        """Where it ends in the slave, 0..48."""
+        """The SAP of the slave that serves it, 0..48."""
         return self._done.server_sap
 
     @property
@@ -99,7 +97,7 @@ class Connection(Sealed, RecordAccess):
 
     @property
     def max_data_len(self) -> int:
-        """Octets of data in one service, at most: what the slave said in Initiate, and its GSD file."""
+        """Octets of data in one service, at most: by Initiate and the GSD file."""
         return self.longest
 
     @property
@@ -109,7 +107,6 @@ class Connection(Sealed, RecordAccess):
 
     @property
     def longest(self) -> int:
-        """As :attr:`max_data_len`."""
         return self._longest
 
     @property
@@ -119,8 +116,8 @@ class Connection(Sealed, RecordAccess):
 
     @property
     def is_open(self) -> bool:
-        """Until either end has ended it."""
-        return not self._ending.told.is_set()
+        """True until either side has ended it."""
+        return not self._ending.ended.is_set()
 
     @property
     def reason(self) -> str | None:
@@ -129,7 +126,7 @@ class Connection(Sealed, RecordAccess):
         return ending.over.reason if ending.over is not None else None if ending.lost is None else str(ending.lost)
 
     async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
-        """Read a record: up to ``length`` octets, as many as it can have where nothing is said."""
+        """Read a record: up to ``length`` octets (None: the longest possible)."""
         token = self._services.token()
         wanted = self._longest if length is None else whole("length", length)
         order = ReadOver(token, self._done.token, *_place(slot, index), wanted, self._time(timeout))
@@ -143,7 +140,7 @@ class Connection(Sealed, RecordAccess):
         await self._do(token, order, RecordDone)
 
     async def transport(self, slot: int, index: int, data: bytes = b"", *, timeout: float | None = None) -> bytes:
-        """Data_Transport: ``data`` to the slave, what it sends back."""
+        """Data_Transport: send ``data``, return the slave's data."""
         data = self._checked(data)
         token = self._services.token()
         order = TransportOver(token, self._done.token, *_place(slot, index), data, self._time(timeout))
@@ -158,13 +155,13 @@ class Connection(Sealed, RecordAccess):
         return (await self._diagnosis(self.address)).ident
 
     async def ended(self) -> None:
-        """Wait until it is over, from whatever end; then :attr:`reason` says why."""
-        await self._ending.told.wait()
+        """Wait until either side has ended it; then :attr:`reason` says why."""
+        await self._ending.ended.wait()
 
     async def close(self) -> None:
-        """End it by Abort, and wait until the slave has it back or cannot be told. May be repeated."""
+        """End it by Abort, and wait until the slave has confirmed or is out of reach. May be repeated."""
         self._services.close_connection(self._done.token, self._ending)
-        await self._ending.told.wait()
+        await self._ending.ended.wait()
 
     async def __aenter__(self) -> Connection:
         return self
@@ -178,7 +175,7 @@ class Connection(Sealed, RecordAccess):
         self._check_open()
         try:
             return await self._services.do(token, order, kind)
-        except UsageError as error:  # it ended meanwhile, which was not told yet
+        except UsageError as error:  # it ended before its event came
             if not str(error).startswith(NO_CONNECTION):
                 raise
             raise ConnectionEnded(self.address, f"slave {self.address}: {error}") from None
@@ -199,14 +196,14 @@ class Connection(Sealed, RecordAccess):
         return data
 
 
-def _close_later(services: Services, token: int, ending: Ending, loop: asyncio.AbstractEventLoop) -> None:
-    """From a finalizer, which may run anywhere."""
+def _close_later(services: Services, token: int, ending: ConnectionEnd, loop: asyncio.AbstractEventLoop) -> None:
+    """For a finalizer, which may run in any thread."""
     with contextlib.suppress(RuntimeError):  # the loop is over, and the bus with it
         loop.call_soon_threadsafe(services.close_connection, token, ending)
 
 
 class Connecting:
-    """A connection that is being opened: to be awaited, or entered with ``async with``, which closes it at the end.
+    """A connection being opened: await it, or enter it with ``async with``, which closes it at the end.
 
     Once: a second time raises UsageError.
     """
@@ -244,7 +241,7 @@ class Connecting:
         if not limits.supported:
             raise UsageError(f"{who}: its GSD file says C2_Read_Write_supp = 0: it has no class 2 connections")
         _check_initiate(who, order, limits)
-        ending = services.connections[order.token] = Ending()
+        ending = services.connections[order.token] = ConnectionEnd()
         try:
             done = await services.do(order.token, order, InitiateDone, cancel=CloseConnection(order.token))
         except BaseException:
@@ -263,7 +260,7 @@ def _check_initiate(who: str, order: OpenConnection, limits: Ms2Limits) -> None:
         source, destination = (Address(a[0], a[1], a[2:]) for a in (order.source, order.destination))
         pdu = InitiateReq(order.send_timeout_ns, source=source, destination=destination).build()
     except (PduError, IndexError):
-        return  # refused by the machine, with its reason
+        return  # the machine refuses it with the reason
     if 0 < limits.max_initiate_len < len(pdu):
         raise UsageError(
             f"{who}: Initiate has {len(pdu)} octets with these addresses, its GSD file says "

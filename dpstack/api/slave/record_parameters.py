@@ -1,4 +1,4 @@
-"""PROFIdrive's parameter access in an asyncio program: any number of parameters, whole lists, with progress."""
+"""PROFIdrive parameter access (record 47) for asyncio programs: many parameters, whole lists, progress."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class RecordParameters:
 
     @property
     def counters(self) -> Counters:
-        """Requests, services, octets, and what went wrong on the way."""
+        """Counters of requests, services, octets and failures."""
         return self._client.counters
 
     async def limits(self, timeout: float | None = None) -> Limits:

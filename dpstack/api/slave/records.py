@@ -1,4 +1,4 @@
-"""Read and Write of DP-V1 at one slave, to be awaited, by whatever way they go; I&M as typed records."""
+"""Read, Write and I&M of DP-V1 at one slave, over MS1 or MS2."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
     from dpstack.api.slave.services import Services
 
 T = TypeVar("T")
-#: in seconds: how long a slave may not be ready for a call, and the pauses before it is asked again
+#: in seconds: limit for a slave that is not ready for a call, first and longest pause between two tries
 _PATIENCE: Final = 2.0
 _FIRST_PAUSE: Final = 0.002
 _LONGEST_PAUSE: Final = 0.05
 
 
 def usual_timeout(response_ns: int) -> float:
-    """In seconds, for one service from the order on, those before it included: 10, longer where the slave may work at
-    it for ``response_ns`` (0: not known)."""
+    """The timeout in seconds of one service, with its time in the queue: 10, longer where the slave may work on it for
+    ``response_ns`` (0: not known)."""
     return ns_to_s(service_timeout(response_ns))
 
 
 class RecordAccess(abc.ABC):
-    """Read and Write of one slave, and what is made of them.
+    """Read and Write of one slave, and I&M on top of them.
 
     A ``timeout`` in seconds counts from the call; None: :func:`usual_timeout`.
     """
@@ -59,23 +59,23 @@ class RecordAccess(abc.ABC):
     @property
     @abc.abstractmethod
     def usual_timeout(self) -> float:
-        """Of a service where nothing is said, in seconds."""
+        """The default timeout of a service in seconds."""
 
     @property
     @abc.abstractmethod
     def im_call(self) -> asyncio.Lock:
-        """Held over an I&M call and what it gives: the slave knows one call at a time."""
+        """Held during an I&M call and the read of its answer: the slave handles one call at a time."""
 
     @abc.abstractmethod
     async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
-        """Up to ``length`` octets of a record, None: as many as it can have."""
+        """Up to ``length`` octets of a record (None: the longest possible)."""
 
     @abc.abstractmethod
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
         """All of ``data``."""
 
     async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
-        """I&M ``number`` 0..4 of ``slot``: the call, then what it gives. Raises as :meth:`read`.
+        """I&M ``number`` 0..4 of ``slot``: the call, then its answer. Raises as :meth:`read`.
 
         A slave that is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel) is asked again for up to 2 s,
         or ``timeout`` where that is shorter.
@@ -111,7 +111,7 @@ class RecordAccess(abc.ABC):
 
     @contextlib.asynccontextmanager
     async def _calling(self, what: str, given: float | None) -> AsyncIterator[None]:
-        """The only I&M call to this slave; a negative answer is told as one to ``what``."""
+        """Lock out other I&M calls to this slave; a negative answer is raised as one to ``what``."""
         timeout = self.usual_timeout if given is None else given
         time_of(timeout)
         try:
@@ -129,7 +129,7 @@ class RecordAccess(abc.ABC):
 
 
 async def _until_ready(service: Callable[[], Awaitable[T]], timeout: float | None) -> T:
-    """The result of ``service``, asked for again while the slave says that it is not ready, and there is time."""
+    """The result of ``service``, repeated while the slave is not ready and there is time."""
     loop = asyncio.get_running_loop()
     until, pause = loop.time() + min(_PATIENCE, _PATIENCE if timeout is None else timeout), _FIRST_PAUSE
     while True:
@@ -161,11 +161,11 @@ class Records(RecordAccess):
 
     @property
     def im_call(self) -> asyncio.Lock:
-        """One for all who ask this slave."""
+        """One lock for all callers."""
         return self._services.im_call(self.address)
 
     async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
-        """Up to ``length`` octets, None: as many as it can have."""
+        """Up to ``length`` octets (None: the longest possible)."""
         token = self._services.token()
         wanted = self.longest if length is None else whole("length", length)
         place = whole("slot", slot), whole("index", index)

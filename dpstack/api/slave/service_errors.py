@@ -1,4 +1,4 @@
-"""What each failure of an acyclic service is raised as, whatever the service."""
+"""Exceptions of failed acyclic services."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NO: Final = (ServiceFailure.REFUSED, ServiceFailure.KEPT, ServiceFailure.NEGATI
 def error_of(address: int, title: str, outcome: Outcome, record: tuple[int, int] | None = None) -> DpError:
     """The exception of the service ``title`` at the slave ``address`` that ended with the failure in ``outcome``.
 
-    ``record``: slot and index it was about (of an alarm slot and type); None for a service about neither.
+    ``record``: slot and index (of an alarm slot and type); None for other services.
     """
     text, failure = outcome.text, outcome.failure
     if failure is ServiceFailure.ABORTED:

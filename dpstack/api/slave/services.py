@@ -1,4 +1,4 @@
-"""Acyclic services to be awaited: who waits for which."""
+"""Pending acyclic services of a bus: requests, results, cancellation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
-from dpstack.api.slave.alarms import AlarmDesk
+from dpstack.api.slave.alarms import AlarmListeners
 from dpstack.api.slave.service_errors import error_of
 from dpstack.dp.acyclic.job import ServiceEnd, ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
@@ -24,23 +24,23 @@ D = TypeVar("D", bound=ServiceEnd)
 
 
 def time_of(seconds: float, what: str = "timeout") -> int:
-    """A time that a user gives for a service, in ns. Raises UsageError for what is none."""
+    """A timeout of the user in ns. Raises UsageError unless it is a number of seconds from 0 on."""
     if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not 0 <= seconds < math.inf:
         raise UsageError(f"{what} = {seconds!r} is no time for a service: seconds are wanted, 0 or more")
     return s_to_ns(seconds)
 
 
-class Ending:
-    """How a class 2 connection ends: ``over`` once it has. ``lost``: nothing will be told of it any more, and why."""
+class ConnectionEnd:
+    """The end of a class 2 connection. ``over``: its event; ``lost``: the error of a bus that ended before."""
 
     def __init__(self) -> None:
         self.over: ConnectionOver | None = None
         self.lost: DpError | None = None
-        self.told = asyncio.Event()
+        self.ended = asyncio.Event()
 
 
 class Services:
-    """The services under way on one bus, and the alarms that are listened for."""
+    """The pending services, class 2 connections and alarm listeners of one bus."""
 
     def __init__(
         self,
@@ -54,23 +54,22 @@ class Services:
         self._tokens = itertools.count(1)
         self._waiting: dict[int, asyncio.Future[ServiceEnd]] = {}
         #: class 2 connections by the token that opened them
-        self.connections: dict[int, Ending] = {}
-        self.alarms = AlarmDesk(command)
+        self.connections: dict[int, ConnectionEnd] = {}
+        self.alarms = AlarmListeners(command)
         self._im_calls: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
 
     def im_call(self, address: int) -> asyncio.Lock:
-        """Of the slave, see :attr:`~dpstack.api.slave.records.RecordAccess.im_call`."""
+        """The lock of the slave at ``address``, see :attr:`~dpstack.api.slave.records.RecordAccess.im_call`."""
         return self._im_calls[address]
 
     def token(self) -> int:
-        """For one more service."""
         return next(self._tokens)
 
     async def do(self, token: int, command: object, kind: type[D], cancel: object = None) -> D:
-        """Order it and wait for its end, a ``kind``; without a result it is raised
+        """Order a service and wait for its end, an event of ``kind``. Raises the exception of a failure
         (:mod:`dpstack.api.slave.service_errors`).
 
-        ``cancel``: the order that gives it up where it is cancelled (default CancelService).
+        ``cancel``: the order that is sent when the caller is cancelled (default CancelService).
         """
         future: asyncio.Future[ServiceEnd] = asyncio.get_running_loop().create_future()
         self._waiting[token] = future
@@ -86,25 +85,25 @@ class Services:
         assert isinstance(done, kind)
         if done.outcome.failure is not None:
             record = (done.slot, done.index) if isinstance(done, (RecordDone, TransportDone)) else None
-            if done.outcome.failure is ServiceFailure.CLOSED and not self._is_open():  # nothing is wrong with the slave
+            if done.outcome.failure is ServiceFailure.CLOSED and not self._is_open():  # no fault of the slave
                 raise BusError(f"this bus was closed: {done.outcome.text}")
             raise error_of(done.address, done.title, done.outcome, record)
         return done
 
-    def close_connection(self, token: int, ending: Ending) -> None:
+    def close_connection(self, token: int, ending: ConnectionEnd) -> None:
         """End the connection that ``token`` opened; ``ending`` tells when it is over."""
-        if self._is_open() and not ending.told.is_set():
+        if self._is_open() and not ending.ended.is_set():
             with contextlib.suppress(DpError):  # the bus may have ended meanwhile
                 self._command(CloseConnection(token))
 
     def take(self, event: Event) -> bool:
-        """From the machine: True for the end of a service. One that nobody waits for any more is dropped."""
+        """An event from the machine: True for the end of a service, which only its caller gets."""
         if isinstance(event, ConnectionOver):
             ending = self.connections.pop(event.connection, None)
             if ending is not None:
                 ending.over = event
-                ending.told.set()
-            return False  # everybody may know
+                ending.ended.set()
+            return False  # an event for all readers, too
         if isinstance(event, ConnectionsClosed):
             return True
         if not isinstance(event, ServiceEnd):
@@ -115,12 +114,12 @@ class Services:
         return True
 
     def end(self, error: DpError) -> None:
-        """Nothing more will come: everybody who waits is told why."""
+        """Pending services and connections end with ``error``."""
         for future in self._waiting.values():
             if not future.done():
                 future.set_exception(error)
         for ending in self.connections.values():
             ending.lost = error
-            ending.told.set()
+            ending.ended.set()
         self.connections.clear()
         self.alarms.end(error)

@@ -1,4 +1,4 @@
-"""One slave as an application sees it."""
+"""``Slave``: state, diagnosis, process data and records of a slave."""
 
 from __future__ import annotations
 
@@ -57,7 +57,6 @@ class Slave(Sealed):
 
     @property
     def address(self) -> int:
-        """The station address."""
         return self._setup.address
 
     @property
@@ -72,7 +71,7 @@ class Slave(Sealed):
 
     @property
     def snapshot(self) -> SlaveSnapshot:
-        """The slave as its master told of it last."""
+        """The last snapshot of the slave from its master."""
         return self._bus.view.slave(self.address)
 
     @property
@@ -97,7 +96,7 @@ class Slave(Sealed):
 
     @property
     def found(self) -> Found | None:
-        """What a read-only bus has found at its address: type, ident, state, owner."""
+        """On a read-only bus the station found at its address: type, ident, state, owner."""
         found = self._bus.view.bus().found
         return None if found is None else found.get(self.address)
 
@@ -150,8 +149,7 @@ class Slave(Sealed):
 
     @property
     def conspicuous(self) -> str:
-        """What people are told of :attr:`diagnosis`, in one line: flags that are not of the ordinary course, and texts;
-        empty where there is nothing."""
+        """The unusual flags and the texts of :attr:`diagnosis` in one line; empty where there are none."""
         diagnosis = self.diagnosis
         return "" if diagnosis is None else self.conspicuous_text(diagnosis, exchanging=self.ready_now)
 
