@@ -26,8 +26,9 @@ from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, patience_of
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.port_latency import patience_of
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams

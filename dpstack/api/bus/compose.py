@@ -18,9 +18,10 @@ from dpstack.api.slave.drive import DrivePlugin
 from dpstack.api.streams import Rounds
 from dpstack.dp.master.master import Master
 from dpstack.dp.plan.plan import Case, Plan, make_plan
-from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, OnFailure, patience_of
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
-from dpstack.drivers.runtime import OnEvents, OnRefused, Runtime
+from dpstack.drivers.line.port_latency import patience_of
+from dpstack.drivers.runtime import OnEvents, OnFailure, OnRefused, Runtime
 from dpstack.drivers.snapshots import View
 from dpstack.drivers.stack import StackSpec, StackView, build_stack
 from dpstack.drivers.virtual.runtime import VirtualRuntime

@@ -17,7 +17,8 @@ from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, Raised
 from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.resource_manager import ServedConnection, ms2_of
 from dpstack.dpv1.slave.user_slave import DpSlave
-from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, patience_of
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
+from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.errors import AlarmError, BusError, ConfigError, SlaveTimeout, UsageError

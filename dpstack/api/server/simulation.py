@@ -17,7 +17,8 @@ from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingPort
 from dpstack.dp.slave.baud_control import BaudState
 from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
-from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, patience_of
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
+from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.line.rate import settle_ns_of
 from dpstack.drivers.segment.hub import Segment, default_directory
 from dpstack.errors import BusError, ConfigError

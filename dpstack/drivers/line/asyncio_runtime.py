@@ -6,17 +6,14 @@ import asyncio
 from time import monotonic_ns
 
 from dpstack.drivers.futures import ActsAtOnce, outlast
-from dpstack.drivers.line.line_runtime import SPIN_NS, LineRuntime
-from dpstack.drivers.line.port_latency import patience_of
+from dpstack.drivers.line.line_runtime import LineRuntime
 from dpstack.drivers.line.rate import ReopenAttempts
 from dpstack.drivers.line.timers import make_timer
-from dpstack.drivers.runtime import IN_PARENT, OnFailure
+from dpstack.drivers.runtime import IN_PARENT
 from dpstack.drivers.shutdown import end_on_port
 from dpstack.errors import PortError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.units import NEVER, NS_PER_S
-
-__all__ = ["SPIN_NS", "AsyncioRuntime", "OnFailure", "patience_of"]
 
 
 class AsyncioRuntime(LineRuntime, ActsAtOnce):

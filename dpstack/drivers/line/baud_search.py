@@ -6,8 +6,9 @@ import asyncio
 from collections.abc import Sequence
 from time import monotonic_ns
 
-from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, patience_of
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.line.rate import settle_ns_of
 from dpstack.drivers.runtime import PortLost, Runtime
 from dpstack.drivers.virtual.runtime import SimulatedBus, VirtualRuntime

@@ -15,7 +15,7 @@ from typing import Final, TypedDict
 
 from dpstack.drivers.line.answer_timing import Answers
 from dpstack.drivers.line.echo import Echo, EchoFilter
-from dpstack.drivers.line.port_latency import Lateness, Tune
+from dpstack.drivers.line.port_latency import PortLatency, Tune
 from dpstack.drivers.line.rate import BACKOFF_NS, LONGEST, NoRateError, ReopenAttempts, follow, wire_times
 from dpstack.drivers.line.timers import Timer, boottime_ns, suspended_ns
 from dpstack.drivers.runtime import OnEvents, OnFailure, PortBack, PortLost
@@ -85,7 +85,7 @@ class LineRuntime(ABC):
     ) -> None:
         self.failed: Exception | None = None
         #: lateness of answers; with ``tune`` the machine's patience follows from it
-        self.lateness = Lateness(tune)
+        self.lateness = PortLatency(tune)
         self._port = port
         self._machine = machine
         self._on_events = on_events

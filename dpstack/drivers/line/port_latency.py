@@ -21,7 +21,7 @@ def patience_of(port: Port) -> Patience:
     return ADAPTER if port.delivery is Delivery.ADAPTER else HOST
 
 
-class Lateness:
+class PortLatency:
     """Histogram of latencies in ns; with ``tune`` it also derives the patience.
 
     A latency is the time from the last bit of a transmission to the delivery of the octets after it, less the time of

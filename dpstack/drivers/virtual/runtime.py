@@ -13,7 +13,7 @@ from time import monotonic_ns
 from typing import Final, Protocol
 
 from dpstack.drivers.futures import ActsAtOnce
-from dpstack.drivers.line.port_latency import Lateness
+from dpstack.drivers.line.port_latency import PortLatency
 from dpstack.drivers.runtime import IN_PARENT, BehindRealTime, OnEvents
 from dpstack.drivers.virtual.loop import Timeline, VirtualLoop
 from dpstack.errors import BusError, UsageError
@@ -70,7 +70,7 @@ class VirtualRuntime(ActsAtOnce):
     ) -> None:
         self.port_name = port_name
         #: stays empty: no latency in virtual time
-        self.lateness = Lateness()
+        self.lateness = PortLatency()
         self.on_failure = on_failure
         self._world = world
         self._station = station

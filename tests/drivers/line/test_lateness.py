@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from driver_rig import REQUEST, Rig
 
-from dpstack.drivers.line.port_latency import FIRST, Lateness
+from dpstack.drivers.line.port_latency import FIRST, PortLatency
 from dpstack.phy.patience import Patience, measured
 from dpstack.units import NS_PER_MS
 
@@ -27,7 +27,7 @@ def test_three_times_what_was_measured_within_limits(p999_ms: float, known: int,
 
 def test_it_is_derived_after_a_thousand_answers_and_then_now_and_again() -> None:
     told: list[tuple[int, int]] = []
-    lateness = Lateness(lambda patience, now: told.append((patience.known_ns // NS_PER_MS, now)))
+    lateness = PortLatency(lambda patience, now: told.append((patience.known_ns // NS_PER_MS, now)))
     now = 0
     for count in range(1, 22_002):
         sent_at = now + 1_000_000
@@ -43,7 +43,7 @@ def test_it_is_derived_after_a_thousand_answers_and_then_now_and_again() -> None
 
 
 def test_without_anybody_to_tell_it_only_counts() -> None:
-    lateness = Lateness()
+    lateness = PortLatency()
     for _ in range(FIRST + 1):
         lateness.heard(1, 0, 5)
     assert lateness.patience is None
