@@ -1,4 +1,4 @@
-"""The [bus] table of a configuration: the keys of the bus as a whole."""
+"""The [bus] table: keys of the whole bus."""
 
 from __future__ import annotations
 

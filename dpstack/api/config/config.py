@@ -1,4 +1,4 @@
-"""The configuration file: TOML in, checked settings out; every refusal is one clear line with file and line.
+"""``Config``: configuration files, read and checked; every error is one line with file and line number.
 
 :func:`load_config` reads a file, :func:`parse_config` a text, :func:`slave_config` one slave given in a program. All
 raise :class:`~dpstack.errors.ConfigError`. What a drive implies (ident, identifier octets, user parameters, MaxTsdr)
@@ -209,7 +209,7 @@ def slave_config(
 
 
 def _checked(config: Config) -> Config:
-    """What concerns several tables: addresses and names are unique, and the master has one of its own."""
+    """Checks across tables: addresses and names are unique, also that of the master."""
     addresses: dict[int, str] = {}
     names: dict[str, int] = {}
     for number, slave in enumerate(config.slaves):
@@ -244,7 +244,7 @@ def _checked(config: Config) -> Config:
 
 
 def rate_findings(config: Config, baud: int) -> list[str]:
-    """Slaves whose manual, GSD file or setting does not have ``baud``."""
+    """One text for each slave whose manual, GSD file or setting does not support ``baud``."""
     return [
         f"slave {s.address} ({s.name}): {_rate_finding(s, baud)}"
         for s in config.slaves

@@ -1,4 +1,4 @@
-"""The key ``dpv1`` of a [[slave]] table: DP-V1 on or off, what else DPV1_Status says, class 2 connections."""
+"""The table [slave.dpv1]: DPV1_Status, alarms, class 2 connections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Choices made from a GSD file as a [[slave]] table that a configuration accepts."""
+"""A [[slave]] table from the modules and parameters chosen in a GSD file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dpstack.gsd.model import Device, Module
 
 @dataclass(slots=True)
 class Choice:
-    """What a person has chosen. ``modules``: in slot order, None for an empty slot; ``parameters``: what differs."""
+    """The choices. ``modules``: in slot order, None for an empty slot; ``parameters``: the changed ones."""
 
     name: str
     address: int

@@ -1,4 +1,4 @@
-"""A [[slave]] table that names a GSD file: its modules, parameters and what follows from them.
+"""Slaves with a GSD file: modules, parameters, Set_Prm and Chk_Cfg.
 
 What the file requires of its master and a configuration turns off is remarked: legal on the wire, and no use to the
 device.
@@ -51,7 +51,7 @@ _SHOWN_OCTETS: Final = 8
 
 
 class Who(TypedDict):
-    """Whose parameters they are."""
+    """Address and name of the slave, for messages."""
 
     address: int
     name: str
@@ -59,7 +59,7 @@ class Who(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class GsdSlave:
-    """What a GSD file and the choices in the table give. ``notes``: what was decided and might be overlooked."""
+    """Parameters by the GSD file and the choices in the table. ``notes``: decisions that might be overlooked."""
 
     device: Device
     configuration: Configuration
@@ -138,7 +138,6 @@ def _contradicting(reading: Reading, octets: bytes, others: bytes) -> str:
 
 
 def modules_of(table: Table, name: str, key: Key) -> list[int | str]:
-    """The reader of ``modules``."""
     value = table.raw(name)
     if not isinstance(value, list) or any(isinstance(v, bool) or not isinstance(v, (int, str)) for v in value):
         table.fail(name, f"{name} = {value!r} is no list of names and numbers", 'write modules = ["8 DO", 12]')
@@ -146,7 +145,6 @@ def modules_of(table: Table, name: str, key: Key) -> list[int | str]:
 
 
 def reading_of(table: Table, name: str, key: Key) -> Reading:
-    """The reader of ``defaults``."""
     text = table.text(name)
     try:
         return Reading(text)
@@ -163,7 +161,7 @@ def _set_parameters(table: Table, parameters: Mapping[str, object], prm: UserPrm
 
 
 def _given(table: Table, given: Mapping[str, Any], prm: UserPrm) -> bytes | None:
-    """``user_prm`` in place of what follows from the file."""
+    """``user_prm`` of the table instead of the parameters of the file."""
     octets: bytes | None = given.get("user_prm")
     if octets is None:
         return None

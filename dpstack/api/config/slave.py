@@ -1,4 +1,4 @@
-"""One [[slave]] table: its keys, read and checked, also those that change while the bus runs.
+"""The [[slave]] table: keys, checks, changes while the bus runs.
 
 Its keys ``inputs`` and ``outputs`` name its process data.
 """

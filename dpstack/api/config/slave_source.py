@@ -1,4 +1,4 @@
-"""What a [[slave]] table stands on: a known drive, a GSD file, a drive as its maker's GSD file has it, or octets."""
+"""The base of a [[slave]] table: known drive, GSD file, a drive with its maker's GSD file, or octets."""
 
 from __future__ import annotations
 

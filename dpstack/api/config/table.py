@@ -1,4 +1,4 @@
-"""Typed reading of a configuration table: every refusal is one line that says where, what, and what to do.
+"""Typed reading of configuration tables; every error is one line: file and line, problem, remedy.
 
 What a table may hold is stated once, as a class whose annotations are ``Annotated[type, Key(...)]``: the reader, its
 refusals and the tables of docs/configuration.md follow from that. The sentences are in the docstring of the class.
@@ -63,7 +63,7 @@ def keys_of(table: type) -> dict[str, Key]:
 
 
 class Source:
-    """What a configuration was read from: the name for messages, the lines of its keys where it has any, and the
+    """The source of a configuration: its name for messages, the line numbers of its keys (None: no text), and the
     ``file`` as an absolute path without links, None where it is none.
     """
 
@@ -99,17 +99,17 @@ class Table:
         self._data: dict[str, object] = {str(key): value for key, value in data.items()}
 
     def fail(self, key: str | None, what: str, todo: str) -> NoReturn:
-        """Refuse, pointing at ``key`` or at the table."""
+        """Raises ConfigError at ``key``, or at the table."""
         raise self.error(key, what, todo)
 
     def error(self, key: str | None, what: str, todo: str) -> ConfigError:
-        """The refusal itself, for `raise ... from`."""
+        """The ConfigError itself, for `raise ... from`."""
         path = self._path if key is None or key not in self._data else (*self._path, key)
         return self._source.error(path, f"{self.title}: {what}", todo)
 
     @contextlib.contextmanager
     def blaming(self, key: str | None = None, prefix: str = "") -> Iterator[None]:
-        """What is refused in here (``what; what to do``) is refused at ``key``."""
+        """A ConfigError or PduError raised inside is raised anew as an error at ``key``."""
         try:
             yield
         except (ConfigError, PduError) as error:
@@ -117,13 +117,13 @@ class Table:
             raise self.error(key, prefix + what, todo or "correct it") from None
 
     def against_gsd(self, name: str, value: object, gsd: Gsd, device: Device | None) -> None:
-        """Refuse a flag that the device's GSD file does not allow."""
+        """Raises ConfigError for a flag that the device's GSD file does not allow."""
         if device is not None and gsd.says(device) is gsd.required is not value:
             what = f"{name} = {str(value).lower()}, but its GSD file says {gsd.keyword} = {int(gsd.required)}"
             self.fail(name, what, f"leave {name} out")
 
     def check_keys(self, known: Iterable[str]) -> None:
-        """Refuse the first unknown key, with the nearest known one."""
+        """Raises ConfigError for the first unknown key, with the nearest known one."""
         names = list(known)
         for key in self._data:
             if key not in names:
@@ -132,7 +132,7 @@ class Table:
                 self.fail(key, f"unknown key {key!r}", todo)
 
     def read(self, keys: Mapping[str, Key]) -> dict[str, Any]:
-        """The values of those of ``keys`` that are given, None is as if left out. Refuses keys that are not known."""
+        """The values of ``keys`` in the table; None counts as left out. Raises ConfigError for unknown keys."""
         self.check_keys(keys)
         return {name: self._value(name, key) for name, key in keys.items() if self.raw(name) is not None}
 

@@ -1,4 +1,4 @@
-"""TOML: read behind limits, values by tomllib with the line of every key, which it does not tell; and written.
+"""TOML reader with limits and the line of every key (which tomllib does not tell), and TOML texts.
 
 tomllib takes quadratic time for a key of many parts, recurses with every bracket and lets Python's refusal of very long
 numbers through. One pass over the tokens refuses such texts before tomllib sees them. Writing is the little that
