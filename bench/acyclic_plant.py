@@ -61,7 +61,6 @@ class Load(NamedTuple):
 
     @property
     def title(self) -> str:
-        """For a report."""
         return f"{'Write' if self.write else 'Read'} of {self.octets}, {self.answers.value}"
 
 
@@ -79,7 +78,6 @@ class Seen:
 
     @property
     def per_s(self) -> float:
-        """Services a second."""
         return self.done * NS_PER_S / self.ns
 
 
@@ -97,7 +95,6 @@ class RecordDevice(MirrorDevice):
         self.records = self
 
     def ask(self, ticket: Ticket) -> None:
-        """Now or later."""
         if self._slow:
             self._waiting, self._answer_at = ticket, self._now + _SLOW_NS
         else:
@@ -113,7 +110,6 @@ class RecordDevice(MirrorDevice):
         return self._answer_at
 
     def tick(self, now: int) -> None:
-        """It is."""
         if self._waiting is not None:
             self._table.ask(self._waiting)
         self._waiting, self._answer_at = None, NEVER

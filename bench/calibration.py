@@ -58,7 +58,6 @@ class _Station:
         self.frames: dict[int, bytes] = {}
 
     def step(self, number: int) -> None:
-        """One loop."""
         address = number & 0x3F
         frame = self.frame(address, number & 0xFF)
         if self.frames.get(address) != frame:
@@ -102,5 +101,4 @@ class Beside:
 
 
 def speeds(rounds: int = 15) -> Speeds:
-    """Both loops, now."""
     return Speeds(calibrate_python(rounds), calibrate(rounds))

@@ -227,7 +227,6 @@ def chosen(benchmark: str, has: Callable[[str], bool] = exists) -> list[Adapter]
 
 
 def main(words: Sequence[str]) -> int:
-    """The script."""
     figures: Figures = {}
     for adapter in chosen(words[0]):
         figures |= adapter.measure()

@@ -17,8 +17,6 @@ _LEAST: Final = 0.03
 
 
 class Verdict(Enum):
-    """What a difference means."""
-
     SAME = "same"  # within the noise of the rounds
     BETTER = "BETTER"
     WORSE = "WORSE"
@@ -54,7 +52,6 @@ class Comparison:
         return tuple(c.name for c in self.changes if c.verdict in (Verdict.WORSE, Verdict.GONE))
 
     def as_json(self) -> str:
-        """One object."""
         changes = {
             c.name: {
                 "old": c.old,
@@ -71,7 +68,6 @@ class Comparison:
         )
 
     def as_text(self) -> str:
-        """Lines for people."""
         width = max((len(c.name) for c in self.changes), default=0)
         lines = [f"{self.name}: {'old':>{width + 5}} {'new':>12} {'new/old':>10} {'noise':>8}"]
         for c in self.changes:

@@ -54,7 +54,6 @@ class Ended(threading.Event):
 
 
 def told(**facts: object) -> None:
-    """One JSON line."""
     print(json.dumps(facts), flush=True)
 
 
@@ -250,7 +249,6 @@ def pyprofibus_master(args: argparse.Namespace, ended: Ended) -> None:
 
 
 def main() -> int:
-    """The script."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("port")

@@ -55,7 +55,6 @@ class Reading(NamedTuple):
     repeats: tuple[float, ...] = ()
 
     def times(self, factor: float, unit: str, beside: str = "") -> Reading:
-        """In another unit."""
         repeats = tuple(value * factor for value in self.repeats)
         return self._replace(value=self.value * factor, unit=unit, beside=beside, repeats=repeats)
 
@@ -263,7 +262,6 @@ class PairedComparison:
         return [p.name for p in self.pairs if p.verdict is Verdict.SLOWER]
 
     def as_json(self) -> str:
-        """One object."""
         figures = {
             p.name: {
                 "old": _plain(p.old),
@@ -294,7 +292,6 @@ class PairedComparison:
         return json.dumps(data)
 
     def as_text(self) -> str:
-        """Lines for people."""
         width = max((len(p.name) for p in self.pairs), default=0)
         lines = [f"{self.name}: {self.titles[0]} (old) and {self.titles[1]} (new), {len(self.rounds)} rounds"]
         for title, number in (("Python", 0), ("pipe", 1)):

@@ -46,8 +46,6 @@ def mixer(busy_ms: int = 0) -> DpSlave:
 
 
 def read_out(baud: int, *, described: bool, busy_ms: int = 0) -> Reading:
-    """The whole list once."""
-
     async def main() -> Reading:
         world = dpstack.World()
         async with (

@@ -143,7 +143,6 @@ class Report:
         return json.dumps(self.as_dict())
 
     def as_text(self) -> str:
-        """Lines for people."""
         about = self.about
         realtime = cast(Mapping[str, object], about.get("realtime", {}))
         lines = [

@@ -95,7 +95,6 @@ class Wire:
             raise
 
     def run(self) -> None:
-        """On a paced wire."""
         looking_until = 0
         while True:
             due = self.pieces[0][0] if self.pieces else _FOREVER
@@ -238,7 +237,6 @@ class Wire:
 
 
 def main() -> int:
-    """The script."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("slaves", nargs="+", help="as of tests/kits/support_responder.py")
     parser.add_argument("--baud", type=int, required=True)

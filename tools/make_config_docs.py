@@ -95,7 +95,6 @@ def render(page: str) -> str:
 
 
 def main() -> None:
-    """Write the page."""
     TARGET.write_text(render(TARGET.read_text(encoding="utf-8")), encoding="utf-8")
 
 

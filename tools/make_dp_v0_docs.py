@@ -22,7 +22,6 @@ exist. Modules are under `dpstack/`, tests under `tests/`.
 
 
 def render() -> str:
-    """The page."""
     columns = "| | the master | shown by | the slave | shown by |\n|---|---|---|---|---|"
     parts, rows = [_HEAD], tomllib.loads(ROWS.read_text(encoding="utf-8"))
     for title, kind in (("Services", "service"), ("Options and what follows from them", "option")):
@@ -69,7 +68,6 @@ def _bit(flag: Flag) -> str:
 
 
 def main() -> None:
-    """Write the page."""
     TARGET.write_text(render(), encoding="utf-8")
 
 

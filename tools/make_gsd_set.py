@@ -86,7 +86,6 @@ class Maker:
         self._tabs = self._random.random() < 0.2
 
     def octets(self) -> bytes:
-        """The file."""
         text = "\n".join(self._spread(list(self._lines())))
         number = self._number
         if number % 16 != 3:  # 42 files have no line end at their end
@@ -337,7 +336,6 @@ def make_set(files: int = FILES, seed: int = 1) -> Iterator[tuple[str, bytes]]:
 
 
 def main() -> None:
-    """Write them."""
     parser = argparse.ArgumentParser(description="writes made-up GSD files to measure with")
     parser.add_argument("dir", type=Path)
     parser.add_argument("--files", type=int, default=FILES)

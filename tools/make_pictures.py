@@ -51,7 +51,6 @@ def room(module: str, deep: frozenset[str]) -> str | None:
 
 
 def graph(deep: frozenset[str] = frozenset()) -> Graph:
-    """Which room imports which."""
     found: Graph = {}
     for top, name in ((ROOT / "dpstack", "dpstack"), (ROOT / "drives" / "dpstack_drives", "dpstack_drives")):
         for path in sorted(set(top.rglob("*.py")) - {top / "__init__.py"}):
@@ -230,7 +229,6 @@ _CONNECTION: Final = """## A class 2 connection at the slave
 
 
 def main() -> None:
-    """Write both pages."""
     STATES.write_text(states(), encoding="utf-8")
     ARCHITECTURE.write_text(architecture(ARCHITECTURE.read_text(encoding="utf-8")), encoding="utf-8")
 

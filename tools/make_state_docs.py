@@ -10,7 +10,6 @@ TARGET = Path(__file__).resolve().parent.parent / "docs" / "fdl-states.md"
 
 
 def main() -> None:
-    """Write the page."""
     TARGET.write_text(render(), encoding="utf-8")
 
 

@@ -27,8 +27,6 @@ _USUAL_RATES: Final = (187_500, 500_000)
 
 
 class Level(Enum):
-    """How a check went."""
-
     OK = "ok"
     NOTE = "note"  # worth knowing, nothing has to be done
     FINDING = "finding"

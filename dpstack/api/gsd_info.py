@@ -141,7 +141,6 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
 
 
 def diagnostic_dict(diagnostic: Diagnostic) -> dict[str, object]:
-    """One finding."""
     return {
         "line": diagnostic.line,
         "column": diagnostic.column,

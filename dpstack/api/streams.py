@@ -38,7 +38,6 @@ class Stream(AsyncIterator[T]):
         self._ended = False
 
     def put(self, item: T) -> None:
-        """From the bus."""
         self.dropped += len(self._waiting) == self._waiting.maxlen
         self._waiting.append(item)
         self._more.set()
@@ -177,7 +176,6 @@ class Events:
         hand_to(self._on_event, event)
 
     def stream(self) -> EventStream:
-        """One more."""
         stream = EventStream(self._history, self._streams.remove)
         self._streams.append(stream)
         if self._ended:
@@ -238,7 +236,6 @@ class Rounds:
         self._view.watch_rounds(self._on_round)
 
     def unwatch(self, watcher: Callable[[], None]) -> None:
-        """No longer."""
         self._watchers.remove(watcher)
         if not self._watchers:
             self._view.watch_rounds(None)
@@ -271,7 +268,6 @@ class Latest(Generic[T]):
         self._more.set()
 
     def end(self) -> None:
-        """No more will come."""
         self.ended = True
         self._more.set()
 

@@ -91,7 +91,6 @@ class Field:
 
     @property
     def spec(self) -> str:
-        """As it is written."""
         tail = "" if self.bit is None else f".{self.bit}"
         tail += f":{self.length}" if self.type == "bytes" else ""
         return f"{self.type}{_LITTLE if self.little else ''}@{self.octet}{tail}"

@@ -135,7 +135,6 @@ class Ending:
             self._advance()
 
     def on_event(self, event: Event) -> None:
-        """How far it is."""
         if self._why is not None:
             self.steps.on_event(event)
             self._go_on()

@@ -111,8 +111,7 @@ class View(Protocol):
     def setups(self) -> Mapping[int, SlaveParams]:
         """How the master parameterises its slaves, by address."""
 
-    def bus(self) -> BusSnapshot:
-        """Master and station."""
+    def bus(self) -> BusSnapshot: ...
 
     def slave(self, address: int) -> SlaveSnapshot:
         """The slave at ``address``; offline where there is none."""
@@ -146,6 +145,5 @@ class View(Protocol):
 
 
 def no_image(setup: SlaveParams) -> ImageSnapshot:
-    """Before the first exchange."""
     outputs = setup.safe_outputs if setup.initial is None else setup.initial
     return ImageSnapshot(bytes(setup.input_len), outputs, False, 0, 0)

@@ -108,8 +108,6 @@ def _watcher(spec: StackSpec) -> Scanner:
 
 
 class Latency(Protocol):
-    """How late answers arrive."""
-
     histogram: Histogram
 
 
@@ -117,8 +115,7 @@ class Line(Protocol):
     """The driver that keeps the machines of a bus running."""
 
     @property
-    def lateness(self) -> Latency:
-        """How late answers arrive."""
+    def lateness(self) -> Latency: ...
 
     def damage(self) -> dict[str, int]:
         """Octets that arrived damaged, by cause."""
@@ -241,7 +238,6 @@ class StackSurvey:
         self.begin_now(order)
 
     def begin_now(self, order: SurveyOrder) -> None:
-        """Begin to ask."""
         self._scanner = order.scanner(self._station.params, self._station.patience, self._line.now())
         self._line.command(AttachUser(self._scanner))
 

@@ -63,7 +63,6 @@ class Evidence:
         return self._checked > 0 or len(self._tokens) > 1 or any(count > 1 for count in self._tokens.values())
 
     def hear(self, chunk: bytes, now: int) -> None:
-        """Octets as they arrive."""
         decoder = self._decoder
         self.octets += len(chunk)
         for at in range(len(chunk)):

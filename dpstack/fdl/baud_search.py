@@ -202,11 +202,9 @@ class AutoBaud:
     def sent(self, at: int) -> None:
         """Never called: it sends nothing."""
 
-    def take_tx(self, now: int) -> None:
-        """Nothing, ever."""
+    def take_tx(self, now: int) -> None: ...
 
     def take_events(self) -> list[Event]:
-        """The result, once."""
         events, self._events = self._events, []
         return events
 

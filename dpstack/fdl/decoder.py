@@ -71,7 +71,6 @@ class DecoderStats:
         return {name: n for name, n in self.as_dict().items() if n and name not in ("octets", "telegrams")}
 
     def as_dict(self) -> dict[str, int]:
-        """All counters by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 

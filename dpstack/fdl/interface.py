@@ -21,8 +21,6 @@ LONG_NS: Final = NS_PER_S
 
 
 class Expect(Enum):
-    """What answers a request."""
-
     NOTHING = "nothing"  # SDN, broadcast: T_ID2 follows
     ANSWER = "answer"  # SC or a response telegram
     STATUS = "status"  # FDL status: no FCB, no FCV

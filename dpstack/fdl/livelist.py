@@ -115,7 +115,6 @@ class LiveList:
 
     # --- link user ----------------------------------------------------------------------------------------------
     def token_received(self, now: int) -> None:
-        """One request a hold."""
         self._turn = True
         if self._begun < 0:
             self._begun = now
@@ -211,17 +210,14 @@ class LiveList:
         return self._busy
 
     def command(self, command: object, now: int) -> bool:
-        """It takes no orders."""
         return False
 
     def wake_at(self) -> int:
         """Everything here is tied to the token."""
         return NEVER
 
-    def tick(self, now: int) -> None:
-        """Nothing to do."""
+    def tick(self, now: int) -> None: ...
 
     def take_events(self) -> list[Event]:
-        """Stations found and lost."""
         events, self._events = self._events, []
         return events

@@ -229,8 +229,6 @@ def _bits(statement: Statement) -> PrmType | None:
 
 @dataclass(eq=False)
 class SlotBlock(Block):
-    """SlotDefinition."""
-
     title = "SlotDefinition"
 
     #: by number, the last one of each

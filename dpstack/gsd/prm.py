@@ -23,8 +23,6 @@ from dpstack.text import shortened
 
 
 class Reading(Enum):
-    """Which defaults count."""
-
     REFS = "refs"  #: the defaults of the named parameters lie over the constants, as engineering tools show it
     CONST = "const"  #: the constants as they stand
 

@@ -193,7 +193,6 @@ class DeclaredCore(DriveCore):
         return tuple(self.declared.warnings.get(bit, f"bit {bit}") for bit in range(16) if word >> bit & 1)
 
     def parameters(self) -> tuple[ListedParam, ...]:
-        """All of the table."""
         return () if self.declared.parameters is None else listing(self.declared.parameters)
 
 

@@ -88,7 +88,6 @@ class Cycles:
         self._over = False
 
     def end(self) -> None:
-        """End all readers."""
         self._over = True
         for reader in self._readers:
             reader.more.set()

@@ -111,7 +111,6 @@ class _Walk:
             self._parts.append(_unquoted(token))
 
     def mark(self, mark: str) -> None:
-        """Punctuation."""
         if mark == ".":
             self._points += 1
             if self._points >= MAX_PARTS:

@@ -36,12 +36,10 @@ class Target(Protocol):
     """Whose records they are: a slave of this master, or a class 2 connection."""
 
     @property
-    def name(self) -> str:
-        """For people."""
+    def name(self) -> str: ...
 
     @property
-    def address(self) -> int:
-        """Of the slave."""
+    def address(self) -> int: ...
 
     async def read(self, slot: int, index: int, length: int | None = None) -> bytes:
         """A record."""
@@ -49,8 +47,7 @@ class Target(Protocol):
     async def write(self, slot: int, index: int, data: bytes) -> None:
         """A record."""
 
-    async def im(self, number: int = 0, *, slot: int = 0) -> Im:
-        """I&M."""
+    async def im(self, number: int = 0, *, slot: int = 0) -> Im: ...
 
     def parameters(self, slot: int = 1, *, object: int = 1) -> RecordParameters:
         """Record 47."""

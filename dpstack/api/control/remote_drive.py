@@ -128,7 +128,6 @@ class RemoteDrive:
         self.kind, self.address = answer["type"], answer["address"]
 
     async def learn(self) -> None:
-        """Ask for its parameters."""
         answer = checked(await self.order(PARAMETERS), ParametersAnswer, self._client.port, PARAMETERS)
         self._parameters = tuple(answer["parameters"])
         self.per_request = answer["per_request"]
@@ -146,7 +145,6 @@ class RemoteDrive:
     async def read_many(
         self, parameters: Sequence[ParameterPlace], *, timeout: float = 5.0
     ) -> list[ParameterValue | ParameterError]:
-        """Some parameters."""
         places = json.dumps([one.as_dict() for one in parameters])
         answer = (await self.order(READ_MANY, (places, f"timeout={timeout}")))["parameters"]
         if len(answer) != len(parameters):

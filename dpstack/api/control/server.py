@@ -279,7 +279,6 @@ class ControlServer:
     # --- one client ---------------------------------------------------------------------------------------------------
 
     def _listen(self) -> None:
-        """Accept connections."""
         self._pause = None
         if self._listening is not None:
             asyncio.get_running_loop().add_reader(self._listening.fileno(), self._accept)

@@ -119,7 +119,6 @@ class Sockets:
         self.close()
 
     def close(self) -> None:
-        """May be called again."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
             os.close(fd)

@@ -49,8 +49,7 @@ class Listing(Protocol):
     """A drive with known parameters."""
 
     @property
-    def name(self) -> str:
-        """In the configuration."""
+    def name(self) -> str: ...
 
     @property
     def kind(self) -> str:
@@ -65,8 +64,7 @@ class Readable(Listing, Protocol):
     """A drive whose parameters can be read: of this bus, or of another program's."""
 
     @property
-    def address(self) -> int:
-        """Station address."""
+    def address(self) -> int: ...
 
     @property
     def per_request(self) -> int:

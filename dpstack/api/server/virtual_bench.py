@@ -122,8 +122,7 @@ class Bench(ABC):
 
     @property
     @abstractmethod
-    def units(self) -> Mapping[int, Unit]:
-        """The slaves by address."""
+    def units(self) -> Mapping[int, Unit]: ...
 
     @abstractmethod
     def silence(self, address: int, for_ns: int | None) -> None:

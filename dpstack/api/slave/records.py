@@ -43,13 +43,11 @@ class RecordAccess(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def address(self) -> int:
-        """Of the slave."""
+    def address(self) -> int: ...
 
     @property
     @abc.abstractmethod
-    def who(self) -> str:
-        """The slave for people."""
+    def who(self) -> str: ...
 
     @property
     @abc.abstractmethod
@@ -151,12 +149,10 @@ class Records(RecordAccess):
 
     @property
     def address(self) -> int:
-        """Of the slave."""
         return self._setup.address
 
     @property
     def who(self) -> str:
-        """The slave for people."""
         return f"slave {self._setup.address} ({self._setup.name})"
 
     @property

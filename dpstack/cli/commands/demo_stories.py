@@ -26,7 +26,6 @@ class Story:
 
 
 async def any_drive(drive: Drive, tell: Tell, trip: Trip) -> None:
-    """Start, half speed, stop."""
     await _run(drive, tell, 0.5)
     await _stop(drive, tell)
 

@@ -237,7 +237,6 @@ class Class2(Provider):
         self._master = master
 
     def job_of(self, order: object) -> tuple[int, Job, int] | None:
-        """ReadService and ChangeAddress."""
         match order:
             case ReadService(token, address, service, expected, timeout_ns):
                 if service is Service.SET_ADDRESS:

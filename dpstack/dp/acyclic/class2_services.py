@@ -65,7 +65,6 @@ class ServiceDone(ServiceEnd):
 
     @property
     def result(self) -> str:
-        """How many octets."""
         return f"{self.title}, {len(self.outcome.data)} octets"
 
 
@@ -95,7 +94,6 @@ class Reading:
         return ""
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
-        """One event."""
         return done(self, self.service, token, outcome, now)
 
     def steps(self) -> Steps[Outcome]:

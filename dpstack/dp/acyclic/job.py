@@ -192,8 +192,7 @@ class Provider:
         """Whether a request that was given up may have reached the slave: it is not to be sent again."""
         return False
 
-    def line_down(self, reason: str, now: int) -> None:
-        """The port vanished."""
+    def line_down(self, reason: str, now: int) -> None: ...
 
     def wake_at(self) -> int:
         """When :meth:`tick` is wanted, in ns."""

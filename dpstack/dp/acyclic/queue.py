@@ -232,7 +232,6 @@ class Acyclic:
                 self._cut(entry, ServiceFailure.CLOSED, bar, now)
 
     def started(self, request: Request, at: int) -> None:
-        """It was given time."""
         entry = self._asked
         for started in self._started:
             started(request)
@@ -309,7 +308,6 @@ class Acyclic:
         return f"{after}; give it a longer timeout"
 
     def take_events(self) -> list[Event]:
-        """The ends of services."""
         events, self._events = self._events, []
         return events
 

@@ -39,8 +39,7 @@ class DiagObserver(Protocol):
     """Who reads alarms and status messages in the diagnoses of one slave."""
 
     @property
-    def counts(self) -> AlarmCounts:
-        """What came of them."""
+    def counts(self) -> AlarmCounts: ...
 
     def opened(self, last: Diagnosis | None, now: int) -> None:
         """Data exchange begins; ``last`` was read before it."""
@@ -49,8 +48,7 @@ class DiagObserver(Protocol):
         """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged_at``: the first of them in
         which it asked for it (DH), 0: it did not."""
 
-    def closed(self, now: int) -> None:
-        """Data exchange is over."""
+    def closed(self, now: int) -> None: ...
 
 
 class Diagnoses:
@@ -104,7 +102,6 @@ class Diagnoses:
         return diagnosis
 
     def opened(self, now: int) -> None:
-        """Data exchange begins."""
         if self.observer is not None:
             self.observer.opened(self.last, now)
 
@@ -119,7 +116,6 @@ class Diagnoses:
         self.flagged = 0
 
     def closed(self, now: int) -> None:
-        """Data exchange is over."""
         if self.observer is not None:
             self.observer.closed(now)
 

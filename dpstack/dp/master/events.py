@@ -51,14 +51,11 @@ class Fault:
 
     @property
     def text(self) -> str:
-        """Both in one line."""
         return f"{self.message}; {self.remedy}" if self.remedy else self.message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveEvent(Event):
-    """Something about one slave."""
-
     address: int
     name: str
 
@@ -162,7 +159,6 @@ class AutoCleared(ForcedClear):
 
     @property
     def why(self) -> str:
-        """Which slaves, and why."""
         return f"auto_clear: {'; '.join(self.reasons)}"
 
     def _text(self) -> str:
@@ -211,7 +207,6 @@ class ApplicationSilent(ForcedClear):
 
     @property
     def why(self) -> str:
-        """For how long."""
         return f"application watchdog: alive() was not called for {ms_text(self.limit_ns)}"
 
     TEMPLATE = "master: outputs become safe: {e.why}; operate() when the application works again"

@@ -75,7 +75,6 @@ class CycleData:
 
     @property
     def late_ns(self) -> int:
-        """How late it began."""
         return self.t_ns - self.due_ns
 
 
@@ -101,7 +100,6 @@ class CycleStats:
 
     @property
     def missed(self) -> int:
-        """All deadline misses."""
         return self.begun_late + self.left_out
 
     def miss(self, reason: MissReason, *, left_out: int, late: bool) -> None:
@@ -212,7 +210,6 @@ class Cadence:
         self.budget.next_at = min(until, self._next)
 
     def resume(self) -> None:
-        """The round goes on."""
         self.budget.next_at = self._next
 
     def stop(self, now: int) -> None:
@@ -283,7 +280,6 @@ class _Misses:
             self.end(now)
 
     def end(self, now: int) -> None:
-        """What is left."""
         if self._count:
             self._emit(
                 CyclesMissed(

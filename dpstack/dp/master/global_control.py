@@ -119,7 +119,6 @@ class Controls:
         self.fail_all(reason, now)
 
     def fail_all(self, reason: str, now: int) -> None:
-        """Nothing can be sent."""
         while self._orders:
             self._fail(reason, now)
 

@@ -166,7 +166,6 @@ class Master:
 
     @property
     def rotation_count(self) -> int:
-        """Rotations up to now."""
         return self.rotation.count
 
     def command(self, command: object, now: int) -> bool:

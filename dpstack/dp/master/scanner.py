@@ -69,7 +69,6 @@ class Found:
 
     @property
     def text(self) -> str:
-        """One line for people."""
         words = [f"station {self.address}: {self.kind.name.lower().replace('_', ' ')}"]
         if self.ident is not None:
             words.append(f"ident 0x{self.ident:04X}")
@@ -103,8 +102,6 @@ class StationSeen(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanDone(Event):
-    """Everything was asked once."""
-
     stations: int
 
     TEMPLATE = "live list complete: {e.stations} stations besides this one"
@@ -153,7 +150,6 @@ class Scanner:
 
     # --- link user ----------------------------------------------------------------------------------------------
     def token_received(self, now: int) -> None:
-        """One request a hold."""
         self._turn = True
         self.live.token_received(now)
         if self._period_ns and now >= self._next_at and not self._questions:
@@ -185,7 +181,6 @@ class Scanner:
             self.live.started(request, at)
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
-        """What a station answered."""
         question, self._asked = self._asked, None
         if question is None:
             self.live.result(request, outcome, now)
@@ -201,15 +196,13 @@ class Scanner:
             self._events.append(ScanDone(t_ns=now, stations=len(self.found)))
 
     def command(self, command: object, now: int) -> bool:
-        """It takes no orders."""
         return False
 
     def wake_at(self) -> int:
         """Everything here is tied to the token."""
         return NEVER
 
-    def tick(self, now: int) -> None:
-        """Nothing to do."""
+    def tick(self, now: int) -> None: ...
 
     def take_events(self) -> list[Event]:
         """Stations found, changed and lost."""

@@ -67,7 +67,6 @@ class Redundancy(NamedTuple):
 
     @property
     def text(self) -> str:
-        """For people."""
         sides = f"this side: {_names(self.own)}; the other side: {_names(self.other)}"
         return f"sequence number {self.sequence}, function: {_names(self.function)}; {sides}"
 
@@ -185,7 +184,6 @@ class Alarm:
 
     @property
     def title(self) -> str:
-        """Its type in words."""
         return alarm_name(self.type)
 
     @property
@@ -233,7 +231,6 @@ class Status:
 
     @property
     def title(self) -> str:
-        """Its type in words."""
         return status_name(self.type)
 
     @property

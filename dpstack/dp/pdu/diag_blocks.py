@@ -92,7 +92,6 @@ class ChannelBlock(Block):
 
     @property
     def text(self) -> str:
-        """Both in one line."""
         return f"{self.place()}: {self.cause}"
 
 

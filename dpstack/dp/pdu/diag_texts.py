@@ -27,8 +27,7 @@ class DiagTexts(Protocol):
     def channel_text(self, error_type: int, module: int | None = None) -> str | None:
         """A maker's own channel error (16..31) of the ``module``, None where the file has no text for it."""
 
-    def channel_help(self, error_type: int, module: int | None = None) -> str | None:
-        """What helps against it."""
+    def channel_help(self, error_type: int, module: int | None = None) -> str | None: ...
 
     def module_name(self, module: int) -> str:
         """The name of a module by its place in the configuration, from 0; empty where there is none."""

@@ -157,17 +157,14 @@ class Diagnosis:
 
     @property
     def wd_on(self) -> bool:
-        """The watchdog runs."""
         return bool(self.status2 & 0x08)
 
     @property
     def freeze(self) -> bool:
-        """Inputs are frozen."""
         return bool(self.status2 & 0x10)
 
     @property
     def sync(self) -> bool:
-        """Outputs are held."""
         return bool(self.status2 & 0x20)
 
     @property
@@ -182,5 +179,4 @@ class Diagnosis:
 
     @property
     def overflow(self) -> bool:
-        """More diagnosis than fits."""
         return bool(self.status3 & 0x80)

@@ -29,7 +29,6 @@ class Verdict(Enum):
 
     @property
     def text(self) -> str:
-        """For people."""
         return _TEXTS[self]
 
 
@@ -51,7 +50,6 @@ class Refusal(NamedTuple):
 
     @property
     def text(self) -> str:
-        """One line."""
         return f"{self.what}; {self.todo}"
 
 
@@ -69,7 +67,6 @@ class CyclePlan:
     notes: tuple[str, ...]
 
     def as_dict(self) -> dict[str, object]:
-        """Plain JSON data."""
         return {
             "cycle_ms": self.cycle_ns / NS_PER_MS,
             "verdict": self.verdict.value,

@@ -62,7 +62,6 @@ def _slow_for_auto_clear(figures: Figures, data_control_ns: int) -> Iterable[str
 
 
 def notes(figures: Figures, watchdogs: dict[int, int]) -> Iterable[str]:
-    """What is worth knowing."""
     for setup in figures.setups:
         watchdog = watchdogs[setup.address]
         if not watchdog:

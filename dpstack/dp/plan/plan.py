@@ -69,12 +69,10 @@ class Plan:
 
     @property
     def params(self) -> BusParams:
-        """The bus parameters."""
         return self.figures.params
 
     @property
     def rotations(self) -> dict[Case, Rotation]:
-        """The rotations."""
         return self.figures.rotations
 
     @property

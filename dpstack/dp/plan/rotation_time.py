@@ -35,8 +35,6 @@ MAX_T_TR: Final = 16_777_960
 
 
 class Case(Enum):
-    """Which rotation is meant."""
-
     SHORTEST = "min"  # every T_SDR at its minimum, nothing but data exchange and token
     TYPICAL = "typical"  # T_SDR 60 bit times, one silent GAP poll when the GAP is on
     NORMAL = "normal"  # the longest without a repetition: T_SDR at its maximum, one diagnosis, Global_Control, GAP
@@ -54,7 +52,6 @@ class OtherMasters:
 
     @property
     def count(self) -> int:
-        """How many there are."""
         return self.alike + len(self.rounds)
 
 

@@ -32,8 +32,7 @@ class Listener(Machine, Protocol):
     """What hears at one rate."""
 
     @property
-    def params(self) -> BusParams:
-        """Rate and times."""
+    def params(self) -> BusParams: ...
 
     @property
     def decoder_stats(self) -> DecoderStats:
@@ -117,8 +116,7 @@ class Searching(abc.ABC):
         self._events.append(self._told(state, None if state is BaudState.SEARCH else self._watch.baud, now))
 
     @abc.abstractmethod
-    def _lost(self, now: int) -> None:
-        """The rate is lost."""
+    def _lost(self, now: int) -> None: ...
 
     @abc.abstractmethod
     def _told(self, state: BaudState, baud: int | None, now: int) -> Event:
@@ -168,7 +166,6 @@ class SearchingSlave(Searching):
 
     @property
     def address(self) -> int:
-        """The station address."""
         return self.station.address
 
     @property

@@ -88,7 +88,6 @@ class BaudWatch:
         return self._rate if self._search is None else self._search.baud
 
     def search(self, now: int) -> AutoBaud:
-        """The search under way."""
         if self._search is None:
             self._search = AutoBaud(now, rates=self._rates, slack_ns=self._slack_ns, settle_ns=self._settle_ns)
         return self._search

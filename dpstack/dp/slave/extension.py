@@ -35,8 +35,7 @@ class ServiceHost(Protocol):
     """What a service needs of the slave application."""
 
     @property
-    def report(self) -> Report:
-        """Events and counters."""
+    def report(self) -> Report: ...
 
     @property
     def baud(self) -> int:
@@ -58,11 +57,9 @@ class SlaveService:
     def parameterised(self, prm: SetPrm) -> None:
         """The slave accepted ``prm``."""
 
-    def entered(self) -> None:
-        """Data exchange begins."""
+    def entered(self) -> None: ...
 
-    def left(self) -> None:
-        """Data exchange is over."""
+    def left(self) -> None: ...
 
     def tick(self, now: int) -> None:
         """The time in :attr:`at` has come."""

@@ -111,7 +111,6 @@ class Watchdog:
         self.at = now + time_ns if time_ns else NEVER
 
     def disarm(self) -> None:
-        """Nobody to watch."""
         self.time_ns = 0
         self.at = NEVER
 

@@ -35,7 +35,6 @@ class AckJob(Ms1Job):
 
     @property
     def title(self) -> str:
-        """With what it acknowledges."""
         alarm = self._known.alarm
         return f"{Function.ALARM_ACK.title} of {alarm.title}, slot {alarm.slot}, sequence number {alarm.sequence}"
 
@@ -45,7 +44,6 @@ class AckJob(Ms1Job):
         return self._known.answered
 
     def late(self, octets: bytes) -> bool:
-        """The response after all."""
         outcome = self.judged(octets)
         if outcome is None or outcome.failure is not None:
             return False

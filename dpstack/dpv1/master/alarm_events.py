@@ -97,5 +97,4 @@ class AlarmBook:
     untaken: set[int] = field(default_factory=set)
 
     def count(self, name: str) -> None:
-        """One more."""
         self.counts = dataclasses.replace(self.counts, **{name: getattr(self.counts, name) + 1})

@@ -268,7 +268,6 @@ class AlarmHandler:
         return None
 
     def asked(self, known: OpenAlarm) -> None:
-        """Its acknowledgement begins."""
         self._asked = known
         known.stage = Stage.ASKED
         if known.attempts:
@@ -276,7 +275,6 @@ class AlarmHandler:
         known.attempts += 1
 
     def ended(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
-        """What came of it."""
         if self._asked is known:
             self._asked = None
         if self._open.get(Key.of(known.alarm)) is not known:

@@ -60,7 +60,6 @@ class Settling:
         self.look_at: int = NEVER
 
     def raised(self, alarm: Alarm) -> None:
-        """One that is delivered."""
         self._counting = self._counting or alarm.sequence > 0
         self._settled.pop(Key.of(alarm), None)
 
@@ -96,6 +95,5 @@ class Settling:
         return settled is not None and settled.octets == octets and settled.asked is None
 
     def clear(self) -> None:
-        """Data exchange is over."""
         self._settled.clear()
         self.look_at = NEVER

@@ -87,7 +87,6 @@ class RecordDone(ServiceEnd):
 
     @property
     def title(self) -> str:
-        """Read or Write."""
         return (Function.WRITE if self.write else Function.READ).title
 
     @property
@@ -124,7 +123,6 @@ class RecordJob(Ms1Job):
         return title_of(self._request)
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
-        """One event."""
         return [RecordDone.of(self._request, token, self.address, outcome, self.stale, now)]
 
     def judged(self, octets: bytes) -> Outcome | None:
@@ -142,7 +140,6 @@ class Ms1(Provider):
         self._ms1 = ms1
 
     def job_of(self, order: object) -> tuple[int, Job, int] | None:
-        """ReadRecord and WriteRecord."""
         match order:
             case ReadRecord(token, address, slot, index, length, timeout_ns):
                 request: RecordReq = ReadReq(slot, index, length)
@@ -170,7 +167,6 @@ class UnitJob(RecordJob):
         self._pending = pending
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
-        """Told to the unit."""
         self._pending.outcome = outcome
         return []
 

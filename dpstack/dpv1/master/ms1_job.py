@@ -114,8 +114,7 @@ class Ms1Job(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def title(self) -> str:
-        """What is asked."""
+    def title(self) -> str: ...
 
     @property
     def aftermath(self) -> str:
@@ -229,5 +228,4 @@ class Ms1Job(abc.ABC):
         ) + (f"; {self.aftermath}" if self.aftermath else "")
 
     def _answered(self) -> None:
-        """It owes nothing."""
         self._ms1.owed.pop(self._lane, None)

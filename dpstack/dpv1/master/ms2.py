@@ -52,7 +52,6 @@ class Ms2(Connections):
     # --- orders ---------------------------------------------------------------------------------------------------
 
     def command(self, order: object, now: int) -> bool:
-        """CloseConnection and CloseConnections."""
         match order:
             case CloseConnection(ref):
                 connection = self.connections.get(ref)

@@ -110,7 +110,6 @@ class InitiateDone(ServiceEnd):
 
     @property
     def result(self) -> str:
-        """Where the connection ends."""
         return f"class 2 connection open, server SAP {self.server_sap}"
 
 

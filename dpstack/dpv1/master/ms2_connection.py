@@ -40,8 +40,6 @@ _CHECK: Final = {
 
 
 class Phase(Enum):
-    """How far it is."""
-
     OPENING = "opening"
     OPEN = "open"
     ENDING = "ending"  # over for whoever used it; the slave is still to be told
@@ -88,7 +86,6 @@ class MasterConnection:
 
     @property
     def who(self) -> str:
-        """For texts."""
         return f"slave {self.address}"
 
     @property
@@ -109,7 +106,6 @@ class MasterConnection:
 
     @property
     def limit_text(self) -> str:
-        """The same in words."""
         of = "its C2_Response_Timeout" if self.response_ns else "no C2_Response_Timeout is known of it"
         return f"{ns_to_s(self.limit_ns):g} s ({of})"
 
@@ -200,7 +196,6 @@ class MasterConnection:
         return self.aborted(octets, title) if octets[0] == Function.ABORT else octets
 
     def aborted(self, octets: bytes, title: str) -> Ended:
-        """The slave ended it."""
         self.taken = False
         try:
             self.abort = Abort.parse(octets)

@@ -178,7 +178,6 @@ class ServiceJob(ConnectionJob):
             return outcome
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
-        """One event."""
         if outcome.failure is ServiceFailure.CLOSED:
             outcome = self._with_aftermath(self.connection.ended(self.title))
         service = self._service
@@ -223,7 +222,6 @@ class IdleJob(ConnectionJob):
         return Outcome()
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
-        """Nobody waits for it."""
         return []
 
 

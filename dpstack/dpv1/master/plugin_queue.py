@@ -50,7 +50,6 @@ class RecordQueue:
         self._waiting.clear()
 
     def __bool__(self) -> bool:
-        """Something waits."""
         return bool(self._waiting)
 
 

@@ -180,7 +180,6 @@ RECORDS: Final[tuple[type[Im0] | type[Im1] | type[Im2] | type[Im3] | type[Im4], 
 
 
 def number_of(record: Im) -> int:
-    """n of I&Mn."""
     return RECORDS.index(type(record))
 
 

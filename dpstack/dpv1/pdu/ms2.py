@@ -184,16 +184,12 @@ IDLE: Final = bytes((Function.IDLE, 1))
 
 
 class Subnet(IntEnum):
-    """Where an Abort began."""
-
     NONE = 0
     LOCAL = 1
     REMOTE = 2
 
 
 class Instance(IntEnum):
-    """Who aborted."""
-
     FDL = 0
     MS2 = 1
     USER = 2
@@ -254,7 +250,6 @@ class Abort:
 
     @property
     def text(self) -> str:
-        """Who and why."""
         where = _SUBNETS.get(Subnet(self.subnet), "") if self.subnet in Subnet.__members__.values() else ""
         match self.instance:
             case Instance.MS2:
@@ -326,7 +321,6 @@ Service = RecordReq | DataTransport
 
 
 def function_of(service: Service) -> Function:
-    """Its function number."""
     match service:
         case DataTransport():
             return Function.DATA_TRANSPORT

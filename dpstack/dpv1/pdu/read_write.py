@@ -106,7 +106,6 @@ class Negative:
 
     @property
     def text(self) -> str:
-        """What it says."""
         return negative_text(self.decode, self.code_1, self.code_2)
 
     def build(self) -> bytes:

@@ -48,8 +48,6 @@ class AlarmSupport:
 
 
 class AlarmEnd(Enum):
-    """How an alarm ended."""
-
     ACKNOWLEDGED = "acknowledged"
     LEFT = "data exchange ended before it was acknowledged"
     WITHDRAWN = "withdrawn before it was shown"
@@ -69,7 +67,6 @@ class Raised:
         self.offered = False
 
     def finish(self, end: AlarmEnd) -> None:
-        """Once."""
         self.end = end
         if self.ended is not None:
             self.ended()
@@ -180,7 +177,6 @@ class AlarmServer:
         self._is_open = True
 
     def close(self) -> None:
-        """Data exchange is over."""
         over = self.pending
         self._is_open = self._started = False
         self._waiting.clear()

@@ -64,7 +64,6 @@ class FunctionDevice(Device):
         self._since = 0
 
     def enter(self, config: bytes, now: int) -> None:
-        """Elapsed time starts here."""
         self._since = now
 
     def exchange(self, outputs: bytes, now: int) -> bytes:

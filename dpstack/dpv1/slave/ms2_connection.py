@@ -31,8 +31,7 @@ class Served(Protocol):
     """What a connection reaches in its device."""
 
     @property
-    def records(self) -> Records | None:
-        """Read and Write."""
+    def records(self) -> Records | None: ...
 
     @property
     def transport(self) -> Transport | None:
@@ -164,7 +163,6 @@ class ServerConnection:
         self._refuse(reason, negative.build(), now)
 
     def _refuse(self, why: str, answer: bytes, now: int) -> None:
-        """It was never open."""
         self._report.refused("Initiate", self.asker.master, why, now)
         self.asker.open = False
         self.state = State.OVER
@@ -214,7 +212,6 @@ class ServerConnection:
         return None
 
     def silence(self, now: int) -> None:
-        """The time is over."""
         if TABLE[self.state, Ev.SILENCE].act is Act.FREE:
             self._answer = None
             return

@@ -22,8 +22,6 @@ class State(Enum):
 
 
 class Ev(Enum):
-    """What happened to it."""
-
     POLL = "a poll"
     SERVICE = "Read, Write or Data_Transport"
     IDLE = "Idle"
@@ -34,8 +32,6 @@ class Ev(Enum):
 
 
 class Act(Enum):
-    """What it does."""
-
     ACKNOWLEDGE = "SC"
     GIVE = "the answer"
     LOOK = "the answer if there is one by now, else SC or Idle"

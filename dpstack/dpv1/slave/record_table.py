@@ -26,7 +26,6 @@ class RecordTable:
         self._writable = frozenset(writable)
 
     def ask(self, ticket: Ticket) -> None:
-        """At once."""
         request = ticket.request
         where = (request.slot, request.index)
         if where not in self.records:

@@ -214,11 +214,9 @@ class DpSlave(Sealed, FunctionDevice):
         return reason
 
     def check_cfg(self, config: bytes) -> str | None:
-        """By the description."""
         return self.description.check_cfg(config)
 
     def enter(self, config: bytes, now: int) -> None:
-        """Data exchange begins."""
         super().enter(config, now)
         self._safe = self.safe or bytes(io_lengths(config)[1])
 
@@ -231,7 +229,6 @@ class DpSlave(Sealed, FunctionDevice):
             self.inside = False
 
     def clear(self, now: int) -> None:
-        """Safe outputs at once."""
         self.exchange(self._safe, now)
 
     def leave(self, reason: Leave, now: int) -> None:
@@ -252,7 +249,6 @@ class DpSlave(Sealed, FunctionDevice):
         return True
 
     def initiate(self, master: int, wanted: InitiateReq) -> None:
-        """As the user says."""
         if self._on_initiate is not None:
             with self._called():
                 self._on_initiate(master, wanted)

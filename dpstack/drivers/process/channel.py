@@ -117,7 +117,6 @@ class Channel:
 
     @property
     def is_open(self) -> bool:
-        """Orders can be given."""
         return self._sock is not None and self._gone is None
 
     def silent_ns(self) -> int:

@@ -129,8 +129,6 @@ ORDERS: Final[dict[str, type]] = {
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """The port is open."""
-
     port_name: str
     paced: bool
 

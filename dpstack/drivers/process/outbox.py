@@ -20,8 +20,7 @@ class WriterLoop(Protocol):
     def add_writer(self, fd: int, callback: Callable[[], object], /) -> object:
         """Call back whenever ``fd`` takes octets."""
 
-    def remove_writer(self, fd: int, /) -> object:
-        """No longer."""
+    def remove_writer(self, fd: int, /) -> object: ...
 
 
 class Outbox:

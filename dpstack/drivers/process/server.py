@@ -289,7 +289,6 @@ class Host:
     # --- what is told ---
 
     def on_events(self, events: list[Event]) -> None:
-        """From machines and driver."""
         for event in events:
             self._ending.on_event(event)
         self._tell(events)

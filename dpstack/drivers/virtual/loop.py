@@ -78,7 +78,6 @@ class _Selector(selectors.DefaultSelector):
         return self.poll(timeout) if self.wait is None else self.wait(timeout)
 
     def poll(self, timeout: float | None) -> _Ready:
-        """Wait in real time."""
         return super().select(timeout)
 
 
@@ -107,7 +106,6 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     # --- time ---
     def time(self) -> float:
-        """Virtual time in seconds."""
         return self.time_ns() / NS_PER_S
 
     def time_ns(self) -> int:

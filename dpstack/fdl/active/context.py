@@ -343,7 +343,6 @@ class Link:
         self.await_silence()
 
     def go_offline(self, now: int, reason: str) -> None:
-        """Silence at once."""
         self.abandon(now)
         self.leave_ring(now, reason)
         self.leaving = False

@@ -31,8 +31,7 @@ def go_online(link: Link, _: Telegram, now: int) -> None:
     link.go_listening(now)
 
 
-def stay_offline(link: Link, _: Telegram, now: int) -> None:
-    """Nothing to leave."""
+def stay_offline(link: Link, _: Telegram, now: int) -> None: ...
 
 
 def line_up(link: Link, _: Telegram, now: int) -> None:

@@ -31,7 +31,6 @@ class GuardedUser:
         self._told: set[str] = set()
 
     def token_received(self, now: int) -> None:
-        """Passed on."""
         self.user.token_received(now)
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
@@ -48,27 +47,21 @@ class GuardedUser:
         return None
 
     def started(self, request: Request, at: int) -> None:
-        """Passed on."""
         self.user.started(request, at)
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
-        """Passed on."""
         self.user.result(request, outcome, now)
 
     def command(self, command: object, now: int) -> bool:
-        """Passed on."""
         return self.user.command(command, now)
 
     def wake_at(self) -> int:
-        """Passed on."""
         return self.user.wake_at()
 
     def tick(self, now: int) -> None:
-        """Passed on."""
         self.user.tick(now)
 
     def take_events(self) -> list[Event]:
-        """Passed on."""
         return self.user.take_events()
 
 

@@ -101,7 +101,6 @@ class ActiveStation:
 
     @property
     def params(self) -> BusParams:
-        """The bus parameters."""
         return self._link.params
 
     @property
@@ -131,7 +130,6 @@ class ActiveStation:
 
     @property
     def stats(self) -> LinkStats:
-        """Counters of the link."""
         return self._link.stats
 
     @property
@@ -146,7 +144,6 @@ class ActiveStation:
 
     @property
     def token_rotation(self) -> Histogram:
-        """All token rotations."""
         return self._link.token_rotation
 
     # --- hearing ------------------------------------------------------------------------------------------------

@@ -55,7 +55,6 @@ class Multidrop:
     # --- the stations ---
     @property
     def stations(self) -> tuple[PassiveStation, ...]:
-        """All stations, by address."""
         return tuple(sorted(self._due, key=lambda station: station.address))
 
     @property
@@ -112,7 +111,6 @@ class Multidrop:
 
     # --- Machine ---
     def receive(self, chunk: bytes, now: int) -> None:
-        """Octets from the line."""
         self._line.cut(now)
         self._line.heard(now)
         for telegram in self._decoder.feed(chunk, now):

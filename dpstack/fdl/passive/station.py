@@ -120,7 +120,6 @@ class PassiveStation:
 
     @property
     def params(self) -> BusParams:
-        """Rate and times."""
         return self._params
 
     @property
@@ -135,7 +134,6 @@ class PassiveStation:
 
     @property
     def responder(self) -> Responder:
-        """Its application."""
         return self._responder
 
     def set_min_tsdr(self, bits: int) -> None:

@@ -59,7 +59,6 @@ class Lookup(Generic[T]):
         self.value: T | None = None
 
     def reset(self) -> None:
-        """Forget the answer."""
         if self._asked:
             self._asked = False
             self._turn += 1

@@ -18,8 +18,7 @@ class Field(Protocol):
         """Number of the field in the drive."""
 
     @property
-    def name(self) -> str:
-        """Name for people."""
+    def name(self) -> str: ...
 
     @property
     def octets(self) -> int:

@@ -34,8 +34,6 @@ UNSUPPORTED: Final = 0
 
 
 class RequestId(IntEnum):
-    """The request ids."""
-
     READ = 1
     CHANGE = 2
 

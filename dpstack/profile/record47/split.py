@@ -73,7 +73,6 @@ class Piece(NamedTuple):
 
     @property
     def request_octets(self) -> int:
-        """Octets in a request."""
         return ADDRESS_LEN + (0 if self.values is None else self.values.octets)
 
     @property

@@ -182,7 +182,6 @@ class DemagCore(MappedCore[OutMap]):
         return bool(self._fault_word)
 
     def warnings(self) -> tuple[str, ...]:
-        """By name."""
         if not self.status_word & _WARNING:
             return ()
         return t.warning_names(self._warning_word or 0)
@@ -461,7 +460,6 @@ class DemagCore(MappedCore[OutMap]):
         return limit
 
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
-        """See the class."""
         return self._show() if op == "trace" else super().order(op, args)
 
     def _show(self) -> Steps[dict[str, object]]:

@@ -122,7 +122,6 @@ class DemagDevice(DriveDevice):
 
     @property
     def faulted(self) -> bool:
-        """Until it is acknowledged."""
         return bool(self.fault)
 
     def fault_code(self, code: str) -> int:
@@ -417,7 +416,6 @@ class DemagDevice(DriveDevice):
         self._mode = -1
 
     def _live(self, number: int) -> float | None:
-        """Actual values."""
         match number:
             case 249:
                 return self.active_set

@@ -94,7 +94,6 @@ class OptionCard:
     # -- PCV (8.3) ------------------------------------------------------------------------------------------------
 
     def order(self, order: Pkw) -> tuple[int, int]:
-        """Reply id and PWE."""
         indexes = t.ARRAYS.get(order.pnu)
         spec = t.PARAMETERS.get(order.pnu, order.ind) or (t.PARAMETERS.get(order.pnu) if indexes else None)
         if order.id not in t.PKW.answers or spec is None:

@@ -62,7 +62,6 @@ class PcdMap:
 
     @property
     def fields(self) -> tuple[PcdWord | None, ...]:
-        """The words."""
         return tuple(PcdWord(entry) if entry else None for entry in self.entries)
 
     def __str__(self) -> str:
@@ -112,7 +111,6 @@ def read(access: ParameterChannel, deadline: int) -> Steps[dict[str, object]]:
 
 
 def write(access: ParameterChannel, inputs: PcdMap, outputs: PcdMap, deadline: int) -> Steps[dict[str, object]]:
-    """All eight assignments."""
     for (_, pnu), one in zip(_PNUS, (inputs, outputs), strict=True):
         entries = (*one.entries, *(0,) * (COUNT - len(one.entries)))
         for index, entry in enumerate(entries, 1):

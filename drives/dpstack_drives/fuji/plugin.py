@@ -158,13 +158,11 @@ class FujiCore(MappedCore[PcdMap]):
     # -- PCD1 to PCD4 ---------------------------------------------------------------------------------------------
 
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
-        """See the class."""
         if op in MAP_OPS and not self._rest:
             raise CommandError("usage", f"{op}: {self.telegram.name} has no PCD1 to PCD4: take PPO2 or PPO4")
         return super().order(op, args)
 
     def parse_map(self, text: str | None, *, outputs: bool) -> PcdMap:
-        """Function codes."""
         if text is not None:
             return pcd.parse(text, outputs=outputs)
         return self.outputs_map if outputs else self.inputs_map

@@ -96,7 +96,6 @@ class FujiDevice(DriveDevice):
 
     @property
     def faulted(self) -> bool:
-        """Until it is acknowledged."""
         return self.machine.state is State.FAULT
 
     def mains(self, on: bool) -> None:

@@ -46,7 +46,6 @@ class ImoPkw(Pkw):
     __slots__ = ()
 
     def build(self) -> bytes:
-        """The eight octets."""
         return _LAYOUT.pack(self.id, self.pnu, self.pwe)
 
     @classmethod
@@ -92,7 +91,6 @@ class ImoAccess(PkwChannel):
         return self.octets[1] == Request.WORD
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
-        """Read one parameter."""
         number = _address(key)
         reply = yield from self._exchange(ImoPkw(Request.READ, number), deadline)
         return _outcome(number, reply)

@@ -353,13 +353,11 @@ class ImoCore(MappedCore[PzdMap]):
         return PzdMap.parse(text, self._functions if outputs else pzd.FROM_DRIVE, outputs=outputs)
 
     def written_by(self, key: int) -> str | None:
-        """The set frequency."""
         return "speed and frequency" if key == pzd.SET_FREQUENCY else None
 
     # -- orders of its own ----------------------------------------------------------------------------------------
 
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
-        """See the class."""
         if op in MAP_OPS:
             return super().order(op, args)
         deadline = self.now + args.timeout_ns(_TIMEOUT_S)

@@ -41,7 +41,6 @@ class Function:
 
     @property
     def key(self) -> int:
-        """The number."""
         return self.number
 
     def encode(self, value: float) -> int:

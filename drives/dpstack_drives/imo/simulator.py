@@ -101,7 +101,6 @@ class ImoDevice(DriveDevice):
 
     @property
     def faulted(self) -> bool:
-        """Until it is acknowledged."""
         return bool(self.fault)
 
     def mains(self, on: bool) -> None:

@@ -129,7 +129,6 @@ class KebChannel:
         return self._active is not None or bool(self._queue)
 
     def reset(self) -> None:
-        """Data exchange ended."""
         self._queue.clear()
         self._active = None
         self._shown = 0
@@ -162,7 +161,6 @@ class KebChannel:
     # -- orders ---------------------------------------------------------------------------------------------------
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
-        """Read one parameter."""
         target = find(key)
         return _outcome(target, (yield from self.get(target, deadline)))
 

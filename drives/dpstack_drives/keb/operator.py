@@ -130,7 +130,6 @@ class Operator:
         self._second_next = False
 
     def inherit(self, before: Operator, *, default: bool) -> None:
-        """Switched on again."""
         self.into.inherit(before.into, default=default)
         self.out.inherit(before.out, default=default)
 

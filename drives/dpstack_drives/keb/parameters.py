@@ -41,7 +41,6 @@ class Parameters:
         return 0 if spec is None else self.store.raw(spec)
 
     def provides(self, entry: Entry) -> bool:
-        """For the operator."""
         spec = t.PARAMETERS.get(entry.index)
         return spec is not None and spec.long == entry.long
 
@@ -55,7 +54,6 @@ class Parameters:
         return self.store.raw(spec, first) if live is None else live
 
     def store_output(self, entry: Entry, raw: int) -> None:
-        """For the operator."""
         spec = t.PARAMETERS.get(entry.index)
         if spec is not None and not spec.read_only:
             value = spec.from_pwe(raw)

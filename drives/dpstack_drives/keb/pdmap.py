@@ -33,12 +33,10 @@ class Entry:
 
     @property
     def octets(self) -> int:
-        """In the process data."""
         return 4 if self.long else 2
 
     @property
     def key(self) -> int:
-        """The index."""
         return self.index
 
     @property

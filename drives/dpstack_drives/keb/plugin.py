@@ -220,7 +220,6 @@ class KebCore(MappedCore[PdMap]):
         return pdmap.check(inputs, outputs)
 
     def read_map(self, deadline: int) -> Steps[dict[str, object]]:
-        """The records."""
         return self._maps.read(deadline)
 
     def write_map(self, inputs: PdMap, outputs: PdMap, deadline: int) -> Steps[dict[str, object]]:

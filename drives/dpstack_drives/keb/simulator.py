@@ -97,12 +97,10 @@ class KebDevice(DriveDevice):
 
     @property
     def injected(self) -> tuple[str, ...]:
-        """With the link."""
         return super().injected + (() if self.parameters.linked else ("link off",))
 
     @property
     def faulted(self) -> bool:
-        """Until it is acknowledged."""
         return bool(self.fault)
 
     def fault_code(self, code: str) -> int:
@@ -141,12 +139,10 @@ class KebDevice(DriveDevice):
         super().enter(config, now)
 
     def clear(self, now: int) -> None:
-        """Zeros go out."""
         super().clear(now)
         self._clear = True
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
-        """Outputs count again."""
         inputs = super().exchange(outputs, now)
         self._clear = False
         return inputs
@@ -273,7 +269,6 @@ class KebDevice(DriveDevice):
         return t.RU_CONSTANT if self.motor.frequency == self.motor.setpoint else t.RU_RAMP
 
     def _live(self, index: int) -> int | None:
-        """Actual values."""
         match index:
             case t.STATUS_WORD | t.STATUS_LONG:
                 return self._status_word()

@@ -39,7 +39,6 @@ class Modules(NamedTuple):
 
     @property
     def config(self) -> bytes:
-        """The identifier octets."""
         outputs, inputs = [_OUT + n - 1 for n in self.outputs], [_IN + n - 1 for n in self.inputs]
         process = inputs + outputs if self.inputs_first else outputs + inputs
         return bytes(([PCH] if self.channel else []) + process)

@@ -22,12 +22,10 @@ class LostCommand:
         self.instead: float | None = None
 
     def begin(self, now: int) -> None:
-        """Commands have ended."""
         if int(self._store.value("PRT-12")):
             self._at = now + round(self._store.value("PRT-13") * NS_PER_S)
 
     def returned(self) -> None:
-        """They are there again."""
         self._at = self.instead = None
 
     def step(self, motor: Motor, now: int) -> bool:

@@ -78,7 +78,6 @@ class Module:
         return (reply, order.pwe & 0xFFFF) if error is None else (Reply.ERROR, error)
 
     def value(self, spec: ParamSpec, ind: int = 0) -> int:
-        """What stands there now."""
         match spec.number:
             case t.PNU_COUNTER:
                 return self.counter

@@ -88,7 +88,6 @@ class ParaMap:
 
     @property
     def fields(self) -> tuple[ParaWord | None, ...]:
-        """The words."""
         return tuple(ParaWord(entry) if entry else None for entry in self.entries)
 
     def __str__(self) -> str:

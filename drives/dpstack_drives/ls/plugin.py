@@ -249,7 +249,6 @@ class LsCore(MappedCore[ParaMap]):
         return ("warning" if word is None else f"warning word {word:04X}",)
 
     def parameters(self) -> tuple[ListedParam, ...]:
-        """Codes and PNUs."""
         return references.LISTED
 
     def obstacle(self) -> str | None:
@@ -363,7 +362,6 @@ class LsCore(MappedCore[ParaMap]):
     # -- Para Status and Para Control -----------------------------------------------------------------------------
 
     def parse_map(self, text: str | None, *, outputs: bool) -> ParaMap:
-        """Addresses and codes."""
         if text is not None:
             return ParaMap(paramap.parse(text))
         return self.outputs_map if outputs else self.inputs_map
@@ -395,7 +393,6 @@ class LsCore(MappedCore[ParaMap]):
         return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
 
     def read_by(self, field: process_data_map.Field) -> ParamKey:
-        """By its address."""
         return ParamKey(field.key)
 
     def called(self, name: str | int) -> str | int:

@@ -38,7 +38,6 @@ class LsParameters:
         self._refusal = refusal
 
     def read(self, address: record47.Address) -> record47.Result:
-        """Words."""
         if (number := self._refusal(write=False)) is not None:
             return record47.ErrorValue(number)
         spec = self._wanted(address)

@@ -36,7 +36,6 @@ class LsMachine:
         self._acknowledge = False
 
     def step(self, control: int) -> None:
-        """Obey the control word."""
         rising = bool(control & _ACKNOWLEDGE) and not self._acknowledge
         self._acknowledge = bool(control & _ACKNOWLEDGE)
         if self.fault:

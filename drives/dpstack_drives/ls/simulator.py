@@ -116,7 +116,6 @@ class LsDevice(DriveDevice):
 
     @property
     def faulted(self) -> bool:
-        """Until it is acknowledged."""
         return self.runner.fault
 
     def fault_code(self, code: str) -> int:
@@ -174,7 +173,6 @@ class LsDevice(DriveDevice):
         return inputs
 
     def clear(self, now: int) -> None:
-        """Outputs count as zeros."""
         super().clear(now)
         self._hold = False
 
