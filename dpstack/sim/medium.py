@@ -108,7 +108,9 @@ class Medium:
         if node.sending_until > now:
             raise RuntimeError(f"station {node.name} sends {octets.hex(' ')} while it is still sending")
         baud = node.baud
-        tx = self._new(node, node.name, octets, baud, now)
+        tx = Transmission(node, node.name, octets, baud, now, now + self.duration(len(octets), baud))
+        if self._faults.armed:
+            self._faults.judge(tx)
         if node.mute_until > now:
             tx.lost = True
             tx.notes.append("silenced")
@@ -120,13 +122,10 @@ class Medium:
 
     def inject(self, octets: bytes, baud: int, now: int, sender: str) -> None:
         """Octets that no station sends begin at ``now``."""
-        self._put(self._new(None, sender, octets, baud, now), now)
-
-    def _new(self, node: Node | None, sender: str, octets: bytes, baud: int, now: int) -> Transmission:
-        tx = Transmission(node, sender, octets, baud, now, now + self.duration(len(octets), baud))
+        tx = Transmission(None, sender, octets, baud, now, now + self.duration(len(octets), baud))
         if self._faults.armed:
             self._faults.judge(tx)
-        return tx
+        self._put(tx, now)
 
     def cut(self, node: Node, now: int) -> None:
         """``node`` is unplugged: its transmission ends here, nobody receives an unfinished octet."""

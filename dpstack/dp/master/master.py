@@ -378,8 +378,11 @@ class Master:
     def started(self, request: Request, at: int) -> None:
         """The rotation is taken from first bit to first bit of a round's first Data_Exchange."""
         self._token.sent_at = at
-        if isinstance(request.tag, SlaveHandler):
-            self._watch.asked(request.tag, at)
+        handler = request.tag
+        if isinstance(handler, SlaveHandler):
+            handler.asked_at = at
+            if self._watch.down:
+                self._watch.down.pop(handler, None)
         self._round.started(request, at)
         if request.dsap is None:
             if self._round.first_data:

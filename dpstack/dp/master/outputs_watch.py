@@ -95,8 +95,8 @@ class OutputsWatch:
     """
 
     __slots__ = (
-        "_application_ns", "_down", "_handlers", "_held", "_stalls", "_token_at", "_token_gap", "_watching",
-        "alive_until", "look_at",
+        "_application_ns", "_handlers", "_held", "_stalls", "_token_at", "_token_gap", "_watching",
+        "alive_until", "down", "look_at",
     )  # fmt: skip
 
     def __init__(self, handlers: Mapping[int, SlaveHandler], *, stalls: bool, application_ns: int) -> None:
@@ -108,8 +108,8 @@ class OutputsWatch:
         self._application_ns = application_ns
         self._watching = False
         self._held: HeldUp | None = None  # the longest the driver told of since the last judgement
-        #: slaves that lost data exchange with the line and have not been asked since
-        self._down: dict[SlaveHandler, Block] = {}
+        #: slaves that lost data exchange with the line; the master takes each out at its next request to it
+        self.down: dict[SlaveHandler, Block] = {}
         self._token_at = 0
         self._token_gap = 0
 
@@ -119,7 +119,7 @@ class OutputsWatch:
         """Operate was ordered: the times count from here."""
         for handler in self._handlers.values():
             handler.asked_at = max(handler.asked_at, now)
-        self._down.clear()
+        self.down.clear()
         self._watching = True
         self.alive_until = now + self._application_ns if self._application_ns else NEVER
         self.look_soon()
@@ -128,7 +128,7 @@ class OutputsWatch:
         """Another mode was ordered: there are no outputs to watch."""
         self._watching = False
         self.alive_until = self.look_at = NEVER
-        self._down.clear()
+        self.down.clear()
 
     def alive(self, now: int) -> None:
         """The application is alive. Changes nothing where the watchdog has run out, or is off."""
@@ -139,12 +139,6 @@ class OutputsWatch:
         """Something changed: judge before the next request."""
         if self._watching:
             self.look_at = 0
-
-    def asked(self, handler: SlaveHandler, at: int) -> None:
-        """A request to ``handler`` goes out at ``at``: its watchdog begins anew."""
-        handler.asked_at = at
-        if self._down:
-            self._down.pop(handler, None)
 
     def token(self, now: int) -> None:
         """A token hold begins."""
@@ -169,7 +163,7 @@ class OutputsWatch:
             block = Block(Blocked.PORT if port else Blocked.TOKEN, reason)
             for handler in self._handlers.values():
                 if handler.state is SlaveState.DATA_EXCHANGE:
-                    self._down.setdefault(handler, block)
+                    self.down.setdefault(handler, block)
             self.look_soon()
 
     # --- judging ------------------------------------------------------------------------------------------------
@@ -180,7 +174,7 @@ class OutputsWatch:
         if not self._watching:
             return None
         found = self._stalled(now) if self._stalls else None
-        if found is not None or not self._down:
+        if found is not None or not self.down:
             self._held = None
         if found is None and now >= self.alive_until:
             return ApplicationSilent(t_ns=now, limit_ns=self._application_ns)
@@ -190,7 +184,7 @@ class OutputsWatch:
         overdue = []
         for handler in self._handlers.values():
             watchdog = handler.watchdog_effective_ns
-            if watchdog and (handler.state is SlaveState.DATA_EXCHANGE or handler in self._down):
+            if watchdog and (handler.state is SlaveState.DATA_EXCHANGE or handler in self.down):
                 if now - handler.asked_at > watchdog:
                     overdue.append(handler)
                 else:
@@ -214,8 +208,8 @@ class OutputsWatch:
         held = self._held
         if held is not None and 2 * held.for_ns >= gap:
             return Block(Blocked.SUSPENDED if held.suspended else Blocked.PROGRAM, held.what)
-        if handler in self._down:
-            return self._down[handler]
+        if handler in self.down:
+            return self.down[handler]
         if 2 * self._token_gap >= gap:
             return Block(Blocked.TOKEN, f"the token did not come for {ms_text(self._token_gap)}")
         return None

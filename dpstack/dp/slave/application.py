@@ -213,9 +213,10 @@ class SlaveApp:
     def wake_at(self) -> int:
         """The watchdog, the services of the device, or what the device itself wants."""
         at = self.watchdog.at
-        for service in self._timed:
-            if service.at < at:
-                at = service.at
+        if self._timed:
+            for service in self._timed:
+                if service.at < at:
+                    at = service.at
         due = self._device_due
         if due is None or self._core.failure is not None:
             return at
