@@ -47,7 +47,7 @@ def calibrate(rounds: int = 15, loops: int = 2_000) -> float:
 
 
 class _Station:
-    """What the Python loop works on: calls, attributes, a dict, bytes made, summed up and compared."""
+    """Work of the Python loop: calls, attributes, a dict, bytes made, summed up and compared."""
 
     __slots__ = ("changes", "data", "frames", "total")
 

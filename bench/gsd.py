@@ -1,6 +1,6 @@
 """Reading GSD files: a made-up set of 689 files, and the two largest kinds of file known.
 
-What is measured is the CPU time from octets to model and diagnostics, in Python loops (reading the disk and
+The benchmark measures the CPU time from octets to model and diagnostics, in Python loops (reading the disk and
 contradictory defaults are not in it).
 """
 

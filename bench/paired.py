@@ -34,7 +34,7 @@ _OTHERS: Final = (", construct", ", pyprofibus", "bare, ", "pyprofibus, ")
 
 
 class Verdict(Enum):
-    """What the interval means; for a count, "slower" is more of it."""
+    """Verdict of an interval; for a count, "slower" is more of it."""
 
     SLOWER = "slower"
     FASTER = "faster"
@@ -138,7 +138,7 @@ def readings_of_probe(figures: Mapping[str, Mapping[str, float]]) -> dict[str, R
 
 
 def order(number: int) -> tuple[int, int]:
-    """Which side is measured first in a round: the old one in every second."""
+    """Order of the two sides in a round: the old one is first in every second round."""
     return (1, 0) if number % 2 else (0, 1)
 
 

@@ -102,7 +102,7 @@ def compare_with_commit(name: str, commit: str, rounds: int | None = None) -> Pa
 
 
 class Commands:
-    """What is started for one benchmark: the own bench of a side, and the probe. Several sides take turns."""
+    """Commands of one benchmark: each side's own bench, and the probe. Several sides take turns."""
 
     def __init__(self, name: str, plan: Plan) -> None:
         self._name = name
