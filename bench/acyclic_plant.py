@@ -18,7 +18,7 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
-from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
@@ -89,12 +89,12 @@ class RecordDevice(MirrorDevice):
         places = {(_SLOT, octets): bytes(octets) for octets in LENGTHS}
         self._table = RecordTable(places, places)
         self._slow = answers is Answers.SLOW
-        self._waiting: Ticket | None = None
+        self._waiting: RecordRequest | None = None
         self._answer_at = NEVER
         self._now = 0
         self.records = self
 
-    def ask(self, ticket: Ticket) -> None:
+    def ask(self, ticket: RecordRequest) -> None:
         if self._slow:
             self._waiting, self._answer_at = ticket, self._now + _SLOW_NS
         else:

@@ -137,7 +137,7 @@ def _title(text: Hashable) -> str:
 def slave_handler() -> str:
     """The master's handling of one slave, without the order that takes it out of service in any state."""
     table = slave_states.TABLE.items()
-    kept = [(s, row.next, e.value) for (s, e), row in table if e is not slave_states.Ev.DEACTIVATE]
+    kept = [(s, row.next, e.value) for (s, e), row in table if e is not slave_states.Trigger.DEACTIVATE]
     return diagram("Offline", ((_title(s.value), _title(after.value), on) for s, after, on in kept))
 
 

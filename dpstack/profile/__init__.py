@@ -16,7 +16,7 @@ from dpstack.dpv1.slave.device import Device
 from dpstack.errors import ConfigError
 from dpstack.profile import record47
 from dpstack.profile.channel.base import ChannelServer, ParameterChannel, ParamKey, per_request
-from dpstack.profile.channel.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
+from dpstack.profile.channel.pkw import Pkw, PkwClient, PkwDialect, PkwServer, ReplyId, TaskId
 from dpstack.profile.channel.pkw_access import RETRY_NS, ParamRef, PkwAccess, PkwChannel
 from dpstack.profile.declared import PLAIN_PKW, Declaration, DeclaredCore, plain_resolver, plain_server
 from dpstack.profile.drive_profile import DriveProfile, OptionSpec, RateSetting
@@ -74,7 +74,6 @@ __all__ = [
     "MappedCore",
     "Motor",
     "OptionSpec",
-    "Order",
     "ParamKey",
     "ParamRef",
     "ParamSpec",
@@ -88,7 +87,7 @@ __all__ = [
     "PkwDialect",
     "PkwServer",
     "RateSetting",
-    "Reply",
+    "ReplyId",
     "Scale",
     "Setting",
     "SettingsState",
@@ -96,6 +95,7 @@ __all__ = [
     "StateRow",
     "StateTable",
     "Steps",
+    "TaskId",
     "TelegramFamily",
     "TelegramSpec",
     "Word",

@@ -17,7 +17,7 @@ from typing import Final
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.profile.channel.base import ParamKey
-from dpstack.profile.channel.pkw import Order, Pkw, PkwDialect, PkwServer, Reply
+from dpstack.profile.channel.pkw import Pkw, PkwDialect, PkwServer, ReplyId, TaskId
 from dpstack.profile.channel.pkw_access import ParamRef, PkwAccess, Resolver
 from dpstack.profile.drive_profile import DriveProfile
 from dpstack.profile.master.core import DriveCore
@@ -33,7 +33,11 @@ from dpstack.profile.record47.drive_access import AcyclicAccess, plain_places
 
 #: words and double words, no arrays, no data sets
 PLAIN_PKW: Final = PkwDialect(
-    answers={Order.READ: (Reply.WORD, Reply.LONG), Order.WRITE_WORD: (Reply.WORD,), Order.WRITE_LONG: (Reply.LONG,)},
+    answers={
+        TaskId.READ: (ReplyId.WORD, ReplyId.LONG),
+        TaskId.WRITE_WORD: (ReplyId.WORD,),
+        TaskId.WRITE_LONG: (ReplyId.LONG,),
+    },
     errors={**PARAMETER_ERRORS, 17: "not in this operating state", 18: "another error"},  # V2 has words of its own
 )
 #: the highest PNU that PKE holds
@@ -70,20 +74,20 @@ def plain_server(
     def carry_out(order: Pkw) -> tuple[int, int]:
         spec = store.table.get(order.pnu)
         if spec is None or spec.text:
-            return Reply.ERROR, 0
-        reply = Reply.LONG if spec.long else Reply.WORD
-        if order.id == Order.READ:
+            return ReplyId.ERROR, 0
+        reply = ReplyId.LONG if spec.long else ReplyId.WORD
+        if order.id == TaskId.READ:
             actual = live(spec)
             return reply, spec.pwe(store.raw(spec) if actual is None else actual)
         if spec.read_only:
-            return Reply.ERROR, 1
-        if order.id != (Order.WRITE_LONG if spec.long else Order.WRITE_WORD):
-            return Reply.ERROR, 5
+            return ReplyId.ERROR, 1
+        if order.id != (TaskId.WRITE_LONG if spec.long else TaskId.WRITE_WORD):
+            return ReplyId.ERROR, 5
         raw = spec.from_pwe(order.pwe)
         if not spec.low <= spec.to_value(raw) <= spec.high:
-            return Reply.ERROR, 2
+            return ReplyId.ERROR, 2
         if locked(spec):
-            return Reply.ERROR, 17
+            return ReplyId.ERROR, 17
         store.write(spec, raw)
         return reply, spec.pwe(raw)
 

@@ -12,7 +12,7 @@ from ls_kit import NONE, ZERO, sim
 
 from dpstack.dpv1.master.plugin_queue import ServiceFailure
 from dpstack.dpv1.pdu.read_write import parse_request
-from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.profile.record47 import RecordQueue, Refused, WriteReq
 from dpstack_drives.ls import DRIVE
 from dpstack_drives.ls.simulator import LsDevice
@@ -294,7 +294,7 @@ def test_l8_trips_have_names_in_a_telegram_without_a_channel() -> None:
 
 def du(device: LsDevice, request: str) -> str:
     """One service of DP-V1 as the slave application hands it on, in octets both ways."""
-    ticket = Ticket(parse_request(octets(request)))
+    ticket = RecordRequest(parse_request(octets(request)))
     assert device.records is not None
     device.records.ask(ticket)
     assert ticket.response is not None

@@ -20,7 +20,7 @@ from slave_kit import SLAVE, Bench
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.events import AddressChanged
-from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.profile import DriveDevice, Leave
 from dpstack.units import NEVER
 from dpstack_drives.demag import DRIVE as DEMAG
@@ -437,7 +437,7 @@ def test_ls_error_from_outside_over_record_47() -> None:
     def asked(request: str) -> str:
         now = bench.device.seen_until or 0
         assert server.write_record(1, 47, bytes.fromhex(request), now) is None
-        while isinstance(data := server.read_record(1, 47, 240, now), Ticket) or not isinstance(data, bytes):
+        while isinstance(data := server.read_record(1, 47, 240, now), RecordRequest) or not isinstance(data, bytes):
             bench.now += MS
             bench.device.advance(bench.now)
             now = bench.device.seen_until or 0

@@ -8,7 +8,7 @@ from typing import TypeVar
 from dpstack.dpv1.master.plugin_queue import Outcome, ServiceFailure
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.profile.record47.server import RecordServer
-from dpstack.profile.record47.transport import Answer, Pause, Refused, Service, Silent, Talk
+from dpstack.profile.record47.transport import Answer, Pause, Refused, Service, Silent, Transport
 
 T = TypeVar("T")
 MS = 1_000_000
@@ -83,7 +83,7 @@ class Wire:
         return Answer(self.now, data)
 
 
-def talk(talk: Talk[T], far_end: Callable[[Service], Answer]) -> T:
+def talk(talk: Transport[T], far_end: Callable[[Service], Answer]) -> T:
     """Have a talk to its end."""
     try:
         service = next(talk)

@@ -14,7 +14,7 @@ from slave_kit import Recorder
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
 from dpstack.dpv1.slave.device import Device
-from dpstack.dpv1.slave.record_requests import Records, Ticket, Transport
+from dpstack.dpv1.slave.record_requests import RecordRequest, Records, Transport
 from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.params import BusParams
@@ -29,9 +29,9 @@ class Later:
     """Keeps the tickets."""
 
     def __init__(self) -> None:
-        self.tickets: list[Ticket] = []
+        self.tickets: list[RecordRequest] = []
 
-    def ask(self, ticket: Ticket) -> None:
+    def ask(self, ticket: RecordRequest) -> None:
         self.tickets.append(ticket)
 
 

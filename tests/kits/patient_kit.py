@@ -8,7 +8,7 @@ from bus_kit import IDENT, PPO1
 
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
-from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
+from dpstack.dpv1.slave.record_requests import RecordRequest, TransportRequest
 
 #: class 2 connections that it has
 CONNECTIONS: Final = 2
@@ -23,9 +23,9 @@ class Patient(MirrorDevice):
         self.transport = self.ask
         self.ms2 = CONNECTIONS
         self.serial = 0
-        self.working: list[tuple[Ticket | TransportTicket, int, int]] = []
+        self.working: list[tuple[RecordRequest | TransportRequest, int, int]] = []
 
-    def ask(self, ticket: Ticket | TransportTicket) -> None:
+    def ask(self, ticket: RecordRequest | TransportRequest) -> None:
         self.serial += 1
         if ticket.request.index == 98:
             ticket.refuse(Code.INVALID_INDEX, self.serial)

@@ -9,7 +9,7 @@ from typing import TypeVar
 from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import ReadReq
-from dpstack.dpv1.slave.record_requests import AnyTicket, Ticket, TransportTicket
+from dpstack.dpv1.slave.record_requests import AnyRequest, RecordRequest, TransportRequest
 from dpstack.dpv1.slave.user_slave import OnRead, OnTransport, OnWrite
 
 T = TypeVar("T")
@@ -26,7 +26,7 @@ class AsyncRecords:
         self._on_transport = on_transport
         self._tasks: set[asyncio.Task[None]] = set()
 
-    def ask(self, ticket: Ticket | TransportTicket) -> None:
+    def ask(self, ticket: RecordRequest | TransportRequest) -> None:
         """Start the function; the master polls meanwhile. Where it gives up, the function is cancelled."""
         task = asyncio.get_running_loop().create_task(self._serve(ticket), name=ticket.title)
         self._tasks.add(task)
@@ -38,17 +38,17 @@ class AsyncRecords:
         for task in self._tasks:
             task.cancel()
 
-    def _over(self, ticket: AnyTicket, task: asyncio.Task[None]) -> None:
+    def _over(self, ticket: AnyRequest, task: asyncio.Task[None]) -> None:
         """Answer for a function that somebody else has cancelled, or its master would wait in vain."""
         self._tasks.discard(task)
         if task.cancelled():
             ticket.fail(asyncio.CancelledError("what it awaited was cancelled"))
 
-    async def _serve(self, ticket: Ticket | TransportTicket) -> None:
+    async def _serve(self, ticket: RecordRequest | TransportRequest) -> None:
         request = ticket.request
         function: Callable[..., Awaitable[object]] | None
         result, refusal = "", Code.ACCESS_DENIED
-        if isinstance(ticket, TransportTicket):
+        if isinstance(ticket, TransportRequest):
             name, function, result, refusal = "on_transport", self._on_transport, "what goes back", Code.NOT_SUPPORTED
         elif isinstance(request, ReadReq):
             name, function, result = "on_read", self._on_read, "a record"

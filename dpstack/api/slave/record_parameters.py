@@ -36,7 +36,7 @@ from dpstack.profile.record47 import (
     Refused,
     Result,
     Silent,
-    Talk,
+    Transport,
     Values,
     WriteReq,
     defined,
@@ -129,7 +129,7 @@ class RecordParameters:
         Its limits are asked for first where they are not known.
         """
 
-        def begin(deadline: int) -> Talk[list[ReadParameter]]:
+        def begin(deadline: int) -> Transport[list[ReadParameter]]:
             if not self._limits_known:
                 yield from read_limits(self._client, deadline)
                 self._limits_known = True
@@ -137,26 +137,26 @@ class RecordParameters:
 
         return await self._run(begin, timeout)
 
-    async def _run(self, begin: Callable[[int], Talk[T]], timeout: float | None) -> T:
+    async def _run(self, begin: Callable[[int], Transport[T]], timeout: float | None) -> T:
         loop = asyncio.get_running_loop()
         async with self._one_by_one:
-            talk = begin(NEVER if timeout is None else _now(loop) + s_to_ns(timeout))
+            transport = begin(NEVER if timeout is None else _now(loop) + s_to_ns(timeout))
             try:
-                service = next(talk)
+                service = next(transport)
                 while True:
                     data: bytes | Refused | Silent = b""
                     if isinstance(service, Pause):  # nothing tells when the drive has done: it is asked again
                         await asyncio.sleep(service.ns / NS_PER_S)
                     else:
                         data = await self._carry_out(service)
-                    service = talk.send(Answer(_now(loop), data))
+                    service = transport.send(Answer(_now(loop), data))
             except StopIteration as end:
                 result: T = end.value
                 return result
             except CommandError as error:
                 raise self._told(error) from None
             finally:
-                talk.close()
+                transport.close()
 
     def _told(self, error: CommandError) -> DriveError:
         text = f"drive {self._name}: {error.text}"

@@ -15,7 +15,7 @@ from typing import Final
 from dpstack.dp.master.commands import Mode, SendControl
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken, SlaveRemark, SlaveState
 from dpstack.dp.master.slave_handler import SlaveHandler
-from dpstack.dp.master.sync_freeze import CyclicControl, Order, check_order
+from dpstack.dp.master.sync_freeze import ControlOrder, CyclicControl, check_order
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SSAP_MS0, Req
@@ -67,7 +67,7 @@ class Controls:
         self._period = max(_PERIOD, _SHARE * self.takes_ns)
         self._due = 0
         self._release = 0
-        self._orders: deque[Order] = deque()
+        self._orders: deque[ControlOrder] = deque()
         self._restore: deque[SlaveHandler] = deque()
 
     # --- what is wanted -----------------------------------------------------------------------------------------
@@ -81,7 +81,7 @@ class Controls:
         check_order(command, self._handlers.values(), mode)
         self.cycle_sync.refuse(command)
         self.cycle_freeze.refuse(command)
-        self._orders.append(Order(command))
+        self._orders.append(ControlOrder(command))
 
     @property
     def wants_all(self) -> bool:
@@ -197,7 +197,7 @@ class Controls:
     def started(self, request: Request, at: int) -> None:
         """A Global_Control goes out, its first bit at ``at``."""
         order = request.tag
-        if isinstance(order, Order) and self._orders and self._orders[0] is order:
+        if isinstance(order, ControlOrder) and self._orders and self._orders[0] is order:
             self._sent(order, at + self._length_ns)
         elif isinstance(order, CyclicControl):
             held = self.frozen if order.freeze else self.synced
@@ -221,7 +221,7 @@ class Controls:
             if GlobalControl.parse(request.data).unsync:
                 self._release = max(self._release, 1)
 
-    def _sent(self, order: Order, end: int) -> None:
+    def _sent(self, order: ControlOrder, end: int) -> None:
         command = order.command
         members = order.members(self._handlers.values())
         reached = {h.setup.address for h in members if h.state is SlaveState.DATA_EXCHANGE}

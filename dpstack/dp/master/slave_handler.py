@@ -17,7 +17,7 @@ from dpstack.dp.master.events import Fault, SlaveState, SlaveStateChanged
 from dpstack.dp.master.fault_report import Findings
 from dpstack.dp.master.plugin_host import UnitHost
 from dpstack.dp.master.retry_timing import Pacing
-from dpstack.dp.master.slave_states import TABLE, Ev
+from dpstack.dp.master.slave_states import TABLE, Trigger
 from dpstack.dp.master.verdicts import OddAnswers, Readiness, foreign_owner, masters_view, verdict_exchanging
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_image import SlaveImage, image_of
@@ -96,7 +96,7 @@ class SlaveHandler:
         self.restart = True
         self._ready = Readiness()
         #: a fault that waits for the answer to Get_Cfg: its event, and its text from these octets (None: no answer)
-        self._inquiry: tuple[Ev, fault_texts.FaultOfCfg] | None = None
+        self._inquiry: tuple[Trigger, fault_texts.FaultOfCfg] | None = None
         #: why it left data exchange, until the next diagnosis says more: the status that refused it, "" for Prm_Req
         self._left: str | None = None
         #: the octets of the last Set_Prm
@@ -158,10 +158,10 @@ class SlaveHandler:
         if outcome is Failure.ABANDONED or self.state is not SlaveState.DATA_EXCHANGE:
             return
         if not isinstance(outcome, Telegram):
-            self._step(Ev.SILENT, now, fault_texts.lost("Data_Exchange", outcome))
+            self._step(Trigger.SILENT, now, fault_texts.lost("Data_Exchange", outcome))
             return
         verdict = self._odd.judge(outcome)
-        if verdict is Ev.WRONG_LENGTH:
+        if verdict is Trigger.WRONG_LENGTH:
             # safe outputs and Unlock at once; the fault is told with what Get_Cfg says
             self._step(verdict, now)
             self._inquire(
@@ -239,7 +239,7 @@ class SlaveHandler:
             if request.dsap == SAP_SLAVE_DIAG:
                 self._on_diagnosis(good, now)
             else:
-                self._step(Ev.ACK, now)
+                self._step(Trigger.ACK, now)
 
     def _on_silence(self, service: str, why: Failure, now: int, *, long: bool) -> None:
         if self.state is SlaveState.OFFLINE:
@@ -247,21 +247,21 @@ class SlaveHandler:
             self._pacing.absent(now, long=long)
             if self._silent >= _TOLD_ABSENT_AFTER and not self.findings.silence_told:
                 self.findings.tell(fault_texts.absent(self.setup.address, self.baud, why), now)
-            self._step(Ev.SILENT, now)
+            self._step(Trigger.SILENT, now)
             return
         fault = None
         if self.state in (SlaveState.SET_PRM, SlaveState.CHK_CFG):
             self._ready.unacked = service
         else:
             fault = fault_texts.lost(service, why)
-        self._step(Ev.SILENT, now, fault)
+        self._step(Trigger.SILENT, now, fault)
 
     def _on_refusal(self, outcome: Telegram, service: str, now: int) -> None:
         self._busy += 1
         self._pacing.busy(now)
         if self._busy >= _MAX_BUSY:
             self._busy = 0
-            self._step(Ev.REFUSED, now, fault_texts.refused(service, refusal_text(outcome)))
+            self._step(Trigger.REFUSED, now, fault_texts.refused(service, refusal_text(outcome)))
 
     # --- diagnosis ----------------------------------------------------------------------------------------------
 
@@ -278,9 +278,9 @@ class SlaveHandler:
         if diagnosis.prm_req or owner is not None or diagnosis.ident != self.ident:
             self.owned = False
         if diagnosis.ident != self.ident:
-            self._step(Ev.DIAG_OTHER, now, fault_texts.wrong_ident(self.ident, diagnosis.ident))
+            self._step(Trigger.DIAG_OTHER, now, fault_texts.wrong_ident(self.ident, diagnosis.ident))
         elif owner is not None:
-            self._step(Ev.DIAG_LOCKED, now, fault_texts.locked(diagnosis, owner, self._masters()))
+            self._step(Trigger.DIAG_LOCKED, now, fault_texts.locked(diagnosis, owner, self._masters()))
         elif self.state is SlaveState.DATA_EXCHANGE:
             self._judge_exchanging(diagnosis, now)
         elif self.state is SlaveState.WAIT_READY:
@@ -290,7 +290,7 @@ class SlaveHandler:
                 self.findings.tell(fault_texts.left(diagnosis, self._left), now)
                 self._left = None
             if not self._pacing.pauses(now):
-                self._step(Ev.DIAG_FREE, now)
+                self._step(Trigger.DIAG_FREE, now)
 
     def _judge_ready(self, diagnosis: Diagnosis, now: int) -> None:
         waited = now - self.since
@@ -298,13 +298,13 @@ class SlaveHandler:
         if fault is not None and not isinstance(fault, Fault):
             self._inquire(verdict, fault)
             return
-        if verdict is Ev.DIAG_WAIT:
+        if verdict is Trigger.DIAG_WAIT:
             self._pacing.not_ready(now, waited)
-        elif verdict is Ev.DIAG_READY and self.watchdog and not diagnosis.wd_on:
+        elif verdict is Trigger.DIAG_READY and self.watchdog and not diagnosis.wd_on:
             self.findings.remark(fault_texts.NOT_WATCHING, now)
         self._step(verdict, now, fault)
 
-    def _inquire(self, event: Ev, fault: fault_texts.FaultOfCfg) -> None:
+    def _inquire(self, event: Trigger, fault: fault_texts.FaultOfCfg) -> None:
         """Ask Get_Cfg next: what the slave has instead belongs into the fault before it is told."""
         self._inquiry = (event, fault)
         if self.state is SlaveState.FAULT:
@@ -323,12 +323,12 @@ class SlaveHandler:
 
     def _judge_exchanging(self, diagnosis: Diagnosis, now: int) -> None:
         verdict = verdict_exchanging(diagnosis)
-        self.diag_due = verdict is Ev.DIAG_WAIT
+        self.diag_due = verdict is Trigger.DIAG_WAIT
         self._pacing.exchanging(now, static=self.diag_due)
-        self.image.valid = verdict is Ev.DIAG_READY
-        self._left = "" if verdict is Ev.DIAG_PRM_REQ else None
+        self.image.valid = verdict is Trigger.DIAG_READY
+        self._left = "" if verdict is Trigger.DIAG_PRM_REQ else None
         fault = None
-        if verdict is Ev.DIAG_REFUSED:
+        if verdict is Trigger.DIAG_REFUSED:
             refusal = fault_texts.refusal(self.setup, diagnosis, self._prm_sent)
             if not isinstance(refusal, Fault):
                 self._step(verdict, now)
@@ -354,7 +354,7 @@ class SlaveHandler:
 
     # --- states -------------------------------------------------------------------------------------------------
 
-    def _step(self, event: Ev, now: int, fault: Fault | None = None) -> None:
+    def _step(self, event: Trigger, now: int, fault: Fault | None = None) -> None:
         row = TABLE.get((self.state, event))
         if row is None:
             return
@@ -405,12 +405,12 @@ class SlaveHandler:
 
     def deactivate(self, now: int) -> None:
         """Take it out of service; nothing is asked of it until :meth:`activate`."""
-        self._step(Ev.DEACTIVATE, now)
+        self._step(Trigger.DEACTIVATE, now)
 
     def activate(self, now: int) -> None:
         """Bring it up (again), from the beginning."""
         if self.state is SlaveState.DEACTIVATED:
-            self._step(Ev.ACTIVATE, now)
+            self._step(Trigger.ACTIVATE, now)
             self._pacing = Pacing()
 
     def station_found(self, now: int) -> None:

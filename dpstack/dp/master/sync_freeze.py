@@ -24,7 +24,7 @@ class Missing(NamedTuple):
     why: str
 
 
-class Order:
+class ControlOrder:
     """An order under way; ``sent`` once its telegram went out (then it only waits for the picture)."""
 
     __slots__ = ("_marks", "_mask", "command", "sent")

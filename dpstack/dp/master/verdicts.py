@@ -15,7 +15,7 @@ from typing import Final
 
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.events import Fault, FaultKind, SlaveState
-from dpstack.dp.master.slave_states import Ev
+from dpstack.dp.master.slave_states import Trigger
 from dpstack.dp.pdu.diag_bits import FLAG, FLAGS, Does, SetBy, weightiest
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.services import SERVICE_NAMES
@@ -43,7 +43,7 @@ class OddAnswers:
         self.none = True
         self._wrong = self._busy = 0
 
-    def judge(self, answer: Telegram) -> Ev | None:
+    def judge(self, answer: Telegram) -> Trigger | None:
         """What ``answer`` to Data_Exchange means: WRONG_LENGTH, NOT_EXCHANGING (RS) or REFUSED; None: ask again in
         the next round.
         """
@@ -51,19 +51,19 @@ class OddAnswers:
         status = answer.fc & 0x0F
         if answer.kind is Kind.SC or status in _DATA:
             self._wrong += 1
-            return None if self._wrong < _MAX_WRONG else Ev.WRONG_LENGTH
+            return None if self._wrong < _MAX_WRONG else Trigger.WRONG_LENGTH
         if status == Resp.RS:
-            return Ev.NOT_EXCHANGING
+            return Trigger.NOT_EXCHANGING
         self._busy += 1  # UE, RR, NR, RDL, RDH
-        return None if self._busy < _MAX_BUSY else Ev.REFUSED
+        return None if self._busy < _MAX_BUSY else Trigger.REFUSED
 
 
 #: what the master does -> what the state table calls it
 _EVENT: Final = {
-    Does.TELLS: Ev.DIAG_READY,
-    Does.WAITS: Ev.DIAG_WAIT,
-    Does.PARAMETERISES: Ev.DIAG_PRM_REQ,
-    Does.REFUSES: Ev.DIAG_REFUSED,
+    Does.TELLS: Trigger.DIAG_READY,
+    Does.WAITS: Trigger.DIAG_WAIT,
+    Does.PARAMETERISES: Trigger.DIAG_PRM_REQ,
+    Does.REFUSES: Trigger.DIAG_REFUSED,
 }
 #: the master's own bits, octets 1 and 2: a slave's are not believed
 _MASTERS: Final = tuple(
@@ -104,18 +104,18 @@ def deviations(diagnosis: Diagnosis, own: int) -> Iterator[str]:
         yield f"its extended diagnosis lies about its lengths: {diagnosis.ext_finding}; the rest is kept as it came"
 
 
-def verdict_exchanging(diagnosis: Diagnosis) -> Ev:
+def verdict_exchanging(diagnosis: Diagnosis) -> Trigger:
     """What a diagnosis of the right device, ours, means while in data exchange
     (docs/protocol.md#what-a-diagnosis-means)."""
     return _EVENT[weightiest(tuple(flag.exchange for flag in diagnosis.findings))]
 
 
-def verdict_ready(diagnosis: Diagnosis, *, cfg_sent: bool) -> Ev:
+def verdict_ready(diagnosis: Diagnosis, *, cfg_sent: bool) -> Trigger:
     """What a diagnosis of the right device means after Set_Prm and, when ``cfg_sent``, Chk_Cfg
     (docs/protocol.md#slave-handler)."""
     verdict = _EVENT[weightiest(tuple(flag.bring_up for flag in diagnosis.findings))]
-    if not cfg_sent and verdict in (Ev.DIAG_WAIT, Ev.DIAG_READY):
-        return Ev.DIAG_NO_CFG
+    if not cfg_sent and verdict in (Trigger.DIAG_WAIT, Trigger.DIAG_READY):
+        return Trigger.DIAG_NO_CFG
     return verdict
 
 
@@ -163,7 +163,7 @@ class Readiness:
 
     def judge(
         self, setup: SlaveParams, diagnosis: Diagnosis, prm_sent: bytes, waited_ns: int
-    ) -> tuple[Ev, Fault | fault_texts.FaultOfCfg | None]:
+    ) -> tuple[Trigger, Fault | fault_texts.FaultOfCfg | None]:
         """What ``diagnosis`` means ``waited_ns`` after the last step, and what is wrong.
 
         ``setup``: of its slave; ``prm_sent``: the octets of its last Set_Prm.
@@ -171,21 +171,21 @@ class Readiness:
         A :data:`~dpstack.dp.master.fault_texts.FaultOfCfg` needs the answer to Get_Cfg first.
         """
         verdict = verdict_ready(diagnosis, cfg_sent=self.cfg_sent)
-        if verdict is Ev.DIAG_WAIT:
+        if verdict is Trigger.DIAG_WAIT:
             if self.unacked and waited_ns > _UNACKED_LIMIT:
-                return Ev.TOO_LONG, self._silent(setup, prm_sent)
+                return Trigger.TOO_LONG, self._silent(setup, prm_sent)
             if waited_ns > _READY_LIMIT:
                 seconds = _READY_LIMIT / NS_PER_S
                 if diagnosis.stat_diag:
-                    return Ev.TOO_LONG, fault_texts.statically_ill(seconds)
-                return Ev.TOO_LONG, partial(fault_texts.not_ready, setup, seconds)
-        elif verdict is Ev.DIAG_PRM_REQ:
+                    return Trigger.TOO_LONG, fault_texts.statically_ill(seconds)
+                return Trigger.TOO_LONG, partial(fault_texts.not_ready, setup, seconds)
+        elif verdict is Trigger.DIAG_PRM_REQ:
             if self._prm_rounds >= _MAX_PRM_ROUNDS:
                 if self.unacked:
-                    return Ev.REFUSED, self._silent(setup, prm_sent)
-                return Ev.REFUSED, partial(fault_texts.not_taken, setup)
+                    return Trigger.REFUSED, self._silent(setup, prm_sent)
+                return Trigger.REFUSED, partial(fault_texts.not_taken, setup)
             self._prm_rounds += 1
-        elif verdict is Ev.DIAG_REFUSED:
+        elif verdict is Trigger.DIAG_REFUSED:
             return verdict, fault_texts.refusal(setup, diagnosis, prm_sent)
         return verdict, None
 

@@ -22,7 +22,7 @@ from dpstack.dp.slave.extension import SlaveService
 from dpstack.dp.slave.prm_cfg_check import Watchdog, check_device
 from dpstack.dp.slave.services import Services
 from dpstack.dp.slave.state import DeviceClock, SlaveCore
-from dpstack.dp.slave.state_table import ACCESS, CONNECTION, AppEv, SlaveAppState
+from dpstack.dp.slave.state_table import ACCESS, CONNECTION, AppTrigger, SlaveAppState
 from dpstack.errors import PduError
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply, StationControl
 from dpstack.fdl.passive.station import PassiveStation
@@ -135,7 +135,7 @@ class SlaveApp:
     def initial_reset(self, now: int) -> None:
         """As delivered: address 126, open for Set_Slave_Add; then as after :meth:`restart`."""
         core = self._core
-        core.step(AppEv.POWER_ON, now, Leave.POWER_OFF)
+        core.step(AppTrigger.POWER_ON, now, Leave.POWER_OFF)
         try:
             core.address.initial_reset(now)
         except Exception as error:
@@ -235,7 +235,7 @@ class SlaveApp:
         if self.watchdog.expired(now):
             self.stats.watchdogs += 1
             core.report.emit(WatchdogExpired, now, master=core.master, watchdog_ns=self.watchdog.time_ns)
-            core.step(AppEv.WATCHDOG, now, Leave.WATCHDOG)
+            core.step(AppTrigger.WATCHDOG, now, Leave.WATCHDOG)
         if core.failure is None:
             try:
                 restart_at = self._clock.tick(now)
@@ -272,7 +272,7 @@ class SlaveApp:
         core = self._core
         core.diag.cfg_fault = True
         core.report.refused("Data_Exchange", sa, f"{got} output octets, the configuration has {expected}", now)
-        core.step(AppEv.LENGTH, now, Leave.WRONG_LENGTH)
+        core.step(AppTrigger.LENGTH, now, Leave.WRONG_LENGTH)
         return RS_REPLY
 
 

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, Final, Protocol
 
 from dpstack.dp.error_origin import error_text, origin_of
-from dpstack.dp.slave.state_table import AppEv, SlaveAppState
+from dpstack.dp.slave.state_table import AppTrigger, SlaveAppState
 from dpstack.fdl.interface import StationControl
 from dpstack.params import UNADDRESSED
 from dpstack.report_once import Novelty, ReportOnce
@@ -34,7 +34,7 @@ class SlaveAppStateChanged(SlaveAppEvent):
     """The slave reached another state. ``master``: who has locked it."""
 
     state: SlaveAppState
-    why: AppEv
+    why: AppTrigger
     master: int | None
 
     def _text(self) -> str:

@@ -20,7 +20,7 @@ from dpstack.dp.slave.prm_cfg_check import (
     watchdog_time,
 )
 from dpstack.dp.slave.state import SlaveCore
-from dpstack.dp.slave.state_table import AppEv
+from dpstack.dp.slave.state_table import AppTrigger
 from dpstack.errors import PduError
 from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import (
@@ -85,7 +85,7 @@ class Services:
         core = self._core
         sa = request.sa
         if core.master is not None and sa != core.master:
-            core.foreign("Set_Prm", sa, AppEv.PRM_FOREIGN, now)
+            core.foreign("Set_Prm", sa, AppTrigger.PRM_FOREIGN, now)
             return SC_REPLY
         try:
             prm = SetPrm.parse(request.data)
@@ -100,12 +100,12 @@ class Services:
             self._prm_bad(sa, refusal, now)
         elif prm.unlock:
             core.diag.clear_faults()
-            core.step(AppEv.UNLOCK, now, Leave.UNLOCK)
+            core.step(AppTrigger.UNLOCK, now, Leave.UNLOCK)
         elif prm.lock:
             self._prm_good(sa, prm, now)
         else:
             core.take_min_tsdr(prm.min_tsdr)
-            core.step(AppEv.PRM_KEEP, now)
+            core.step(AppTrigger.PRM_KEEP, now)
         return SC_REPLY
 
     def _prm_bad(self, sa: int, refusal: Refusal, now: int) -> None:
@@ -115,7 +115,7 @@ class Services:
         core.diag.not_supported = refusal.not_supported
         core.diag.prm_fault = not refusal.not_supported
         core.report.refused("Set_Prm", sa, refusal.reason, now)
-        core.step(AppEv.PRM_BAD, now, Leave.NEW_PARAMETERS)
+        core.step(AppTrigger.PRM_BAD, now, Leave.NEW_PARAMETERS)
 
     def _prm_good(self, sa: int, prm: SetPrm, now: int) -> None:
         core = self._core
@@ -127,7 +127,7 @@ class Services:
         core.watchdog.arm(watchdog_time(core.device, prm), now)
         for service in core.services:
             service.parameterised(prm)
-        core.step(AppEv.PRM_GOOD, now, Leave.NEW_PARAMETERS)
+        core.step(AppTrigger.PRM_GOOD, now, Leave.NEW_PARAMETERS)
 
     # --- Chk_Cfg ------------------------------------------------------------------------------------------------
 
@@ -135,11 +135,11 @@ class Services:
         core = self._core
         config = real_cfg(core.device, request.data)
         if request.sa != core.master:
-            core.foreign("Chk_Cfg", request.sa, AppEv.CFG_FOREIGN, now)
+            core.foreign("Chk_Cfg", request.sa, AppTrigger.CFG_FOREIGN, now)
         elif core.failure is not None:
-            core.step(AppEv.CFG_HELD, now)
+            core.step(AppTrigger.CFG_HELD, now)
         elif core.data is not None and config == core.data.config:
-            core.step(AppEv.CFG_GOOD, now)
+            core.step(AppTrigger.CFG_GOOD, now)
         else:
             self._judge_cfg(request.sa, config, now)
         return SC_REPLY
@@ -154,7 +154,7 @@ class Services:
         if isinstance(verdict, Refusal):
             core.diag.cfg_fault = True
             core.report.refused("Chk_Cfg", sa, verdict.reason, now)
-            core.step(AppEv.CFG_BAD, now, Leave.NEW_CONFIGURATION)
+            core.step(AppTrigger.CFG_BAD, now, Leave.NEW_CONFIGURATION)
         else:
             self._cfg_good(config, *verdict, now)
 
@@ -174,7 +174,7 @@ class Services:
         for service in core.services:
             service.entered()
         core.report.forget()
-        core.step(AppEv.CFG_GOOD, now)
+        core.step(AppTrigger.CFG_GOOD, now)
 
     # --- Set_Slave_Add ------------------------------------------------------------------------------------------
 
@@ -188,7 +188,7 @@ class Services:
             if reason is None:
                 core.address.take(wanted, request.sa, now)
                 core.end_services("the slave has another address", now)
-                core.step(AppEv.ADDRESS, now)
+                core.step(AppTrigger.ADDRESS, now)
         except PduError as error:
             reason = str(error)
         except Exception as error:

@@ -18,7 +18,7 @@ from dpstack.dp.slave.device import DpV0Device, Leave
 from dpstack.dp.slave.diagnosis import DiagState
 from dpstack.dp.slave.events import AddressChanged, Report, SlaveAppStateChanged
 from dpstack.dp.slave.prm_cfg_check import Watchdog
-from dpstack.dp.slave.state_table import TABLE, AppEv, SlaveAppState
+from dpstack.dp.slave.state_table import TABLE, AppTrigger, SlaveAppState
 from dpstack.fdl.passive.station import LOWEST_TSDR
 from dpstack.params import MAX_STATION, UNADDRESSED
 from dpstack.units import NOW
@@ -154,7 +154,7 @@ class SlaveCore:
 
     def restart(self, now: int) -> None:
         """Off and on again: nothing kept but the address, a failure forgotten."""
-        self.step(AppEv.POWER_ON, now, Leave.POWER_OFF)
+        self.step(AppTrigger.POWER_ON, now, Leave.POWER_OFF)
         self.end_services("the slave was switched off", now)
         self.failure = None
         self.diag.clear_faults()
@@ -170,7 +170,7 @@ class SlaveCore:
         if before != address:
             self.report.emit(AddressChanged, now, before=before, master=None, fixed=self.address.fixed, kept=True)
 
-    def step(self, event: AppEv, now: int, leave: Leave | None = None) -> None:
+    def step(self, event: AppTrigger, now: int, leave: Leave | None = None) -> None:
         """Take the row of ``event``; ``leave``: why data exchange ends, unless the row leads back into it."""
         was = self.state
         state = self.state = TABLE[was, event].next
@@ -202,7 +202,7 @@ class SlaveCore:
         """The device raised: out of data exchange, told."""
         self.failure = f"{type(error).__name__}: {error}"
         self.report.failed(during, error, now)
-        self.step(AppEv.FAILED, now, Leave.FAILURE)
+        self.step(AppTrigger.FAILED, now, Leave.FAILURE)
 
     @property
     def baud(self) -> int:
@@ -215,7 +215,7 @@ class SlaveCore:
         for service in self.services:
             service.end(why, now)
 
-    def foreign(self, service: str, sa: int, event: AppEv, now: int) -> None:
+    def foreign(self, service: str, sa: int, event: AppTrigger, now: int) -> None:
         """A service of a master that does not own the slave: counted, told, without effect."""
         self.report.stats.foreign += 1
         owner = "nobody has parameterised the slave" if self.master is None else f"it is locked by master {self.master}"

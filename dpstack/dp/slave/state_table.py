@@ -81,7 +81,7 @@ ACCESS: Final[dict[int | None, Access]] = {
 CONNECTION: Final = Access("MS2", _ALL, False, f"{_MS2}: class 2 needs no parameters; the connection says for whom")
 
 
-class AppEv(Enum):
+class AppTrigger(Enum):
     """What happened to a slave application."""
 
     PRM_GOOD = "Set_Prm with Lock_Req accepted"
@@ -107,37 +107,37 @@ class AppRow(NamedTuple):
     clause: str
 
 
-TABLE: Final[dict[tuple[SlaveAppState, AppEv], AppRow]] = {
-    (_PRM, AppEv.PRM_GOOD): AppRow(_CFG, _STATES),
-    (_PRM, AppEv.PRM_BAD): AppRow(_PRM, f"{_ACKED}: Prm_Fault in the diagnosis"),
-    (_PRM, AppEv.PRM_KEEP): AppRow(_PRM, f"{_SET_PRM}: min T_SDR only, even with a wrong ident number"),
-    (_PRM, AppEv.UNLOCK): AppRow(_PRM, f"{_LOCK}: 01 and 11 release; it was free"),
-    (_PRM, AppEv.CFG_FOREIGN): AppRow(_PRM, f"{_BY_STATE}: no Chk_Cfg before Set_Prm; Prm_Req stays in the diagnosis"),
-    (_PRM, AppEv.ADDRESS): AppRow(_PRM, f"{_ADDRESS}: another address, waiting as before"),
-    (_PRM, AppEv.FAILED): AppRow(_PRM, f"{_DECIDED}: a broken device never stops the bus"),
-    (_PRM, AppEv.POWER_ON): AppRow(_PRM, _STATES),
-    (_CFG, AppEv.PRM_GOOD): AppRow(_CFG, f"{_STATES}: parameters again"),
-    (_CFG, AppEv.PRM_BAD): AppRow(_PRM, f"{_ACKED}: back to Wait_Prm"),
-    (_CFG, AppEv.PRM_KEEP): AppRow(_CFG, f"{_SET_PRM}: min T_SDR only"),
-    (_CFG, AppEv.UNLOCK): AppRow(_PRM, f"{_STATES}: Unlock"),
-    (_CFG, AppEv.PRM_FOREIGN): AppRow(_CFG, f"{_LOCK}: locked, the first master keeps it"),
-    (_CFG, AppEv.CFG_GOOD): AppRow(_DATA, _STATES),
-    (_CFG, AppEv.CFG_BAD): AppRow(_PRM, f"{_ACKED}: Cfg_Fault in the diagnosis, back to Wait_Prm"),
-    (_CFG, AppEv.CFG_HELD): AppRow(_CFG, f"{_DECIDED}: Station_Not_Ready and Stat_Diag until restarted"),
-    (_CFG, AppEv.CFG_FOREIGN): AppRow(_CFG, f"{_LOCK}: locked"),
-    (_CFG, AppEv.WATCHDOG): AppRow(_PRM, f"{_STATES}: the watchdog expired"),
-    (_CFG, AppEv.FAILED): AppRow(_PRM, f"{_DECIDED}: a broken device never stops the bus"),
-    (_CFG, AppEv.POWER_ON): AppRow(_PRM, _STATES),
-    (_DATA, AppEv.PRM_GOOD): AppRow(_CFG, f"{_STATES}: new parameters want a new Chk_Cfg"),
-    (_DATA, AppEv.PRM_BAD): AppRow(_PRM, f"{_STATES}: bad Set_Prm"),
-    (_DATA, AppEv.PRM_KEEP): AppRow(_DATA, f"{_SET_PRM}: min T_SDR only"),
-    (_DATA, AppEv.UNLOCK): AppRow(_PRM, f"{_STATES}: Unlock"),
-    (_DATA, AppEv.PRM_FOREIGN): AppRow(_DATA, f"{_LOCK}: locked, the first master keeps it"),
-    (_DATA, AppEv.CFG_GOOD): AppRow(_DATA, "VPC3+: stays; another configuration is taken up afresh"),
-    (_DATA, AppEv.CFG_BAD): AppRow(_PRM, f"{_ACKED}: back to Wait_Prm"),
-    (_DATA, AppEv.CFG_FOREIGN): AppRow(_DATA, f"{_LOCK}: locked"),
-    (_DATA, AppEv.LENGTH): AppRow(_PRM, f"{_STATES}: wrong output length, Cfg_Fault, back to Wait_Prm"),
-    (_DATA, AppEv.WATCHDOG): AppRow(_PRM, f"{_STATES}: the watchdog expired"),
-    (_DATA, AppEv.FAILED): AppRow(_PRM, f"{_DECIDED}: a broken device never stops the bus"),
-    (_DATA, AppEv.POWER_ON): AppRow(_PRM, _STATES),
+TABLE: Final[dict[tuple[SlaveAppState, AppTrigger], AppRow]] = {
+    (_PRM, AppTrigger.PRM_GOOD): AppRow(_CFG, _STATES),
+    (_PRM, AppTrigger.PRM_BAD): AppRow(_PRM, f"{_ACKED}: Prm_Fault in the diagnosis"),
+    (_PRM, AppTrigger.PRM_KEEP): AppRow(_PRM, f"{_SET_PRM}: min T_SDR only, even with a wrong ident number"),
+    (_PRM, AppTrigger.UNLOCK): AppRow(_PRM, f"{_LOCK}: 01 and 11 release; it was free"),
+    (_PRM, AppTrigger.CFG_FOREIGN): AppRow(_PRM, f"{_BY_STATE}: no Chk_Cfg before Set_Prm; Prm_Req stays set"),
+    (_PRM, AppTrigger.ADDRESS): AppRow(_PRM, f"{_ADDRESS}: another address, waiting as before"),
+    (_PRM, AppTrigger.FAILED): AppRow(_PRM, f"{_DECIDED}: a broken device never stops the bus"),
+    (_PRM, AppTrigger.POWER_ON): AppRow(_PRM, _STATES),
+    (_CFG, AppTrigger.PRM_GOOD): AppRow(_CFG, f"{_STATES}: parameters again"),
+    (_CFG, AppTrigger.PRM_BAD): AppRow(_PRM, f"{_ACKED}: back to Wait_Prm"),
+    (_CFG, AppTrigger.PRM_KEEP): AppRow(_CFG, f"{_SET_PRM}: min T_SDR only"),
+    (_CFG, AppTrigger.UNLOCK): AppRow(_PRM, f"{_STATES}: Unlock"),
+    (_CFG, AppTrigger.PRM_FOREIGN): AppRow(_CFG, f"{_LOCK}: locked, the first master keeps it"),
+    (_CFG, AppTrigger.CFG_GOOD): AppRow(_DATA, _STATES),
+    (_CFG, AppTrigger.CFG_BAD): AppRow(_PRM, f"{_ACKED}: Cfg_Fault in the diagnosis, back to Wait_Prm"),
+    (_CFG, AppTrigger.CFG_HELD): AppRow(_CFG, f"{_DECIDED}: Station_Not_Ready and Stat_Diag until restarted"),
+    (_CFG, AppTrigger.CFG_FOREIGN): AppRow(_CFG, f"{_LOCK}: locked"),
+    (_CFG, AppTrigger.WATCHDOG): AppRow(_PRM, f"{_STATES}: the watchdog expired"),
+    (_CFG, AppTrigger.FAILED): AppRow(_PRM, f"{_DECIDED}: a broken device never stops the bus"),
+    (_CFG, AppTrigger.POWER_ON): AppRow(_PRM, _STATES),
+    (_DATA, AppTrigger.PRM_GOOD): AppRow(_CFG, f"{_STATES}: new parameters want a new Chk_Cfg"),
+    (_DATA, AppTrigger.PRM_BAD): AppRow(_PRM, f"{_STATES}: bad Set_Prm"),
+    (_DATA, AppTrigger.PRM_KEEP): AppRow(_DATA, f"{_SET_PRM}: min T_SDR only"),
+    (_DATA, AppTrigger.UNLOCK): AppRow(_PRM, f"{_STATES}: Unlock"),
+    (_DATA, AppTrigger.PRM_FOREIGN): AppRow(_DATA, f"{_LOCK}: locked, the first master keeps it"),
+    (_DATA, AppTrigger.CFG_GOOD): AppRow(_DATA, "VPC3+: stays; another configuration is taken up afresh"),
+    (_DATA, AppTrigger.CFG_BAD): AppRow(_PRM, f"{_ACKED}: back to Wait_Prm"),
+    (_DATA, AppTrigger.CFG_FOREIGN): AppRow(_DATA, f"{_LOCK}: locked"),
+    (_DATA, AppTrigger.LENGTH): AppRow(_PRM, f"{_STATES}: wrong output length, Cfg_Fault, back to Wait_Prm"),
+    (_DATA, AppTrigger.WATCHDOG): AppRow(_PRM, f"{_STATES}: the watchdog expired"),
+    (_DATA, AppTrigger.FAILED): AppRow(_PRM, f"{_DECIDED}: a broken device never stops the bus"),
+    (_DATA, AppTrigger.POWER_ON): AppRow(_PRM, _STATES),
 }

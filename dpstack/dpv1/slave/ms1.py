@@ -15,7 +15,7 @@ from dpstack.dp.slave.extension import Handler, SlaveService
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative, UnacceptableError, parse_request
 from dpstack.dpv1.slave.alarms import AlarmServer
-from dpstack.dpv1.slave.record_requests import Asker, Records, Ticket, put
+from dpstack.dpv1.slave.record_requests import Asker, RecordRequest, Records, put
 from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import SAP_MS1, SAP_MS1_ALARM, Resp, Telegram
 
@@ -53,7 +53,7 @@ class Ms1Server(SlaveService):
         self.messages = alarms
         self._enabled = False  # by Set_Prm
         self._report = report
-        self._ticket: Ticket | None = None
+        self._ticket: RecordRequest | None = None
         self._answer: bytes | None = None  # to what no application is asked
         self._asker: Asker | None = None
 
@@ -103,7 +103,7 @@ class Ms1Server(SlaveService):
             self._answer = error.negative.build()
             self._report.refused("MS1", sa, str(error), now)
             return SC_REPLY
-        self._ticket = Ticket(wanted, self._asker, now)
+        self._ticket = RecordRequest(wanted, self._asker, now)
         put(self._ticket, self.records)
         return SC_REPLY
 

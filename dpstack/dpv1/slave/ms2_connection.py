@@ -11,14 +11,14 @@ from dpstack.dp.slave.events import Report, SlaveAppEvent
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.ms2 import IDLE, Abort, AbortReason, DataTransport, InitiateReq, InitiateRes, Instance
 from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, UnacceptableError, parse_request
-from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ev, State
+from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ms2Trigger, State
 from dpstack.dpv1.slave.record_requests import (
-    AnyTicket,
+    AnyRequest,
     Asker,
+    RecordRequest,
     Records,
-    Ticket,
     Transport,
-    TransportTicket,
+    TransportRequest,
     put,
     put_transport,
 )
@@ -108,7 +108,7 @@ class ServerConnection:
         #: it told its master that it lives
         self._lived = now
         self._answer: bytes | None = None
-        self._ticket: AnyTicket | None = None
+        self._ticket: AnyRequest | None = None
         self._device = device
         self._report = report
 
@@ -195,7 +195,7 @@ class ServerConnection:
         self.heard = now
         if self.state is State.WORKING:
             self._look(now)
-        match TABLE[self.state, Ev.POLL].act:
+        match TABLE[self.state, Ms2Trigger.POLL].act:
             case Act.GIVE:
                 self.state = State.OPEN
                 answer, self._answer = self._answer, None
@@ -212,7 +212,7 @@ class ServerConnection:
         return None
 
     def silence(self, now: int) -> None:
-        if TABLE[self.state, Ev.SILENCE].act is Act.FREE:
+        if TABLE[self.state, Ms2Trigger.SILENCE].act is Act.FREE:
             self._answer = None
             return
         waited = (now - self.heard) // NS_PER_MS
@@ -244,22 +244,22 @@ class ServerConnection:
 
     # --- inside ---------------------------------------------------------------------------------------------------
 
-    def _judge(self, octets: bytes) -> tuple[Ev, str]:
+    def _judge(self, octets: bytes) -> tuple[Ms2Trigger, str]:
         function = octets[0]
         if function not in Function.__members__.values():
-            return Ev.UNREADABLE, f"octet 1: no service 0x{function:02X}"
+            return Ms2Trigger.UNREADABLE, f"octet 1: no service 0x{function:02X}"
         match function:
             case Function.ABORT:
                 try:
-                    return Ev.ABORT, Abort.parse(octets).text
+                    return Ms2Trigger.ABORT, Abort.parse(octets).text
                 except PduError as error:
-                    return Ev.ABORT, f"an Abort that cannot be read: {error}"
+                    return Ms2Trigger.ABORT, f"an Abort that cannot be read: {error}"
             case Function.IDLE:
-                return Ev.IDLE, "Idle"
+                return Ms2Trigger.IDLE, "Idle"
             case Function.READ | Function.WRITE | Function.DATA_TRANSPORT:
-                return Ev.SERVICE, f"{Function(function).title} came"
+                return Ms2Trigger.SERVICE, f"{Function(function).title} came"
             case _:
-                return Ev.OUT_OF_PLACE, f"{Function(function).title} came"
+                return Ms2Trigger.OUT_OF_PLACE, f"{Function(function).title} came"
 
     def _serve(self, octets: bytes, now: int) -> None:
         """A service: what its application can be asked, else a negative response like that of MS1."""
@@ -277,10 +277,10 @@ class ServerConnection:
             self._negative(error.negative, str(error), now)
             return
         if isinstance(request, DataTransport):
-            self._ticket = transport = TransportTicket(request, self.asker, now)
+            self._ticket = transport = TransportRequest(request, self.asker, now)
             put_transport(transport, self._device.transport)
         else:
-            self._ticket = ticket = Ticket(request, self.asker, now)
+            self._ticket = ticket = RecordRequest(request, self.asker, now)
             put(ticket, self._device.records)
 
     def _negative(self, negative: Negative, why: str, now: int) -> None:

@@ -21,7 +21,7 @@ class State(Enum):
     OVER = "over"  # an Abort waits to be fetched, the services are over
 
 
-class Ev(Enum):
+class Ms2Trigger(Enum):
     POLL = "a poll"
     SERVICE = "Read, Write or Data_Transport"
     IDLE = "Idle"
@@ -54,33 +54,33 @@ _O, _W, _A, _V = State.OPEN, State.WORKING, State.ANSWERED, State.OVER
 _MS2: Final = "docs/protocol.md#ms2"
 _DECIDED: Final = "docs/decisions/ms2.md#connections-at-the-slave"
 
-TABLE: Final[dict[tuple[State, Ev], Row]] = {
-    (_O, Ev.POLL): Row(Act.ACKNOWLEDGE, "VPC3+: nothing is there any more"),
-    (_O, Ev.SERVICE): Row(Act.SERVE, _MS2),
-    (_O, Ev.IDLE): Row(Act.ANSWER_IDLE, "docs/protocol.md#idle; VPC3+"),
-    (_O, Ev.ABORT): Row(Act.FREE, "docs/protocol.md#abort; VPC3+"),
-    (_O, Ev.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
-    (_O, Ev.UNREADABLE): Row(Act.REQUEST_PDU, "VPC3+; ProSoft: an invalid request PDU"),
-    (_O, Ev.SILENCE): Row(Act.TIMEOUT, "VPC3+: after twice the send time-out"),
-    (_W, Ev.POLL): Row(Act.LOOK, _MS2),
-    (_W, Ev.SERVICE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
-    (_W, Ev.IDLE): Row(Act.ACKNOWLEDGE, f"{_DECIDED}; VPC3+ ignores it"),
-    (_W, Ev.ABORT): Row(Act.FREE, "VPC3+: in every state"),
-    (_W, Ev.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft"),
-    (_W, Ev.UNREADABLE): Row(Act.REQUEST_PDU, "ProSoft"),
-    (_W, Ev.SILENCE): Row(Act.TIMEOUT, "VPC3+: after the send time-out"),
-    (_A, Ev.POLL): Row(Act.GIVE, _MS2),
-    (_A, Ev.SERVICE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
-    (_A, Ev.IDLE): Row(Act.ACKNOWLEDGE, f"{_DECIDED}; VPC3+ ignores it"),
-    (_A, Ev.ABORT): Row(Act.FREE, "VPC3+: in every state"),
-    (_A, Ev.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft"),
-    (_A, Ev.UNREADABLE): Row(Act.REQUEST_PDU, "ProSoft"),
-    (_A, Ev.SILENCE): Row(Act.TIMEOUT, "VPC3+: after the send time-out"),
-    (_V, Ev.POLL): Row(Act.FREE, "VPC3+: the SAP is closed once the Abort was fetched"),
-    (_V, Ev.SERVICE): Row(Act.ACKNOWLEDGE, "VPC3+: only the Abort is left"),
-    (_V, Ev.IDLE): Row(Act.ACKNOWLEDGE, "VPC3+"),
-    (_V, Ev.ABORT): Row(Act.FREE, "VPC3+"),
-    (_V, Ev.OUT_OF_PLACE): Row(Act.ACKNOWLEDGE, "VPC3+"),
-    (_V, Ev.UNREADABLE): Row(Act.ACKNOWLEDGE, "VPC3+"),
-    (_V, Ev.SILENCE): Row(Act.FREE, "VPC3+: nobody fetched the Abort for another send time-out"),
+TABLE: Final[dict[tuple[State, Ms2Trigger], Row]] = {
+    (_O, Ms2Trigger.POLL): Row(Act.ACKNOWLEDGE, "VPC3+: nothing is there any more"),
+    (_O, Ms2Trigger.SERVICE): Row(Act.SERVE, _MS2),
+    (_O, Ms2Trigger.IDLE): Row(Act.ANSWER_IDLE, "docs/protocol.md#idle; VPC3+"),
+    (_O, Ms2Trigger.ABORT): Row(Act.FREE, "docs/protocol.md#abort; VPC3+"),
+    (_O, Ms2Trigger.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
+    (_O, Ms2Trigger.UNREADABLE): Row(Act.REQUEST_PDU, "VPC3+; ProSoft: an invalid request PDU"),
+    (_O, Ms2Trigger.SILENCE): Row(Act.TIMEOUT, "VPC3+: after twice the send time-out"),
+    (_W, Ms2Trigger.POLL): Row(Act.LOOK, _MS2),
+    (_W, Ms2Trigger.SERVICE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
+    (_W, Ms2Trigger.IDLE): Row(Act.ACKNOWLEDGE, f"{_DECIDED}; VPC3+ ignores it"),
+    (_W, Ms2Trigger.ABORT): Row(Act.FREE, "VPC3+: in every state"),
+    (_W, Ms2Trigger.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft"),
+    (_W, Ms2Trigger.UNREADABLE): Row(Act.REQUEST_PDU, "ProSoft"),
+    (_W, Ms2Trigger.SILENCE): Row(Act.TIMEOUT, "VPC3+: after the send time-out"),
+    (_A, Ms2Trigger.POLL): Row(Act.GIVE, _MS2),
+    (_A, Ms2Trigger.SERVICE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
+    (_A, Ms2Trigger.IDLE): Row(Act.ACKNOWLEDGE, f"{_DECIDED}; VPC3+ ignores it"),
+    (_A, Ms2Trigger.ABORT): Row(Act.FREE, "VPC3+: in every state"),
+    (_A, Ms2Trigger.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft"),
+    (_A, Ms2Trigger.UNREADABLE): Row(Act.REQUEST_PDU, "ProSoft"),
+    (_A, Ms2Trigger.SILENCE): Row(Act.TIMEOUT, "VPC3+: after the send time-out"),
+    (_V, Ms2Trigger.POLL): Row(Act.FREE, "VPC3+: the SAP is closed once the Abort was fetched"),
+    (_V, Ms2Trigger.SERVICE): Row(Act.ACKNOWLEDGE, "VPC3+: only the Abort is left"),
+    (_V, Ms2Trigger.IDLE): Row(Act.ACKNOWLEDGE, "VPC3+"),
+    (_V, Ms2Trigger.ABORT): Row(Act.FREE, "VPC3+"),
+    (_V, Ms2Trigger.OUT_OF_PLACE): Row(Act.ACKNOWLEDGE, "VPC3+"),
+    (_V, Ms2Trigger.UNREADABLE): Row(Act.ACKNOWLEDGE, "VPC3+"),
+    (_V, Ms2Trigger.SILENCE): Row(Act.FREE, "VPC3+: nobody fetched the Abort for another send time-out"),
 }

@@ -31,7 +31,7 @@ class Asker:
 NOBODY: Final = Asker(-1, -1)
 
 
-class AnyTicket:
+class AnyRequest:
     """What every service has in common; exactly one of the methods is called, once, whenever it is known.
 
     ``open``: the answer is still wanted; ``abandoned`` is called when it is not any more. Then it would be dropped.
@@ -83,10 +83,10 @@ class AnyTicket:
             self.response = response
 
 
-T = TypeVar("T", bound=AnyTicket)
+T = TypeVar("T", bound=AnyRequest)
 
 
-class Ticket(AnyTicket):
+class RecordRequest(AnyRequest):
     """A Read or Write."""
 
     def __init__(self, request: RecordReq, asker: Asker = NOBODY, at: int = 0) -> None:
@@ -106,7 +106,7 @@ class Ticket(AnyTicket):
             self._respond(ReadRes(request.slot, request.index, bytes(data[: request.length])))
 
 
-class TransportTicket(AnyTicket):
+class TransportRequest(AnyRequest):
     """A Data_Transport."""
 
     def __init__(self, request: DataTransport, asker: Asker = NOBODY, at: int = 0) -> None:
@@ -124,20 +124,20 @@ class TransportTicket(AnyTicket):
 class Records(Protocol):
     """The records of a device."""
 
-    def ask(self, ticket: Ticket) -> None:
-        """A request: answer the ticket, at once or later. What it raises is answered as :meth:`Ticket.fail` does."""
+    def ask(self, ticket: RecordRequest) -> None:
+        """Answer the request, at once or later. An exception is answered as by :meth:`RecordRequest.fail`."""
 
 
 #: what serves Data_Transport: answers the ticket, at once or later
-Transport = Callable[[TransportTicket], None]
+Transport = Callable[[TransportRequest], None]
 
 
-def put(ticket: Ticket, records: Records | None) -> None:
+def put(ticket: RecordRequest, records: Records | None) -> None:
     """Let ``records`` answer it; a device that has none refuses."""
     _put(ticket, None if records is None else records.ask, Code.INVALID_INDEX)
 
 
-def put_transport(ticket: TransportTicket, transport: Transport | None) -> None:
+def put_transport(ticket: TransportRequest, transport: Transport | None) -> None:
     """Let ``transport`` answer it; a device that has none refuses."""
     _put(ticket, transport, Code.NOT_SUPPORTED)
 

@@ -14,7 +14,7 @@ from dpstack.dp.pdu.layouts import MAX_SLOT
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build_call, number_of, parse_call
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
-from dpstack.dpv1.slave.record_requests import Asker, Records, Ticket, put
+from dpstack.dpv1.slave.record_requests import Asker, RecordRequest, Records, put
 from dpstack.errors import PduError
 
 
@@ -25,7 +25,7 @@ class RecordTable:
         self.records = dict(records)
         self._writable = frozenset(writable)
 
-    def ask(self, ticket: Ticket) -> None:
+    def ask(self, ticket: RecordRequest) -> None:
         request = ticket.request
         where = (request.slot, request.index)
         if where not in self.records:
@@ -49,7 +49,7 @@ class ByIndex:
         self._served = dict(served)
         self._others = others
 
-    def ask(self, ticket: Ticket) -> None:
+    def ask(self, ticket: RecordRequest) -> None:
         """By whoever has the index."""
         put(ticket, self._served.get(ticket.request.index, self._others))
 
@@ -90,7 +90,7 @@ class ImRecords:
     def _found(self, slot: int) -> dict[int, Im]:
         return self._slots.get(None) or self._slots.get(slot) or {}
 
-    def ask(self, ticket: Ticket) -> None:
+    def ask(self, ticket: RecordRequest) -> None:
         """I&M at once; what is no call goes on."""
         request = ticket.request
         called = self._called.setdefault(ticket.asker, {})  # each who asks has calls of its own
@@ -104,7 +104,7 @@ class ImRecords:
         else:
             self._hand_on(ticket)
 
-    def _call(self, ticket: Ticket, request: WriteReq, called: dict[int, int]) -> None:
+    def _call(self, ticket: RecordRequest, request: WriteReq, called: dict[int, int]) -> None:
         try:
             fi_index, data = parse_call(request.data)
         except PduError:
@@ -130,7 +130,7 @@ class ImRecords:
         called[request.slot] = number
         ticket.answer()
 
-    def _hand_on(self, ticket: Ticket) -> None:
+    def _hand_on(self, ticket: RecordRequest) -> None:
         if self.others is None:
             ticket.refuse(Code.STATE_CONFLICT if ticket.request.index == IM_INDEX else Code.INVALID_INDEX)
         else:

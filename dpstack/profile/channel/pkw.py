@@ -19,7 +19,7 @@ ZEROS: Final = bytes(PKW_LEN)
 _LAYOUT: Final = struct.Struct(">HBBI")
 
 
-class Order(IntEnum):
+class TaskId(IntEnum):
     """Order ids of the master."""
 
     NONE = 0
@@ -32,7 +32,7 @@ class Order(IntEnum):
     ELEMENTS = 9
 
 
-class Reply(IntEnum):
+class ReplyId(IntEnum):
     """Reply ids of the drive."""
 
     NONE = 0
@@ -46,7 +46,7 @@ class Reply(IntEnum):
 
 
 #: orders that change nothing
-READS: Final = frozenset({int(Order.READ), int(Order.READ_ARRAY), int(Order.ELEMENTS)})
+READS: Final = frozenset({int(TaskId.READ), int(TaskId.READ_ARRAY), int(TaskId.ELEMENTS)})
 
 
 class Pkw(NamedTuple):
@@ -150,7 +150,7 @@ class PkwClient:
     def step(self, inputs: bytes, now: int) -> None:
         """Process the channel's octets in ``inputs`` (the first eight) and advance the handshake."""
         reply = self._dialect.parse(inputs)
-        replied = reply.id != Reply.NONE
+        replied = reply.id != ReplyId.NONE
         active = self._active
         if active is None:
             if replied and self._queue and not self._release:
@@ -193,7 +193,7 @@ class PkwClient:
 
     def expected(self, order_id: int) -> tuple[int, ...]:
         """The reply ids that can answer an order, negative ones included."""
-        return (*self._dialect.answers.get(order_id, ()), Reply.ERROR, Reply.NO_CONTROL)
+        return (*self._dialect.answers.get(order_id, ()), ReplyId.ERROR, ReplyId.NO_CONTROL)
 
     def _withdraw(self) -> None:
         self._active = None
@@ -232,7 +232,7 @@ class PkwServer:
     def step(self, octets: bytes) -> bytes:
         """The reply to the eight octets of the order area."""
         order = self._dialect.parse(octets)
-        if order.id == Order.NONE:
+        if order.id == TaskId.NONE:
             self.reset()
             return ZEROS
         if self._held and self._dialect.zero_between:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from dpstack.profile.channel.base import ParamKey, check_write, outcome
-from dpstack.profile.channel.pkw import Order, Pkw, PkwClient, PkwDialect, Reply
+from dpstack.profile.channel.pkw import Pkw, PkwClient, PkwDialect, ReplyId, TaskId
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.params import ParamSpec
 from dpstack.units import NS_PER_MS
@@ -115,19 +115,19 @@ class PkwAccess(PkwChannel):
             pwe, long = ref.spec.pwe(raw), ref.spec.long
         else:
             reply = yield from self._read(ref, deadline)
-            long = reply.id in (Reply.LONG, Reply.ARRAY_LONG)
+            long = reply.id in (ReplyId.LONG, ReplyId.ARRAY_LONG)
             pwe = _raw(ref, value, long)
         if ref.array:
-            kind = Order.WRITE_ARRAY_LONG if long else Order.WRITE_ARRAY_WORD
+            kind = TaskId.WRITE_ARRAY_LONG if long else TaskId.WRITE_ARRAY_WORD
         else:
-            kind = Order.WRITE_LONG if long else Order.WRITE_WORD
+            kind = TaskId.WRITE_LONG if long else TaskId.WRITE_WORD
         reply = yield from self._exchange(Pkw(kind, ref.pnu, ref.ind, pwe), ref, deadline)
         if self._written is not None:
             self._written(ref)
         return _outcome(ref, reply)
 
     def _read(self, ref: ParamRef, deadline: int) -> Steps[Pkw]:
-        return self._exchange(Pkw(Order.READ_ARRAY if ref.array else Order.READ, ref.pnu, ref.ind), ref, deadline)
+        return self._exchange(Pkw(TaskId.READ_ARRAY if ref.array else TaskId.READ, ref.pnu, ref.ind), ref, deadline)
 
     def _exchange(self, order: Pkw, ref: ParamRef, deadline: int) -> Steps[Pkw]:
         if order.id not in self._dialect.answers:
@@ -138,7 +138,7 @@ class PkwAccess(PkwChannel):
                 reply = yield from self.replied(order, ref.label, deadline)
             except CommandError as late:
                 raise busy or late from None
-            if reply.id != Reply.ERROR:
+            if reply.id != ReplyId.ERROR:
                 break
             number = reply.pwe & 0xFFFF
             text = self._dialect.error_text(number)
@@ -149,7 +149,7 @@ class PkwAccess(PkwChannel):
             busy = refusal
             while self._clock() < again:
                 yield
-        if reply.id == Reply.NO_CONTROL:
+        if reply.id == ReplyId.NO_CONTROL:
             raise CommandError("parameter", f"{ref.label}: the bus has no control over the parameters (reply 8)")
         if reply.id not in self._dialect.answers[order.id]:
             raise CommandError("parameter", f"{ref.label}: reply {reply.id} does not answer order {order.id}")
@@ -159,7 +159,7 @@ class PkwAccess(PkwChannel):
 def _outcome(ref: ParamRef, reply: Pkw) -> dict[str, object]:
     """The id of the reply decides its size, a word or a double word, also where the table has the other type."""
     spec = ref.spec
-    bits = 32 if reply.id in (Reply.LONG, Reply.ARRAY_LONG) else 16
+    bits = 32 if reply.id in (ReplyId.LONG, ReplyId.ARRAY_LONG) else 16
     raw = reply.pwe & (1 << bits) - 1
     value: int | float = raw
     if spec is not None:

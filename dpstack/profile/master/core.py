@@ -14,7 +14,7 @@ from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.profile.channel.base import ParameterChannel, ParamKey, read_many
 from dpstack.profile.master.settings import Setting, SettingsCheck
 from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
-from dpstack.profile.model.jobs import Args, CommandError, DriveJob, Orders, Steps
+from dpstack.profile.model.jobs import Args, CommandError, DriveJob, DriveJobs, Steps
 from dpstack.profile.model.params import ListedParam
 from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State
 from dpstack.profile.model.status import DriveStatus
@@ -146,7 +146,7 @@ class DriveCore:
         self._unpack = struct.Struct(f">{telegram.inputs // 2}H").unpack_from
         self._pack: Callable[..., bytes] = struct.Struct(f">{telegram.outputs // 2}H").pack
         self._rest = (0,) * (telegram.outputs // 2 - 2)
-        self._orders = Orders()
+        self._orders = DriveJobs()
         #: the settings of the drive, compared with those that the plugin relies on
         self.settings_check = SettingsCheck(self)
         self._told: tuple[object, ...] = ()

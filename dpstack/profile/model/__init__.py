@@ -2,7 +2,7 @@
 
 - ``drive_type``: Type of a drive on the bus: ident number, telegrams, user parameters
 - ``drivecom_states``: The DRIVECOM state machine as data: words, commands, states and transitions
-- ``jobs``: Orders of the application that take several cycles, written as generators that are resumed once a cycle
+- ``jobs``: Jobs of the application that take several cycles, written as generators that are resumed once a cycle
 - ``param_errors``: The error numbers of PROFIdrive's parameter access and their texts
 - ``param_store``: The parameters of a simulated drive: RAM and EEPROM values, data sets, a count of EEPROM writes
 - ``params``: Drive parameters declared as data: number, type, scale, unit, limits; the list of them that a dump reads

@@ -1,4 +1,4 @@
-"""Orders of the application that take several cycles, written as generators that are resumed once a cycle.
+"""Jobs of the application that take several cycles, written as generators that are resumed once a cycle.
 
 And the orders of one drive that are under way, with the events that tell of them.
 """
@@ -145,7 +145,7 @@ class Args:
         return self._given.get(name)
 
 
-class Orders:
+class DriveJobs:
     """The jobs of one drive in order of arrival; each is resumed once a cycle and ends with a result event."""
 
     __slots__ = ("_events", "_jobs")

@@ -10,7 +10,7 @@
 - ``pdu``: PDUs of record 47 (parameter access of PROFIdrive's base mode): requests and responses, both ends
 - ``server``: The drive's end of record 47: takes a request by Write, carries it out, returns the response by Read
 - ``split``: Splits any number of parameters into requests within the drive's limits and joins the results
-- ``transport``: The DP-V1 services of record 47 as a generator ("talk"): the client yields services, the bus side
+- ``transport``: The DP-V1 services of record 47 as generators: the client yields services, the bus side
   executes them
 """
 
@@ -49,7 +49,7 @@ from dpstack.profile.record47.server import (
     TimedRecords,
 )
 from dpstack.profile.record47.split import Item, Limits
-from dpstack.profile.record47.transport import Answer, Pause, Refused, Service, Silent, Talk
+from dpstack.profile.record47.transport import Answer, Pause, Refused, Service, Silent, Transport
 
 __all__ = [
     "FORMATS",
@@ -93,8 +93,8 @@ __all__ = [
     "Service",
     "Silent",
     "StoreParameters",
-    "Talk",
     "TimedRecords",
+    "Transport",
     "Values",
     "WriteReq",
     "defined",

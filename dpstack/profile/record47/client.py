@@ -28,7 +28,7 @@ from dpstack.profile.record47.pdu import (
     Values,
 )
 from dpstack.profile.record47.split import Item, Limits, Piece, batch, halves, joined, pieces
-from dpstack.profile.record47.transport import ABSENT, Pause, Refused, Silent, Talk
+from dpstack.profile.record47.transport import ABSENT, Pause, Refused, Silent, Transport
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S
 
 #: between two Reads for the response: short first, then twice as long each time
@@ -75,7 +75,7 @@ class Counters:
 
 
 class ParameterClient:
-    """Reads and writes parameters of the drive in ``slot`` (object ``object``), one talk at a time.
+    """Reads and writes parameters of the drive in ``slot`` (object ``object``), one transport at a time.
 
     ``limits`` may be narrowed at any time, see :func:`~dpstack.profile.record47.param_lists.read_limits`.
     ``references``: those of this client; a response with another one means that this drive has another client, too.
@@ -97,7 +97,7 @@ class ParameterClient:
 
     def read(
         self, items: Sequence[Address | Item], deadline: int = NEVER, progress: Progress | None = None
-    ) -> Talk[list[Result]]:
+    ) -> Transport[list[Result]]:
         """A result for each of ``items``, in their order. ``deadline`` in ns. Raises CommandError.
 
         A parameter that the drive refuses has an :class:`ErrorValue` in its place.
@@ -107,7 +107,7 @@ class ParameterClient:
 
     def change(
         self, items: Sequence[tuple[Address, Values]], deadline: int = NEVER, progress: Progress | None = None
-    ) -> Talk[list[Result]]:
+    ) -> Transport[list[Result]]:
         """Write; a result for each, Values of format Zero where the drive took it. Raises CommandError, ValueError."""
         for address, values in items:
             if address.elements and len(values.raws) != address.elements:
@@ -115,7 +115,9 @@ class ParameterClient:
         wanted = [Item(address, values) for address, values in items]
         return (yield from self._all(RequestId.CHANGE, wanted, deadline, progress))
 
-    def _all(self, ident: RequestId, items: list[Item], deadline: int, progress: Progress | None) -> Talk[list[Result]]:
+    def _all(
+        self, ident: RequestId, items: list[Item], deadline: int, progress: Progress | None
+    ) -> Transport[list[Result]]:
         waiting = list(pieces(items, self.limits))
         most = self.limits.parameters
         done: list[tuple[Piece, Result]] = []
@@ -157,7 +159,7 @@ class ParameterClient:
         self.counters.split += 1
         return (halves(piece) or ()) if alone else (piece,)
 
-    def _batch(self, ident: RequestId, now: list[Piece], deadline: int) -> Talk[list[Result] | None]:
+    def _batch(self, ident: RequestId, now: list[Piece], deadline: int) -> Transport[list[Result] | None]:
         """The results of one request; None where it is too long for the drive."""
         values = tuple(one.values for one in now if one.values is not None)
         request = Request(self._next(), ident, self.object, tuple(one.address for one in now), values)
@@ -194,7 +196,7 @@ class ParameterClient:
 
     # -- one request --------------------------------------------------------------------------------------------------
 
-    def exchange(self, request: Request, octets: bytes, deadline: int = NEVER) -> Talk[Response | None]:
+    def exchange(self, request: Request, octets: bytes, deadline: int = NEVER) -> Transport[Response | None]:
         """The response to ``request`` (built: ``octets``); None where the request is too long for the drive.
 
         Raises CommandError: ``timeout`` after ``deadline`` (ns) or the drive's patience, ``parameter`` for a refusal.
@@ -238,7 +240,7 @@ class ParameterClient:
     def _patience(self) -> int:
         return max(2 * self.limits.latency_ns, PATIENCE_NS)
 
-    def _written(self, octets: bytes, deadline: int, attempts: int, *, several: bool = False) -> Talk[int | None]:
+    def _written(self, octets: bytes, deadline: int, attempts: int, *, several: bool = False) -> Transport[int | None]:
         """When the drive accepted the request; None where it is too long, or has too many parameters (``several``)."""
         until: int | None = None
         pause = _FIRST_PAUSE
@@ -255,7 +257,7 @@ class ParameterClient:
             yield Pause(min(pause, until - now))
             pause = min(2 * pause, _LONGEST_PAUSE)
 
-    def _service(self, service: WriteReq | ReadReq, attempts: int = 1) -> Talk[tuple[int, bytes | Refused]]:
+    def _service(self, service: WriteReq | ReadReq, attempts: int = 1) -> Transport[tuple[int, bytes | Refused]]:
         """Time and answer. Raises CommandError after ``attempts`` without an answer."""
         while True:
             now, data = yield service

@@ -26,7 +26,7 @@ from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.profile.record47.client import NoRecordError, ParameterClient
 from dpstack.profile.record47.formats import BIT_STRING, FORMATS, OCTET_STRING, Raw, Value
 from dpstack.profile.record47.pdu import Address, ErrorValue, Result, Values
-from dpstack.profile.record47.transport import Answer, Pause, Refused, Silent, Talk
+from dpstack.profile.record47.transport import Answer, Pause, Refused, Silent, Transport
 
 T = TypeVar("T")
 #: octet strings that hold a number: PNU 965 is an OctetString of 2, an Unsigned16 (TR LMP-30 manual p141)
@@ -147,8 +147,8 @@ class AcyclicAccess:
         """Read in as few requests as possible; adjacent elements of an array are one address."""
         places = [self._placed(key) for key in keys]
         runs = _runs(places)
-        talk = self.client.read([run.address for run in runs], deadline)
-        results = yield from self.run(talk, deadline, places[0].label if len(places) == 1 else "read_many")
+        transport = self.client.read([run.address for run in runs], deadline)
+        results = yield from self.run(transport, deadline, places[0].label if len(places) == 1 else "read_many")
         found: Found = []
         for run, result in zip(runs, results, strict=True):
             if isinstance(result, Values) and len(result.raws) == len(run.places):
@@ -174,16 +174,16 @@ class AcyclicAccess:
             number = (yield from self._values(place, deadline)).format
         try:
             values = Values(number, (_raw(spec, number, value),))
-            talk = self.client.change([(place.address, values)], deadline)
-            (result,) = yield from self.run(talk, deadline, place.label)
+            transport = self.client.change([(place.address, values)], deadline)
+            (result,) = yield from self.run(transport, deadline, place.label)
         except ValueError as error:
             raise CommandError("usage", f"{place.label}: {error}") from None
         self._refused(place, result)
         self._written(place)
         return _outcome(place, values)
 
-    def run(self, talk: Talk[T], deadline: int, label: str) -> Steps[T]:
-        """Run ``talk`` with the drive after those before it. Raises CommandError."""
+    def run(self, transport: Transport[T], deadline: int, label: str) -> Steps[T]:
+        """Run ``transport`` with the drive after those before it. Raises CommandError."""
         turn = object()
         self._turns.append(turn)
         try:
@@ -191,7 +191,7 @@ class AcyclicAccess:
                 self._in_time(deadline, f"{label}: {_NO_ANSWER}")
                 yield
             silence = _NO_ANSWER
-            service = next(talk)
+            service = next(transport)
             while True:
                 if isinstance(service, Pause):
                     until = self._clock() + service.ns
@@ -201,7 +201,7 @@ class AcyclicAccess:
                 else:
                     data = yield from self._carried_out(service, deadline, f"{label}: {silence}")
                     silence = data.why if isinstance(data, Silent) else _NO_ANSWER
-                service = talk.send(Answer(self._clock(), data))
+                service = transport.send(Answer(self._clock(), data))
         except StopIteration as end:
             result: T = end.value
             return result
@@ -209,7 +209,7 @@ class AcyclicAccess:
             text = error.text if error.text.startswith(label) else f"{label}: {error.text}"
             raise type(error)(error.kind, text, error.number) from None
         finally:
-            talk.close()
+            transport.close()
             self._turns.remove(turn)
 
     def _carried_out(self, service: WriteReq | ReadReq, deadline: int, late: str) -> Steps[bytes | Refused | Silent]:
@@ -228,8 +228,8 @@ class AcyclicAccess:
 
     def _values(self, place: Place, deadline: int, result: Result | None = None) -> Steps[Values]:
         if result is None:
-            talk = self.client.read([place.address], deadline)
-            (result,) = yield from self.run(talk, deadline, place.label)
+            transport = self.client.read([place.address], deadline)
+            (result,) = yield from self.run(transport, deadline, place.label)
         self._refused(place, result)
         if not isinstance(result, Values) or not result.raws:
             raise CommandError("parameter", f"{place.label}: the drive answered without a value")
@@ -243,7 +243,7 @@ class AcyclicAccess:
 
 
 def answer_of(outcome: Outcome) -> bytes | Refused | Silent:
-    """The answer to a service, for a talk. Raises CommandError where the bus or the slave is lost."""
+    """The answer to a service, for a transport. Raises CommandError where the bus or the slave is lost."""
     if outcome.failure is None:
         return outcome.data
     if outcome.codes is not None and outcome.codes[0] == Decode.DPV1:

@@ -30,7 +30,7 @@ from dpstack.profile.record47.formats import (
 )
 from dpstack.profile.record47.pdu import Address, Attribute, ErrorValue, Result, Values
 from dpstack.profile.record47.split import Item, Limits
-from dpstack.profile.record47.transport import Talk
+from dpstack.profile.record47.transport import Transport
 from dpstack.units import NEVER, NS_PER_S
 
 PNU_LIMITS: Final = 974
@@ -150,7 +150,7 @@ class ReadParameter(NamedTuple):
         return error_text(*self.result) if isinstance(self.result, ErrorValue) else None
 
 
-def read_limits(client: ParameterClient, deadline: int = NEVER) -> Talk[Limits]:
+def read_limits(client: ParameterClient, deadline: int = NEVER) -> Transport[Limits]:
     """Read PNU 974 and set the client's limits; a drive without it keeps the limits. Raises CommandError."""
     limits = client.limits
     # the drive may take as long for this request
@@ -164,7 +164,7 @@ def read_limits(client: ParameterClient, deadline: int = NEVER) -> Talk[Limits]:
     return client.limits
 
 
-def defined(client: ParameterClient, deadline: int = NEVER) -> Talk[list[int]]:
+def defined(client: ParameterClient, deadline: int = NEVER) -> Transport[list[int]]:
     """The numbers in 980 to 989 without these themselves, each once, in the drive's order.
 
     Raises CommandError where it has no such list.
@@ -182,7 +182,7 @@ def defined(client: ParameterClient, deadline: int = NEVER) -> Talk[list[int]]:
     return list(found)
 
 
-def _list(client: ParameterClient, pnu: int, deadline: int) -> Talk[list[int]]:
+def _list(client: ParameterClient, pnu: int, deadline: int) -> Transport[list[int]]:
     """One list up to its 0, or to its end where it has none."""
     found: list[int] = []
     (listing,) = yield from describe(client, [pnu], deadline)
@@ -213,7 +213,7 @@ def _list(client: ParameterClient, pnu: int, deadline: int) -> Talk[list[int]]:
 
 def describe(
     client: ParameterClient, pnus: Sequence[int], deadline: int = NEVER, progress: Progress | None = None
-) -> Talk[list[Description | None]]:
+) -> Transport[list[Description | None]]:
     """The descriptions, None where the drive has none. Raises CommandError."""
     items = [Item(Address(pnu, 0, 1, Attribute.DESCRIPTION), width=DESCRIPTION_LEN) for pnu in pnus]
     found = yield from client.read(items, deadline, progress)
@@ -224,7 +224,7 @@ def describe(
     return described
 
 
-def _by_elements(client: ParameterClient, pnu: int, deadline: int) -> Talk[Description | None]:
+def _by_elements(client: ParameterClient, pnu: int, deadline: int) -> Transport[Description | None]:
     """A description that is longer than the drive's blocks, element by element; those it does not have are zeros."""
     items = [
         Item(Address(pnu, subindex, 1, Attribute.DESCRIPTION), width=size)
@@ -247,7 +247,9 @@ def _description(result: Result) -> Description | None:
         return None
 
 
-def texts(client: ParameterClient, pnu: int, count: int, deadline: int = NEVER, *, first: int = 0) -> Talk[list[str]]:
+def texts(
+    client: ParameterClient, pnu: int, count: int, deadline: int = NEVER, *, first: int = 0
+) -> Transport[list[str]]:
     """``count`` texts of 16 characters from ``first`` on, without trailing spaces. Raises CommandError.
 
     A drive may give only one text for an address (Siemens' sample of a profile 4.2 drive): one address for each then.
@@ -278,7 +280,7 @@ def read_out(
     *,
     described: bool = True,
     describing: Progress | None = None,
-) -> Talk[list[ReadParameter]]:
+) -> Transport[list[ReadParameter]]:
     """Every parameter of the drive's list with its values, arrays whole (also where nothing is described).
 
     Raises CommandError.
@@ -298,7 +300,7 @@ def read_out(
     return found
 
 
-def _find_arrays(client: ParameterClient, found: list[ReadParameter], deadline: int) -> Talk[None]:
+def _find_arrays(client: ParameterClient, found: list[ReadParameter], deadline: int) -> Transport[None]:
     """Read arrays without a description: those with a second element, but without the highest subindex."""
     missing = [at for at, one in enumerate(found) if one.description is None and _is_number(one.result)]
     probes = [Address(found[at].pnu, subindex, 1) for at in missing for subindex in (1, 0xFFFF)]
@@ -312,7 +314,7 @@ def _is_number(result: Result) -> bool:
     return isinstance(result, Values) and bool(result.raws) and not format_of(result.format).string
 
 
-def _array(client: ParameterClient, first: ReadParameter, deadline: int) -> Talk[Result]:
+def _array(client: ParameterClient, first: ReadParameter, deadline: int) -> Transport[Result]:
     """All elements, up to the drive's error for the next one."""
     assert isinstance(first.result, Values)
     form, raws, count = first.result.format, first.result.raws, _AT_ONCE

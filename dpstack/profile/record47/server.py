@@ -18,7 +18,7 @@ from typing import Final, NamedTuple, Protocol
 
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
-from dpstack.dpv1.slave.record_requests import Asker, Ticket
+from dpstack.dpv1.slave.record_requests import Asker, RecordRequest
 from dpstack.errors import PduError
 from dpstack.profile.model.param_errors import (
     BAD_ADDRESS,
@@ -99,7 +99,7 @@ class TimedRecords:
         self._holder: Asker | None = None
         self._held_until = 0
 
-    def ask(self, ticket: Ticket) -> None:
+    def ask(self, ticket: RecordRequest) -> None:
         """Answer at once. A response that is not ready is refused; the master asks again."""
         request, asker, now = ticket.request, ticket.asker, self._clock(ticket.at)
         if request.index == INDEX and self._holder not in (None, asker):

@@ -1,6 +1,6 @@
-"""The DP-V1 services of record 47 as a generator ("talk"): the client yields services, the bus side executes them.
+"""The DP-V1 services of record 47 as generators: the client yields services, the bus side executes them.
 
-A :data:`Talk` is a generator that yields services and is sent an :class:`Answer` for each; it owns no clock and no bus.
+A :data:`Transport` yields services and is sent an :class:`Answer` for each; it owns no clock and no bus.
 ``AcyclicAccess`` runs one in the cycle of a drive plugin, :mod:`dpstack.api.slave.record_parameters` in an asyncio
 program.
 """
@@ -54,4 +54,4 @@ class Answer(NamedTuple):
 
 
 #: Yields services until it returns its result or raises CommandError.
-Talk = Generator[Service, Answer, T]
+Transport = Generator[Service, Answer, T]

@@ -20,7 +20,7 @@ from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport
 from dpstack.dpv1.slave.device import Device
 from dpstack.errors import AlarmError
 from dpstack.profile.channel.base import ChannelServer
-from dpstack.profile.channel.pkw import READS, Pkw, Reply
+from dpstack.profile.channel.pkw import READS, Pkw, ReplyId
 from dpstack.profile.model.drive_type import CHANNEL_LEN, DriveType, TelegramSpec
 from dpstack.profile.model.param_store import ParamStore
 from dpstack.profile.record47.server import ParameterServer
@@ -138,7 +138,7 @@ class DriveDevice(Device):
     def refuse_order(self, order: Pkw) -> tuple[int, int] | None:
         """:meth:`refusal` as the parameter channel answers it."""
         number = self.refusal(write=order.id not in READS)
-        return None if number is None else (Reply.ERROR, number)
+        return None if number is None else (ReplyId.ERROR, number)
 
     def has_alarms(self, *kinds: str) -> None:
         """Let it raise alarms of these ``kinds``, one of each at a time, where its master enables them."""

@@ -19,7 +19,7 @@ from typing import Final
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.im import IM_INDEX, Im0, Im1, Im2, Im3, Im4
 from dpstack.dpv1.pdu.read_write import WriteReq
-from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
+from dpstack.dpv1.slave.record_requests import RecordRequest, TransportRequest
 from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.sim.io_station.modules import EMPTY, Slot
 
@@ -40,7 +40,7 @@ class StationRecords:
             slot.number: ImRecords([_im0(slot.module.name, slot.number)]) for slot in slots if slot is not None
         }
 
-    def ask(self, ticket: Ticket) -> None:
+    def ask(self, ticket: RecordRequest) -> None:
         request = ticket.request
         slot = self._slots[request.slot - 1] if 0 < request.slot <= len(self._slots) else None
         if request.slot == 0 and request.index == STATE:
@@ -64,7 +64,7 @@ class StationRecords:
         """Take over the I&M data that a master wrote before the station was switched off and on."""
         self._head = before._head
 
-    def _parameters(self, ticket: Ticket, slot: Slot) -> None:
+    def _parameters(self, ticket: RecordRequest, slot: Slot) -> None:
         request = ticket.request
         if not isinstance(request, WriteReq):
             ticket.answer(bytes((slot.prm,)))
@@ -76,7 +76,7 @@ class StationRecords:
             ticket.answer()
 
 
-def loop_back(ticket: TransportTicket) -> None:
+def loop_back(ticket: TransportRequest) -> None:
     """Data_Transport: a test of the connection; at once."""
     request = ticket.request
     if (request.slot, request.index) == _LOOP:
@@ -94,7 +94,7 @@ def _state(slot: Slot) -> bytes:
     return bytes((slot.state, slot.module.config, plugged, sum(1 << channel for channel in slot.faults)))
 
 
-def _read_only(ticket: Ticket, octets: bytes) -> None:
+def _read_only(ticket: RecordRequest, octets: bytes) -> None:
     if isinstance(ticket.request, WriteReq):
         ticket.refuse(Code.ACCESS_DENIED)
     else:

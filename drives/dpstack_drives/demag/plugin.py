@@ -77,7 +77,7 @@ class DemagCore(MappedCore[OutMap]):
     ``map_outputs``: what PZD3 to PZD6 of PPO2 and PPO4 mean (:mod:`~dpstack_drives.demag.outpzd`), and
     ``scaling_current``.
 
-    Orders of its own: ``output`` of a :class:`MappedCore` (``number`` pzd3 to pzd6) and ``trace``: the data as the
+    Jobs of its own: ``output`` of a :class:`MappedCore` (``number`` pzd3 to pzd6) and ``trace``: the data as the
     drive shows them in 281 and 284, the words of this cycle.
     """
 

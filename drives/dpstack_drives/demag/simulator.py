@@ -14,21 +14,21 @@ from dpstack.profile import (
     DriveProfile,
     Leave,
     Motor,
-    Order,
     ParamStore,
     Pkw,
     PkwServer,
-    Reply,
+    ReplyId,
     State,
+    TaskId,
     TelegramSpec,
     drivecom_states,
 )
 from dpstack_drives.demag import outpzd, toggle
 from dpstack_drives.demag import table as t
 
-_WORDS: Final = frozenset({Order.WRITE_WORD, Order.WRITE_ARRAY_WORD})
-_LONGS: Final = frozenset({Order.WRITE_LONG, Order.WRITE_ARRAY_LONG})
-_ARRAYS: Final = frozenset({Order.READ_ARRAY, Order.WRITE_ARRAY_WORD, Order.WRITE_ARRAY_LONG})
+_WORDS: Final = frozenset({TaskId.WRITE_WORD, TaskId.WRITE_ARRAY_WORD})
+_LONGS: Final = frozenset({TaskId.WRITE_LONG, TaskId.WRITE_ARRAY_LONG})
+_ARRAYS: Final = frozenset({TaskId.READ_ARRAY, TaskId.WRITE_ARRAY_WORD, TaskId.WRITE_ARRAY_LONG})
 _STATE_MACHINE, _REMOTE_CONTACTS = 1, 2
 #: of 392
 _DC_BRAKE: Final = 1
@@ -366,7 +366,7 @@ class DemagDevice(DriveDevice):
         try:
             return self._carry_out(order)
         except _RefusedError as refused:
-            return Reply.ERROR, refused.number
+            return ReplyId.ERROR, refused.number
 
     def _carry_out(self, order: Pkw) -> tuple[int, int]:
         """Readings: docs/drives/demag.md#parameter-channel; a plain order on a parameter with data sets takes the data
@@ -403,8 +403,8 @@ class DemagDevice(DriveDevice):
         else:
             live = self._live(order.pnu)
             raw = self.store.raw(spec, data_set or 1) if live is None else spec.nearest_raw(live)
-        plain = Reply.LONG if spec.long else Reply.WORD
-        in_set = Reply.ARRAY_LONG if spec.long else Reply.ARRAY_WORD
+        plain = ReplyId.LONG if spec.long else ReplyId.WORD
+        in_set = ReplyId.ARRAY_LONG if spec.long else ReplyId.ARRAY_WORD
         return in_set if array else plain, spec.pwe(raw)
 
     def _reset(self) -> None:

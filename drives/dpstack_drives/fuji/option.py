@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from dpstack.profile import Order, ParamSpec, ParamStore, Pkw, Reply
+from dpstack.profile import ParamSpec, ParamStore, Pkw, ReplyId, TaskId
 from dpstack_drives.fuji import table as t
 
 #: the switches stand as the station address asks for
@@ -97,31 +97,31 @@ class OptionCard:
         indexes = t.ARRAYS.get(order.pnu)
         spec = t.PARAMETERS.get(order.pnu, order.ind) or (t.PARAMETERS.get(order.pnu) if indexes else None)
         if order.id not in t.PKW.answers or spec is None:
-            return Reply.ERROR, 0
+            return ReplyId.ERROR, 0
         if not self._powered():
-            return Reply.ERROR, 17
-        if order.id == Order.ELEMENTS:
-            return (Reply.ELEMENTS, len(indexes)) if indexes else (Reply.ERROR, 4)
-        by_index = order.id in (Order.READ_ARRAY, Order.WRITE_ARRAY_WORD)
+            return ReplyId.ERROR, 17
+        if order.id == TaskId.ELEMENTS:
+            return (ReplyId.ELEMENTS, len(indexes)) if indexes else (ReplyId.ERROR, 4)
+        by_index = order.id in (TaskId.READ_ARRAY, TaskId.WRITE_ARRAY_WORD)
         if indexes is None and by_index:
-            return Reply.ERROR, 4
+            return ReplyId.ERROR, 4
         if indexes is not None and (not by_index or order.ind not in indexes):
-            return Reply.ERROR, 3
+            return ReplyId.ERROR, 3
         same = self._same(order)
-        reply = Reply.WORD if indexes is None else Reply.ARRAY_WORD
-        if order.id in (Order.READ, Order.READ_ARRAY):
+        reply = ReplyId.WORD if indexes is None else ReplyId.ARRAY_WORD
+        if order.id in (TaskId.READ, TaskId.READ_ARRAY):
             return reply, self._value(same or spec, order.ind)
         if spec.read_only or (not self.store.value("access_permission") and spec.number != t.PNU_ACCESS):
-            return Reply.ERROR, 1
+            return ReplyId.ERROR, 1
         return self._write(same or spec, order.pwe, reply)
 
     def _write(self, spec: ParamSpec, pwe: int, reply: int) -> tuple[int, int]:
         raw = spec.from_pwe(pwe)
         if not spec.low <= spec.to_value(raw) <= spec.high:
-            return Reply.ERROR, 2
+            return ReplyId.ERROR, 2
         if spec.number == t.PNU_INITIALISE or spec.name == "H03":
             if self._running():
-                return Reply.ERROR, 11
+                return ReplyId.ERROR, 11
             if (self._flag and not raw) if spec.number == t.PNU_INITIALISE else raw:
                 self._initialise()
                 self.power_on()

@@ -50,7 +50,7 @@ class FujiCore(MappedCore[PcdMap]):
     of CTW (``bit``); ``map_inputs`` and ``map_outputs``: the assignments that the drive has
     (:mod:`~dpstack_drives.fuji.pcd`).
 
-    Orders of its own: those of a :class:`MappedCore`, in PPO2 and PPO4.
+    Jobs of its own: those of a :class:`MappedCore`, in PPO2 and PPO4.
     """
 
     channel_hint = ": take PPO2"

@@ -56,7 +56,7 @@ class ImoCore(MappedCore[PzdMap]):
     ``frequency_source`` and ``maximum_parameter``: parameters of the inverter whose settings the plugin relies on
     (readings: they are not in the card's manual).
 
-    Orders of its own: those of a :class:`MappedCore`, ``inch`` (``direction`` forward, reverse or stop),
+    Jobs of its own: those of a :class:`MappedCore`, ``inch`` (``direction`` forward, reverse or stop),
     ``pre_excite``, ``control`` (``number`` a name of CW bits 11 to 14, ``value`` 0 or 1).
     """
 

@@ -53,7 +53,7 @@ class KebCore(MappedCore[PdMap]):
     that the drive has, as in :class:`~dpstack_drives.keb.pdmap.PdMap`; ``block2_inputs``, ``block2_outputs``: indexes
     of record and enable of block 2; ``pd_in_cycle_ms``.
 
-    Orders of its own: those of a :class:`MappedCore`; values are integers as they stand on the wire. Without
+    Jobs of its own: those of a :class:`MappedCore`; values are integers as they stand on the wire. Without
     ``control_bits`` an ``output`` is also the control word, without ``rpm_per_count`` the set speed.
     """
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from dpstack.profile import Order, ParamSpec, ParamStore, Pkw, Reply
+from dpstack.profile import ParamSpec, ParamStore, Pkw, ReplyId, TaskId
 from dpstack_drives.ls import table as t
 
-_READS: Final = frozenset({Order.READ, Order.READ_ARRAY})
+_READS: Final = frozenset({TaskId.READ, TaskId.READ_ARRAY})
 #: what the module does not do; the error numbers are a reading
 _REFUSED: Final = {3: 0x05, 8: 0x05, 4: 0x09, 5: 0x07, 9: 0x04}
 _ILLEGAL_FORMAT: Final = 0x17
@@ -65,17 +65,17 @@ class Module:
     def order(self, order: Pkw) -> tuple[int, int]:
         """Reply id and PWE. Requests 1 and 6, 2 and 7 are taken for array and plain parameter alike (a reading)."""
         if order.id not in t.PKW.answers:
-            return Reply.ERROR, _REFUSED.get(order.id, _ILLEGAL_FORMAT)
+            return ReplyId.ERROR, _REFUSED.get(order.id, _ILLEGAL_FORMAT)
         reply = t.PKW.answers[order.id][0]
         spec = t.PARAMETERS.get(order.pnu) if order.pnu > 0xFF else t.spec_at(order.pnu << 8 | order.ind)
         if spec is None:
-            return Reply.ERROR, 0x00
+            return ReplyId.ERROR, 0x00
         if order.pnu > 0xFF and order.ind >= t.ARRAYS.get(order.pnu, 1):
-            return Reply.ERROR, 0x03
+            return ReplyId.ERROR, 0x03
         if order.id in _READS:
             return reply, self.value(spec, order.ind) & 0xFFFF
         error = self.write(spec, order.pwe & 0xFFFF)
-        return (reply, order.pwe & 0xFFFF) if error is None else (Reply.ERROR, error)
+        return (reply, order.pwe & 0xFFFF) if error is None else (ReplyId.ERROR, error)
 
     def value(self, spec: ParamSpec, ind: int = 0) -> int:
         match spec.number:

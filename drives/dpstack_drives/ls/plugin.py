@@ -65,7 +65,7 @@ class LsCore(MappedCore[ParaMap]):
     COM-31.. and COM-51.. have; ``swap`` (COM-68); ``trip_word``: 000F holds the ``number`` of the trip, as in the
     simulated drive, or bits of the inverter's manual (``raw``).
 
-    Orders of its own: those of a :class:`MappedCore`.
+    Jobs of its own: those of a :class:`MappedCore`.
 
     Readings: in VENDOR, 0006h and 000Eh have the bits of the LS Drive profile (they are in the inverter's manual); the
     frequencies of the LS Drive profile have no sign, the direction is in control and status word.

@@ -11,7 +11,7 @@ import dpstack
 from dpstack import DpSlave, SlaveDescription
 from dpstack.dp.master.events import SlaveState
 from dpstack.dpv1.pdu.read_write import WriteReq
-from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.fdl.interface import SC_REPLY
 from dpstack.fdl.telegram import Resp
 from dpstack.profile import ParamSpec, ParamStore, ParamTable
@@ -117,7 +117,7 @@ class Lengths:
         self.written: list[int] = []
         self.read: list[int] = []
 
-    def ask(self, ticket: Ticket) -> None:
+    def ask(self, ticket: RecordRequest) -> None:
         request = ticket.request
         if isinstance(request, WriteReq):
             self.written.append(len(request.data))

@@ -15,7 +15,7 @@ from dpstack import AcyclicError, DpSlave, Im0, Im1, Im2, RecordRefused, SlaveDe
 from dpstack.api.control.record_commands import carry_out
 from dpstack.dpv1.pdu.im import Im, Im3, build_call, number_of
 from dpstack.dpv1.pdu.read_write import WriteReq
-from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.sim.world import World
 
@@ -155,7 +155,7 @@ class Slow:
         self.asked: list[str] = []
         self._left = busy
 
-    def ask(self, ticket: Ticket) -> None:
+    def ask(self, ticket: RecordRequest) -> None:
         request = ticket.request
         self.asked.append(request.build().hex(" ").upper())
         self._left -= 1

@@ -9,7 +9,7 @@ from api_kit import virtual
 
 import dpstack
 from dpstack import ParameterError, ParameterPlace, UsageError
-from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.errors import DriveError
 
@@ -21,7 +21,7 @@ class Counted:
         self.services: list[str] = []
         self.records = self.ask = records.ask
 
-        def ask(ticket: Ticket) -> None:
+        def ask(ticket: RecordRequest) -> None:
             self.services.append(ticket.request.build().hex(" ").upper())
             self.ask(ticket)
 
@@ -133,7 +133,7 @@ def test_a_dump_asks_for_as_many_as_a_request_takes() -> None:
         # one that is not answered is found among the eight
         records = counted.records
 
-        def silent(ticket: Ticket) -> None:
+        def silent(ticket: RecordRequest) -> None:
             if ticket.request.index != 47 or bytes.fromhex("1103") not in ticket.request.build():
                 records(ticket)
 

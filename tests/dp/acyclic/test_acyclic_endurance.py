@@ -35,7 +35,7 @@ from dpstack.dpv1.master.ms2_commands import (
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
-from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
+from dpstack.dpv1.slave.record_requests import RecordRequest, TransportRequest
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOffline
@@ -61,9 +61,9 @@ class Busy(MirrorDevice):
         self.transport = self.ask
         self.ms2 = CONNECTIONS
         self.alarm_server = self.server = AlarmServer(AlarmSupport(frozenset(ALARMS), 32, True), 238)
-        self.working: list[tuple[Ticket | TransportTicket, int]] = []
+        self.working: list[tuple[RecordRequest | TransportRequest, int]] = []
 
-    def ask(self, ticket: Ticket | TransportTicket) -> None:
+    def ask(self, ticket: RecordRequest | TransportRequest) -> None:
         match ticket.request.index:
             case 0:
                 ticket.answer(self.answer(ticket))
@@ -73,7 +73,7 @@ class Busy(MirrorDevice):
                 self.working.append((ticket, index))
 
     @staticmethod
-    def answer(ticket: Ticket | TransportTicket) -> bytes:
+    def answer(ticket: RecordRequest | TransportRequest) -> bytes:
         return bytes((ticket.request.slot, ticket.request.index)) * 30
 
     def exchange(self, outputs: bytes, now: int) -> bytes:

@@ -22,7 +22,7 @@ from slave_kit import (
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.events import RequestRefused, SlaveAppStateChanged, WatchdogExpired
-from dpstack.dp.slave.state_table import AppEv
+from dpstack.dp.slave.state_table import AppTrigger
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import ConfigError
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
@@ -255,7 +255,7 @@ def test_the_watchdog_clears_the_outputs() -> None:
     assert isinstance(expired, WatchdogExpired)
     assert expired.text == "slave 8 (recorder): nothing from master 2 for 100 ms, outputs cleared"
     assert isinstance(changed, SlaveAppStateChanged)
-    assert (changed.t_ns, changed.why) == (100 * MS, AppEv.WATCHDOG)
+    assert (changed.t_ns, changed.why) == (100 * MS, AppTrigger.WATCHDOG)
     assert bench.app.wake_at() == NEVER
     assert bench.diag() == bytes.fromhex("02 05 00 FF 0A 35")
     assert bench.app.stats.watchdogs == 1

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from slave_kit import CFG, KEEP, MS, OTHER, PRM, UNLOCK, Bench
 
-from dpstack.dp.slave.state_table import TABLE, AppEv, SlaveAppState
+from dpstack.dp.slave.state_table import TABLE, AppTrigger, SlaveAppState
 
 Cause = Callable[[Bench], object]
 
@@ -37,26 +37,26 @@ def _set_address(bench: Bench) -> None:
     bench.ask(55, bytes.fromhex("09 0A 35 00"))
 
 
-CAUSES: dict[AppEv, Cause] = {
-    AppEv.PRM_GOOD: lambda bench: bench.prm(),
-    AppEv.PRM_BAD: lambda bench: bench.prm(b"\x88"),
-    AppEv.PRM_KEEP: lambda bench: bench.prm(KEEP),
-    AppEv.UNLOCK: lambda bench: bench.prm(UNLOCK),
-    AppEv.PRM_FOREIGN: lambda bench: bench.prm(PRM, sa=OTHER),
-    AppEv.CFG_GOOD: lambda bench: bench.cfg(),
-    AppEv.CFG_BAD: lambda bench: bench.cfg(b"\x11"),
-    AppEv.CFG_HELD: _held_cfg,
-    AppEv.CFG_FOREIGN: _foreign_cfg,
-    AppEv.ADDRESS: _set_address,
-    AppEv.LENGTH: lambda bench: bench.dx(b"\x01\x02"),
-    AppEv.WATCHDOG: lambda bench: bench.pass_time(100 * MS),
-    AppEv.FAILED: _break("ext_diag", lambda bench: bench.diag()),
-    AppEv.POWER_ON: lambda bench: bench.app.restart(bench.now),
+CAUSES: dict[AppTrigger, Cause] = {
+    AppTrigger.PRM_GOOD: lambda bench: bench.prm(),
+    AppTrigger.PRM_BAD: lambda bench: bench.prm(b"\x88"),
+    AppTrigger.PRM_KEEP: lambda bench: bench.prm(KEEP),
+    AppTrigger.UNLOCK: lambda bench: bench.prm(UNLOCK),
+    AppTrigger.PRM_FOREIGN: lambda bench: bench.prm(PRM, sa=OTHER),
+    AppTrigger.CFG_GOOD: lambda bench: bench.cfg(),
+    AppTrigger.CFG_BAD: lambda bench: bench.cfg(b"\x11"),
+    AppTrigger.CFG_HELD: _held_cfg,
+    AppTrigger.CFG_FOREIGN: _foreign_cfg,
+    AppTrigger.ADDRESS: _set_address,
+    AppTrigger.LENGTH: lambda bench: bench.dx(b"\x01\x02"),
+    AppTrigger.WATCHDOG: lambda bench: bench.pass_time(100 * MS),
+    AppTrigger.FAILED: _break("ext_diag", lambda bench: bench.diag()),
+    AppTrigger.POWER_ON: lambda bench: bench.app.restart(bench.now),
 }
 
 
 @pytest.mark.parametrize("row", list(TABLE), ids=lambda row: f"{row[0].value}-{row[1].name.lower()}")
-def test_every_row(row: tuple[SlaveAppState, AppEv], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_row(row: tuple[SlaveAppState, AppTrigger], monkeypatch: pytest.MonkeyPatch) -> None:
     start, event = row
     bench = Bench()
     if start is not SlaveAppState.WAIT_PRM:
@@ -71,18 +71,18 @@ def test_every_row(row: tuple[SlaveAppState, AppEv], monkeypatch: pytest.MonkeyP
     assert bench.app.state is TABLE[row].next
 
 
-class Rows(dict[tuple[SlaveAppState, AppEv], object]):
+class Rows(dict[tuple[SlaveAppState, AppTrigger], object]):
     """The table, remembering the row that was looked up last."""
 
     def __init__(self) -> None:
         super().__init__(TABLE)
-        self.last: tuple[SlaveAppState, AppEv] | None = None
+        self.last: tuple[SlaveAppState, AppTrigger] | None = None
 
-    def __getitem__(self, row: tuple[SlaveAppState, AppEv]) -> object:
+    def __getitem__(self, row: tuple[SlaveAppState, AppTrigger]) -> object:
         self.last = row
         return super().__getitem__(row)
 
 
 def test_every_row_has_a_clause_and_every_event_a_cause() -> None:
     assert all(row.clause for row in TABLE.values())
-    assert {event for _, event in TABLE} == set(AppEv) == set(CAUSES)
+    assert {event for _, event in TABLE} == set(AppTrigger) == set(CAUSES)

@@ -9,7 +9,7 @@ from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.im import Im, Im0, Im1, Im3
 from dpstack.dpv1.pdu.read_write import WriteReq
-from dpstack.dpv1.slave.record_requests import Records, Ticket
+from dpstack.dpv1.slave.record_requests import RecordRequest, Records
 from dpstack.dpv1.slave.record_table import ImRecords, RecordTable
 from dpstack.errors import RecordRefused
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
@@ -44,9 +44,9 @@ class Later:
     """Keeps the tickets."""
 
     def __init__(self) -> None:
-        self.tickets: list[Ticket] = []
+        self.tickets: list[RecordRequest] = []
 
-    def ask(self, ticket: Ticket) -> None:
+    def ask(self, ticket: RecordRequest) -> None:
         self.tickets.append(ticket)
 
 
@@ -149,7 +149,7 @@ def test_leaving_data_exchange_ends_what_is_worked_at() -> None:
 
 def test_a_function_that_raises_is_answered_and_told_and_data_exchange_goes_on() -> None:
     class Broken:
-        def ask(self, ticket: Ticket) -> None:
+        def ask(self, ticket: RecordRequest) -> None:
             if isinstance(ticket.request, WriteReq):
                 raise RecordRefused(Code.STATE_CONFLICT, 7)
             raise ZeroDivisionError("records are broken")

@@ -20,7 +20,7 @@ from slave_kit import CFG, PRM, Recorder
 
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dpv1.pdu.im import Im0, Im1
-from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
+from dpstack.dpv1.slave.record_requests import RecordRequest, TransportRequest
 from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.dpv1.timeouts import least_send_timeout
@@ -190,13 +190,13 @@ def test_an_answer_that_comes_later_and_idle_until_then() -> None:
 
 
 def test_functions_that_fail() -> None:
-    def transport(ticket: TransportTicket) -> None:
+    def transport(ticket: TransportRequest) -> None:
         if ticket.request.slot:
             raise RecordRefused(0xC2, 7)
         ticket.answer(bytes(241))
 
     class Broken:
-        def ask(self, ticket: Ticket) -> None:
+        def ask(self, ticket: RecordRequest) -> None:
             raise ZeroDivisionError("records are broken")
 
     slave = Slave(Broken(), transport=transport)

@@ -14,7 +14,7 @@ from slave_kit import Recorder
 
 from dpstack.dp.slave.application import SlaveApp, make_slave
 from dpstack.dpv1.slave.ms2_connection import ConnectionClosed, ConnectionOpened
-from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
+from dpstack.dpv1.slave.record_requests import RecordRequest, TransportRequest
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.params import BusParams
 
@@ -28,14 +28,14 @@ class Serial:
     """Records whose answers begin with a number of their own; ``later``: given out when somebody says so."""
 
     def __init__(self) -> None:
-        self.asked: list[Ticket | TransportTicket] = []
+        self.asked: list[RecordRequest | TransportRequest] = []
         self.dropped: Counter[int] = Counter()
 
-    def ask(self, ticket: Ticket | TransportTicket) -> None:
+    def ask(self, ticket: RecordRequest | TransportRequest) -> None:
         number = len(self.asked)
         self.asked.append(ticket)
         ticket.abandoned = lambda: self.dropped.update([number])
-        if isinstance(ticket, Ticket) and ticket.request.index == 0:
+        if isinstance(ticket, RecordRequest) and ticket.request.index == 0:
             raise ZeroDivisionError("a record that is broken")
         if ticket.request.index == 1:
             self.answer(number)

@@ -20,7 +20,7 @@ from slave_kit import Recorder
 
 from dpstack.dp.slave.auto_baud import SearchingSlave
 from dpstack.dpv1.pdu.ms2 import Abort
-from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ev, State
+from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ms2Trigger, State
 from dpstack.dpv1.slave.resource_manager import ms2_of
 
 # --- time -------------------------------------------------------------------------------------------------------------
@@ -185,22 +185,22 @@ def test_a_slave_that_searches_its_rate_gives_them_back() -> None:
 
 
 REQUESTS = {
-    Ev.POLL: "",
-    Ev.SERVICE: READ,
-    Ev.IDLE: IDLE,
-    Ev.ABORT: ABORT,
-    Ev.OUT_OF_PLACE: INITIATE,
-    Ev.UNREADABLE: "4A",
+    Ms2Trigger.POLL: "",
+    Ms2Trigger.SERVICE: READ,
+    Ms2Trigger.IDLE: IDLE,
+    Ms2Trigger.ABORT: ABORT,
+    Ms2Trigger.OUT_OF_PLACE: INITIATE,
+    Ms2Trigger.UNREADABLE: "4A",
 }
 
 
 def test_the_table_is_whole() -> None:
-    assert set(TABLE) == {(state, event) for state in State for event in Ev}
+    assert set(TABLE) == {(state, event) for state in State for event in Ms2Trigger}
     assert all(row.source for row in TABLE.values())
 
 
 @pytest.mark.parametrize(("state", "event"), list(TABLE))
-def test_every_row_of_the_table(state: State, event: Ev) -> None:
+def test_every_row_of_the_table(state: State, event: Ms2Trigger) -> None:
     later = Later()
     slave = Slave(later, count=1)
     master = slave.master
@@ -210,7 +210,7 @@ def test_every_row_of_the_table(state: State, event: Ev) -> None:
     tickets = len(later.tickets)
     slave.texts()
     act = TABLE[state, event].act
-    if event is Ev.SILENCE:
+    if event is Ms2Trigger.SILENCE:
         slave.wire.pass_time(2 * TIMEOUT)
         assert slave.all_free()
         after = master.ask(48)
@@ -220,7 +220,7 @@ def test_every_row_of_the_table(state: State, event: Ev) -> None:
     again = master.ask(48)
     told = slave.texts()
     aborts = {Act.SEQUENCE: ABORT_SEQUENCE, Act.REQUEST_PDU: ABORT_REQUEST}
-    if event is Ev.POLL:
+    if event is Ms2Trigger.POLL:
         answers = {State.OPEN: SC, State.WORKING: SC, State.ANSWERED: IDLE, State.OVER: ABORT_SEQUENCE}
         assert first == answers[state]
         assert again == (RS if state is State.OVER else SC)
@@ -231,7 +231,11 @@ def test_every_row_of_the_table(state: State, event: Ev) -> None:
         assert master.ask(48) == RS
         assert len(told) == 1
     else:
-        expected = {State.OPEN: IDLE if event is Ev.IDLE else SC, State.ANSWERED: IDLE, State.OVER: ABORT_SEQUENCE}
+        expected = {
+            State.OPEN: IDLE if event is Ms2Trigger.IDLE else SC,
+            State.ANSWERED: IDLE,
+            State.OVER: ABORT_SEQUENCE,
+        }
         assert (first, again) == (SC, expected.get(state, SC))
     assert len(later.tickets) == tickets + (act is Act.SERVE)
     assert slave.all_free() is (act in (Act.FREE, Act.SEQUENCE, Act.REQUEST_PDU) or state is State.OVER)

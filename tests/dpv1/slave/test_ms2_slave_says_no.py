@@ -9,7 +9,7 @@ from slave_kit import Recorder
 
 from dpstack.dp.slave.application import SlaveApp, make_slave
 from dpstack.dpv1.pdu.ms2 import InitiateReq
-from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.errors import ConfigError, RecordRefused, UsageError
 from dpstack.params import BusParams
@@ -33,7 +33,7 @@ class Picky(Recorder):
         if wanted.profile_ident != 0x1234:
             raise RecordRefused(0xB6, master)
 
-    def ask(self, ticket: Ticket) -> None:
+    def ask(self, ticket: RecordRequest) -> None:
         ticket.abandoned = self.drop
 
     def drop(self) -> None:
