@@ -135,9 +135,12 @@ def _title(text: Hashable) -> str:
 
 
 def slave_handler() -> str:
-    """The master's handling of one slave, without the order that takes it out of service in any state."""
+    """The master's handling of one slave. The ways back to Offline, into Fault and out of service, which nearly every state
+    has, are left out.
+    """
+    back = {slave_states.S.OFFLINE, slave_states.S.FAULT, slave_states.S.DEACTIVATED}
     table = slave_states.TABLE.items()
-    kept = [(s, row.next, e.value) for (s, e), row in table if e is not slave_states.Trigger.DEACTIVATE]
+    kept = [(s, row.next, e.value) for (s, e), row in table if row.next not in back]
     return diagram("Offline", ((_title(s.value), _title(after.value), on) for s, after, on in kept))
 
 
@@ -209,8 +212,8 @@ Written by `tools/make_pictures.py` from the tables of the program; do not edit.
 """
 _HANDLER: Final = """## A slave at its master
 
-`dpstack/dp/master/slave_states.py`. What leads nowhere else is left out of the picture, and so is the order that takes
-a slave out of service in any state.
+`dpstack/dp/master/slave_states.py`. The picture leaves out events that change nothing, and the ways to Offline (no answer),
+to Fault (a refusal) and to Deactivated (by order), which nearly every state has.
 """
 _SLAVE: Final = """## A slave
 
