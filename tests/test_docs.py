@@ -367,6 +367,7 @@ def test_pictures_are_made_by_the_tool() -> None:
     text = _ARCHITECTURE.read_text(encoding="utf-8")
     assert text == make_pictures.architecture(text), "run tools/make_pictures.py"
     assert make_pictures.STATES.read_text(encoding="utf-8") == make_pictures.states(), "run tools/make_pictures.py"
+    assert make_pictures.RING.read_text(encoding="utf-8") == make_pictures.token_ring(), "run tools/make_pictures.py"
 
 
 def _file(name: str) -> Path:

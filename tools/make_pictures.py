@@ -13,12 +13,15 @@ from pathlib import Path
 from typing import Final
 
 from dpstack.dp.master import slave_states
+from dpstack.dp.master.events import SlaveState
 from dpstack.dp.slave import state_table
 from dpstack.dpv1.slave import ms2_states
+from dpstack.fdl.active import states as ring_states
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 ARCHITECTURE: Final = ROOT / "docs" / "architecture.md"
 STATES: Final = ROOT / "docs" / "states.md"
+RING: Final = ROOT / "docs" / "fdl-states.md"
 #: single modules that everything may import
 _BASE: Final = "base"
 _MARK: Final = re.compile(r"(<!-- picture: ([\w-]+) -->\n)(?:```mermaid\n.*?^```\n)?", re.DOTALL | re.MULTILINE)
@@ -135,10 +138,8 @@ def _title(text: Hashable) -> str:
 
 
 def slave_handler() -> str:
-    """The master's handling of one slave. The ways back to Offline, into Fault and out of service, which nearly every state
-    has, are left out.
-    """
-    back = {slave_states.S.OFFLINE, slave_states.S.FAULT, slave_states.S.DEACTIVATED}
+    """The master's handling of one slave, without the ways to Offline, Fault and Deactivated."""
+    back = {SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED}
     table = slave_states.TABLE.items()
     kept = [(s, row.next, e.value) for (s, e), row in table if row.next not in back]
     return diagram("Offline", ((_title(s.value), _title(after.value), on) for s, after, on in kept))
@@ -165,6 +166,34 @@ PICTURES: Final[dict[str, Callable[[], str]]] = {
 def architecture(text: str) -> str:
     """``text`` with its pictures made anew."""
     return _MARK.sub(lambda found: f"{found[1]}```mermaid\n{PICTURES[found[2]]()}\n```\n", text)
+
+
+def token_ring() -> str:
+    """The page of the active station's table."""
+    ring = ring_states.State
+    regular = {
+        ring.OFFLINE: {ring.LISTEN_TOKEN},
+        ring.LISTEN_TOKEN: {ring.ACTIVE_IDLE},
+        ring.CHECK_TOKEN_PASS: {ring.ACTIVE_IDLE},
+    }
+    left_out = {ring.OFFLINE, ring.LISTEN_TOKEN, ring.ACTIVE_IDLE}
+    arrows = (
+        (_title(row.state.name.lower()), _title(target.name.lower()), row.input.name.lower().replace("_", " "))
+        for row in ring_states.TABLE
+        for target in row.next
+        if target not in left_out - regular.get(row.state, set())
+    )
+    parts = [f"{_RING_HEAD}\n```mermaid\n{diagram('Offline', arrows)}\n```\n"]
+    for state in ring_states.State:
+        parts.append(f"## {_title(state.name.lower())}\n\n{_RING_COLUMNS}")
+        for row in ring_states.TABLE:
+            if row.state is state:
+                module, handler = row.handler.split(".")
+                targets = ", ".join(dict.fromkeys(_title(s.name.lower()) for s in row.next))
+                where = f"`{_RING_MODULES[module]}.{handler}`"
+                parts.append(f"| {row.input.name.lower()} | {row.does} | {targets} | {where} | {_source(row.source)} |")
+        parts.append("")
+    return "\n".join(parts)
 
 
 def _source(text: str) -> str:
@@ -210,10 +239,25 @@ _STATES_HEAD: Final = """# Tables of states
 Written by `tools/make_pictures.py` from the tables of the program; do not edit. Those of the token ring:
 [fdl-states.md](fdl-states.md). The documents named as sources: [protocol.md](protocol.md#sources).
 """
+_RING_HEAD: Final = """# The states of an active station
+
+Made from `dpstack/fdl/active/states.py` by `tools/make_pictures.py`; do not edit. The picture shows the ring without
+disturbances. It leaves out the ways back to Offline (a lost line, an order), to Listen_Token (a second station with
+this address) and to Active_Idle (another station holds the token), which nearly every state has. An input that a state
+does not list is ignored and counted. A handler may pass an input on to the state it entered; what happens then is that
+state's row. The documents named as sources: [protocol.md](protocol.md#sources).
+"""
+_RING_COLUMNS: Final = "| input | what is done | next | handler | source |\n|---|---|---|---|---|"
+_RING_MODULES: Final = {
+    "idle": "listen_idle_claim",
+    "hold": "use_token",
+    "exchange": "exchange",
+    "passing": "pass_token",
+}
 _HANDLER: Final = """## A slave at its master
 
-`dpstack/dp/master/slave_states.py`. The picture leaves out events that change nothing, and the ways to Offline (no answer),
-to Fault (a refusal) and to Deactivated (by order), which nearly every state has.
+`dpstack/dp/master/slave_states.py`. The picture leaves out events that change nothing, and the ways to Offline (no
+answer), to Fault (a refusal) and to Deactivated (by order), which nearly every state has.
 """
 _SLAVE: Final = """## A slave
 
@@ -233,6 +277,7 @@ _CONNECTION: Final = """## A class 2 connection at the slave
 
 def main() -> None:
     STATES.write_text(states(), encoding="utf-8")
+    RING.write_text(token_ring(), encoding="utf-8")
     ARCHITECTURE.write_text(architecture(ARCHITECTURE.read_text(encoding="utf-8")), encoding="utf-8")
 
 

@@ -1,7 +1,7 @@
 """The state machine of an active station as data: states, inputs, and one row per transition with its source.
 
-Handlers are named ``module.function`` of the ``active_*`` modules; :func:`handlers_by_state` binds them. A pair that
-has no row is ignored and counted. ``docs/fdl-states.md`` is made from this table by ``tools/make_state_docs.py``.
+Handlers are named ``module.function``, with a short name for the module; :func:`handlers_by_state` binds them. A pair
+that has no row is ignored and counted. ``docs/fdl-states.md`` is made from this table by ``tools/make_pictures.py``.
 
 Sources: facts docs/protocol.md#the-token-ring, the documents "Felser" and "EN 50170-2" docs/protocol.md#sources; "rule"
 is a rule of this project with its reason.
@@ -184,14 +184,6 @@ def _rows() -> list[Row]:
 
 TABLE: Final[tuple[Row, ...]] = tuple(_rows())
 
-#: where the handlers of a short name stand
-_MODULES: Final = {
-    "idle": "listen_idle_claim",
-    "hold": "use_token",
-    "exchange": "exchange",
-    "passing": "pass_token",
-}
-
 H = TypeVar("H", bound=Callable[..., None])
 
 
@@ -202,40 +194,3 @@ def handlers_by_state(modules: Mapping[str, object], default: H) -> tuple[tuple[
         module, name = row.handler.split(".")
         result[row.state][row.input] = getattr(modules[module], name)
     return tuple(map(tuple, result))
-
-
-def _title(name: str) -> str:
-    return name.capitalize() if "_" not in name else "_".join(part.capitalize() for part in name.split("_"))
-
-
-def render() -> str:
-    """The table as a Markdown page with a Mermaid state diagram (states under the standard's names)."""
-    arrows: dict[tuple[State, State], list[str]] = {}
-    for row in TABLE:
-        for target in row.next:
-            if target is not row.state and row.input is not Input.LINE_DOWN:
-                names = arrows.setdefault((row.state, target), [])
-                names.append(row.input.name.lower().replace("_", " "))
-    lines = [
-        "# The states of an active station",
-        "",
-        "Made from `dpstack/fdl/active/states.py` by `tools/make_state_docs.py`; do not edit. A lost line leads from",
-        "every state to Offline and is left out of the diagram. A pair that is not listed is ignored and counted.",
-        "A handler may pass an input on to the state it entered; what happens then is that state's row.",
-        "The documents named as sources: [protocol.md](protocol.md#sources).",
-        "",
-        "```mermaid",
-        "stateDiagram-v2",
-        "    [*] --> Offline",
-    ]
-    for (state, target), names in arrows.items():
-        lines.append(f"    {_title(state.name)} --> {_title(target.name)}: {', '.join(names)}")
-    lines += ["```", "", "| state | input | what is done | next | handler | source |", "|---|---|---|---|---|---|"]
-    for row in TABLE:
-        module, handler = row.handler.split(".")
-        targets = ", ".join(_title(s.name) for s in row.next)
-        lines.append(
-            f"| {_title(row.state.name)} | {row.input.name.lower()} | {row.does} | {targets} "
-            f"| `{_MODULES[module]}.{handler}` | {row.source} |"
-        )
-    return "\n".join(lines) + "\n"

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 from ring_bus import ListUser
 
-from dpstack.fdl.active import states
 from dpstack.fdl.active.context import Handler, Link
 from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.active.states import TABLE, Input, Row, State
@@ -207,8 +205,3 @@ def test_a_pair_without_a_row_is_ignored_and_counted() -> None:
     rig.command(GoOnline())
     assert rig.station.state is State.USE_TOKEN
     assert rig.station.stats.ignored == 1
-
-
-def test_docs_are_current() -> None:
-    page = Path(__file__).resolve().parents[3] / "docs" / "fdl-states.md"
-    assert page.read_text(encoding="utf-8") == states.render(), "run tools/make_state_docs.py"
