@@ -12,6 +12,7 @@ from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave_params import SlaveParams
@@ -147,7 +148,7 @@ class Plant:
             responder = app(RecordDevice(self.answers), address=address)
             self.world.add(PassiveStation(address, responder, self.params, t_sdr=self.t_sdr))
         self.setups = setups(self.slaves)
-        self.master = Master(self.params, self.setups, cycle_ns=self.cycle_ns, watchdog_ms=2_000)
+        self.master = Master(self.params, self.setups, MasterSettings(cycle_ns=self.cycle_ns, watchdog_ms=2_000))
         users: list[LinkUser] = [self.master, acyclic_services(_OWN, self.master)]
         self._station = ActiveStation(self.params, users, budget=self.master.budget)
         self.world.add(self._station, on_events=self._on_events)

@@ -14,6 +14,7 @@ from typing import Final
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -49,7 +50,8 @@ class NullBus:
         addresses = range(_FIRST, _FIRST + slaves)
         setups = [SlaveParams(address=a, name=f"s{a}", ident=0x0696, config=_PPO1) for a in addresses]
         self._slaves = {a: Slave(a, b"\x06\x96", _PPO1, 12, 12, fixed=f"{a:02x}" * 12) for a in addresses}
-        self.master = Master(params, setups, watchdog_ms=1000, on_round=self._round if changing else None)
+        self.master = Master(params, setups, MasterSettings(watchdog_ms=1000))
+        self.master.on_round = self._round if changing else None
         self.station = ActiveStation(params, [self.master], patience=HOST)
         self.exchanges = 0
         self._pictures = [bytes((n,) * 12) for n in range(256)]

@@ -25,6 +25,7 @@ from bench.report import Report
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
@@ -61,7 +62,7 @@ async def over_pty(slaves: int, seconds: float) -> float:
     port = PtyPort(_PTY_BAUD)
     patience = patience_of(port)
     setups = [SlaveParams(address=_FIRST + i, name=f"s{i}", ident=0x0696, config=b"\xf3\xf1") for i in range(slaves)]
-    master = Master(params, setups, watchdog_ms=5_000, absent_share=patience.unknown_share)
+    master = Master(params, setups, MasterSettings(watchdog_ms=5_000, absent_share=patience.unknown_share))
     handlers = master.handlers.values()
     up = asyncio.Event()
 

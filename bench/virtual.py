@@ -17,6 +17,7 @@ from bench.report import Report
 from dpstack.dp.master.commands import DriveCommand, Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.device import Device
@@ -55,7 +56,7 @@ class Plant:
         self.master = Master(
             params,
             [SlaveParams(address=a, name=f"s{a}", ident=ident, config=config, user_prm=user_prm) for a in addresses],
-            watchdog_ms=2_000,
+            MasterSettings(watchdog_ms=2_000),
         )
         station = ActiveStation(params, [self.master])
         self.world.add(station)

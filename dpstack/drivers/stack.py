@@ -13,6 +13,7 @@ from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.scanner import Scanner, SurveyOrder, SurveyResult
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.services import reading_only
 from dpstack.dp.slave_params import SlaveParams
@@ -42,16 +43,8 @@ class StackSpec:
     params: BusParams
     patience: Patience
     slaves: tuple[SlaveParams, ...]
-    watchdog_ms: int
-    auto_clear: bool
-    data_control_ns: int
-    safe_after_stall: bool = True
-    application_watchdog_ns: int = 0
-    read_only: bool
+    master: MasterSettings
     watched: bool
-    cycle_ns: int = 0
-    cycle_freeze: tuple[int, ...] = ()
-    cycle_sync: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,26 +58,13 @@ class Stack:
 
 def build_stack(spec: StackSpec) -> Stack:
     """Make them. A read-only bus has a guard in front of all that could write. Raises ConfigError."""
-    params, patience = spec.params, spec.patience
-    master = Master(
-        params,
-        spec.slaves,
-        watchdog_ms=spec.watchdog_ms,
-        absent_share=patience.unknown_share,
-        auto_clear=spec.auto_clear,
-        data_control_ns=spec.data_control_ns,
-        safe_after_stall=spec.safe_after_stall,
-        application_watchdog_ns=spec.application_watchdog_ns,
-        read_only=spec.read_only,
-        cycle_ns=spec.cycle_ns,
-        cycle_freeze=spec.cycle_freeze,
-        cycle_sync=spec.cycle_sync,
-    )
-    watcher = _watcher(spec) if spec.read_only and spec.watched else None
+    params, read_only = spec.params, spec.master.read_only
+    master = Master(params, spec.slaves, spec.master)
+    watcher = _watcher(spec) if read_only and spec.watched else None
     users: list[LinkUser] = [master] if watcher is None else [master, watcher]
     users.append(acyclic_services(params.address, master))
-    guard = reading_only if spec.read_only else None
-    station = ActiveStation(params, users, patience=patience, guard=guard, budget=master.budget)
+    guard = reading_only if read_only else None
+    station = ActiveStation(params, users, patience=spec.patience, guard=guard, budget=master.budget)
     master.ring = lambda: station.las
     return Stack(master, station, watcher)
 
@@ -138,7 +118,7 @@ class StackView:
 
     @property
     def read_only(self) -> bool:
-        return self._master.read_only
+        return self._master.settings.read_only
 
     @property
     def setups(self) -> dict[int, SlaveParams]:

@@ -10,6 +10,7 @@ from support import MS, S
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave.application import SlaveApp, make_slave
 from dpstack.dp.slave.device import DpV0Device
@@ -63,7 +64,7 @@ class SimBus:
         self.slaves = [make_slave(a, device, self.params, t_sdr=self.t_sdr) for a, device in devices.items()]
         for slave in self.slaves:
             self.world.add(slave)
-        self.master = Master(self.params, setups, watchdog_ms=self.watchdog_ms, cycle_ns=self.cycle_ns)
+        self.master = Master(self.params, setups, MasterSettings(watchdog_ms=self.watchdog_ms, cycle_ns=self.cycle_ns))
         self.acyclic = acyclic_services(self.params.address, self.master)
         self.station = ActiveStation(
             self.params, [self.master, self.acyclic], budget=self.master.budget, now=self.world.now

@@ -13,6 +13,7 @@ from support import MS, S, WorldFactory
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -52,7 +53,9 @@ class CycleBus:
             self.world.add(station)
         watchdog_ms = max(200, 5 * self.cycle_ns // MS)
         self.master = Master(
-            self.params, self.setups, **{"cycle_ns": self.cycle_ns, "watchdog_ms": watchdog_ms, **self.options}
+            self.params,
+            self.setups,
+            MasterSettings(**{"cycle_ns": self.cycle_ns, "watchdog_ms": watchdog_ms, **self.options}),
         )
         users = [self.master, *self.more]
         self.station = ActiveStation(

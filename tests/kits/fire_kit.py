@@ -13,6 +13,7 @@ from support import WorldFactory
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.fdl.active.states import State
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
@@ -73,7 +74,7 @@ class FireRing:
         if slave not in self.slaves:
             self.slaves[slave] = mirror(slave, params)
             self.world.add(self.slaves[slave])
-        self.dp[address] = Master(params, [setup(slave)], watchdog_ms=self._watchdog_ms)
+        self.dp[address] = Master(params, [setup(slave)], MasterSettings(watchdog_ms=self._watchdog_ms))
         return self.dp[address]
 
     def die(self, address: int) -> ActiveStation:

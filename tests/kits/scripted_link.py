@@ -9,6 +9,7 @@ from typing import Any
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveFaulted, SlaveRemark, SlaveState, SlaveStateChanged
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.interface import Expect, Failure, Request
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Telegram
@@ -127,7 +128,7 @@ def setup(address: int = 3, **changes: Any) -> SlaveParams:
 
 def link(*setups: SlaveParams, slaves: dict[int, ScriptedSlave] | None = None, **options: Any) -> ScriptedLink:
     """A master (its ``options``) at the start; all slaves are there unless ``slaves`` says which."""
-    master = Master(BusParams.preset(500_000, address=2), setups, **options)
+    master = Master(BusParams.preset(500_000, address=2), setups, MasterSettings(**options))
     given = {s.address: ScriptedSlave() for s in setups} if slaves is None else slaves
     return ScriptedLink(master, given)
 

@@ -11,6 +11,7 @@ from support import MS, US, Dummy, S, WorldFactory
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.errors import ConfigError
 from dpstack.fdl.active.station import ActiveStation
@@ -148,7 +149,7 @@ class AdapterBus:
         self.params = BusParams.preset(baud, address=2, hsa=10).replace(**changes)
         for address in addresses:
             world.add(mirror(address, self.params))
-        self.master = Master(self.params, [setup(address) for address in addresses], watchdog_ms=1000)
+        self.master = Master(self.params, [setup(address) for address in addresses], MasterSettings(watchdog_ms=1000))
         self.station = ActiveStation(self.params, [self.master], patience=patience)
         self.adapter = Adapter(self.station, habits, own=EchoFilter(Echo.AUTO) if habits.echo else None)
         self.events: list[Event] = []

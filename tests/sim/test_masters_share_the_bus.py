@@ -12,6 +12,7 @@ from support import S, WorldFactory
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.plan.cycle_check import token_wait_ns
 from dpstack.dp.plan.plan import Case, OtherMasters, rotation, t_tr_needed
 from dpstack.dp.plan.rotation_time import figures
@@ -137,7 +138,7 @@ def test_a_fixed_cycle_begins_no_later_than_the_plan_says(world: WorldFactory, c
         own = params.replace(address=2 + number, t_tr=t_tr)
         for setup in slaves:
             w.add(make_slave(setup.address, MirrorDevice(IDENT, setup.config), own, t_sdr=90))
-        masters.append(Master(own, slaves, watchdog_ms=650_000, cycle_ns=0 if number else cycle_ns))
+        masters.append(Master(own, slaves, MasterSettings(watchdog_ms=650_000, cycle_ns=0 if number else cycle_ns)))
         station = ActiveStation(own, [masters[-1]], budget=masters[-1].budget, now=w.now)
         w.add(station)
         w.command(station, GoOnline())

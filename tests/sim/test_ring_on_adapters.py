@@ -13,6 +13,7 @@ from dpstack.api.bus.ring_entry import OtherMasterNotices, join_limit_s, pass_ns
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.drivers.snapshots import BusSnapshot
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -125,7 +126,7 @@ class Ring:
             self.slaves = [mirror(slave, params) for slave in slaves]  # of the last master
             for slave in self.slaves:
                 world.add(slave)
-            master = Master(params, [setup(slave) for slave in slaves], watchdog_ms=1000)
+            master = Master(params, [setup(slave) for slave in slaves], MasterSettings(watchdog_ms=1000))
             station = ActiveStation(params, [master], patience=patience if plug else EXACT)
             plugged = Adapter(station, plug) if plug else station
             world.add(plugged)

@@ -17,6 +17,7 @@ from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.api.slave.drive import DrivePlugin
 from dpstack.api.streams import Rounds
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.plan.plan import Case, Plan, make_plan
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
@@ -125,16 +126,19 @@ def compose(
         params=plan.params,
         patience=patience,
         slaves=config.slave_params,
-        watchdog_ms=plan.watchdog_ms,
-        auto_clear=config.bus.auto_clear,
-        data_control_ns=config.bus.data_control_time_ms * NS_PER_MS,
-        safe_after_stall=config.bus.after_stall == SAFE,
-        application_watchdog_ns=config.bus.application_watchdog_ms * NS_PER_MS,
-        read_only=config.bus.read_only,
+        master=MasterSettings(
+            watchdog_ms=plan.watchdog_ms,
+            absent_share=patience.unknown_share,
+            auto_clear=config.bus.auto_clear,
+            data_control_ns=config.bus.data_control_time_ms * NS_PER_MS,
+            safe_after_stall=config.bus.after_stall == SAFE,
+            application_watchdog_ns=config.bus.application_watchdog_ms * NS_PER_MS,
+            read_only=config.bus.read_only,
+            cycle_ns=config.bus.cycle_ns,
+            cycle_freeze=config.bus.cycle_freeze,
+            cycle_sync=config.bus.cycle_sync,
+        ),
         watched=watched,
-        cycle_ns=config.bus.cycle_ns,
-        cycle_freeze=config.bus.cycle_freeze,
-        cycle_sync=config.bus.cycle_sync,
     )
     driver = driver_for(config, port)
     # on a pty the waiting times allow for a stalled computer; host_slack_ms of the user is never tuned

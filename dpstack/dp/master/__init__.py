@@ -14,6 +14,7 @@
 - ``poll_order``: Whose turn it is: who is exchanged data with in a round, and whose service comes next
 - ``retry_timing``: When a slave is asked next: the back-off of retries
 - ``scanner``: The scanner: the live list, filled up with ident number, state and owner of each slave
+- ``settings``: Settings of a DP master that do not depend on its slaves: made once, handed on whole
 - ``slave_handler``: The master's handling of one slave: what to ask it next, and what its answers mean
 - ``slave_list``: The slaves of a master while the bus runs: added, removed, taken out of service, parameterised anew
 - ``slave_states``: The master's handling of one slave as a table: (state, what happened) -> state, with the clause

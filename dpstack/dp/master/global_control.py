@@ -14,6 +14,7 @@ from typing import Final
 
 from dpstack.dp.master.commands import Mode, SendControl
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken, SlaveRemark, SlaveState
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.master.sync_freeze import ControlOrder, CyclicControl, check_order
 from dpstack.dp.pdu.requests import GlobalControl
@@ -51,11 +52,10 @@ class Controls:
         params: BusParams,
         handlers: Handlers,
         emit: Callable[[Event], None],
-        cycle_freeze: tuple[int, ...] = (),
-        cycle_sync: tuple[int, ...] = (),
+        settings: MasterSettings,
     ) -> None:
-        self.cycle_freeze = CyclicControl(cycle_freeze, freeze=True)
-        self.cycle_sync = CyclicControl(cycle_sync, freeze=False)
+        self.cycle_freeze = CyclicControl(settings.cycle_freeze, freeze=True)
+        self.cycle_sync = CyclicControl(settings.cycle_sync, freeze=False)
         self.urgent = 0
         self.synced: set[int] = set()
         self.frozen: set[int] = set()

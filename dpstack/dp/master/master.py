@@ -27,8 +27,9 @@ from dpstack.dp.master.diag_reader import DiagObserver
 from dpstack.dp.master.events import AutoCleared, ForcedClear, MasterStopped, ModeChanged, OperateWaits, SlaveState
 from dpstack.dp.master.fixed_cycle import Cadence, CycleData, CycleStats
 from dpstack.dp.master.global_control import Controls
-from dpstack.dp.master.outputs_watch import DATA_CONTROL_TIME, DataControl, OutputsWatch, missing_reasons
+from dpstack.dp.master.outputs_watch import DataControl, OutputsWatch, missing_reasons
 from dpstack.dp.master.poll_order import Turns
+from dpstack.dp.master.settings import DEFAULTS, MasterSettings
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.master.slave_list import SAFE_HOLD, Farewells, Roster
 from dpstack.dp.master.token_watch import TokenAge
@@ -51,60 +52,42 @@ _HELD_BACK: Final = Failure.HELD_BACK
 
 
 class Master:
-    """A DP class 1 master over ``slaves``. Starts in Clear; ``watchdog_ms`` is the default of slaves without their own.
+    """A DP class 1 master over ``slaves``. Starts in Clear, or in Stop where the bus is read-only.
 
-    ``absent_share``: while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of
-    the bus time; 0 = no limit. ``auto_clear``: to Clear when a slave had no good data exchange for
-    ``data_control_ns``. ``safe_after_stall``: to Clear before anything is sent after a time in which a slave was not
-    asked for longer than its watchdog. ``application_watchdog_ns``: to Clear when :class:`Alive` did not come for so
-    long in Operate; 0 is off. ``read_only``: it stays in Stop, where nothing is sent to slaves. ``on_round(now)`` is
-    called at the end of every round with data exchange, after :attr:`cycle` was published,
-    ``on_begin()`` as a round begins: what it puts into the process image goes out in that one.
-
-    ``cycle_ns``: the rounds begin on a grid of this length, best effort (0: free running); then give :attr:`budget` to
-    the station. ``cycle_freeze``, ``cycle_sync``: groups that every cycle sends FREEZE and SYNC to. Raises ConfigError.
+    ``on_round(now)`` is called at the end of every round with data exchange, after :attr:`cycle` was published,
+    ``on_begin()`` as a round begins: what it puts into the process image goes out in that one. With a fixed cycle give
+    :attr:`budget` to the station. Raises ConfigError.
     """
 
     def __init__(
         self,
         params: BusParams,
         slaves: Iterable[SlaveParams] = (),
-        *,
-        watchdog_ms: int = 200,
-        absent_share: int = 0,
-        auto_clear: bool = False,
-        data_control_ns: int = DATA_CONTROL_TIME,
-        safe_after_stall: bool = True,
-        application_watchdog_ns: int = 0,
-        read_only: bool = False,
-        cycle_ns: int = 0,
-        cycle_freeze: tuple[int, ...] = (),
-        cycle_sync: tuple[int, ...] = (),
-        on_round: Callable[[int], None] | None = None,
+        settings: MasterSettings = DEFAULTS,
     ) -> None:
         self.params = params
-        self._course = ModeTransition(Mode.STOP if read_only else Mode.CLEAR, Mode.CLEAR)
-        self.read_only = read_only
+        self.settings = settings
+        self._course = ModeTransition(Mode.STOP if settings.read_only else Mode.CLEAR, Mode.CLEAR)
         self.handlers: dict[int, SlaveHandler] = {}
         self.rotation = Histogram()
         self.rounds = 0
-        self.on_round = on_round
+        self.on_round: Callable[[int], None] | None = None
         self.on_begin: Callable[[], None] | None = None
         #: the masters in the token ring, for texts of faults; whoever makes the station sets it
         self.ring: Callable[[], Collection[int]] | None = None
         #: the last round with data exchange, while ``on_round`` is set
         self.cycle: CycleData | None = None
-        self.controls = Controls(params, self.handlers, self._emit, cycle_freeze, cycle_sync)
+        self.controls = Controls(params, self.handlers, self._emit, settings)
         self._events: list[Event] = []
-        self._turns = Turns(absent_share, params)
+        self._turns = Turns(settings.absent_share, params)
         self._farewells = Farewells()
-        self._watch = OutputsWatch(self.handlers, stalls=safe_after_stall, application_ns=application_watchdog_ns)
+        self._watch = OutputsWatch(self.handlers, settings)
         self._held_in_clear = False  # by itself, until Operate is ordered
         self._outdated = False  # the request made last is from before that
         self._roster = Roster(
             params,
             self.handlers,
-            watchdog_ms=watchdog_ms,
+            watchdog_ms=settings.watchdog_ms,
             turns=self._turns,
             farewells=self._farewells,
             controls=self.controls,
@@ -115,9 +98,9 @@ class Master:
             still=self._still_fresh,
             look_soon=self._watch.look_soon,
         )
-        self._control = DataControl(auto_clear=auto_clear, time_ns=data_control_ns)
+        self._control = DataControl(settings)
         self._token = TokenAge(params)
-        self._cadence = Cadence(cycle_ns, self._emit)
+        self._cadence = Cadence(settings.cycle_ns, self._emit)
         self._round = Round(
             self._course,
             self.handlers,
@@ -220,7 +203,7 @@ class Master:
         self._events.append(event)
 
     def _writable(self, what: str) -> None:
-        if self.read_only:
+        if self.settings.read_only:
             raise UsageError(f"this bus is read-only: {what}; leave read_only out")
 
     # --- modes and the ordered end ------------------------------------------------------------------------------

@@ -11,24 +11,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from dpstack.dp.master.events import ApplicationSilent, Blocked, ForcedClear, SlaveState, Stalled
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.machine import HeldUp
-from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ms_text
+from dpstack.units import NEVER, NS_PER_MS, ms_text
 
 # docs/protocol.md#auto-clear (Error_Action_Flag, Data_Control_Time, Ignore_Aclr of each slave).
 
-#: the standard's default
-DATA_CONTROL_TIME: Final = NS_PER_S
-
 
 class DataControl:
-    """``time_ns`` is the Data_Control_Time; without ``auto_clear`` nobody is ever late or missing."""
+    """Auto-clear: without it no slave is ever late or missing. ``time_ns`` is the Data_Control_Time."""
 
     __slots__ = ("_began", "_due", "enabled", "time_ns")
 
-    def __init__(self, *, auto_clear: bool, time_ns: int) -> None:
-        self.enabled = auto_clear
-        self.time_ns = time_ns
+    def __init__(self, settings: MasterSettings) -> None:
+        self.enabled = settings.auto_clear
+        self.time_ns = settings.data_control_ns
         self._began = 0
         self._due = 0
 
@@ -90,22 +88,19 @@ class Block(NamedTuple):
 class OutputsWatch:
     """Watches ``handlers`` while the master is in Operate, or on its way there.
 
-    ``stalls``: the stall rule is on. ``application_ns``: the time of the application watchdog, 0 is off.
     ``look_at``: before this time (ns) :meth:`judge` has nothing to say.
     """
 
     __slots__ = (
-        "_application_ns", "_handlers", "_held", "_stalls", "_token_at", "_token_gap", "_watching",
-        "alive_until", "down", "look_at",
+        "_handlers", "_held", "_settings", "_token_at", "_token_gap", "_watching", "alive_until", "down", "look_at",
     )  # fmt: skip
 
-    def __init__(self, handlers: Mapping[int, SlaveHandler], *, stalls: bool, application_ns: int) -> None:
+    def __init__(self, handlers: Mapping[int, SlaveHandler], settings: MasterSettings) -> None:
         self.look_at = NEVER
         #: when the application watchdog runs out in ns, NEVER while it is off
         self.alive_until = NEVER
         self._handlers = handlers
-        self._stalls = stalls
-        self._application_ns = application_ns
+        self._settings = settings
         self._watching = False
         self._held: HeldUp | None = None  # the longest the driver told of since the last judgement
         #: slaves that lost data exchange with the line; the master takes each out at its next request to it
@@ -121,7 +116,8 @@ class OutputsWatch:
             handler.asked_at = max(handler.asked_at, now)
         self.down.clear()
         self._watching = True
-        self.alive_until = now + self._application_ns if self._application_ns else NEVER
+        limit_ns = self._settings.application_watchdog_ns
+        self.alive_until = now + limit_ns if limit_ns else NEVER
         self.look_soon()
 
     def end(self) -> None:
@@ -133,7 +129,7 @@ class OutputsWatch:
     def alive(self, now: int) -> None:
         """The application is alive. Changes nothing where the watchdog has run out, or is off."""
         if now < self.alive_until != NEVER:
-            self.alive_until = now + self._application_ns
+            self.alive_until = now + self._settings.application_watchdog_ns
 
     def look_soon(self) -> None:
         """Something changed: judge before the next request."""
@@ -173,11 +169,11 @@ class OutputsWatch:
         self.look_at = self.alive_until
         if not self._watching:
             return None
-        found = self._stalled(now) if self._stalls else None
+        found = self._stalled(now) if self._settings.safe_after_stall else None
         if found is not None or not self.down:
             self._held = None
         if found is None and now >= self.alive_until:
-            return ApplicationSilent(t_ns=now, limit_ns=self._application_ns)
+            return ApplicationSilent(t_ns=now, limit_ns=self._settings.application_watchdog_ns)
         return found
 
     def _stalled(self, now: int) -> Stalled | None:

@@ -64,7 +64,7 @@ class Ms1Access:
     def handler(self, address: int) -> SlaveHandler:
         """The slave's, where it is parameterised for DP-V1. Raises UsageError."""
         handler = self.slave(address)
-        need_dpv1(handler.setup, read_only=self.master is not None and self.master.read_only)
+        need_dpv1(handler.setup, read_only=self.master is not None and self.master.settings.read_only)
         return handler
 
     def bar(self, handler: SlaveHandler, since: int) -> str:

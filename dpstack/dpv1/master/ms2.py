@@ -85,7 +85,7 @@ class Ms2(Connections):
             raise UsageError(f"{address} is no address of a slave: 0..{UNADDRESSED} ({UNADDRESSED}: as delivered)")
         if address == self._own:
             raise UsageError(f"{address} is the address of this master itself")
-        if self._master is not None and self._master.read_only:
+        if self._master is not None and self._master.settings.read_only:
             raise UsageError("this bus is read-only: no connection is opened; leave read_only out")
         if self.closing:
             raise UsageError("the bus is being closed: no connection is opened any more")

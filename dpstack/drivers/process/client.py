@@ -87,19 +87,19 @@ class ProcessRuntime:
 
     def __init__(self, setup: SetUp, on_events: OnEvents, on_failure: OnFailure, on_refused: OnRefused) -> None:
         spec = setup.stack
-        self.read_only = spec.read_only
+        self.read_only = spec.master.read_only
         self.setups = {slave.address: slave for slave in spec.slaves}
         #: the last round with data exchange, while somebody watches
         self.cycle: CycleData | None = None
         self._bus = BusSnapshot(
-            mode=Mode.STOP if spec.read_only else Mode.CLEAR,
+            mode=Mode.STOP if self.read_only else Mode.CLEAR,
             synced=frozenset(),
             frozen=frozenset(),
             in_ring=False,
             claimed=False,
             las=frozenset(),
             patience=spec.patience,
-            found={} if spec.read_only and spec.watched else None,
+            found={} if self.read_only and spec.watched else None,
         )
         self._slaves: dict[int, SlaveSnapshot] = {}
         self._on_round: Callable[[], None] | None = None

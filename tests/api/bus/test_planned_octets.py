@@ -16,6 +16,7 @@ from dpstack.api.config.config import parse_config
 from dpstack.cli.main import main
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 
@@ -73,7 +74,7 @@ def test_the_plan_tells_the_octets_that_slaves_receive() -> None:
         address: Received(bus, address, ident=bytes.fromhex(ident))
         for address, ident in ((8, "1A2B"), (3, "0696"), (4, "BEEF"), (5, "0FFE"))
     }
-    master = Master(plan.params, config.slave_params, watchdog_ms=plan.watchdog_ms)
+    master = Master(plan.params, config.slave_params, MasterSettings(watchdog_ms=plan.watchdog_ms))
     station = ActiveStation(plan.params, [master])
     bus.stations.append(station)
     bus.command(station, GoOnline())

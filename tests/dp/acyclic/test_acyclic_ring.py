@@ -24,6 +24,7 @@ from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.plan.cycle_check import Verdict, least_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, figures, rotation, t_tr_needed
@@ -85,7 +86,7 @@ class Loaded:
         for setup in self.slaves:
             app = self.app(RecordDevice(Answers.AT_ONCE), address=setup.address)
             self.world.add(PassiveStation(setup.address, app, self.params, t_sdr=self.t_sdr))
-        self.master = Master(self.params, self.slaves, cycle_ns=self.cycle_ns, watchdog_ms=60_000)
+        self.master = Master(self.params, self.slaves, MasterSettings(cycle_ns=self.cycle_ns, watchdog_ms=60_000))
         users: list[LinkUser] = [self.master, acyclic_services(self.params.address, self.master)]
         self.station = ActiveStation(
             self.params, users, patience=self.patience, budget=self.master.budget, now=self.world.now

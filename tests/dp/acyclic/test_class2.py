@@ -15,6 +15,7 @@ from dpstack.dp.acyclic.queue import CAPACITY, Acyclic, CancelService
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveDiagnosis, SlaveStateChanged
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
@@ -385,7 +386,7 @@ def test_its_own_master_gets_a_diagnosis_that_it_read(world: WorldFactory) -> No
     params = BusParams.preset(500_000, address=2)
     app = TellsOnce(MirrorDevice(IDENT, PPO1))
     w.add(PassiveStation(3, app, params))
-    master = Master(params, [setup(3)], watchdog_ms=200)
+    master = Master(params, [setup(3)], MasterSettings(watchdog_ms=200))
     class2 = acyclic_services(2, master)
     told: list[Event] = []
     station = ActiveStation(params, [master, class2])

@@ -19,6 +19,7 @@ from dpstack.dp.master.commands import Mode, SetMode, Shutdown
 from dpstack.dp.master.events import CyclesMissed, SlaveState
 from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -169,7 +170,7 @@ def test_behind_an_adapter_a_slave_that_comes_later_is_taken_in(world: WorldFact
     setups = [slave(5, watchdog_ms=1000), slave(6, watchdog_ms=1000)]
     stations = {s.address: mirror(s.address, P500) for s in setups}
     w.add(stations[5])
-    master = Master(P500, setups, cycle_ns=30 * MS, absent_share=100)
+    master = Master(P500, setups, MasterSettings(cycle_ns=30 * MS, absent_share=100))
     station = ActiveStation(P500, [master], patience=measured(2 * MS), budget=master.budget)
     plugged = Adapter(station, FTDI_LOW_LATENCY)
     w.add(plugged)

@@ -18,6 +18,7 @@ from support import MS, S, WorldFactory
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave.application import make_slave
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.station import ActiveStation
@@ -160,7 +161,7 @@ def test_a_master_that_hears_late_finds_its_slaves(world: WorldFactory, late_ms:
     slaves = [mirror(address, P187) for address in (5, 6)]
     for station in slaves:
         w.add(station)
-    master = Master(P187, (slave(5), slave(6)), watchdog_ms=1000, absent_share=HOST.unknown_share)
+    master = Master(P187, (slave(5), slave(6)), MasterSettings(watchdog_ms=1000, absent_share=HOST.unknown_share))
     active = ActiveStation(P187, [master], patience=HOST, budget=master.budget)
     port = Late(active, fixed(late_ms))
     w.add(port)

@@ -11,6 +11,7 @@ from dpstack.api.server.virtual_bench import Unit
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dp.slave.auto_baud import BaudState, BaudStateChanged, SearchingSlave, make_searching_slave
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
@@ -38,7 +39,7 @@ def state_of(station: SearchingSlave) -> BaudState:
 
 def master_at(world: World, baud: int, *addresses: int, watchdog_ms: int = 500) -> tuple[ActiveStation, Master]:
     params = BusParams.preset(baud, address=2, hsa=10)
-    master = Master(params, [setup(address) for address in addresses], watchdog_ms=watchdog_ms)
+    master = Master(params, [setup(address) for address in addresses], MasterSettings(watchdog_ms=watchdog_ms))
     station = ActiveStation(params, [master], now=world.now)
     world.add(station, name="master")
     world.command(station, GoOnline())

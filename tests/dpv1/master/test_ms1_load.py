@@ -9,6 +9,7 @@ from support import MS, WorldFactory
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave_params import SlaveParams
@@ -47,7 +48,7 @@ class Loaded:
             SlaveParams(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=Dpv1())
             for a in self.slaves
         ]
-        self.master = Master(params, setups, cycle_ns=cycle_ns)
+        self.master = Master(params, setups, MasterSettings(cycle_ns=cycle_ns))
         users: list[LinkUser] = [self.master, acyclic_services(2, self.master)]
         self.station = ActiveStation(params, users, now=world.now, budget=self.master.budget)
         world.add(self.station, on_events=self._on_events)

@@ -8,6 +8,7 @@ from support import MS, WorldFactory
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
 from dpstack.dpv1.master.ms1 import RecordDone
@@ -40,7 +41,7 @@ class Loaded:
         for address in SLAVES:
             long_records(ms2_in(world, address, baud=baud), octets)
         setups = [SlaveParams(address=a, name=f"s{a}", ident=0x1234, config=bytes.fromhex("20 10")) for a in SLAVES]
-        self.master = Master(params, setups, cycle_ns=cycle_ns)
+        self.master = Master(params, setups, MasterSettings(cycle_ns=cycle_ns))
         self.station = ActiveStation(
             params, [self.master, acyclic_services(2, self.master)], now=world.now, budget=self.master.budget
         )

@@ -14,6 +14,7 @@ from support_responder import Responder
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.answer_timing import Answers
 from dpstack.drivers.line.echo import Echo
@@ -132,7 +133,9 @@ def test_at_every_rate_a_bus_goes_on_when_the_budget_is_used_up(baud: int) -> No
     loop = SelectLoop(budget=Spent())
     port = open_port("pty", baud)
     params = BusParams.preset(baud, address=2, gap=0)
-    master = Master(params, [SlaveParams(address=3, name="s", ident=0x0696, config=b"\xf3\xf1")], watchdog_ms=1000)
+    master = Master(
+        params, [SlaveParams(address=3, name="s", ident=0x0696, config=b"\xf3\xf1")], MasterSettings(watchdog_ms=1000)
+    )
     station = ActiveStation(params, [master], patience=patience_of(port), now=monotonic_ns())
     driver = SelectRuntime(loop, port, station, lambda _events: None, echo=Echo.OFF)
     driver.open()

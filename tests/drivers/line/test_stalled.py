@@ -17,6 +17,7 @@ from octet_slave import SC, sd1, sd2
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import Blocked, Stalled
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.timers import suspended_ns
 from dpstack.fdl.active.station import ActiveStation
@@ -44,7 +45,7 @@ class Plant:
         self._free_at = 0
         setup = SlaveParams(address=3, name="s3", ident=0x0696, config=b"\x31", initial=RUN)
         params = BusParams.preset(BAUD, address=2, gap=0)
-        self.master = Master(params, [setup], safe_after_stall=after_stall == "safe")
+        self.master = Master(params, [setup], MasterSettings(safe_after_stall=after_stall == "safe"))
         self.station = ActiveStation(params, [self.master], patience=HOST, now=self.kernel.now)
         self.patch = pytest.MonkeyPatch()
         self.driven = Driven(kind, self.station, self.kernel, self.patch, held_up=self.station.held_up)

@@ -15,6 +15,7 @@ from far_ends import open_slave, until
 from dpstack.dp.master.commands import Mode, SetMode, Shutdown
 from dpstack.dp.master.events import MasterStopped, SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.device import FunctionDevice
@@ -51,7 +52,7 @@ async def test_bring_up_exchange_restart_and_an_ordered_end(tmp_path: Path) -> N
                 SlaveParams(address=3, name="drive", ident=0x0696, config=bytes.fromhex("f3f1")),
                 SlaveParams(address=4, name="valves", ident=0x1234, config=bytes.fromhex("2010")),
             ],
-            watchdog_ms=1000,
+            MasterSettings(watchdog_ms=1000),
         )
         station = ActiveStation(params, [master], patience=patience_of(port), now=monotonic_ns())
         events: list[Event] = []

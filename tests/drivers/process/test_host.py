@@ -13,6 +13,7 @@ import pytest
 
 from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.master.events import DriveEvent
+from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import SelectLoop
@@ -73,10 +74,7 @@ class Rig:
             params=params,
             patience=HOST,
             slaves=(),
-            watchdog_ms=1000,
-            auto_clear=False,
-            data_control_ns=10**9,
-            read_only=False,
+            master=MasterSettings(watchdog_ms=1000),
             watched=True,
         )
         self.loop = SelectLoop()

@@ -1,0 +1,38 @@
+"""Settings of a DP master that do not depend on its slaves: made once, handed on whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.units import NS_PER_S
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MasterSettings:
+    """``watchdog_ms`` is the default of slaves without a watchdog time of their own.
+
+    ``absent_share``: while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of
+    the bus time; 0 = no limit. ``auto_clear``: to Clear when a slave had no good data exchange for
+    ``data_control_ns``. ``safe_after_stall``: to Clear before anything is sent after a time in which a slave was not
+    asked for longer than its watchdog. ``application_watchdog_ns``: to Clear when
+    :class:`~dpstack.dp.master.commands.Alive` did not come for so long in Operate; 0 is off. ``read_only``: the master
+    stays in Stop, where nothing is sent to slaves.
+
+    ``cycle_ns``: the rounds begin on a grid of this length, best effort (0: free running). ``cycle_freeze``,
+    ``cycle_sync``: groups (1..8) that every cycle sends FREEZE and SYNC to.
+    """
+
+    watchdog_ms: int = 200
+    absent_share: int = 0
+    auto_clear: bool = False
+    data_control_ns: int = NS_PER_S  # the standard's default
+    safe_after_stall: bool = True
+    application_watchdog_ns: int = 0
+    read_only: bool = False
+    cycle_ns: int = 0
+    cycle_freeze: tuple[int, ...] = ()
+    cycle_sync: tuple[int, ...] = ()
+
+
+DEFAULTS: Final = MasterSettings()
