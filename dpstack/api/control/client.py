@@ -9,16 +9,16 @@ import socket
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from time import monotonic_ns
-from typing import Any, Final
+from typing import Any, Final, NotRequired, TypedDict, TypeVar
 
 from dpstack.api.config.bus import VIRTUAL
-from dpstack.api.control.answers import Help, Item, checked
 from dpstack.api.control.errors import failure
 from dpstack.api.control.socket_path import Sockets, directory, names_of, own_name, socket_name
 from dpstack.errors import DpError, PortError, UsageError
 from dpstack.ports import posix
 from dpstack.units import s_to_ns
 
+T = TypeVar("T")
 #: time-out of an answer
 TIMEOUT_S: Final = 10.0
 _CHUNK: Final = 65_536
@@ -28,11 +28,55 @@ LONGEST_ANSWER: Final = 16_000_000
 _MOST_LEVELS: Final = 32
 
 
+class Command(TypedDict):
+    """A command in :class:`Help`."""
+
+    command: str
+    args: str
+    text: str
+
+
+class Help(TypedDict):
+    """``help``: what the program is."""
+
+    kind: str
+    port: str
+    pid: int
+    commands: list[Command]
+    name: NotRequired[str]
+    config: NotRequired[str | None]
+
+
+class Item(TypedDict, total=False):
+    """An item before the result of a long command: its progress, a part of a long list."""
+
+    progress: tuple[str, int, int]
+    parameters: list[Any]
+
+
+def checked(value: object, kind: type[T], port: str, command: str) -> T:
+    """The fields of ``kind`` in ``value``, the answer of the program on ``port`` to ``command``. Raises PortError.
+
+    The program may be another version of dpstack, or something else. Further fields are allowed: a newer program may
+    have more of them.
+    """
+    import msgspec  # most answers of `dpstack ctl` are not checked
+
+    try:
+        return msgspec.convert(value, kind)
+    except (msgspec.ValidationError, UnicodeError) as error:  # a lone surrogate in a key, for instance
+        raise PortError(
+            f"{port}: the answer to {command!r} is not as dpstack writes it ({error}): is it another version?"
+        ) from None
+
+
 class ControlClient:
     """A connection to the program that holds ``port``, made by :func:`connect`; use it as a context manager."""
 
     def __init__(self, port: str, connection: socket.socket) -> None:
         self.port = port
+        #: process of the program, once :meth:`help` was called
+        self.pid = 0
         self._socket = connection
         self._rest = bytearray()
         self._searched = 0  # octets of it without a line end
@@ -50,51 +94,39 @@ class ControlClient:
         self._socket.close()
 
     def call(
-        self, command: str, *args: str, kind: type | None = None, on_item: Callable[[Any], None] | None = None
-    ) -> Any:
-        """The result of ``command``, checked for the fields of ``kind`` (:mod:`dpstack.api.control.answers`).
-
-        ``on_item`` is called with each item before the result. Raises the error of the program: UsageError or
-        ConfigError where the request is wrong, any other where it failed (a BusError for a defect); PortError where
-        nobody answers, or another program.
-        """
-        result = None
-        for answer in self._answers(command, args):
-            if "item" not in answer:
-                result = answer.get("result")
-            elif on_item is not None:
-                on_item(answer["item"])
-        if kind is not None:
-            checked(result, kind, self.port, command)
-        return result
-
-    def help(self) -> Any:
-        """The description of the program, with the fields of ``Help``. Raises like :meth:`call`."""
-        return self.call("help", kind=Help)
-
-    def ask(
         self,
         command: str,
         *args: str,
         kind: type | None = None,
         progress: Callable[[str, int, int], None] | None = None,
     ) -> Any:
-        """Like :meth:`call`, for a long command: the result includes the parameters of the items before it;
-        ``progress`` is called with its progress."""
+        """The result of ``command``, checked for the fields of ``kind``; it includes the parameters of earlier items.
+
+        ``progress`` is called with the progress of a long command. Raises the error of the program: UsageError or
+        ConfigError where the request is wrong, any other where it failed (a BusError for a defect); PortError where
+        nobody answers, or another program.
+        """
+        result: Any = None
         found: list[object] = []
-
-        def on_item(item: Any) -> None:
-            fields = checked(item, Item, self.port, command)
-            found.extend(fields.get("parameters", ()))
-            if progress is not None and "progress" in fields:
-                progress(*fields["progress"])
-
-        result = self.call(command, *args, on_item=on_item)
+        for answer in self._answers(command, args):
+            if "item" not in answer:
+                result = answer.get("result")
+                continue
+            item = checked(answer["item"], Item, self.port, command)
+            found.extend(item.get("parameters", ()))
+            if progress is not None and "progress" in item:
+                progress(*item["progress"])
         if found and isinstance(result, Mapping):
             result = {**result, "parameters": found}
         if kind is not None:
             checked(result, kind, self.port, command)
         return result
+
+    def help(self) -> Any:
+        """The description of the program, with the fields of :class:`Help`. Raises like :meth:`call`."""
+        found = self.call("help", kind=Help)
+        self.pid = found["pid"]
+        return found
 
     def _answers(self, command: str, args: tuple[str, ...]) -> Iterator[Mapping[str, Any]]:
         limit_s = self._socket.gettimeout() or TIMEOUT_S

@@ -1,13 +1,28 @@
-"""Tables of the commands that running programs accept over the control socket, for each kind of program."""
+"""Tables of the commands that running programs accept over the control socket; ``Order``: a parsed command."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 from dpstack.errors import UsageError
+
+#: for each name in a usage: the keyword argument that it becomes, and the parser of its text
+Arguments = Mapping[str, tuple[str, Callable[[str], object]]]
+
+
+class Order(NamedTuple):
+    """One word for a drive or for the records of a slave.
+
+    ``texts``: its arguments as the control socket has them; ``values``: the keyword arguments of the method that
+    carries it out.
+    """
+
+    word: str
+    texts: Sequence[str]
+    values: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,17 +34,22 @@ class Spec:
     text: str
     example: str
 
-    def check(self, args: list[str]) -> None:
+    def check(self, args: Sequence[str]) -> None:
         """Raises UsageError when ``args`` are too few or too many."""
         names = self.usage.split()
         least = sum(not name.startswith("[") for name in names)
         if len(args) < least or (len(args) > len(names) and not self.usage.endswith("...")):
-            raise self.wrong_arguments()
+            example = f"{self.name} {self.example}".rstrip()
+            raise UsageError(f"{self.name} takes {self.usage or 'no arguments'}, for instance: {example}")
 
-    def wrong_arguments(self) -> UsageError:
-        """What it takes, for people."""
-        example = f"{self.name} {self.example}".rstrip()
-        return UsageError(f"{self.name} takes {self.usage or 'no arguments'}, for instance: {example}")
+    def order(self, args: Sequence[str], known: Arguments, options: Mapping[str, Any] | None = None) -> Order:
+        """The order with ``args``, parsed by the table ``known``, and ``options``. Raises UsageError."""
+        self.check(args)
+        names = [name.strip("[]") for name in self.usage.split()]
+        parsers = [(known[name], text) for name, text in zip(names, args, strict=False) if name in known]
+        values = {key: parse(text) for (key, parse), text in parsers}
+        texts = [f"{key}={value}".lower() for key, value in (options or {}).items()]
+        return Order(self.name, (*args, *texts), {**values, **(options or {})})
 
     def as_dict(self) -> dict[str, str]:
         return {"command": self.name, "args": self.usage, "text": self.text, "example": self.example}
@@ -82,7 +102,7 @@ KINDS: Final = {"run": COMMON + RUN, "sim": COMMON + SLAVES, "segment": COMMON +
 
 
 def find_word(word: str, known: Sequence[Spec], who: str = "a drive") -> Spec:
-    """The word that ``who`` is told. Raises UsageError with the nearest, or with those there are."""
+    """The word called ``word``. Raises UsageError with the nearest word that ``who`` knows, or with all of them."""
     names = [spec.name for spec in known]
     if word in names:
         return known[names.index(word)]

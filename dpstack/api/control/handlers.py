@@ -14,9 +14,9 @@ from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.bus.statistics import diagnosis_dict, drive_dict, inputs_dict
 from dpstack.api.control import arguments
 from dpstack.api.control.commands import KINDS, SLAVES
+from dpstack.api.control.drive_orders import drive_order
 from dpstack.api.control.handlers_slaves import SlaveCommands, address_of
-from dpstack.api.control.remote_drive import drive_order
-from dpstack.api.control.remote_records import acyclic_order
+from dpstack.api.control.record_orders import acyclic_order
 from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.api.server.virtual_bench import silence_text, station_status

@@ -40,6 +40,13 @@ _NOTICES: Final = 5
 _tokens = itertools.count(1)
 
 
+def declared_parameters(core: DriveCore) -> tuple[ListedParam, ...]:
+    """The parameters that a plugin declares. Raises UsageError where the telegram has no parameter channel."""
+    if core.access is None:
+        raise UsageError(f"drive {core.name}: {core.telegram.name} of {core.drive} has no parameter channel")
+    return core.parameters()
+
+
 class DriveNotice(NamedTuple):
     """One line of a drive plugin for the application; ``t_ns`` is the bus's time."""
 
@@ -224,9 +231,7 @@ class Drive(Sealed):
 
         Raises UsageError where the telegram has no parameter channel.
         """
-        if self._core.access is None:
-            raise UsageError(f"drive {self.name}: {self._core.telegram.name} of {self.kind} has no parameter channel")
-        return self._core.parameters()
+        return declared_parameters(self._core)
 
     async def dump(
         self,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import asyncio
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
 from typing import Any, Final, NamedTuple
 
 from dpstack.api.bus.bus import Bus
@@ -15,15 +16,24 @@ from dpstack.api.bus.temporary_master import joined
 from dpstack.api.bus.virtual import World, simulate
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.control.commands import find_word
-from dpstack.api.control.own_master import READY_S
-from dpstack.api.control.record_commands import COMPARE, PARAMETERS, TRANSPORT, WORDS, OnProgress, carry_out, check
-from dpstack.api.control.remote_records import through_run
+from dpstack.api.control.commands import Order, find_word
+from dpstack.api.control.record_orders import (
+    COMPARE,
+    DUMP,
+    PARAMETERS,
+    TRANSPORT,
+    WORDS,
+    OnProgress,
+    carry_out,
+    parse_order,
+)
+from dpstack.api.control.remote import through_run
 from dpstack.api.lists.record_list import RecordList, list_of
+from dpstack.api.slave.ms2_connection import Connection
+from dpstack.api.slave.slave import Slave
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
 from dpstack.cli.commands.lists import FILES, show_comparison, show_dump, show_list
-from dpstack.cli.commands.on_bus import tell_simulated
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.drawing import progress_bar
 from dpstack.cli.terminal.lost_stdout import warn
@@ -32,15 +42,8 @@ from dpstack.errors import BusError, SlaveFault, UsageError
 from dpstack.text import octets_text
 
 _WORDS: Final = (*WORDS, TRANSPORT, *FILES)
-
-
 #: the way out where another station has the master's address, or another master the slave
 _BESIDE: Final = "; or ask beside that master with --class 2, where the slave has it"
-
-
-class Order(NamedTuple):
-    word: str
-    args: tuple[str, ...]
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -83,19 +86,26 @@ def execute(args: argparse.Namespace) -> int:
         raise UsageError("--address is for --class 2; a master of class 1 has that of the configuration")
     spec = find_word(args.order, _WORDS, "dpstack acyclic")
     spec.check(args.args)
-    in_file = spec in FILES
-    order = Order(PARAMETERS, tuple(args.args[1:])) if in_file else Order(args.order, tuple(args.args))
-    check(*order, class2=args.master == 2)
+    path, word, texts = "", args.order, args.args
+    if spec in FILES:
+        (path, *texts), word = texts, PARAMETERS
+    order = parse_order(word, texts, class2=args.master == 2)
     if args.all and args.order != COMPARE:
         raise UsageError(f"--all is for {COMPARE}: leave it out")
     request = _Request(config, _slave_of(config, args.slave), order, args.order, args.master, args.address)
-    match args.order:
-        case "dump":
-            return _dump(request, args.args[0], json=args.json)
-        case "compare":
-            return _compare(request, args.args[0], read_only=args.all, json=args.json)
-        case _:
-            return _tell(request, json=args.json)
+    if args.order == DUMP:
+        with RecordList.file(path, request.slave.name) as file:
+            told = asyncio.run(request.answer())
+            list_of(told).keep(file)
+        show_dump(told, path, json=args.json)
+    elif args.order == COMPARE:
+        saved = RecordList.load(path)
+        told = asyncio.run(request.answer())
+        return show_comparison(told, path, saved, read_only=args.all, json=args.json)
+    else:
+        told = asyncio.run(request.answer())
+        output.json_line(told) if args.json else _show(told)
+    return 0
 
 
 class _Request(NamedTuple):
@@ -108,104 +118,69 @@ class _Request(NamedTuple):
     master: int
     own: int | None
 
-    def answer(self) -> Mapping[str, Any] | None:
-        """The answer to the order; None, after a warning, where a signal ended the command first."""
-        answer = asyncio.run(_run(self))
-        if answer is None:
-            warn(f"ended before {self.word} was done")
-        return answer
+    async def answer(self) -> Mapping[str, Any]:
+        """The answer to the order. Raises BusError where a signal ended the command first."""
+        with StopSignal() as stop, progress_bar(f"{self.order.word} of {self.slave.name}") as progress:
+            return await stop.result_of(self._carry_out(progress), f"{self.word} was done")
 
-
-def _tell(request: _Request, *, json: bool) -> int:
-    told = request.answer()
-    if told is None:
-        return 1
-    if json:
-        output.json_line(told)
-    else:
-        _show(told)
-    return 0
-
-
-def _dump(request: _Request, path: str, *, json: bool) -> int:
-    with RecordList.file(path, request.slave.name) as file:
-        told = request.answer()
-        if told is None:
-            return 1
-        list_of(told).keep(file)
-    show_dump(told, path, json=json)
-    return 0
-
-
-def _compare(request: _Request, path: str, *, read_only: bool, json: bool) -> int:
-    saved = RecordList.load(path)
-    told = request.answer()
-    return 1 if told is None else show_comparison(told, path, saved, read_only=read_only, json=json)
-
-
-async def _run(request: _Request) -> Mapping[str, Any] | None:
-    slave, order = request.slave, request.order
-
-    async def done(progress: OnProgress) -> Mapping[str, Any]:
-        told = await through_run(request.config, slave.address, *order, progress, master=request.master)
+    async def _carry_out(self, progress: OnProgress) -> Mapping[str, Any]:
+        told = await through_run(self.config, self.slave.address, self.order, progress, master=self.master)
         if told is not None:
             return {**told, "through": "run"}
-        in_foreground = _as_master if request.master == 1 else _as_class2
-        return {**await in_foreground(request, progress), "through": "master"}
+        in_foreground = self._as_master if self.master == 1 else self._as_class2
+        async with in_foreground() as slave:
+            return {**await carry_out(slave, self.order, progress), "through": "master"}
 
-    with StopSignal() as stop, progress_bar(f"{order.word} of {slave.name}") as progress:
-        return await stop.result_of(done(progress))
+    @asynccontextmanager
+    async def _as_master(self) -> AsyncIterator[Slave]:
+        """The slave under a class 1 master that stays in Clear: records can be read, outputs are zero."""
+        if self.config.bus.read_only:
+            raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
+        on_bus.tell_simulated(self.config)
+        foreign = up = False
 
+        def on_event(event: Event) -> None:
+            nonlocal foreign
+            match event:  # the error that follows names what kept the slave from data exchange
+                case AddressCollision():
+                    foreign = True
+                case SlaveFaulted(fault=fault) if not up:
+                    foreign = foreign or fault.kind is FaultKind.LOCKED
+                case _:
+                    _event(event)
 
-async def _as_master(request: _Request, progress: OnProgress) -> Mapping[str, Any]:
-    """Carry out the order as class 1 master. It stays in Clear: records can be read, outputs are zero."""
-    config, slave = request.config, request.slave
-    if config.bus.read_only:
-        raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
-    tell_simulated(config)
-    foreign = up = False
+        try:
+            async with open_bus(self.config.only(self.slave), on_event=on_event) as bus:
+                found = bus.slave(self.slave.address)
+                await found.ready(on_bus.READY_S)
+                up = True
+                yield found
+        except (BusError, SlaveFault) as error:
+            if not foreign:
+                raise
+            text = f"{error}{_BESIDE}"
+            raise BusError(text) if isinstance(error, BusError) else SlaveFault(self.slave.address, text) from None
 
-    def on_event(event: Event) -> None:
-        nonlocal foreign
-        match event:  # the error that follows names what kept the slave from data exchange
-            case AddressCollision():
-                foreign = True
-            case SlaveFaulted(fault=fault) if not up:
-                foreign = foreign or fault.kind is FaultKind.LOCKED
-            case _:
-                _event(event)
+    @asynccontextmanager
+    async def _as_class2(self) -> AsyncIterator[Connection]:
+        """A connection of a class 2 master at a free address: it parameterises no slave."""
+        config = self.config
+        if config.bus.read_only:
+            raise UsageError("the configuration is read only: a connection is to be opened; leave read_only out")
+        on_bus.tell_simulated(config)
+        world = None
+        if config.virtual:
+            world = World()
+            simulate(world, [self.slave], baud=config.baud)
 
-    try:
-        async with open_bus(config.only(slave), on_event=on_event) as bus:
-            found = bus.slave(slave.address)
-            await found.ready(READY_S)
-            up = True
-            return await carry_out(found, *request.order, progress)
-    except (BusError, SlaveFault) as error:
-        if not foreign:
-            raise
-        text = f"{error}{_BESIDE}"
-        raise BusError(text) if isinstance(error, BusError) else SlaveFault(slave.address, text) from None
+        def make_bus(address: int) -> Bus:
+            settings = dataclasses.replace(config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=())
+            without_slaves = dataclasses.replace(config, bus=settings, slaves=())
+            return open_bus(without_slaves, on_event=on_bus.once(_event), world=world)
 
-
-async def _as_class2(request: _Request, progress: OnProgress) -> Mapping[str, Any]:
-    """Carry out the order as class 2 master at a free address: it parameterises no slave."""
-    config, slave = request.config, request.slave
-    if config.bus.read_only:
-        raise UsageError("the configuration is read only: a connection is to be opened; leave read_only out")
-    tell_simulated(config)
-    world = None
-    if config.virtual:
-        world = World()
-        simulate(world, [slave], baud=config.baud)
-
-    def make_bus(address: int) -> Bus:
-        settings = dataclasses.replace(config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=())
-        return open_bus(dataclasses.replace(config, bus=settings, slaves=()), on_event=on_bus.once(_event), world=world)
-
-    taken = {config.bus.address, *(one.address for one in config.slaves)}
-    async with joined(make_bus, request.own, avoid=taken) as bus, bus.class2.connect(slave) as connection:
-        return await carry_out(connection, *request.order, progress)
+        taken = {config.bus.address, *(one.address for one in config.slaves)}
+        async with joined(make_bus, self.own, avoid=taken) as bus, bus.class2.connect(self.slave) as connection:
+            yield connection
 
 
 def _event(event: Event) -> None:

@@ -9,7 +9,6 @@ from dpstack.api.bus.temporary_master import joined
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
 from dpstack.cli.terminal import output
-from dpstack.cli.terminal.lost_stdout import warn
 from dpstack.cli.terminal.signals import StopSignal
 
 
@@ -39,13 +38,11 @@ async def _run(args: argparse.Namespace) -> int:
             return found.ident
 
     with StopSignal() as stop:
-        changed = await stop.result_of(change())
-    if changed is None:
-        warn(f"ended before the address was changed and verified: look for the slave at {args.old} and {args.new}")
-        return 1
-    ident = f"0x{changed:04X}"
+        ident = await stop.result_of(
+            change(), f"the address was changed and verified: look for the slave at {args.old} and {args.new}"
+        )
     if args.json:
-        output.json_line({"old": args.old, "new": args.new, "ident": ident, "no_change": args.no_change})
+        output.json_line({"old": args.old, "new": args.new, "ident": f"0x{ident:04X}", "no_change": args.no_change})
     else:
-        output.line(f"slave {args.old} has address {args.new} now: ident {ident}, verified there")
+        output.line(f"slave {args.old} has address {args.new} now: ident 0x{ident:04X}, verified there")
     return 0

@@ -32,10 +32,7 @@ def execute(args: argparse.Namespace) -> int:
 
 async def _run(args: argparse.Namespace) -> int:
     with StopSignal() as stop:
-        report = await stop.result_of(find_baud(args.port, timeout=args.timeout))
-    if report is None:
-        warn("ended before the baud rate was found")
-        return 1
+        report = await stop.result_of(find_baud(args.port, timeout=args.timeout), "the baud rate was found")
     if args.json:
         output.json_line(report.as_dict())
     elif report.baud is not None:

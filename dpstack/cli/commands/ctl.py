@@ -6,8 +6,7 @@ import argparse
 from collections.abc import Mapping
 from typing import Any, Final
 
-from dpstack.api.control.answers import Help
-from dpstack.api.control.client import connect
+from dpstack.api.control.client import Help, connect
 from dpstack.cli import options
 from dpstack.cli.terminal import output
 
@@ -29,7 +28,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace) -> int:
     with connect(args.port) as client:
-        result = client.ask(args.order, *args.args, kind=Help if args.order == "help" else None)
+        result = client.call(args.order, *args.args, kind=Help if args.order == "help" else None)
     if args.json:
         output.json_line({"result": result})
     elif args.order == "help":

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from dpstack.api.control.commands import Spec
-from dpstack.api.control.record_commands import COMPARE, DUMP
+from dpstack.api.control.record_orders import COMPARE, DUMP
 from dpstack.api.lists.list_file import ListComparison, SavedList
 from dpstack.api.lists.record_list import RecordList, compared, list_of
 from dpstack.cli.terminal import output

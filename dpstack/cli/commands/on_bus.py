@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Final
 
 from dpstack.api.bus.bus import Bus, BusFailed
 from dpstack.api.bus.events_json import AddressCollision, Event, MasterSeen, RingJoined, Severity, severity_of
@@ -16,6 +17,9 @@ from dpstack.cli import options
 from dpstack.cli.terminal.lost_stdout import warn
 from dpstack.errors import BusError, PortError, UsageError
 from dpstack.units import baud_text
+
+#: time-out in s of data exchange: a slave that searches for the baud rate takes its time
+READY_S: Final = 10.0
 
 
 def add_port(parser: argparse.ArgumentParser) -> None:

@@ -35,10 +35,7 @@ async def _run(args: argparse.Namespace) -> int:
         return await scan_port(make_bus, address=args.address, configs=args.config)
 
     with StopSignal() as stop:
-        result = await stop.result_of(scan())
-    if result is None:
-        warn("ended before the live list was complete")
-        return 1
+        result = await stop.result_of(scan(), "the live list was complete")
     _show(result, args)
     if result.stations:
         return 0

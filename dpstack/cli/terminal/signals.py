@@ -20,6 +20,7 @@ from typing import Final, TypeVar
 
 from dpstack.api.bus.shutdown import hurry_all
 from dpstack.cli.terminal import lost_stdout
+from dpstack.errors import BusError
 
 _T = TypeVar("_T")
 #: exit code of a command that was hurried, or left at once
@@ -105,14 +106,16 @@ class StopSignal:
     async def wait(self) -> None:
         await self._event.wait()
 
-    async def result_of(self, work: Coroutine[object, object, _T]) -> _T | None:
-        """What ``work`` returns; None where a signal ended it first."""
+    async def result_of(self, work: Coroutine[object, object, _T], before: str) -> _T:
+        """The result of ``work``. Raises BusError ("ended before ...") where a signal ended it first."""
         found: list[_T] = []
 
         async def kept() -> None:
             found.append(await work)
 
-        return found[0] if await self.or_done(kept()) else None
+        if not await self.or_done(kept()):
+            raise BusError(f"ended before {before}")
+        return found[0]
 
     async def or_done(self, work: Coroutine[object, object, object]) -> bool:
         """Wait until ``work`` is done (True; raises its exception) or the first signal (False; cancels it)."""

@@ -50,9 +50,9 @@ def _bad(args: list[str]) -> object:
     }[args[0]]
 
 
-async def _count(args: list[str]) -> AsyncIterator[int]:
+async def _count(args: list[str]) -> AsyncIterator[object]:
     for n in range(int(args[0])):
-        yield n
+        yield {"progress": ("steps", n, int(args[0]))}
 
 
 async def _later(_args: list[str]) -> str:
@@ -105,8 +105,8 @@ async def test_lines_in_lines_out() -> None:
             b'{"ok":true,"result":["a","\xc3\xa4"]}\n'
         )
         assert await client.ask(b'{"command":"later","args":[]}') == b'{"ok":true,"result":"now"}\n'
-        assert await client.ask(b'{"command":"count","args":["2"]}') == b'{"item":0}\n'
-        assert await client.reader.readline() == b'{"item":1}\n'
+        assert await client.ask(b'{"command":"count","args":["2"]}') == b'{"item":{"progress":["steps",0,2]}}\n'
+        assert await client.reader.readline() == b'{"item":{"progress":["steps",1,2]}}\n'
         assert await client.reader.readline() == b'{"ok":true,"result":null}\n'
 
 
@@ -377,9 +377,9 @@ async def test_a_client_finds_the_program_by_link_and_by_device(tmp_path: Path) 
 
     def ask(port: str) -> object:
         with connect(port) as client:
-            items: list[object] = []
-            client.call("count", "3", on_item=items.append)
-            assert items == [0, 1, 2]
+            progress: list[tuple[str, int, int]] = []
+            client.call("count", "3", progress=lambda *step: progress.append(step))
+            assert progress == [("steps", 0, 3), ("steps", 1, 3), ("steps", 2, 3)]
             with pytest.raises(UsageError, match="not like this"):
                 client.call("bad", "usage")
             with pytest.raises(SlaveTimeout, match="slave 3 is late"):

@@ -78,10 +78,9 @@ def test_lines_are_cut_however_they_arrive(
 ) -> None:
     client, theirs = pair
     monkeypatch.setattr(client_module, "_CHUNK", 3)
-    theirs.sendall(b'{"item":1}\n{"item":2}\n{"ok":true,"result":3}\n{"ok":true,"result":4}\n')
-    items: list[object] = []
-    assert client.call("count", on_item=items.append) == 3
-    assert items == [1, 2]
+    theirs.sendall(b'{"item":{"parameters":[1]}}\n{"item":{"parameters":[2]}}\n{"ok":true,"result":{"slot":3}}\n')
+    theirs.sendall(b'{"ok":true,"result":4}\n')
+    assert client.call("count") == {"slot": 3, "parameters": [1, 2]}
     assert client.call("count") == 4
 
 

@@ -12,7 +12,7 @@ from support import WorldFactory
 
 import dpstack
 from dpstack import AcyclicError, DpSlave, Im0, Im1, Im2, RecordRefused, SlaveDescription
-from dpstack.api.control.record_commands import carry_out
+from dpstack.api.control.record_orders import carry_out, parse_order
 from dpstack.dpv1.pdu.im import Im, Im3, build_call, number_of
 from dpstack.dpv1.pdu.read_write import WriteReq
 from dpstack.dpv1.slave.record_requests import RecordRequest
@@ -117,7 +117,7 @@ def test_by_slot(world: WorldFactory) -> None:
         with pytest.raises(AcyclicError, match="invalid slot"):
             await slave.im(slot=1)
         await slave.write_im(Im3("doors"), slot=2)
-        assert (await carry_out(slave, "im", ["2"]))["im"]["3"] == {"descriptor": "doors"}
+        assert (await carry_out(slave, parse_order("im", ["2"])))["im"]["3"] == {"descriptor": "doors"}
 
     with_slave(world(), served, program)
     assert (served.im_of(2)[1], served.im_of(1)) == (Im3("doors"), ())
@@ -127,7 +127,7 @@ def test_a_device_that_says_it_has_what_it_refuses(world: WorldFactory) -> None:
     served = DpSlave(RIG, lambda outputs, elapsed: outputs, im=[Im0(supported=0b111), Im2("2026")])
 
     async def program(slave: dpstack.Slave) -> None:
-        found = (await carry_out(slave, "im", []))["im"]
+        found = (await carry_out(slave, parse_order("im", [])))["im"]
         assert list(found) == ["0", "1", "2"]
         assert "invalid range" in found["1"]["error"]
         assert found["2"] == {"date": "2026"}

@@ -15,8 +15,9 @@ import dpstack
 from dpstack import DpSlave, SlaveDescription
 from dpstack.api.bus.bus import OnEvent
 from dpstack.api.config.config import Config
+from dpstack.api.control.commands import Order
 from dpstack.api.control.handlers import control_run
-from dpstack.api.control.remote_records import through_run
+from dpstack.api.control.remote import through_run
 from dpstack.cli.commands import acyclic
 from dpstack.cli.main import main
 from dpstack.profile.record47 import Address, Description, ErrorValue, ParameterServer, Result, TimedRecords, Values
@@ -270,7 +271,7 @@ def test_wrong_use(plant: Path, capsys: Out, args: list[str], text: str) -> None
 async def test_through_a_run_it_comes_in_pieces_with_progress(
     plant: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dpstack.api.control.remote_records._IN_A_LINE", 3)
+    monkeypatch.setattr("dpstack.api.control.record_orders._IN_A_LINE", 3)
     monkeypatch.setattr("dpstack.api.control.server._SIGN_OF_LIFE_S", 0.01)
     device = Device()
     told: list[tuple[object, ...]] = []
@@ -279,7 +280,7 @@ async def test_through_a_run_it_comes_in_pieces_with_progress(
 
         def ask() -> object:
             return asyncio.run(
-                through_run(dpstack.load_config(plant), 8, "parameters", [], lambda *one: told.append(one))
+                through_run(dpstack.load_config(plant), 8, Order("parameters", [], {}), lambda *one: told.append(one))
             )
 
         found = await asyncio.to_thread(ask)

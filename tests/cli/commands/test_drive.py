@@ -18,11 +18,12 @@ import dpstack
 from dpstack.api.bus.bus import Bus
 from dpstack.api.control import server
 from dpstack.api.control.client import connect
+from dpstack.api.control.commands import Order
 from dpstack.api.control.handlers import control_run
-from dpstack.api.control.own_master import OneDrive
-from dpstack.api.control.remote_drive import find_drive
+from dpstack.api.control.remote import RemoteDrive, find_drive
 from dpstack.api.lists.dump_compare import ParameterPlace, ParameterValue, dump
 from dpstack.api.lists.parameter_list import ParameterList
+from dpstack.cli.commands.drive import OneDrive
 from dpstack.cli.main import main
 from dpstack.cli.terminal.signals import StopSignal
 from dpstack.errors import BusError, DriveFault, DriveTimeout, ParameterError, UsageError
@@ -326,14 +327,18 @@ def test_a_read_only_configuration_gives_no_orders(plant: Path, capsys: Out) -> 
 # -- through a run ------------------------------------------------------------------------------------------------
 
 
+async def order(drive: RemoteDrive, word: str, *texts: str) -> dict[str, Any]:
+    return await drive.carry_out(Order(word, texts, {}))
+
+
 async def through(plant: Path, bus: Bus) -> None:
     found = await find_drive(dpstack.load_config(plant), "hoist")
     assert found is not None
     assert (found.kind, found.address) == ("demag-dedrive", 3)
     with pytest.raises(DriveFault, match="412 is 44"):
-        await found.order("start")
+        await order(found, "start")
     with pytest.raises(ParameterError, match="error 0, inadmissible") as refused:
-        await found.order("read", ["999"])
+        await order(found, "read", "999")
     assert (refused.value.drive, refused.value.number) == ("hoist", 0)
     wrong, there = await found.read_many([ParameterPlace(999), ParameterPlace(480, data_set=2)])
     assert isinstance(wrong, ParameterError)
@@ -342,9 +347,9 @@ async def through(plant: Path, bus: Bus) -> None:
     assert (there.number, there.data_set) == (480, 2)
     for several in ("7", "[1]", '[{"numero":1}]', "["):
         with pytest.raises(UsageError, match="write for instance"):
-            await found.order("read_many", [several])
+            await order(found, "read_many", several)
     with pytest.raises(UsageError, match="parameter numbers are"):
-        await found.order("read", ["5000"])
+        await order(found, "read", "5000")
     for args, says in (
         (("read", "480", "data_set=x"), "data_set=x: write for instance data_set=1"),
         (("read", "480", "ram=true"), "read has no ram; it is for write"),
@@ -353,17 +358,16 @@ async def through(plant: Path, bus: Bus) -> None:
         (("status", "now"), "status takes no arguments, for instance: status"),
     ):
         with pytest.raises(UsageError, match=says):
-            await found.order(args[0], args[1:])
-    told = await found.order("write", ("480", "0x7", "data_set=2", "ram=true", "timeout=3"))
+            await order(found, *args)
+    told = await order(found, "write", "480", "0x7", "data_set=2", "ram=true", "timeout=3")
     assert told["parameter"]["value"] == 7
-    await found.order("write", ("412", "1"))
-    await found.learn()
-    listed = await dump(found, plant.with_name("remote.toml"), data_set=2)
+    await order(found, "write", "412", "1")
+    listed = await dump(await found.listed(), plant.with_name("remote.toml"), data_set=2)
     assert listed == ParameterList.load(plant.with_name("remote.toml"))
     assert [one.value for one in listed.parameters if one.number == 480] == [7.0]
     # it starts, and goes on when the connection is gone
-    await found.order("start")
-    found.close()
+    await order(found, "start")
+    found.client.close()
     assert bus.drive("hoist").status.running
     with connect("virtual") as client:  # as `dpstack ctl` does
         assert client.call("drive", "hoist", "status")["status"]["running"]
@@ -389,13 +393,13 @@ async def test_who_hangs_up_ends_the_order(plant: Path, monkeypatch: pytest.Monk
         assert found is not None
         says = r"the bus is in Clear, nothing reaches the drive: .* \(of a run: dpstack ctl virtual operate\)"
         with pytest.raises(DriveTimeout, match=says):
-            await found.order("start", ["timeout=0.01"])
-        order = asyncio.ensure_future(found.order("start", ["timeout=60"]))
+            await order(found, "start", "timeout=0.01")
+        starting = asyncio.ensure_future(order(found, "start", "timeout=60"))
         await asyncio.sleep(0.1)
-        assert not order.done()
-        order.cancel()
+        assert not starting.done()
+        starting.cancel()
         with pytest.raises(asyncio.CancelledError):
-            await order
+            await starting
         await asyncio.sleep(0.1)
         await bus.operate()
         await bus.until(lambda: bus.drive("fan").status.state == "ready_to_switch_on", 5)
@@ -422,8 +426,8 @@ async def test_a_drive_that_is_not_there_is_told_with_its_reason(plant: Path) ->
         with pytest.raises(
             (DriveTimeout, dpstack.DriveError), match="slave 4 is not in data exchange: stopped answering"
         ):
-            await found.order("start", ["timeout=0.2"])
-        found.close()
+            await order(found, "start", "timeout=0.2")
+        found.client.close()
 
 
 # -- programs -----------------------------------------------------------------------------------------------------

@@ -1,0 +1,154 @@
+"""Orders to a drive (``speed``, ``stop``, ``read`` ...): words, parser, execution, answers in JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any, Final
+
+from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.parts import SEARCHING
+from dpstack.api.control import errors
+from dpstack.api.control.commands import Arguments, Order, Spec, find_word
+from dpstack.api.control.server import kept_alive
+from dpstack.api.lists.dump_compare import ParameterPlace, ParameterValue
+from dpstack.api.slave.drive import Drive
+from dpstack.errors import BusError, ParameterError, UsageError
+from dpstack.text import number_or_name, shortened
+
+START: Final = "start"
+#: for programs: people get a file instead
+PARAMETERS: Final = "parameters"
+READ_MANY: Final = "read_many"
+#: after these the motor is off
+HALTS: Final = frozenset({"stop", "quick_stop", "coast"})
+#: they set something that lasts as long as a master keeps it
+LASTING: Final = frozenset({START, "speed", "frequency"})
+
+WORDS: Final = (
+    Spec("status", "", "what the drive tells at this moment", ""),
+    Spec("start", "", "walks its state machine until it runs, or says what is in the way", ""),
+    Spec("stop", "", "ramp down, then off", ""),
+    Spec("quick_stop", "", "stop by the quick stop ramp", ""),
+    Spec("coast", "", "power off at once, the motor runs out", ""),
+    Spec("reached", "", "wait until the set point is reached", ""),
+    Spec("acknowledge", "", "acknowledge a fault until it is gone", ""),
+    Spec("speed", "V", "the set point as a part of the reference: 0.5 or 50%", "0.5"),
+    Spec("frequency", "V", "the set point in Hz", "25"),
+    Spec("read", "P", "a parameter by number or name, in its unit", "480"),
+    Spec("write", "P V", "writes a parameter in its unit", "480 20.5"),
+    Spec(PARAMETERS, "", "the parameters that its plugin declares", ""),
+    Spec(READ_MANY, "JSON", "several parameters, with data_set and index", '[{"number":964,"index":6}]'),
+)
+_MOTIONS: Final[Mapping[str, Callable[..., Coroutine[object, object, None]]]] = {
+    START: Drive.start,
+    "stop": Drive.stop,
+    "quick_stop": Drive.quick_stop,
+    "coast": Drive.coast,
+    "reached": Drive.reached,
+    "acknowledge": Drive.acknowledge,
+}
+#: which words an option is for
+OPTIONS: Final[Mapping[str, frozenset[str]]] = {
+    "data_set": frozenset({"read", "write"}),
+    "index": frozenset({"read", "write"}),
+    "ram": frozenset({"write"}),
+    "timeout": frozenset({*_MOTIONS, "read", READ_MANY, "write"}),
+}
+
+
+def parse_order(word: str, texts: Sequence[str]) -> Order:
+    """One of :data:`WORDS` with its arguments; among them ``data_set=3``, ``index=1``, ``ram=true``, ``timeout=20``.
+
+    Raises UsageError.
+    """
+    spec = find_word(word, WORDS)
+    options: dict[str, object] = {}
+    args = []
+    for text in texts:
+        name, _, value = text.partition("=")
+        if name in OPTIONS:
+            options[name] = _option(word, name, value)
+        else:
+            args.append(text)
+    return spec.order(args, ARGUMENTS, options)
+
+
+def drive_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
+    """``NAME ORDER [ARG]...`` at the drive of a run. A client that hangs up ends the order: nothing starts then."""
+    if bus.searching:
+        raise BusError(f"{SEARCHING}: the drives are known once it is found")
+    if bus.config.bus.read_only:
+        raise BusError("this run is read only: it gives no drive an order; end it and run without read_only")
+    name, word, *texts = args
+    drive = bus.drive(number_or_name(name))
+    return kept_alive(carry_out(drive, parse_order(word, texts)), lambda: {"status": drive.status.as_dict()})
+
+
+async def carry_out(drive: Drive, order: Order) -> dict[str, Any]:
+    """Carry out ``order``. Returns the answer as plain data. Raises what the methods of the drive raise."""
+    word, values = order.word, order.values
+    answer: dict[str, Any] = {"order": word, "drive": drive.name, "address": drive.address, "type": drive.kind}
+    match word:
+        case "read" | "write":
+            found = await (drive.parameter if word == "read" else drive.write)(**values)
+            return {**answer, "parameter": asdict(found)}
+        case "parameters":
+            listed = [asdict(one) for one in drive.parameters]
+            return {**answer, "per_request": drive.per_request, "parameters": listed}
+        case "read_many":
+            return {**answer, "parameters": [_entry(one) for one in await drive.read_many(**values)]}
+        case "speed" | "frequency":
+            await drive.order(word, **values)
+        case "status":
+            pass
+        case _:
+            await _MOTIONS[word](drive, **values)
+    return {**answer, "status": drive.status.as_dict()}
+
+
+def _entry(one: ParameterValue | ParameterError) -> dict[str, object]:
+    return {"error": str(one), **errors.error_fields(one)} if isinstance(one, ParameterError) else asdict(one)
+
+
+def _option(word: str, name: str, text: str) -> object:
+    if word not in OPTIONS[name]:
+        raise UsageError(f"{word} has no {name}; it is for {', '.join(sorted(OPTIONS[name]))}")
+    try:
+        if name == "ram":
+            return {"true": True, "false": False}[text.lower()]
+        if name != "timeout":
+            return int(text)
+        seconds = float(text)
+        if 0 <= seconds < math.inf:
+            return seconds
+    except (ValueError, KeyError):
+        pass
+    raise UsageError(f"{name}={shortened(text)}: write for instance {name}={'true' if name == 'ram' else '1'}")
+
+
+def _places(text: str) -> list[ParameterPlace]:
+    try:
+        return [ParameterPlace(**one) for one in json.loads(text)]
+    except (ValueError, TypeError, RecursionError):
+        raise UsageError(f'{shortened(text)}: write for instance [{{"number":964,"index":6}}]') from None
+
+
+def _number(text: str) -> float:
+    """A number as typed: 20.5, 0x1F, 50%."""
+    try:
+        if text.lower().startswith("0x"):
+            return int(text, 16)
+        return float(text[:-1]) / 100 if text.endswith("%") else float(text)
+    except ValueError:
+        raise UsageError(f"{text!r} is no number; write for instance 20.5") from None
+
+
+#: the names in the usages of :data:`WORDS`, as keyword arguments of the methods of a drive
+ARGUMENTS: Final[Arguments] = {
+    "P": ("number", number_or_name),
+    "V": ("value", _number),
+    "JSON": ("parameters", _places),
+}

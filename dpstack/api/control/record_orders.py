@@ -1,0 +1,181 @@
+"""Orders to the records of a slave (``read``, ``write`` ...): words, parser, execution, answers in JSON."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+from collections.abc import AsyncGenerator, Callable, Sequence
+from typing import Any, Final
+
+from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.parts import SEARCHING
+from dpstack.api.config.table import parse_hex
+from dpstack.api.control.commands import Arguments, Order, Spec, find_word
+from dpstack.api.control.server import Result, kept_alive
+from dpstack.api.lists.record_list import ListedValues
+from dpstack.api.slave.ms2_connection import Connection
+from dpstack.api.slave.slave import Slave
+from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT
+from dpstack.dpv1.pdu.im import Im, Im0
+from dpstack.errors import AcyclicError, BusError, SlaveFault, UsageError
+from dpstack.profile.record47 import Progress
+from dpstack.text import number_or_name, shortened
+
+PARAMETERS: Final = "parameters"
+WORDS: Final = (
+    Spec("read", "SLOT INDEX [LENGTH]", "a record, as hex; LENGTH: at most so many octets", "1 47"),
+    Spec("write", "SLOT INDEX HEX", "all octets of a record", "1 47 00FF"),
+    Spec(
+        PARAMETERS, "[SLOT] [OBJECT]", "the device's own list of parameters (PROFIdrive, 980 to 989), all values", "1"
+    ),
+    Spec("im", "[SLOT]", "I&M0, and those of I&M1 to 4 that it says there are", ""),
+)
+#: `dpstack acyclic` carries them out by PARAMETERS: a run writes no files
+DUMP, COMPARE = "dump", "compare"
+TRANSPORT: Final = Spec("transport", "SLOT INDEX [HEX]", "Data_Transport (class 2): to the slave and back", "0 1 00FF")
+#: the commands of a run, by class of master
+COMMANDS: Final = {1: "acyclic", 2: "class2"}
+#: parameters in one line of an answer: it stays well below what the server keeps for a slow reader
+_IN_A_LINE: Final = 100
+
+#: called with the name of the step, the number done, the number of all
+OnProgress = Callable[[str, int, int], None]
+
+
+def parse_order(word: str, args: Sequence[str], *, class2: bool = False, who: str = "dpstack acyclic") -> Order:
+    """One of :data:`WORDS`, or :data:`TRANSPORT` with ``class2``. Raises UsageError; ``who`` is its subject."""
+    if word == TRANSPORT.name and not class2:
+        raise UsageError("Data_Transport is a service of class 2 connections: add --class 2 (`ctl`: class2)")
+    return find_word(word, (*WORDS, TRANSPORT) if class2 else WORDS, who).order(args, _ARGUMENTS)
+
+
+async def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> AsyncGenerator[object, None]:
+    """``SLAVE ORDER [ARG]...`` at a slave of a run, with ``class2`` over a connection of its own, which is closed
+    afterwards. A client that hangs up ends the order.
+
+    Items tell its ``state`` and, where it takes its time, ``progress``; a long list comes in items before its result.
+    """
+    if bus.searching:
+        raise BusError(f"{SEARCHING}: the slaves are known once it is found")
+    name, word, *texts = args
+    slave = bus.slave(number_or_name(name))
+    who = f"ctl {COMMANDS[2 if class2 else 1]}"
+    if word in (DUMP, COMPARE):
+        with_class = " --class 2" if class2 else ""
+        raise UsageError(
+            f"{who} has no files: `dpstack acyclic CONFIG {name} {word} FILE{with_class}` has, and goes through this "
+            f"run; {PARAMETERS} gives the same list"
+        )
+    order = parse_order(word, texts, class2=class2, who=who)
+    progress: list[object] = []
+
+    def sign() -> dict[str, object]:
+        return {"state": slave.state.value, **({"progress": progress} if progress else {})}
+
+    def on_progress(*step: object) -> None:
+        progress[:] = step
+
+    async def work() -> dict[str, Any]:
+        if not class2:
+            return await carry_out(slave, order, on_progress)
+        async with bus.class2.connect(slave) as connection:
+            return await carry_out(connection, order, on_progress)
+
+    async with contextlib.aclosing(kept_alive(work(), sign)) as items:
+        async for item in items:
+            if isinstance(item, Result) and isinstance(item.value, dict):
+                found = item.value.pop(PARAMETERS, ())
+                for at in range(0, len(found), _IN_A_LINE):
+                    yield {PARAMETERS: found[at : at + _IN_A_LINE]}
+            yield item
+
+
+async def carry_out(slave: Slave | Connection, order: Order, progress: OnProgress | None = None) -> dict[str, Any]:
+    """Carry out ``order``. Returns the answer as plain data. Raises what :meth:`Slave.read` raises.
+
+    ``parameters`` also raises what :class:`~dpstack.api.slave.record_parameters.RecordParameters` raises, and calls
+    ``progress``.
+    """
+    word, values = order.word, order.values
+    head: dict[str, Any] = {"order": word, "slave": slave.name, "address": slave.address}
+    match word:
+        case "read" | "write" | "transport":
+            data: bytes = values.get("data", b"")
+            if word == "read":
+                data = await slave.read(**values)
+            elif word == "write":
+                await slave.write(**values)
+            else:
+                assert isinstance(slave, Connection)
+                data = await slave.transport(**values)
+            answer = {**head, "slot": values["slot"], "index": values["index"], "length": len(data)}
+            return answer if word == "write" else {**answer, "data": data.hex()}
+        case "parameters":
+            place = {"slot": 1, "object": 1, **values}
+            return {**head, **place, **await _all_parameters(slave, place, progress)}
+        case _:
+            return {**head, "slot": values.get("slot", 0), "im": await _all_im(slave, values.get("slot", 0))}
+
+
+async def _all_parameters(
+    slave: Slave | Connection, place: dict[str, int], progress: OnProgress | None
+) -> dict[str, object]:
+    def counter(what: str) -> Progress | None:
+        return None if progress is None else lambda done, of: progress(what, done, of)
+
+    parameters = slave.parameters(**place)
+    found = await parameters.read_out(progress=counter("values"), describing=counter("descriptions"))
+    return {"ident": await _ident_of(slave), "parameters": [ListedValues.of(one).as_dict() for one in found]}
+
+
+async def _ident_of(slave: Slave | Connection) -> int:
+    if isinstance(slave, Connection):
+        return await slave.ident()
+    if slave.setup.ident is not None:
+        return slave.setup.ident
+    return 0 if slave.diagnosis is None else slave.diagnosis.ident  # ident = "ask": known in data exchange
+
+
+async def _all_im(slave: Slave | Connection, slot: int) -> dict[str, dict[str, object]]:
+    im0 = await slave.im(0, slot=slot)
+    found: dict[str, dict[str, object]] = {"0": _plain(im0)}
+    for number in range(1, 5):
+        if isinstance(im0, Im0) and im0.supported & (1 << number):
+            try:
+                found[str(number)] = _plain(await slave.im(number, slot=slot))
+            except (AcyclicError, SlaveFault) as error:  # though I&M0 says that it is there
+                found[str(number)] = {"error": str(error)}
+    return found
+
+
+def _plain(record: Im) -> dict[str, object]:
+    fields = dataclasses.asdict(record)
+    return {name: value.hex() if isinstance(value, bytes) else value for name, value in fields.items()}
+
+
+def _number(name: str, highest: int, text: str) -> int:
+    try:
+        value = int(text, 0)
+    except ValueError:
+        value = -1
+    if not 0 <= value <= highest:
+        raise UsageError(f"{shortened(text)!r} is no {name}: write a number 0..{highest}, 0x2F for instance")
+    return value
+
+
+def _octets(text: str) -> bytes:
+    try:
+        return parse_hex(text)
+    except ValueError as error:
+        raise UsageError(f"{text!r}: {error}; write octets as 00FF") from None
+
+
+#: the names in the usages of :data:`WORDS`, as keyword arguments of the methods of a slave
+_ARGUMENTS: Final[Arguments] = {
+    "HEX": ("data", _octets),
+    **{
+        name: (name.lower(), functools.partial(_number, name, highest))
+        for name, highest in (("SLOT", MAX_SLOT), ("INDEX", 255), ("LENGTH", MAX_RECORD), ("OBJECT", 255))
+    },
+}
