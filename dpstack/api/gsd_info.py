@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 from collections.abc import Iterable
 from importlib import resources
+from operator import attrgetter
 from pathlib import Path
 from typing import Final
 
@@ -14,7 +16,7 @@ from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
 from dpstack.gsd.configuration import first_slot
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import Device, Diagnosis, Diagnostic, GsdFile, Module, PrmBlock
+from dpstack.gsd.model import Device, Diagnosis, Diagnostic, GsdFile, Module, Parameter, PrmBlock
 from dpstack.gsd.parser import load_gsd, parse_gsd
 from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.gsd.text import MAX_OCTETS
@@ -41,14 +43,14 @@ def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
         return read_file(file, MAX_OCTETS)
     except FileNotFoundError as error:
         if str(path) in bundled():
-            return _own(str(path))
+            return _bundled_octets(str(path))
         near = difflib.get_close_matches(str(path), bundled(), n=1)
         raise _unreadable(file, error, f"did you mean {near[0]}, or " if near else "") from None
     except (OSError, ValueError) as error:
         raise _unreadable(file, error) from None
 
 
-def _own(drive: str) -> bytes:
+def _bundled_octets(drive: str) -> bytes:
     package, _, name = bundled()[drive].partition(":")
     return (resources.files(package) / name).read_bytes()
 
@@ -73,7 +75,7 @@ def copy_gsd(drive: str, target: str | Path) -> None:
     if drive not in bundled():
         raise ConfigError(f"no GSD file was written for {drive!r}; there is one for {', '.join(bundled()) or 'none'}")
     with FileToBe(target) as file:
-        file.keep(_own(drive))
+        file.keep(_bundled_octets(drive))
 
 
 def check_gsd(path: str | Path) -> tuple[Diagnostic, ...]:
@@ -93,26 +95,20 @@ def gsd_files(folder: Path) -> list[Path]:
     return found
 
 
+#: keys of :func:`gsd_dict` that are fields of the device
+_LIMITS: Final = """
+modular max_module max_input_len max_output_len max_data_len max_diag_data_len max_user_prm_data_len min_slave_interval
+"""
+_NAMES: Final = "vendor model revision gsd_revision hardware_release software_release"
+
+
 def gsd_dict(file: GsdFile) -> dict[str, object]:
     """The file as JSON shows it (interface of ``dpstack gsd show --json``)."""
     device = file.device
     prm = {reading: UserPrm(device, reading=reading).octets().hex() for reading in Reading}
     return {
         "ident": None if device.ident is None else f"0x{device.ident:04X}",
-        "vendor": device.vendor,
-        "model": device.model,
-        "revision": device.revision,
-        "gsd_revision": device.gsd_revision,
-        "hardware_release": device.hardware_release,
-        "software_release": device.software_release,
-        "modular": device.modular,
-        "max_module": device.max_module,
-        "max_input_len": device.max_input_len,
-        "max_output_len": device.max_output_len,
-        "max_data_len": device.max_data_len,
-        "max_diag_data_len": device.max_diag_data_len,
-        "max_user_prm_data_len": device.max_user_prm_data_len,
-        "min_slave_interval": device.min_slave_interval,
+        **{name: getattr(device, name) for name in (*_NAMES.split(), *_LIMITS.split())},
         "max_tsdr": {str(speed.baud): speed.max_tsdr for speed in device.speeds},
         "supports": list(supports(file)),
         "requires": list(requires(file)),
@@ -121,7 +117,7 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
         "alarm_sequence": device.dpv1.alarm_sequence_mode_count,
         "user_prm": prm[Reading.REFS],
         "user_prm_const": prm[Reading.CONST],
-        "parameters": [_parameter(file, number) for number in device.parameters],
+        "parameters": [_parameter(parameter) for parameter in device.parameters.values()],
         "device_parameters": parameter_places(device, device.prm),
         "f_parameters": device.f_parameters,
         "first_slot": first_slot(device),
@@ -141,12 +137,7 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
 
 
 def diagnostic_dict(diagnostic: Diagnostic) -> dict[str, object]:
-    return {
-        "line": diagnostic.line,
-        "column": diagnostic.column,
-        "severity": diagnostic.severity.value,
-        "message": diagnostic.message,
-    }
+    return dataclasses.asdict(diagnostic) | {"severity": diagnostic.severity.value}
 
 
 def module_dict(file: GsdFile, module: Module) -> dict[str, object]:
@@ -178,22 +169,8 @@ def parameter_places(device: Device, prm: PrmBlock) -> list[dict[str, object]]:
 
 
 def diagnosis_texts(diagnosis: Diagnosis) -> list[dict[str, object]]:
-    """The texts for a diagnosis. ``kind`` is "bit", "not_bit", "area" or "channel".
-
-    Of a bit or an area ``first`` and ``last`` are bits from the first octet behind the block's header on, ``value`` is
-    what they are; of a channel ``value`` is the type of error.
-    """
-    rows: list[tuple[str, int | None, int | None, int, str, str]] = []
-    for bit, text in sorted(diagnosis.bits.items()):
-        rows.append(("bit", bit, bit, 1, text, diagnosis.bit_helps.get(bit, "")))
-    for bit, text in sorted(diagnosis.not_bits.items()):
-        rows.append(("not_bit", bit, bit, 0, text, diagnosis.not_bit_helps.get(bit, "")))
-    for area in diagnosis.areas:
-        for value, text in sorted(area.values.items()):
-            rows.append(("area", area.first, area.last, value, text, area.helps.get(value, "")))
-    for error, text in sorted(diagnosis.channel.items()):
-        rows.append(("channel", None, None, error, text, diagnosis.channel_helps.get(error, "")))
-    return [dict(zip(("kind", "first", "last", "value", "text", "help"), row, strict=True)) for row in rows]
+    """The texts for a diagnosis, with the names of :class:`~dpstack.gsd.model.DiagText`."""
+    return [text._asdict() for text in diagnosis.texts()]
 
 
 def module_lengths(module: Module) -> tuple[int | None, int | None]:
@@ -213,36 +190,36 @@ def module_prm(file: GsdFile, module: Module) -> bytes:
         return b""
 
 
+_SUPPORTS: Final = {
+    "sync": "sync",
+    "freeze": "freeze",
+    "auto-baud": "auto_baud",
+    "set slave address": "set_slave_add",
+    "fail-safe": "fail_safe",
+    "DP-V1": "dpv1.slave",
+    "acyclic class 1": "dpv1.c1_read_write",
+    "acyclic class 2": "dpv1.c2_read_write",
+    "watchdog base 1 ms": "dpv1.wd_base_1ms",
+    "isochronous": "isochronous.supported",
+    "publisher": "isochronous.publisher",
+}
+_REQUIRES: Final = {
+    "fail-safe": "dpv1.fail_safe_required",
+    "structured parameters": "dpv1.prm_block_structure_required",
+    "acyclic class 1": "dpv1.c1_read_write_required",
+    "acyclic class 2": "dpv1.c2_read_write_required",
+    "isochronous": "isochronous.required",
+}
+
+
 def supports(file: GsdFile) -> tuple[str, ...]:
-    """What the device supports, in words."""
-    d = file.device
-    known = {
-        "sync": d.sync,
-        "freeze": d.freeze,
-        "auto-baud": d.auto_baud,
-        "set slave address": d.set_slave_add,
-        "fail-safe": d.fail_safe,
-        "DP-V1": d.dpv1.slave,
-        "acyclic class 1": d.dpv1.c1_read_write,
-        "acyclic class 2": d.dpv1.c2_read_write,
-        "watchdog base 1 ms": d.dpv1.wd_base_1ms,
-        "isochronous": d.isochronous.supported,
-        "publisher": d.isochronous.publisher,
-    }
-    return tuple(name for name, there in known.items() if there)
+    """The abilities of the device, in words."""
+    return tuple(name for name, flag in _SUPPORTS.items() if attrgetter(flag)(file.device))
 
 
 def requires(file: GsdFile) -> tuple[str, ...]:
-    """What the device wants of its master, in words; alarms beside."""
-    d = file.device
-    known = {
-        "fail-safe": d.dpv1.fail_safe_required,
-        "structured parameters": d.dpv1.prm_block_structure_required,
-        "acyclic class 1": d.dpv1.c1_read_write_required,
-        "acyclic class 2": d.dpv1.c2_read_write_required,
-        "isochronous": d.isochronous.required,
-    }
-    return tuple(name for name, there in known.items() if there)
+    """The abilities that the device requires of its master, in words; alarms beside."""
+    return tuple(name for name, flag in _REQUIRES.items() if attrgetter(flag)(file.device))
 
 
 def alarm_kinds(keywords: Iterable[str]) -> tuple[str, ...]:
@@ -260,8 +237,7 @@ def alarms_text(device: Device) -> str | None:
     return ", ".join(kinds) + how + (f"; required: {', '.join(required)}" if required else "")
 
 
-def _parameter(file: GsdFile, number: int) -> dict[str, object]:
-    p = file.device.parameters[number]
+def _parameter(p: Parameter) -> dict[str, object]:
     return {
         "number": p.number,
         "name": p.name,

@@ -8,13 +8,12 @@ Order of work: text, lexer, parser with blocks, joining with settings; the resul
 - ``configuration``: Configuration of a slave: from modules in slots to the identifier octets of Chk_Cfg, within all
   limits of the GSD
 - ``diag_texts``: Look-up of the diagnosis texts of a GSD file by the octets and error types of a received diagnosis
-- ``findings``: Collector of the findings (diagnostics) of one GSD file, at most 500 of each severity
 - ``identifiers``: Identifier octets of Chk_Cfg and Get_Cfg: parser of the I/O configuration of a slave, general and
   special format
 - ``joining``: Builds the model (Device) from the parsed blocks: gives parameters their texts and checks the
   references
-- ``keywords``: The keywords of the GSD specification (PNO order 2.122) in lower case, and which of them open and
-  close blocks
+- ``keywords``: Keywords of the GSD specification (PNO order 2.122) in lower case: rates, alarms, and those that have
+  no use here
 - ``lexer``: Lexer of GSD files: one logical line to one statement, ``keyword(index) = value`` without comment, and
   its values
 - ``model``: Data model of a GSD file: device, modules, slots, user parameters, diagnosis texts, diagnostics of the

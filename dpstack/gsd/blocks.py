@@ -1,6 +1,7 @@
 """The block classes of the GSD parser: device, module, parameter, texts, slots and diagnosis while they are read.
 
-Each class has a table of handlers by keyword. At its closing keyword a block hands its content to the block around it.
+Each class has a table of handlers by keyword; :data:`BLOCKS` has the classes by the keyword that opens them. At its
+closing keyword a block hands its content to the block around it.
 ``Statement.item`` keeps the parsed value of a statement (False where it cannot be parsed), because the same line often
 occurs again and each occurrence is reported.
 """
@@ -9,14 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Final, TypeAlias, TypeVar
+from typing import Any, ClassVar, Final, Self, TypeAlias, TypeVar
 
-from dpstack.gsd.findings import Findings
-from dpstack.gsd.keywords import BLOCKS, RAW_BLOCKS
 from dpstack.gsd.lexer import Statement, first_number, number, numbers, ranges, ranges_only, string
 from dpstack.gsd.model import (
     DiagArea,
     Diagnosis,
+    Findings,
     Module,
     PrmBlock,
     PrmConst,
@@ -37,17 +37,27 @@ Handler: TypeAlias = Callable[[Any, Statement, int], None]
 
 @dataclass(eq=False)
 class Block:
-    """``title`` as the file writes it, ``nested``: opening keywords of the blocks that may stand inside.
+    """``title`` as the file writes it; ``head``: what has to stand behind the opening keyword, for people.
 
     ``end``: the closing keyword in lower case. The parser sets it; nothing but its end closes a file.
     """
 
     title: ClassVar[str] = ""
-    nested: ClassVar[frozenset[str]] = frozenset()
+    head: ClassVar[str] = ""
     handlers: ClassVar[Mapping[str, Handler]] = {}
     line: int
     findings: Findings
     end: str = field(default="\n", init=False)
+
+    @classmethod
+    def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self | None:
+        """The block that ``statement`` opens; None where its :attr:`head` cannot be parsed."""
+        return cls(line, findings)
+
+    @property
+    def full_title(self) -> str:
+        """The block for people: ``Module 'x'``, ``PrmText 3``."""
+        return self.title
 
     def other(self, statement: Statement, line: int) -> bool:
         """Handle a keyword that has no handler. False: this block has no use for it either."""
@@ -61,7 +71,7 @@ class Block:
 
     def warn(self, statement: Statement, line: int, message: str) -> None:
         """Report ``message`` at the value of ``statement``."""
-        self.findings.warning(line, statement.column, message)
+        self.findings.warning(line, message, statement.column)
 
 
 _T = TypeVar("_T")
@@ -102,12 +112,29 @@ def text_item(block: Block, statement: Statement, line: int, what: str) -> tuple
 
 
 @dataclass(eq=False)
-class PrmTextBlock(Block):
+class NumberedBlock(Block):
+    """A block with a number that others refer to it by."""
+
+    head = "a number"
+
+    ref: int
+
+    @classmethod
+    def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self | None:
+        ref = number(statement.value)
+        return None if ref is None else cls(line, findings, ref)
+
+    @property
+    def full_title(self) -> str:
+        return f"{self.title} {self.ref}"
+
+
+@dataclass(eq=False)
+class PrmTextBlock(NumberedBlock):
     """PrmText = n."""
 
     title = "PrmText"
 
-    ref: int
     texts: dict[int, str] = field(default_factory=dict)
 
     def text(self, statement: Statement, line: int) -> None:
@@ -115,7 +142,7 @@ class PrmTextBlock(Block):
         if item is not None:
             at, text = item
             if self.texts.get(at, text) != text:
-                self.warn(statement, line, f"Text({at}) stands twice in PrmText {self.ref}; the last one counts")
+                self.warn(statement, line, f"Text({at}) stands twice in {self.full_title}; the last one counts")
             self.texts[at] = text
 
     handlers = {"text": text}
@@ -135,12 +162,12 @@ _TypeItem: TypeAlias = tuple[PrmType, int, Ranges, str]
 
 
 @dataclass(eq=False)
-class ParameterBlock(Block):
+class ParameterBlock(NumberedBlock):
     """ExtUserPrmData = n "name"."""
 
     title = "ExtUserPrmData"
+    head = "a number and a name in quotes"
 
-    ref: int
     name: str
     type: PrmType | None = None
     default: int = 0
@@ -148,6 +175,12 @@ class ParameterBlock(Block):
     text_ref: int | None = None
     changeable: bool = True
     visible: bool = True
+
+    @classmethod
+    def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self | None:
+        ref, rest = first_number(statement.value)
+        name, _, closed = string(rest)
+        return None if ref is None or name is None or not closed else cls(line, findings, ref, name.strip())
 
     def typed(self, statement: Statement, line: int) -> None:
         """``Unsigned8 0 0-255``, ``Bit(3) 1 0-1``, ``BitArea(0-2) 0 0,1,5``."""
@@ -157,7 +190,7 @@ class ParameterBlock(Block):
         else:
             problem = item or ""
         if problem:
-            self.warn(statement, line, f"{self.title} {self.ref}: {problem}")
+            self.warn(statement, line, f"{self.full_title}: {problem}")
 
     def setting(self, statement: Statement, line: int) -> None:
         """Prm_Text_Ref = n, Changeable = 0 or 1, Visible = 0 or 1."""
@@ -263,6 +296,16 @@ class RawBlock(Block):
     name: str
     raws: list[Raw] = field(default_factory=list)
 
+    @classmethod
+    def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self:
+        block = cls(line, findings, statement.written)
+        block.other(statement, line)
+        return block
+
+    @property
+    def full_title(self) -> str:
+        return self.name
+
     def other(self, statement: Statement, line: int) -> bool:
         self.raws.append(Raw(line, statement.written, statement.index, statement.value, self.name))
         return True
@@ -287,11 +330,19 @@ class AreaBlock(Block):
     """Unit_Diag_Area = a-b, X_Unit_Diag_Area."""
 
     title = "Unit_Diag_Area"
+    head = "bits like 0-7"
 
     first: int
     last: int
     values: dict[int, str] = field(default_factory=dict)
     helps: dict[int, str] = field(default_factory=dict)
+
+    @classmethod
+    def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self | None:
+        bits = ranges(statement.value)
+        if not bits or not 0 <= bits[0][0] <= bits[-1][1] < 8 * 244:
+            return None
+        return cls(line, findings, bits[0][0], bits[-1][1])
 
     def text(self, statement: Statement, line: int) -> None:
         """Value(n) = "...", Value_Help(n) = "..."."""
@@ -310,8 +361,6 @@ class AreaBlock(Block):
 @dataclass(eq=False)
 class DiagBlock(Block):
     """A block in which diagnosis texts may stand."""
-
-    nested = frozenset({"unit_diag_area", "x_unit_diag_area"})
 
     texts: dict[str, dict[int, str]] = field(default_factory=dict, init=False)
     areas: list[DiagArea] = field(default_factory=list, init=False)
@@ -349,12 +398,11 @@ EMPTY: Final = Diagnosis()
 
 
 @dataclass(eq=False)
-class DiagTypeBlock(DiagBlock):
+class DiagTypeBlock(DiagBlock, NumberedBlock):
     """UnitDiagType = n."""
 
     title = "UnitDiagType"
-
-    number: int
+    full_title = Block.full_title
 
 
 #: octets a Set_Prm can carry behind the seven fixed ones
@@ -365,8 +413,8 @@ MAX_USER_PRM: Final = 237
 class PrmUser(DiagBlock):
     """A block with user parameters: the device or a module."""
 
-    #: number of a parameter -> line of its first use in the whole file
-    used: dict[int, int]
+    #: number of a parameter -> line of its first use
+    used: dict[int, int] = field(default_factory=dict, init=False)
     consts: list[PrmConst] = field(default_factory=list, init=False)
     refs: list[PrmRef] = field(default_factory=list, init=False)
     prm_line: int = field(default=0, init=False)
@@ -411,7 +459,7 @@ class ModuleBlock(PrmUser):
     """Module = "name" octets."""
 
     title = "Module"
-    nested = DiagBlock.nested | RAW_BLOCKS.keys()
+    head = "a name in quotes"
 
     name: str
     config: bytes
@@ -420,6 +468,21 @@ class ModuleBlock(PrmUser):
     info: str = ""
     preset: bool = False
     complete: bool = True
+
+    @classmethod
+    def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self | None:
+        name, rest, closed = string(statement.value)
+        if name is None or not closed:
+            return None
+        config = octets_of(rest)
+        if config is None:
+            message = f"module {name!r}: {rest[:40]} is no list of identifier octets; the module cannot be used"
+            findings.error(line, message, statement.column)
+        return cls(line, findings, name.strip(), config or b"", complete=config is not None)
+
+    @property
+    def full_title(self) -> str:
+        return f"{self.title} {self.name!r}"
 
     def prm_len(self, statement: Statement, line: int) -> None:
         length = number(statement.value)
@@ -444,7 +507,7 @@ class ModuleBlock(PrmUser):
             return False
         if self.reference not in (None, reference):
             message = f"module {self.name!r} has two references, {self.reference} and {reference}; the last one counts"
-            self.findings.warning(line, 1, message)
+            self.findings.warning(line, message)
         self.reference = reference
         return True
 
@@ -455,7 +518,7 @@ class ModuleBlock(PrmUser):
             super().add(inner)
 
     def finish(self, complete: bool) -> None:
-        self.complete = complete
+        self.complete = self.complete and complete
 
     def module(self) -> Module:
         if self.length is None and not self.consts and not self.refs:
@@ -490,9 +553,6 @@ NO_PRM: Final = PrmBlock()
 class DeviceBlock(PrmUser):
     """The file itself: the statements outside of all blocks, and the content of the blocks that have ended."""
 
-    title = "file"
-    nested = frozenset(BLOCKS) | RAW_BLOCKS.keys()
-
     #: keyword -> its last (statement, line)
     settings: dict[str, tuple[Statement, int]] = field(default_factory=dict)
     modules: list[Module] = field(default_factory=list)
@@ -509,7 +569,7 @@ class DeviceBlock(PrmUser):
         # old files have Revision twice: as a text and as a number
         if before is not None and before[0].value != statement.value and statement.keyword != "revision":
             message = f"{statement.written} stands twice (first on line {before[1]}); the last one counts"
-            self.findings.warning(line, 1, message)
+            self.findings.warning(line, message)
         self.settings[statement.keyword] = (statement, line)
         return True
 
@@ -517,25 +577,39 @@ class DeviceBlock(PrmUser):
         match inner:
             case ModuleBlock():
                 self.modules.append(inner.module())
+                for ref, line in inner.used.items():
+                    self.used.setdefault(ref, line)
             case ParameterBlock():
-                self._twice(inner, self.parameters.get(inner.ref), inner.ref)
+                self._replaces(inner, self.parameters.get(inner.ref))
                 self.parameters[inner.ref] = inner
             case PrmTextBlock():
                 before = self.prm_texts.get(inner.ref)
                 if before is None or before.texts != inner.texts:
-                    self._twice(inner, before, inner.ref)
+                    self._replaces(inner, before)
                 self.prm_texts[inner.ref] = inner
             case SlotBlock():
                 self.slots += inner.slots.values()
             case DiagTypeBlock():
-                self.diag_types.append(inner.diagnosis(inner.number))
+                self.diag_types.append(inner.diagnosis(inner.ref))
                 self.raws += inner.raws
             case RawBlock():
                 self.raws += inner.raws
             case _:
                 super().add(inner)
 
-    def _twice(self, block: Block, before: Block | None, ref: int) -> None:
+    def _replaces(self, block: NumberedBlock, before: NumberedBlock | None) -> None:
         if before is not None:
-            message = f"{block.title} {ref} stands twice (first on line {before.line}); the last one counts"
-            self.findings.warning(block.line, 1, message)
+            message = f"{block.full_title} stands twice (first on line {before.line}); the last one counts"
+            self.findings.warning(block.line, message)
+
+
+#: opening keyword -> class and closing keyword, as files write it, of the blocks that dpstack uses
+BLOCKS: Final[Mapping[str, tuple[type[Block], str]]] = {
+    "prmtext": (PrmTextBlock, "EndPrmText"),
+    "extuserprmdata": (ParameterBlock, "EndExtUserPrmData"),
+    "module": (ModuleBlock, "EndModule"),
+    "slotdefinition": (SlotBlock, "EndSlotDefinition"),
+    "unit_diag_area": (AreaBlock, "Unit_Diag_Area_End"),
+    "x_unit_diag_area": (AreaBlock, "X_Unit_Diag_Area_End"),
+    "unitdiagtype": (DiagTypeBlock, "EndUnitDiagType"),
+}

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from dpstack.errors import GsdError
 from dpstack.gsd.configuration import f_notes, first_slot
-from dpstack.gsd.model import Device, Diagnostic, GsdFile, ordered
+from dpstack.gsd.model import Device, Diagnostic, GsdFile
 from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.trace import Severity
 
@@ -21,7 +21,7 @@ def check(file: GsdFile) -> tuple[Diagnostic, ...]:
     for text in f_notes(device, device.modules, None):
         line = next((module.line for module in device.modules if module.f_parameters), 0)
         found.append(Diagnostic(0 if device.f_parameters else line, 1, Severity.WARNING, text))
-    return ordered(found)
+    return tuple(sorted(found))
 
 
 def _prm_findings(device: Device) -> Iterator[Diagnostic]:

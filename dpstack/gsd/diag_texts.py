@@ -61,26 +61,12 @@ class DiagTexts:
         # UnitDiagType names the first octet, the type of a DP-V1 alarm or status: its texts replace the general ones
         typed = self._types.get(octets[0]) if octets else None
         sources = self._sources(module) if typed is None else (typed,)
+        value, size = int.from_bytes(octets, "little"), 8 * len(octets)
         found: set[tuple[str, int]] = set()
         for diagnosis in sources:
-            for kind, at, text, help_text in _texts(diagnosis, octets):
-                if (kind, at) not in found:
-                    found.add((kind, at))
+            for kind, first, last, wanted, text, help_text in diagnosis.texts():
+                if first is None or last is None or first < 0 or last >= size or (kind, first) in found:
+                    continue
+                if value >> first & (1 << last - first + 1) - 1 == wanted:
+                    found.add((kind, first))
                     yield text, help_text
-
-
-def _texts(diagnosis: Diagnosis, octets: bytes) -> Iterator[tuple[str, int, str, str]]:
-    """(kind, bit, text, help) of each text in ``diagnosis`` whose condition ``octets`` meet."""
-    value, size = int.from_bytes(octets, "little"), 8 * len(octets)
-    for kind, state, texts, helps in (
-        ("bit", 1, diagnosis.bits, diagnosis.bit_helps),
-        ("not bit", 0, diagnosis.not_bits, diagnosis.not_bit_helps),
-    ):
-        for bit, text in sorted(texts.items()):
-            if 0 <= bit < size and value >> bit & 1 == state:
-                yield kind, bit, text, helps.get(bit, "")
-    for area in diagnosis.areas:
-        if area.last < size:
-            number = value >> area.first & (1 << area.last - area.first + 1) - 1
-            if number in area.values:
-                yield "area", area.first, area.values[number], area.helps.get(number, "")

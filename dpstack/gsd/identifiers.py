@@ -91,45 +91,40 @@ def config_for(inputs: int, outputs: int) -> bytes:
 def _parse(config: bytes) -> Iterator[Identifier]:
     at = 0
     while at < len(config):
-        head = config[at]
-        if head & _GENERAL:
-            size = ((head & 0x0F) + 1) << (head >> 6 & 1)
-            whole = bool(head & 0x80)
-            inputs = size if head & 0x10 else 0
-            outputs = size if head & 0x20 else 0
-            yield Identifier(config[at : at + 1], inputs, outputs, whole and bool(inputs), whole and bool(outputs))
-            at += 1
-        else:
-            identifier = _special(config, at)
-            yield identifier
-            at += len(identifier.octets)
+        identifier = _identifier(config, at)
+        yield identifier
+        at += len(identifier.octets)
 
 
-def _special(config: bytes, start: int) -> Identifier:
-    head = config[start]
-    at = start + 1
-    sizes = {0x80: (0, False), 0x40: (0, False)}
-    for mask in (0x80, 0x40):  # output length first, then input length
-        if head & mask:
-            if at >= len(config):
-                raise ConfigError(f"identifier octet {start} ({head:#04x}) announces a length octet that is missing")
-            length = config[at]
-            sizes[mask] = (((length & 0x3F) + 1) << (length >> 6 & 1), bool(length & 0x80))
-            at += 1
-    manufacturer = head & 0x0F
-    if manufacturer == _NOT_COMPARED:  # none follow, no check
-        manufacturer = 0
+def _identifier(config: bytes, start: int) -> Identifier:
+    head, at = config[start], start + 1
+    manufacturer = 0
+    inputs = outputs = (0, False)
+    if head & _GENERAL:
+        length = _length(head & ~_GENERAL)
+        inputs = length if head & 0x10 else inputs
+        outputs = length if head & 0x20 else outputs
+    else:
+        announced = (head >> 7) + (head >> 6 & 1)
+        lengths = [_length(octet) for octet in config[at : at + announced]]
+        if len(lengths) < announced:
+            raise ConfigError(f"identifier octet {start} ({head:#04x}) announces a length octet that is missing")
+        at += announced
+        if head & 0x40:  # output length first, then input length
+            inputs = lengths.pop()
+        if head & 0x80:
+            outputs = lengths.pop()
+        if head & 0x0F != _NOT_COMPARED:
+            manufacturer = head & 0x0F
     if at + manufacturer > len(config):
         raise ConfigError(
             f"identifier octet {start} ({head:#04x}) announces {manufacturer} manufacturer octets, "
             f"{len(config) - at} are left"
         )
-    (outputs, output_whole), (inputs, input_whole) = sizes[0x80], sizes[0x40]
-    return Identifier(
-        config[start : at + manufacturer],
-        inputs,
-        outputs,
-        input_whole,
-        output_whole,
-        config[at : at + manufacturer],
-    )
+    end = at + manufacturer
+    return Identifier(config[start:end], inputs[0], outputs[0], inputs[1], outputs[1], config[at:end])
+
+
+def _length(octet: int) -> tuple[int, bool]:
+    """(number of data octets, consistent over the whole) of a length octet."""
+    return ((octet & 0x3F) + 1) << (octet >> 6 & 1), bool(octet & 0x80)

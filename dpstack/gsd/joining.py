@@ -7,9 +7,8 @@ from typing import Final
 
 from dpstack.errors import ConfigError
 from dpstack.gsd.blocks import NO_PRM, DeviceBlock, ParameterBlock, PrmTextBlock
-from dpstack.gsd.findings import Findings
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import Device, Module, Parameter, PrmBlock
+from dpstack.gsd.model import Device, Findings, Module, Parameter, PrmBlock
 from dpstack.gsd.settings import Settings
 
 #: the most texts of all parameters together: users that show them see parameters times texts
@@ -22,7 +21,7 @@ def join(block: DeviceBlock, findings: Findings) -> Device:
     parameters = _parameters(block.parameters, block.prm_texts, findings)
     for number in sorted(block.used.keys() - parameters.keys()):
         message = f"ExtUserPrmData {number} is referred to but nowhere defined; the reference is skipped"
-        findings.warning(block.used[number], 1, message)
+        findings.warning(block.used[number], message)
     sizes = {number: parameter.type.size for number, parameter in parameters.items()}
     judged: dict[bytes, str] = {}
     for module in block.modules:
@@ -53,15 +52,15 @@ def _parameters(
     left = MAX_TEXTS
     for ref, block in blocks.items():
         if block.type is None:
-            findings.warning(block.line, 1, f"ExtUserPrmData {ref} ({block.name!r}) has no readable type; left out")
+            findings.warning(block.line, f"ExtUserPrmData {ref} ({block.name!r}) has no readable type; left out")
             continue
         prm_text = None if block.text_ref is None else texts.get(block.text_ref)
         if prm_text is None and block.text_ref is not None:
             message = f"ExtUserPrmData {ref} refers to PrmText {block.text_ref}, which is nowhere defined"
-            findings.warning(block.line, 1, message)
+            findings.warning(block.line, message)
         if prm_text is not None:
             if left >= 0 and (left := left - len(prm_text.texts)) < 0:
-                findings.error(block.line, 1, f"more than {MAX_TEXTS} texts of parameters: from here on they have none")
+                findings.error(block.line, f"more than {MAX_TEXTS} texts of parameters: from here on they have none")
             prm_text = prm_text if left >= 0 else None
         found[ref] = Parameter(
             ref,
@@ -89,7 +88,7 @@ def _identifiers(module: Module, judged: dict[bytes, str], findings: Findings) -
             problem = str(error)
         judged[module.config] = problem
     if problem and module.complete:
-        findings.warning(module.line, 1, f"module {module.name!r}: {problem}")
+        findings.warning(module.line, f"module {module.name!r}: {problem}")
 
 
 def _lengths(module: Module, sizes: Mapping[int, int], findings: Findings) -> None:
@@ -97,7 +96,7 @@ def _lengths(module: Module, sizes: Mapping[int, int], findings: Findings) -> No
     prm = module.prm
     if prm.length is None:
         message = f"module {module.name!r} has parameters but no Ext_Module_Prm_Data_Len; as long as they reach"
-        findings.warning(prm.line, 1, message)
+        findings.warning(prm.line, message)
         return
     reach = reach_of(prm, sizes)
     if reach > prm.length:
@@ -105,7 +104,7 @@ def _lengths(module: Module, sizes: Mapping[int, int], findings: Findings) -> No
             f"module {module.name!r}: parameters reach to octet {reach}, Ext_Module_Prm_Data_Len is {prm.length}; "
             f"the octets beyond it are left out"
         )
-        findings.warning(prm.line, 1, message)
+        findings.warning(prm.line, message)
 
 
 def reach_of(prm: PrmBlock, sizes: Mapping[int, int]) -> int:
@@ -117,20 +116,20 @@ def reach_of(prm: PrmBlock, sizes: Mapping[int, int]) -> int:
 def _whole(device: Device, settings: Settings, findings: Findings) -> None:
     """Report what is wrong with the file as a whole."""
     if device.ident is None:
-        findings.error(1, 1, "no Ident_Number: the file is damaged, or it is of no DP slave; get a whole copy of it")
+        findings.error(1, "no Ident_Number: the file is damaged, or it is of no DP slave; get a whole copy of it")
     if not device.speeds:
-        findings.warning(1, 1, "no baud rate is declared (500_supp = 1 and so on)")
+        findings.warning(1, "no baud rate is declared (500_supp = 1 and so on)")
     if device.station_type not in (None, 0):
-        findings.warning(settings.line("station_type"), 1, "Station_Type is not 0: the file is of a master")
+        findings.warning(settings.line("station_type"), "Station_Type is not 0: the file is of a master")
     data, length = device.user_prm_data, device.user_prm_data_len
     if data is not None and (device.prm.present or device.max_user_prm_data_len is not None):
         line = settings.line("user_prm_data")
-        findings.info(line, 1, "User_Prm_Data is not used: Ext_User_Prm_Data or Max_User_Prm_Data_Len is there")
+        findings.info(line, "User_Prm_Data is not used: Ext_User_Prm_Data or Max_User_Prm_Data_Len is there")
     elif data is not None and length is not None and len(data) != length:
         message = f"User_Prm_Data has {len(data)} octets, User_Prm_Data_Len is {length}; all {len(data)} are used"
-        findings.warning(settings.line("user_prm_data"), 1, message)
+        findings.warning(settings.line("user_prm_data"), message)
     known = {module.reference for module in device.modules}
     for slot in device.slots:
         if slot.default is not None and slot.default not in known:
             message = f"Slot({slot.number}): no module has the reference {slot.default}, its default"
-            findings.warning(slot.line, 1, message)
+            findings.warning(slot.line, message)

@@ -6,10 +6,11 @@ units: min_slave_interval in 100 us, response time-outs in 10 ms, MaxTsdr in bit
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from dpstack.trace import Severity
 from dpstack.units import NS_PER_MS
@@ -43,6 +44,46 @@ class Diagnostic:
     def text(self) -> str:
         """``12:5: warning: ...``."""
         return f"{self.line}:{self.column}: {self.severity.value}: {self.message}"
+
+
+#: findings of one severity that are listed
+_MOST_FINDINGS: Final = 500
+
+
+class Findings:
+    """Collects the diagnostics of one file; beyond 500 of a severity it only counts them."""
+
+    def __init__(self) -> None:
+        self._listed: dict[Severity, list[Diagnostic]] = {severity: [] for severity in Severity}
+        self._more: Counter[Severity] = Counter()
+
+    def info(self, line: int, message: str, column: int = 1) -> None:
+        self._add(Diagnostic(line, column, Severity.INFO, message))
+
+    def warning(self, line: int, message: str, column: int = 1) -> None:
+        """Report a violation of the specification or a contradiction; ``message`` says how the file was read."""
+        self._add(Diagnostic(line, column, Severity.WARNING, message))
+
+    def error(self, line: int, message: str, column: int = 1) -> None:
+        """Report damage of the file."""
+        self._add(Diagnostic(line, column, Severity.ERROR, message))
+
+    def _add(self, diagnostic: Diagnostic) -> None:
+        listed = self._listed[diagnostic.severity]
+        if len(listed) < _MOST_FINDINGS:
+            listed.append(diagnostic)
+        else:
+            self._more[diagnostic.severity] += 1
+
+    def all(self) -> tuple[Diagnostic, ...]:
+        """The findings by place, and for each severity with more than 500 the number of the rest."""
+        found = [
+            Diagnostic(0, 1, severity, f"{more} more findings of this severity are not listed")
+            for severity, more in self._more.items()
+        ]
+        for listed in self._listed.values():
+            found += listed
+        return tuple(sorted(found))
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +212,21 @@ class DiagArea:
     line: int = 0
 
 
+class DiagText(NamedTuple):
+    """One text for a diagnosis and its condition. ``kind``: "bit", "not_bit", "area" or "channel".
+
+    Of a bit or an area: the bits ``first``..``last``, counted from the first octet behind the block's header, have the
+    ``value``. Of a channel: the error type is ``value``. ``help``: empty where the file has none.
+    """
+
+    kind: str
+    first: int | None
+    last: int | None
+    value: int
+    text: str
+    help: str
+
+
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
     """Texts of the diagnosis: of a device, a module or one UnitDiagType (``type``, the first octet after the header).
@@ -189,9 +245,19 @@ class Diagnosis:
     type: int | None = None
     line: int = 0
 
-    @property
-    def empty(self) -> bool:
-        return not (self.bits or self.not_bits or self.areas or self.channel)
+    def texts(self) -> Iterator[DiagText]:
+        """All texts: bits, bits that are 0, areas, channel errors."""
+        for kind, value, texts, helps in (
+            ("bit", 1, self.bits, self.bit_helps),
+            ("not_bit", 0, self.not_bits, self.not_bit_helps),
+        ):
+            for bit, text in sorted(texts.items()):
+                yield DiagText(kind, bit, bit, value, text, helps.get(bit, ""))
+        for area in self.areas:
+            for value, text in sorted(area.values.items()):
+                yield DiagText("area", area.first, area.last, value, text, area.helps.get(value, ""))
+        for error, text in sorted(self.channel.items()):
+            yield DiagText("channel", None, None, error, text, self.channel_helps.get(error, ""))
 
 
 @dataclass(frozen=True, slots=True)
@@ -402,7 +468,3 @@ def _is_f(keyword: str) -> bool:
 def folded(name: str) -> str:
     """A name as people compare it: case and runs of blanks do not count."""
     return " ".join(name.split()).casefold()
-
-
-def ordered(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    return tuple(sorted(diagnostics))

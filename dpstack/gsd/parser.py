@@ -9,28 +9,15 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Mapping
 from typing import Final
 
 from dpstack.errors import GsdError
-from dpstack.gsd.blocks import (
-    AreaBlock,
-    Block,
-    DeviceBlock,
-    DiagBlock,
-    DiagTypeBlock,
-    ModuleBlock,
-    ParameterBlock,
-    PrmTextBlock,
-    RawBlock,
-    SlotBlock,
-    octets_of,
-)
-from dpstack.gsd.findings import Findings
+from dpstack.gsd.blocks import BLOCKS, AreaBlock, Block, DeviceBlock, DiagBlock, ModuleBlock, RawBlock
 from dpstack.gsd.joining import join
-from dpstack.gsd.keywords import BLOCKS, CLOSING, KNOWN, RAW_BLOCKS, may_open
-from dpstack.gsd.lexer import Statement, first_number, lex, number, ranges, string
-from dpstack.gsd.model import Device, Diagnostic, GsdFile, Raw
+from dpstack.gsd.keywords import OTHERS, RAW_BLOCKS, may_open
+from dpstack.gsd.lexer import Statement, lex
+from dpstack.gsd.model import Device, Diagnostic, Findings, GsdFile, Raw
+from dpstack.gsd.settings import KEYWORDS
 from dpstack.gsd.text import MAX_LINES, MAX_LOGICAL, MAX_OCTETS, Text, read_text
 from dpstack.trace import Severity
 
@@ -46,8 +33,12 @@ _OTHERS: Final = (
     (b"{\\rtf", "an RTF document: get the .gsd file from the maker"),
     (b"MZ", "a program: it may unpack a GSD file"),
 )
-#: blocks that stand in no other block. Where one begins inside an unknown block, the end of that block is missing.
-_OUTERMOST: Final = frozenset({"module", "prmtext", "extuserprmdata", "slotdefinition", "unitdiagtype"})
+#: closing keyword in lower case -> as files write it
+_CLOSING: Final = {end.lower(): end for end in (*(end for _, end in BLOCKS.values()), *RAW_BLOCKS.values())}
+#: the keywords of the GSD specification. The parser keeps any other one as it stands and reports it.
+_KNOWN: Final = OTHERS.union(
+    KEYWORDS, RAW_BLOCKS, _CLOSING, BLOCKS, DeviceBlock.handlers, *(kind.handlers for kind, _ in BLOCKS.values())
+)
 _MISSING: Final = Statement("", None, False, "", "")
 
 
@@ -70,16 +61,16 @@ def parse_gsd(octets: bytes, name: str = "GSD file") -> GsdFile:
     if mark is not None:
         start = mark + 1
         if any(line.strip() and lex(line) for line in text.lines[:mark]):
-            findings.info(1, 1, f"the text before #Profibus_DP on line {text.line_of(mark)} is skipped")
+            findings.info(1, f"the text before #Profibus_DP on line {text.line_of(mark)} is skipped")
     elif any(_LOOKS.match(line) for line in text.lines):
-        findings.warning(1, 1, "no line #Profibus_DP, which begins a GSD file; read from its first line")
+        findings.warning(1, "no line #Profibus_DP, which begins a GSD file; read from its first line")
     else:
         return _nothing(name, "no GSD file: no line #Profibus_DP; give the .gsd (or .gse, .gsg) file of the device")
     if len(text.lines) - start > MAX_LINES:
-        findings.error(text.line_of(start + MAX_LINES), 1, f"more than {MAX_LINES} lines: the rest is not read")
+        findings.error(text.line_of(start + MAX_LINES), f"more than {MAX_LINES} lines: the rest is not read")
     if text.cut:
         message = f"the continued line here has more than {MAX_LOGICAL} characters; it was ended"
-        findings.error(text.cut, 1, message)
+        findings.error(text.cut, message)
     reader = _Reader(text, findings)
     reader.run(start)
     device = join(reader.device, findings)
@@ -114,7 +105,7 @@ class _Reader:
     def __init__(self, text: Text, findings: Findings) -> None:
         self._text = text
         self._findings = findings
-        self.device = DeviceBlock(0, findings, {})
+        self.device = DeviceBlock(0, findings)
         self._block: Block = self.device
         self._outer: list[Block] = []
         self._reported: set[str] = set()
@@ -146,44 +137,44 @@ class _Reader:
     def _structure(self, statement: Statement, line: int) -> None:
         """Handle a keyword unknown to the open block: it opens a block, closes an outer block, or is kept raw."""
         block, keyword = self._block, statement.keyword
-        if keyword in _OPENING and (keyword in _OUTERMOST or not isinstance(block, RawBlock)):
-            self._open_known(statement, line)
-        elif keyword in CLOSING:
+        known = BLOCKS.get(keyword)
+        if known is not None and (known[0] is not AreaBlock or not isinstance(block, RawBlock)):
+            self._open_known(statement, line, *known)
+        elif keyword in _CLOSING:
             self._end_of_outer(statement, line)
         elif not self._open_raw(statement, line):
             self._keep(statement, line)
 
-    def _open_known(self, statement: Statement, line: int) -> None:
-        keyword = statement.keyword
-        while keyword not in self._block.nested and self._outer:
+    def _open_known(self, statement: Statement, line: int, kind: type[Block], end: str) -> None:
+        """Open a block of ``kind``. Where its head cannot be parsed, its inside is kept raw."""
+        # only areas stand in other blocks: where another block begins, the end of the open one is missing
+        while self._outer and not (kind is AreaBlock and isinstance(self._block, DiagBlock)):
             self._broken_off(f"{statement.written} on line {line}")
-        block = _OPENING[keyword](self, statement, line)
+        block = kind.opened_by(statement, line, self._findings)
         if block is None:
-            block = self._raw(statement, line)
-        self._open(block, BLOCKS[keyword].lower())
+            shown = statement.value[:40] or "nothing"
+            message = f"{statement.written} = {shown} is not {kind.head}; the block is kept as it stands"
+            self._findings.warning(line, message, statement.column)
+            block = RawBlock.opened_by(statement, line, self._findings)
+        self._open(block, end.lower())
 
     def _open_raw(self, statement: Statement, line: int) -> bool:
         """Open a block that dpstack has no use for, if the file has its closing keyword too."""
         keyword, block = statement.keyword, self._block
         if isinstance(block, RawBlock) or statement.index is not None or not keyword[:1].isalpha():
             return False
-        if keyword in KNOWN and keyword not in RAW_BLOCKS:
+        if keyword in _KNOWN and keyword not in RAW_BLOCKS:
             return False
         if self._endings is None:
             matches = (_ENDINGS.match(line.strip()) for line in self._text.lines)
             self._endings = frozenset(match[1].lower() for match in matches if match)
         end = may_open(keyword, self._endings)
-        if end is None or end in map(str.lower, BLOCKS.values()):
+        if end is None or end in (known.lower() for _, known in BLOCKS.values()):
             return False
         if keyword not in RAW_BLOCKS:
             self._unknown(statement, line)
-        self._open(self._raw(statement, line), end)
+        self._open(RawBlock.opened_by(statement, line, self._findings), end)
         return True
-
-    def _raw(self, statement: Statement, line: int) -> RawBlock:
-        block = RawBlock(line, self._findings, statement.written)
-        block.other(statement, line)
-        return block
 
     def _open(self, block: Block, end: str) -> None:
         block.end = end
@@ -197,8 +188,8 @@ class _Reader:
 
     def _broken_off(self, before: str) -> None:
         block = self._block
-        message = f"{title_of(block)} never ends: {CLOSING.get(block.end, block.end)} is missing before {before}"
-        self._findings.error(block.line, 1, message)
+        message = f"{block.full_title} never ends: {_CLOSING.get(block.end, block.end)} is missing before {before}"
+        self._findings.error(block.line, message)
         self._close(False)
 
     def _end_of_outer(self, statement: Statement, line: int) -> None:
@@ -207,19 +198,18 @@ class _Reader:
                 self._broken_off(f"{statement.written} on line {line}")
             self._close(True)
         else:
-            self._findings.warning(line, 1, f"{statement.written} ends nothing here; it is skipped")
+            self._findings.warning(line, f"{statement.written} ends nothing here; it is skipped")
 
     def _keep(self, statement: Statement, line: int) -> None:
         block = self._block
-        known = statement.keyword in KNOWN
+        known = statement.keyword in _KNOWN
         if not block.other(statement, line):
-            name = "" if block is self.device else block.title
-            raw = Raw(line, statement.written, statement.index, statement.value, name)
+            raw = Raw(line, statement.written, statement.index, statement.value, block.title)
             (block if isinstance(block, DiagBlock) else self.device).raws.append(raw)
             if known or not statement.keyword:
-                where = "outside of all blocks" if block is self.device else f"in {title_of(block)}"
+                where = "outside of all blocks" if block is self.device else f"in {block.full_title}"
                 what = statement.written or statement.value[:20]
-                self._findings.warning(line, 1, f"{what} does not belong here ({where}); kept as it stands")
+                self._findings.warning(line, f"{what} does not belong here ({where}); kept as it stands")
                 return
         elif isinstance(block, (RawBlock, ModuleBlock)):
             return
@@ -229,84 +219,4 @@ class _Reader:
     def _unknown(self, statement: Statement, line: int) -> None:
         if statement.keyword not in self._reported:
             self._reported.add(statement.keyword)
-            self._findings.info(line, 1, f"{statement.written[:60]} has no meaning here; kept as it stands")
-
-    # the methods of _OPENING; None: the head of the block cannot be parsed, so that its inside is kept raw
-
-    def numbered(self, statement: Statement, line: int) -> Block | None:
-        """PrmText = n, UnitDiagType = n."""
-        value = number(statement.value)
-        if value is None:
-            self._unreadable(statement, line, "a number")
-            return None
-        kind = PrmTextBlock if statement.keyword == "prmtext" else DiagTypeBlock
-        return kind(line, self._findings, value)
-
-    def parameter(self, statement: Statement, line: int) -> Block | None:
-        """ExtUserPrmData = n "name"."""
-        ref, rest = first_number(statement.value)
-        name, _, closed = string(rest)
-        if ref is None or name is None or not closed:
-            self._unreadable(statement, line, "a number and a name in quotes")
-            return None
-        return ParameterBlock(line, self._findings, ref, name.strip())
-
-    def module(self, statement: Statement, line: int) -> Block | None:
-        """Module = "name" octets."""
-        name, rest, closed = string(statement.value)
-        if name is None or not closed:
-            self._unreadable(statement, line, "a name in quotes")
-            return None
-        config = octets_of(rest)
-        if config is None:
-            message = f"module {name!r}: {rest[:40]} is no list of identifier octets; the module cannot be used"
-            self._findings.error(line, statement.column, message)
-            return _Unusable(line, self._findings, self.device.used, name.strip(), b"")
-        return ModuleBlock(line, self._findings, self.device.used, name.strip(), config)
-
-    def slots(self, statement: Statement, line: int) -> Block:
-        return SlotBlock(line, self._findings)
-
-    def area(self, statement: Statement, line: int) -> Block | None:
-        """Unit_Diag_Area = a-b."""
-        bits = ranges(statement.value)
-        if not bits or not 0 <= bits[0][0] <= bits[-1][1] < 8 * 244:
-            self._unreadable(statement, line, "bits like 0-7")
-            return None
-        return AreaBlock(line, self._findings, bits[0][0], bits[-1][1])
-
-    def _unreadable(self, statement: Statement, line: int, wanted: str) -> None:
-        shown = statement.value[:40] or "nothing"
-        message = f"{statement.written} = {shown} is not {wanted}; the block is kept as it stands"
-        self._findings.warning(line, statement.column, message)
-
-
-class _Unusable(ModuleBlock):
-    """A module whose identifier octets cannot be read."""
-
-    def finish(self, complete: bool) -> None:
-        super().finish(False)
-
-
-_OPENING: Final[Mapping[str, Callable[[_Reader, Statement, int], Block | None]]] = {
-    "prmtext": _Reader.numbered,
-    "extuserprmdata": _Reader.parameter,
-    "module": _Reader.module,
-    "slotdefinition": _Reader.slots,
-    "unit_diag_area": _Reader.area,
-    "x_unit_diag_area": _Reader.area,
-    "unitdiagtype": _Reader.numbered,
-}
-
-
-def title_of(block: Block) -> str:
-    """A block for people: ``Module 'x'``, ``PrmText 3``."""
-    match block:
-        case ModuleBlock():
-            return f"Module {block.name!r}"
-        case PrmTextBlock() | ParameterBlock():
-            return f"{block.title} {block.ref}"
-        case RawBlock():
-            return block.name
-        case _:
-            return block.title
+            self._findings.info(line, f"{statement.written[:60]} has no meaning here; kept as it stands")

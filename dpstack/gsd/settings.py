@@ -7,48 +7,49 @@ from dataclasses import fields
 from typing import Any, Final
 
 from dpstack.gsd.blocks import octets_of
-from dpstack.gsd.findings import Findings
 from dpstack.gsd.keywords import ALARMS, RATES
 from dpstack.gsd.lexer import Statement, first_number, number, string
-from dpstack.gsd.model import Device, DpV1, Isochronous, Speed
+from dpstack.gsd.model import Device, DpV1, Findings, Isochronous, Speed
 
-#: field -> its keywords, for each field that is not called like its keyword
-_KEYWORDS: Final[dict[type, dict[str, tuple[str, ...]]]] = {
-    Device: {
-        "ident": ("ident_number",),
-        "min_slave_interval": ("min_slave_intervall", "min_slave_interval"),
-        "modul_offset": ("modul_offset", "module_offset"),
-        "pins_24v": ("24v_pins", "24v pins"),
-        "fms": ("fms_supp",),
-        "freeze": ("freeze_mode_supp",),
-        "sync": ("sync_mode_supp",),
-        "auto_baud": ("auto_baud_supp",),
-        "set_slave_add": ("set_slave_add_supp",),
-        "modular": ("modular_station",),
-        "fix_preset_modules": ("fixpresetmodules",),
-        "vendor": ("vendor_name",),
-        "model": ("model_name",),
-        "order_number": ("ordernumber",),
-        "info": ("info_text",),
-        "slave_family": (),  # see Settings._family
+#: flags whose keyword ends with _supp
+_SUPPORTED: Final = """
+fms auto_baud set_slave_add c1_read_write c2_read_write extra_alarm_sap alarm_type_mode wd_base_1ms prm_block_structure
+ident_maintenance publisher subscriber
+"""
+#: keyword -> field of Device, DpV1 or Isochronous, for each field that is not called like its keyword
+_RENAMED: Final = {
+    "ident_number": "ident",
+    "vendor_name": "vendor",
+    "model_name": "model",
+    "ordernumber": "order_number",
+    "info_text": "info",
+    "min_slave_intervall": "min_slave_interval",
+    "min_slave_interval": "min_slave_interval",
+    "modul_offset": "modul_offset",
+    "module_offset": "modul_offset",
+    "24v_pins": "pins_24v",
+    "24v pins": "pins_24v",
+    "freeze_mode_supp": "freeze",
+    "sync_mode_supp": "sync",
+    "modular_station": "modular",
+    "fixpresetmodules": "fix_preset_modules",
+    "dpv1_slave": "slave",
+    "prm_block_structure_req": "prm_block_structure_required",
+    "isochron_mode_supp": "supported",
+    "isochron_mode_required": "required",
+    **{f"{name}_supp": name for name in _SUPPORTED.split()},
+}
+#: keyword -> field, of each field that is one flag, number, text or list of octets
+KEYWORDS: Final = {
+    **{
+        field.name: field.name
+        for section in (Device, DpV1, Isochronous)
+        for field in fields(section)
+        # slave_family: see Settings._family
+        if field.type in ("bool", "int", "int | None", "str", "bytes | None")
+        and field.name not in ("slave_family", *_RENAMED.values())
     },
-    DpV1: {
-        "slave": ("dpv1_slave",),
-        "c1_read_write": ("c1_read_write_supp",),
-        "c2_read_write": ("c2_read_write_supp",),
-        "extra_alarm_sap": ("extra_alarm_sap_supp",),
-        "alarm_type_mode": ("alarm_type_mode_supp",),
-        "wd_base_1ms": ("wd_base_1ms_supp",),
-        "prm_block_structure": ("prm_block_structure_supp",),
-        "prm_block_structure_required": ("prm_block_structure_req",),
-        "ident_maintenance": ("ident_maintenance_supp",),
-    },
-    Isochronous: {
-        "supported": ("isochron_mode_supp",),
-        "required": ("isochron_mode_required",),
-        "publisher": ("publisher_supp",),
-        "subscriber": ("subscriber_supp",),
-    },
+    **_RENAMED,
 }
 #: lowest and highest value by keyword; numbers of other keywords may have 32 bits
 _LIMITS: Final = {
@@ -82,9 +83,6 @@ class Settings:
     def device_fields(self) -> dict[str, Any]:
         """Arguments for a Device. Fields without a keyword in the file keep their defaults."""
         found = self._fields(Device) | self._family()
-        octets = self._octets("user_prm_data")
-        if octets is not None:
-            found["user_prm_data"] = octets
         found["speeds"] = tuple(
             Speed(baud, self._int(f"maxtsdr_{key}")) for key, baud in RATES.items() if self._flag(f"{key}_supp")
         )
@@ -93,8 +91,7 @@ class Settings:
         )
         for keyword, text in contradictions(dpv1):
             if keyword in self._settings:
-                statement, line = self._settings[keyword]
-                self._findings.warning(line, statement.column, text)
+                self._warn(keyword, text)
         found["isochronous"] = Isochronous(**self._fields(Isochronous))
         return found
 
@@ -102,15 +99,22 @@ class Settings:
         return tuple(alarm for alarm in ALARMS if self._flag(f"{alarm.lower()}_{ending}"))
 
     def _fields(self, section: type[Device | DpV1 | Isochronous]) -> dict[str, Any]:
-        """The fields of ``section`` that are one flag, number or text, as far as the file has their keywords."""
-        readers = {"bool": self._flag, "int": self._int, "int | None": self._int, "str": self._text}
+        """The fields of ``section`` that are one value, as far as the file has their keywords."""
+        readers = {
+            "bool": self._flag,
+            "int": self._int,
+            "int | None": self._int,
+            "str": self._text,
+            "bytes | None": self._octets,
+        }
+        types = {field.name: str(field.type) for field in fields(section)}
         found: dict[str, Any] = {}
-        for field in fields(section):
-            for keyword in _KEYWORDS[section].get(field.name, (field.name,)):
-                if keyword in self._settings and (reader := readers.get(str(field.type))) is not None:
-                    value = reader(keyword)
-                    if value is not None:
-                        found[field.name] = value
+        for keyword, name in KEYWORDS.items():
+            reader = readers.get(types.get(name, ""))
+            if keyword in self._settings and reader is not None:
+                value = reader(keyword)
+                if value is not None:
+                    found[name] = value
         return found
 
     def line(self, keyword: str) -> int:
@@ -118,11 +122,18 @@ class Settings:
         found = self._settings.get(keyword)
         return found[1] if found else 0
 
+    def _warn(self, keyword: str, message: str) -> None:
+        statement, line = self._settings[keyword]
+        self._findings.warning(line, message, statement.column)
+
+    def _unreadable(self, keyword: str, problem: str) -> None:
+        statement, _ = self._settings[keyword]
+        self._warn(keyword, f"{statement.written} = {statement.value[:40]} {problem}")
+
     def _int(self, keyword: str) -> int | None:
-        found = self._settings.get(keyword)
-        if found is None:
+        if keyword not in self._settings:
             return None
-        statement, line = found
+        statement, _ = self._settings[keyword]
         value, rest = first_number(statement.value)
         if value is None or rest:
             text = string(statement.value)[0] or ""
@@ -131,9 +142,9 @@ class Settings:
                 value = _PINS.get(text.strip().lower())
         low, high = _LIMITS.get(keyword, _32_BITS)
         if value is None:
-            self._wrong(keyword, "is no number; left out")
+            self._unreadable(keyword, "is no number; left out")
         elif not low <= value <= high:
-            self._findings.warning(line, statement.column, f"{statement.written} = {value} is outside {low}..{high}")
+            self._warn(keyword, f"{statement.written} = {value} is outside {low}..{high}")
         return value
 
     def _flag(self, keyword: str) -> bool | None:
@@ -146,33 +157,26 @@ class Settings:
         if text is None:
             return statement.value
         if not closed:
-            self._findings.warning(line, statement.column, f"{statement.written}: the text has no closing quote")
+            self._warn(keyword, f"{statement.written}: the text has no closing quote")
         elif rest:
-            self._findings.info(line, statement.column, f"{statement.written}: {rest!r} behind the text is not used")
+            message = f"{statement.written}: {rest!r} behind the text is not used"
+            self._findings.info(line, message, statement.column)
         return text.strip()
 
     def _octets(self, keyword: str) -> bytes | None:
-        found = self._settings.get(keyword)
-        if found is None:
-            return None
-        octets = octets_of(found[0].value)
+        octets = octets_of(self._settings[keyword][0].value)
         if octets is None:
-            self._wrong(keyword, "is no list of octets; left out")
+            self._unreadable(keyword, "is no list of octets; left out")
         return octets
-
-    def _wrong(self, keyword: str, what: str) -> None:
-        statement, line = self._settings[keyword]
-        self._findings.warning(line, statement.column, f"{statement.written} = {statement.value[:40]} {what}")
 
     def _family(self) -> dict[str, Any]:
         """``Slave_Family = 3@group@subgroup``."""
-        found = self._settings.get("slave_family")
-        if found is None:
+        if "slave_family" not in self._settings:
             return {}
-        main, *path = found[0].value.strip('"').split("@")
+        main, *path = self._settings["slave_family"][0].value.strip('"').split("@")
         value = number(main)
         if value is None:
-            self._wrong("slave_family", "begins with no number; only its path is kept")
+            self._unreadable("slave_family", "begins with no number; only its path is kept")
         return {"slave_family": value, "slave_family_path": tuple(part.strip() for part in path if part.strip())}
 
 

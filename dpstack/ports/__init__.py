@@ -12,7 +12,6 @@
 - ``fdport``: Base class of the ports that are a file descriptor: Linux ttys, ptys and sockets
 - ``holders``: Finds the program that holds a port: by its lock (dpstack and pyserial set one) or by its open files in
   /proc
-- ``memory``: Two ports joined in memory, in one event loop: for tests and for programs that have both ends
 - ``pacing``: Pacing: octets are delivered in slices, each at the time when its last bit would be on the wire
 - ``posix``: Modules that only POSIX systems have: ``fcntl``, ``termios``, ``grp``
 - ``pty``: ``--port pty``: a pty made here, whose other end any program may open as its serial port
@@ -35,19 +34,16 @@ import sys
 
 from dpstack.errors import PortError
 from dpstack.ports.base import Delivery, Loop, OnData, OnLost, Pending, Port
-from dpstack.ports.memory import MemoryPort, memory_pair
 from dpstack.ports.posix import importing_pyserial
 
 __all__ = [
     "Delivery",
     "Loop",
-    "MemoryPort",
     "OnData",
     "OnLost",
     "Pending",
     "Port",
     "PortError",
-    "memory_pair",
     "open_port",
 ]
 

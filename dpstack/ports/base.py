@@ -27,7 +27,7 @@ OnLost = Callable[[str], None]
 class Delivery(Enum):
     """How late a port may deliver octets; drivers derive their time-outs from it."""
 
-    HOST = "host"  # the other end is a process of this kind of machine: pty, socket, memory
+    HOST = "host"  # the other end is a process of this kind of machine: pty, socket
     ADAPTER = "adapter"  # a UART or a USB adapter
 
 

@@ -10,13 +10,15 @@ from collections.abc import Callable
 from time import monotonic_ns
 from typing import Any
 
+from memory_port import memory_pair
+
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.line.select_runtime import SelectRuntime
 from dpstack.drivers.runtime import OnEvents
 from dpstack.machine import Machine
-from dpstack.ports import Port, memory_pair
+from dpstack.ports import Port
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_MS
 

@@ -11,9 +11,10 @@ from typing import Any
 
 import pytest
 from far_ends import FarEnd, PtyFarEnd, Rfc2217FarEnd, TcpFarEnd, open_slave, until
+from memory_port import MemoryPort, memory_pair
 
 from dpstack.errors import BaudError, PortError
-from dpstack.ports import Delivery, MemoryPort, Port, memory_pair, open_port, termios2
+from dpstack.ports import Delivery, Port, open_port, termios2
 from dpstack.ports.pyserial import PySerialPort
 
 EVERY_OCTET = bytes(range(256))

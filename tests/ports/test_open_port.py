@@ -6,9 +6,10 @@ import socket
 import sys
 
 import pytest
+from memory_port import memory_pair
 
 from dpstack.errors import DpError, PortBusyError, PortError
-from dpstack.ports import memory_pair, open_port
+from dpstack.ports import open_port
 from dpstack.ports.pyserial import PySerialPort
 
 

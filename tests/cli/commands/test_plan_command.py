@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from memory_port import MemoryPort
 
 from dpstack.api.bus import compose
 from dpstack.cli.main import main
 from dpstack.ports.base import Delivery
-from dpstack.ports.memory import MemoryPort
 
 ROOT = Path(__file__).resolve().parents[3]
 FIVE = str(ROOT / "examples" / "two_milliseconds.toml")

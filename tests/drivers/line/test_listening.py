@@ -10,13 +10,14 @@ from random import Random
 import pytest
 from baud_rig import Sent, exchange, lone_token
 from far_ends import FarEnd, PtyFarEnd, TcpFarEnd, open_slave, until
+from memory_port import memory_pair
 
 from dpstack.drivers.line.baud_search import search_baud
 from dpstack.drivers.segment.hub import Segment
 from dpstack.errors import BaudError, PortError
 from dpstack.fdl.baud_evidence import Confidence
 from dpstack.fdl.baud_search import BaudFound, BaudNotFound, Missing
-from dpstack.ports import memory_pair, open_port, termios2
+from dpstack.ports import open_port, termios2
 from dpstack.ports.tty import TtyPort
 from dpstack.units import NS_PER_MS, NS_PER_S
 

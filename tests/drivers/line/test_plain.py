@@ -9,6 +9,7 @@ from time import monotonic_ns
 import pytest
 from driver_rig import BACKOFF, REQUEST, TOKEN, Script
 from far_ends import TcpFarEnd
+from memory_port import memory_pair
 from support_responder import Responder
 
 from dpstack.dp.master.commands import Mode, SetMode
@@ -27,7 +28,7 @@ from dpstack.errors import PortError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
-from dpstack.ports import Port, memory_pair, open_port
+from dpstack.ports import Port, open_port
 from dpstack.ports.pyserial import PySerialPort
 from dpstack.trace import Event, Notice
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_US

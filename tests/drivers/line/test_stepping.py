@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from driver_rig import BACKOFF, REQUEST, TOKEN, Rig, Script, driver_on
 from far_ends import PtyFarEnd, until
+from memory_port import MemoryPort
 
 from dpstack.drivers.line import line_runtime
 from dpstack.drivers.line.echo import Echo
@@ -18,7 +19,7 @@ from dpstack.drivers.runtime import PortBack, PortLost
 from dpstack.errors import BusError, PortError, UsageError
 from dpstack.machine import LineDown, LineUp
 from dpstack.phy.patience import ADAPTER, HOST
-from dpstack.ports import MemoryPort, open_port, timerfd
+from dpstack.ports import open_port, timerfd
 from dpstack.ports.pty import PtyPort
 from dpstack.trace import Event, Notice
 from dpstack.units import NEVER, NS_PER_MS, chars_to_ns

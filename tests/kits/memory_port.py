@@ -1,4 +1,4 @@
-"""Two ports joined in memory, in one event loop: for tests and for programs that have both ends."""
+"""Two ports joined in memory, in one event loop."""
 
 from __future__ import annotations
 
