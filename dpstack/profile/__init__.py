@@ -5,7 +5,6 @@
 - ``model/``: Declarations of a drive plugin: words, states, parameters, telegrams; orders and status of a drive
 - ``record47/``: PROFIdrive's parameter channel over DP-V1, record 47: both ends as pure machines
 - ``simulator/``: The simulated drive
-- ``declared``: Drive plugins by declaration, without code: words, scales, states, texts and parameters
 - ``drive_profile``: Profile of one drive: its data for bus, configuration and simulation, and its options
 - ``registry``: Drives by name, found by the entry point group ``dpstack.drives``; any installed package can add one
 """
@@ -15,16 +14,23 @@ from dpstack.dp.slave.device import Leave
 from dpstack.dpv1.slave.device import Device
 from dpstack.errors import ConfigError
 from dpstack.profile import record47
-from dpstack.profile.channel.base import ChannelServer, ParameterChannel, ParamKey, per_request
-from dpstack.profile.channel.pkw import Pkw, PkwClient, PkwDialect, PkwServer, ReplyId, TaskId
-from dpstack.profile.channel.pkw_access import RETRY_NS, ParamRef, PkwAccess, PkwChannel
-from dpstack.profile.declared import PLAIN_PKW, Declaration, DeclaredCore, plain_resolver, plain_server
+from dpstack.profile.channel.base import (
+    Clock,
+    CycleTimes,
+    ParameterChannel,
+    ParamKey,
+    find_parameter,
+    per_request,
+    read_raw,
+)
+from dpstack.profile.channel.pkw import Pkw, PkwChannel, PkwDialect, PkwServer, ReplyId, TaskId, plain_server
+from dpstack.profile.channel.pkw_access import RETRY_NS, ParamRef, PkwAccess
 from dpstack.profile.drive_profile import DriveProfile, OptionSpec, RateSetting
-from dpstack.profile.master.core import OPS, DriveCore, Lookup, settled
+from dpstack.profile.master.core import DriveCore, Lookup, settled
 from dpstack.profile.master.mapped_core import MAP_OPS, MappedCore
 from dpstack.profile.master.settings import Setting, equal, same
 from dpstack.profile.model import drivecom_states, process_data_map, profidrive_states
-from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramFamily, TelegramSpec
+from dpstack.profile.model.drive_type import CHANNEL_LEN, Options, TelegramFamily, TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, Steps
 from dpstack.profile.model.param_errors import PARAMETER_ERRORS, error_text
 from dpstack.profile.model.param_store import ParamStore
@@ -49,19 +55,16 @@ __all__ = [
     "NS_PER_MS",
     "NS_PER_S",
     "NS_PER_US",
-    "OPS",
     "PARAMETER_ERRORS",
-    "PLAIN_PKW",
     "RETRY_NS",
     "SPEED",
     "Args",
-    "ChannelServer",
+    "Clock",
     "CommandError",
     "ConfigError",
     "ControlTable",
+    "CycleTimes",
     "CyclicUnit",
-    "Declaration",
-    "DeclaredCore",
     "Device",
     "DriveCore",
     "DriveDevice",
@@ -74,6 +77,7 @@ __all__ = [
     "MappedCore",
     "Motor",
     "OptionSpec",
+    "Options",
     "ParamKey",
     "ParamRef",
     "ParamSpec",
@@ -83,7 +87,6 @@ __all__ = [
     "Pkw",
     "PkwAccess",
     "PkwChannel",
-    "PkwClient",
     "PkwDialect",
     "PkwServer",
     "RateSetting",
@@ -105,15 +108,16 @@ __all__ = [
     "equal",
     "error_text",
     "find",
+    "find_parameter",
     "known",
     "listing",
     "ns_to_s",
     "per_request",
-    "plain_resolver",
     "plain_server",
     "process_data_map",
     "profidrive_states",
     "ramp",
+    "read_raw",
     "record47",
     "refresh",
     "s_to_ns",

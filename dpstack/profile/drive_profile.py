@@ -11,9 +11,9 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.errors import ConfigError
 from dpstack.profile.master.core import DriveCore
-from dpstack.profile.model.drive_type import CHECK_SETTINGS, DriveType, TelegramSpec
+from dpstack.profile.model.drive_type import CHECK_SETTINGS, DriveType, Options, TelegramSpec
 from dpstack.profile.model.jobs import LARGEST
-from dpstack.profile.record47.drive_access import AcyclicAccess, ChosenAccess
+from dpstack.profile.record47.drive_access import ChosenAccess
 from dpstack.profile.simulator.device import DriveDevice
 
 
@@ -43,27 +43,21 @@ class RateSetting(NamedTuple):
     rates: Mapping[int, int]
 
 
-CoreFactory = Callable[["DriveProfile", str, TelegramSpec, Mapping[str, "bool | float | str"]], "DriveCore"]
-#: From a core made by the factory and the queue of its slave's services to parameters over record 47.
-RecordAccessFactory = Callable[["DriveCore", "RecordQueue"], "AcyclicAccess"]
-DeviceFactory = Callable[
-    ["DriveProfile", TelegramSpec, Mapping[str, "bool | float | str"], Mapping[str, object]], "DriveDevice"
-]
+CoreFactory = Callable[["DriveProfile", str, TelegramSpec, Options], DriveCore]
+DeviceFactory = Callable[["DriveProfile", TelegramSpec, Options, Mapping[str, object]], DriveDevice]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveProfile(DriveType):
     """A drive: found by the entry point group ``dpstack.drives`` under ``name``.
 
-    ``max_tsdr``: bit times by baud rate, empty where the manual gives none. ``reference_hz``: what 100 % speed is
-    at the factory. ``on_loss``: what the drive does when its master stops. ``notes``: what a user should know.
-    ``simulated_options``: options of the core that no manual gives, as the simulated drive has them. ``gsd``: a GSD
-    file of ours made from the manual's facts (not the vendor's), as ``package:file name``. ``rate_setting``: it hears
-    only the rate that it is set to. ``record_access``: how it is reached over record 47; None where it has none.
+    ``max_tsdr``: bit times by baud rate, empty where the manual gives none. ``on_loss``: what the drive does when its
+    master stops. ``notes``: what a user should know. ``simulated_options``: options of the core that no manual gives,
+    as the simulated drive has them. ``gsd``: a GSD file of ours made from the manual's facts (not the vendor's), as
+    ``package:file name``. ``rate_setting``: it hears only the rate that it is set to.
     """
 
     title: str
-    reference_hz: float
     on_loss: str
     core_factory: CoreFactory
     device_factory: DeviceFactory
@@ -77,7 +71,6 @@ class DriveProfile(DriveType):
     simulated_options: Mapping[str, object] = field(default_factory=dict)
     gsd: str | None = None
     rate_setting: RateSetting | None = None
-    record_access: RecordAccessFactory | None = None
 
     def rates(self, options: Mapping[str, object]) -> tuple[int, ...]:
         """The baud rates that it hears with these options (checked before) in bit/s; empty: nothing is said of them."""
@@ -128,10 +121,9 @@ class DriveProfile(DriveType):
         if extra:
             self._refuse(next(iter(extra)), specs, f"drive {name} ({self.name})")
         core = self.core_factory(self, name, self.telegram(telegram), checked)
-        core.settings_check.enabled = bool(checked[CHECK_SETTINGS])
-        if records is not None and self.record_access is not None:
+        if records is not None and (acyclic := core.over_records(records)) is not None:
             core.records = records
-            core.access = ChosenAccess(self.record_access(core, records), core.access)
+            core.access = ChosenAccess(acyclic, core.access)
         return core
 
     def device(self, telegram: str | None = None, options: Mapping[str, object] | None = None) -> DriveDevice:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 
 import pytest
-from drive_bench import ALONE, MS, DeviceBench, PluginBench
+from drive_bench import ALONE, MS, DeviceBench, PluginBench, Times
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -169,7 +169,7 @@ def test_a_request_given_up_keeps_the_channel_until_the_drive_confirms_it() -> N
 
 def test_after_a_new_start_the_drives_own_handshake_bit_is_taken() -> None:
     """It may stand at 1 from before; after the settling time it is believed."""
-    core = KebChannel(lambda: 0, lambda: 100)
+    core = KebChannel(Times(settle_ns=100))
     request: Generator[None, None, object] = core.read(ParamKey("oP.3"), 10**9)
     next(request)
     stale = bytes.fromhex("41 01 23 03 00 00 00 07")
@@ -340,13 +340,13 @@ def test_k6_a_write_goes_to_all_sets_and_unequal_ones_cannot_be_read_together() 
 def test_any_octets_never_raise(octets: list[bytes]) -> None:
     device = DRIVE.device()
     assert isinstance(device, KebDevice)
-    clock = [0]
-    client = KebChannel(lambda: clock[0], lambda: 10)
+    times = Times(settle_ns=10)
+    client = KebChannel(times)
     jobs = [client.read(ParamKey("oP.3"), 10**9) for _ in range(4)]
     for request in octets:
         assert len(device.server.step(request)) == 8
-        clock[0] += MS
-        client.step(request, clock[0])
+        times.now += MS
+        client.step(request, times.now)
         assert len(client.octets) == 8
         for job in tuple(jobs):
             try:

@@ -122,10 +122,10 @@ def test_l7_maps() -> None:
     assert paramap.show((0x000A, 0x1103)) == "000A 1103"
     with pytest.raises(ValueError, match="no address"):
         paramap.parse("000A speed")
-    assert "room for 2" in str(paramap.check((1, 2, 3), 2, "inputs", written=False))
-    assert "read only" in str(paramap.check((0x000A,), 4, "outputs", written=True))
-    assert "twice" in str(paramap.check((0x0005, 0x0005), 4, "outputs", written=True))
-    assert paramap.check((0x0005, 0, 0, 0x1103), 4, "outputs", written=True) is None
+    assert "room for 2" in str(paramap.check((1, 2, 3), 2, written=False))
+    assert "read only" in str(paramap.check((0x000A,), 4, written=True))
+    assert "twice" in str(paramap.check((0x0005, 0x0005), 4, written=True))
+    assert paramap.check((0x0005, 0, 0, 0x1103), 4, written=True) is None
 
 
 def test_l9_trips_and_rates() -> None:

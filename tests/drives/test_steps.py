@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from acyclic_kit import outcome
 from demag_kit import ZERO, ppo1
-from drive_bench import PluginBench, as_mapping
+from drive_bench import PluginBench, Times, as_mapping
 from fuji_kit import IDLE
 from fuji_kit import plugin as fuji
 from imo_kit import RUNS, Card
@@ -82,14 +82,14 @@ TABLE = ParamTable(
 
 def over_records(name: str | int, value: float | None, *responses: str) -> object:
     """Write, or read where ``value`` is None, answered by ``responses``: the value."""
-    queue, now, waiting = RecordQueue(), [0], list(responses)
-    access = AcyclicAccess(ParameterClient(0), queue, plain_places(TABLE, "mixer"), lambda: now[0])
+    queue, times, waiting = RecordQueue(), Times(), list(responses)
+    access = AcyclicAccess(ParameterClient(0), queue, plain_places(TABLE, "mixer"), times)
     key = ParamKey(name)
     steps = access.read(key, 10**9) if value is None else access.write(key, value, 10**9)
     try:
         while True:
             next(steps)
-            now[0] += 10**6
+            times.now += 10**6
             pending = queue.take()
             if pending is not None:
                 read = not isinstance(pending.request, WriteReq)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from dpstack.profile import DriveCore, DriveDevice
 
@@ -11,6 +12,14 @@ S = 1_000 * MS
 START = 5 * S
 #: options of a plugin that does not read its drive's settings by itself: the parameter channel is the test's
 ALONE: Mapping[str, object] = {"check_settings": False}
+
+
+@dataclass
+class Times:
+    """The times of a parameter channel without a plugin."""
+
+    now: int = 0
+    settle_ns: int = 0
 
 
 class PluginBench:

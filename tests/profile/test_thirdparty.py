@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import tomllib
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -196,12 +195,15 @@ def test_it_needs_the_profile_only() -> None:
             assert all(name == "dpstack.profile" for name in names if name.startswith("dpstack")), path
 
 
-def test_its_parameters_go_over_record_47_where_it_has_it(installed: Path, acme: DriveProfile) -> None:
-    from acme_drive.table import DECLARED
+def test_its_parameters_go_over_record_47_where_it_has_it(
+    installed: Path, acme: DriveProfile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from acme_drive.plugin import AcmeCore
 
     queue = profile.record47.RecordQueue()
-    core = replace(acme, record_access=DECLARED.record_access).core("belt", "STD", ALONE, records=queue)
-    assert acme.core("belt", "STD", records=queue).access is None  # it declares none
+    assert acme.core("belt", "STD", records=queue).access is None  # it declares no slot
+    monkeypatch.setattr(AcmeCore, "record_slot", 1)
+    core = acme.core("belt", "STD", ALONE, records=queue)
     bench = PluginBench(core, "00 09 00 00 00 00 00 00")
     token = bench.order("read", number=1)
     for answer in ("", "01 01 01 01 06 01 00 01"):

@@ -36,6 +36,20 @@ class ParamKey:
         return spec
 
 
+class Clock(Protocol):
+    """``now``: time of the present cycle in ns."""
+
+    now: int
+
+
+class CycleTimes(Clock, Protocol):
+    """The times that the handshake of a parameter channel depends on; a drive plugin has them."""
+
+    @property
+    def settle_ns(self) -> int:
+        """After this time the drive's octets belong to the octets sent now."""
+
+
 class ParameterChannel(Protocol):
     """The master's end. Jobs queue; each is a generator that returns its outcome or raises CommandError.
 
@@ -70,6 +84,26 @@ class ChannelServer(Protocol):
 
     def step(self, octets: bytes) -> bytes:
         """The reply to the octets of the order area (:data:`CHANNEL_LEN` both)."""
+
+
+def find_parameter(key: ParamKey, table: ParamTable, most: int) -> tuple[ParamSpec | None, int, str]:
+    """Entry of ``table``, number and label of a parameter named by name or number; None for an unknown number.
+
+    Raises CommandError for an unknown name, and for a number that is not 1..``most``.
+    """
+    spec = key.spec_in(table)
+    number = spec.number if spec is not None else int(key.name)
+    label = f"parameter {number if spec is None else spec.label}"
+    if not 1 <= number <= most:
+        raise CommandError("usage", f"{label}: parameter numbers are 1..{most}")
+    return spec, number, label
+
+
+def read_raw(access: ParameterChannel, key: ParamKey, deadline: int) -> Steps[int]:
+    """Read one parameter: the integer on the wire."""
+    raw = (yield from access.read(key, deadline))["raw"]
+    assert isinstance(raw, int)
+    return raw
 
 
 def check_write(spec: ParamSpec | None, label: str, value: float) -> int | None:

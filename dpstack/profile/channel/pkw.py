@@ -1,4 +1,4 @@
-"""The parameter channel of PPO1 and PPO2: eight octets PKE IND PWE with a handshake, both ends.
+"""The parameter channel of PPO1 and PPO2 (PKW): eight octets PKE IND PWE with a handshake, both ends.
 
 PKE: order or reply id in bits 15-12, SPM bit 11 (0 here), PNU bits 10-0. IND: subindex in the high octet. PWE: 32 bits.
 Sources: PROFIdrive V2; the replies that are allowed to an order from the MICROMASTER and SIMOREG manuals. Which ids a
@@ -13,6 +13,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple
+
+from dpstack.profile.channel.base import CycleTimes
+from dpstack.profile.model.jobs import CommandError, Steps
+from dpstack.profile.model.param_errors import BAD_TYPE, ILLEGAL_NUMBER, OPERATING_STATE, PARAMETER_ERRORS, READ_ONLY
+from dpstack.profile.model.param_store import ParamStore
+from dpstack.profile.model.params import ParamSpec
 
 PKW_LEN: Final = 8
 ZEROS: Final = bytes(PKW_LEN)
@@ -89,6 +95,17 @@ class PkwDialect:
         return self.errors.get(number, "error without a text in the manual")
 
 
+#: a drive without peculiarities: words and double words, no arrays, no data sets. V2 has error texts of its own
+PLAIN_PKW: Final = PkwDialect(
+    answers={
+        TaskId.READ: (ReplyId.WORD, ReplyId.LONG),
+        TaskId.WRITE_WORD: (ReplyId.WORD,),
+        TaskId.WRITE_LONG: (ReplyId.LONG,),
+    },
+    errors={**PARAMETER_ERRORS, OPERATING_STATE: "not in this operating state", 18: "another error"},
+)
+
+
 class Exchange:
     """One order. ``reply`` is set when the drive has answered; ``stray``: the last reply to another order."""
 
@@ -101,17 +118,14 @@ class Exchange:
         self.stray: Pkw | None = None
 
 
-class PkwClient:
-    """The master's end: one order at a time, the others queue. ``octets``: the octets to send now.
+class PkwChannel:
+    """The master's end: one order at a time, the others queue. ``octets``: the eight octets to send now."""
 
-    ``settle_ns``: time after which the drive's reply belongs to the octets sent now.
-    """
+    __slots__ = ("_active", "_dialect", "_last", "_queue", "_quiet_until", "_release", "_times", "octets")
 
-    __slots__ = ("_active", "_dialect", "_last", "_queue", "_quiet_until", "_release", "_settle_ns", "octets")
-
-    def __init__(self, dialect: PkwDialect, settle_ns: Callable[[], int] = lambda: 0) -> None:
+    def __init__(self, dialect: PkwDialect, times: CycleTimes) -> None:
         self._dialect = dialect
-        self._settle_ns = settle_ns
+        self._times = times
         self._queue: deque[Exchange] = deque()
         self._active: Exchange | None = None
         self._release = False  # our order is withdrawn, the drive's reply is not yet 0
@@ -124,17 +138,39 @@ class PkwClient:
         """Whether :meth:`step` has to be called in every cycle."""
         return self._release or self._active is not None or bool(self._queue)
 
+    def replied(self, order: Pkw, label: str, deadline: int) -> Steps[Pkw]:
+        """The reply to an order, right or wrong. Raises CommandError of kind timeout."""
+        exchange = self.submit(order)
+        try:
+            while exchange.reply is None:
+                if self._times.now >= deadline:
+                    stray = exchange.stray
+                    text = (
+                        "the drive did not answer in its parameter channel in time"
+                        if stray is None
+                        else f"the drive answered for {self.describe_stray(stray)} instead"
+                    )
+                    raise CommandError("timeout", f"{label}: {text}")
+                yield
+        finally:
+            self.cancel(exchange)
+        return exchange.reply
+
+    def describe_stray(self, reply: Pkw) -> str:
+        """Text for a reply to another order."""
+        return f"parameter {reply.pnu} index {reply.ind} (reply {reply.id})"
+
     def submit(self, order: Pkw) -> Exchange:
         """Queue an order; the caller polls the exchange's ``reply``."""
         exchange = Exchange(order)
         self._queue.append(exchange)
         return exchange
 
-    def cancel(self, exchange: Exchange, now: int) -> None:
+    def cancel(self, exchange: Exchange) -> None:
         """Cancel an order; harmless when it is done."""
         if exchange is self._active:
             self._withdraw()
-            self._quiet_until = now + self._settle_ns()
+            self._quiet_until = self._times.now + self._times.settle_ns
         elif exchange in self._queue:
             self._queue.remove(exchange)
 
@@ -247,3 +283,37 @@ class PkwServer:
         reply, pwe = self._handler(order) if refusal is None else refusal
         self._reply = order._replace(id=reply, pwe=pwe).build()
         return self._reply
+
+
+def plain_server(
+    store: ParamStore,
+    *,
+    live: Callable[[ParamSpec], int | None] = lambda spec: None,
+    locked: Callable[[ParamSpec], bool] = lambda spec: False,
+    dialect: PkwDialect = PLAIN_PKW,
+) -> PkwServer:
+    """The drive's end of :data:`PLAIN_PKW` over ``store``: every parameter by its PNU.
+
+    ``live``: the actual value on the wire where it is not stored; ``locked``: error 17 now.
+    """
+
+    def carry_out(order: Pkw) -> tuple[int, int]:
+        spec = store.table.get(order.pnu)
+        if spec is None or spec.text:
+            return ReplyId.ERROR, ILLEGAL_NUMBER
+        reply = ReplyId.LONG if spec.long else ReplyId.WORD
+        if order.id == TaskId.READ:
+            actual = live(spec)
+            return reply, spec.pwe(store.raw(spec) if actual is None else actual)
+        raw = spec.from_pwe(order.pwe)
+        error = spec.write_error(raw)
+        if error != READ_ONLY and order.id != (TaskId.WRITE_LONG if spec.long else TaskId.WRITE_WORD):
+            error = BAD_TYPE
+        elif error is None and locked(spec):
+            error = OPERATING_STATE
+        if error is not None:
+            return ReplyId.ERROR, error
+        store.write(spec, raw)
+        return reply, spec.pwe(raw)
+
+    return PkwServer(dialect, carry_out)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
-from dpstack.profile.channel.base import ParamKey, check_write, outcome
-from dpstack.profile.channel.pkw import Pkw, PkwClient, PkwDialect, ReplyId, TaskId
+from dpstack.profile.channel.base import CycleTimes, ParamKey, check_write, find_parameter, outcome
+from dpstack.profile.channel.pkw import Pkw, PkwChannel, PkwDialect, ReplyId, TaskId
 from dpstack.profile.model.jobs import CommandError, Steps
-from dpstack.profile.model.params import ParamSpec
+from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.units import NS_PER_MS
 
 #: pause before the order to a busy drive is repeated
 RETRY_NS: Final = 25 * NS_PER_MS
+#: the highest PNU that PKE holds
+_MOST: Final = 0x7FF
 
 
 class ParamRef(NamedTuple):
@@ -29,87 +30,42 @@ class ParamRef(NamedTuple):
     data_set: int | None = None
 
 
-#: Finds the parameter that a user has named. Raises CommandError.
-Resolver = Callable[[ParamKey], ParamRef]
+class PkwCore(CycleTimes, Protocol):
+    """A drive plugin with parameters by PKW."""
+
+    def resolve(self, key: ParamKey) -> ParamRef:
+        """Find the parameter that a user has named. Raises CommandError."""
+
+    def written(self, ref: ParamRef) -> None:
+        """The drive has taken a write."""
 
 
-class PkwChannel:
-    """A :class:`~dpstack.profile.channel.base.ParameterChannel` by PKW without its orders.
-
-    ``clock``: time of the current cycle in ns; ``settle_ns``: time after which the drive's reply belongs to the octets
-    sent now; ``named``: text for a reply to another order.
-    """
-
-    __slots__ = ("_client", "_clock", "_named")
-
-    def __init__(
-        self, dialect: PkwDialect, clock: Callable[[], int], settle_ns: Callable[[], int], named: Callable[[Pkw], str]
-    ) -> None:
-        self._client = PkwClient(dialect, settle_ns)
-        self._clock = clock
-        self._named = named
-
-    @property
-    def octets(self) -> bytes:
-        """The eight octets to send now."""
-        return self._client.octets
-
-    @property
-    def busy(self) -> bool:
-        """An order waits or runs, or the last one is not yet released."""
-        return self._client.busy
-
-    def step(self, inputs: bytes, now: int) -> None:
-        self._client.step(inputs, now)
-
-    def reset(self) -> None:
-        """Both ends start at 0 again."""
-        self._client.reset()
-
-    def replied(self, order: Pkw, label: str, deadline: int) -> Steps[Pkw]:
-        """The reply to an order, right or wrong. Raises CommandError of kind timeout."""
-        exchange = self._client.submit(order)
-        try:
-            while exchange.reply is None:
-                if self._clock() >= deadline:
-                    stray = exchange.stray
-                    text = (
-                        "the drive did not answer in its parameter channel in time"
-                        if stray is None
-                        else f"the drive answered for {self._named(stray)} instead"
-                    )
-                    raise CommandError("timeout", f"{label}: {text}")
-                yield
-        finally:
-            self._client.cancel(exchange, self._clock())
-        return exchange.reply
+def plain_ref(key: ParamKey, table: ParamTable, drive: str) -> ParamRef:
+    """A parameter of ``table`` by name or number; a number that is not in it goes as it is, without a scale."""
+    spec, number, label = find_parameter(key, table, _MOST)
+    if key.data_set is not None or key.index is not None:
+        raise CommandError("usage", f"{label}: {drive} has neither data sets nor indexes")
+    if key.ram:
+        raise CommandError("usage", f"{label}: {drive} has no writes to RAM only")
+    return ParamRef(number, 0, False, spec, label)
 
 
 class PkwAccess(PkwChannel):
-    """Parameters by PKW. ``written`` is called after a write."""
+    """A :class:`~dpstack.profile.channel.base.ParameterChannel` by PKW, of the plugin ``core``."""
 
-    __slots__ = ("_dialect", "_resolve", "_written")
+    __slots__ = ("_core",)
 
-    def __init__(
-        self,
-        dialect: PkwDialect,
-        resolve: Resolver,
-        clock: Callable[[], int],
-        settle_ns: Callable[[], int],
-        written: Callable[[ParamRef], None] | None = None,
-    ) -> None:
-        super().__init__(dialect, clock, settle_ns, _named)
-        self._written = written
-        self._dialect = dialect
-        self._resolve = resolve
+    def __init__(self, dialect: PkwDialect, core: PkwCore) -> None:
+        super().__init__(dialect, core)
+        self._core = core
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
-        ref = self._resolve(key)
+        ref = self._core.resolve(key)
         return _outcome(ref, (yield from self._read(ref, deadline)))
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter; of an unknown one the type is read first and ``value`` is the integer on the wire."""
-        ref = self._resolve(key)
+        ref = self._core.resolve(key)
         raw = check_write(ref.spec, ref.label, value)
         if ref.spec is not None and raw is not None:
             pwe, long = ref.spec.pwe(raw), ref.spec.long
@@ -122,8 +78,7 @@ class PkwAccess(PkwChannel):
         else:
             kind = TaskId.WRITE_LONG if long else TaskId.WRITE_WORD
         reply = yield from self._exchange(Pkw(kind, ref.pnu, ref.ind, pwe), ref, deadline)
-        if self._written is not None:
-            self._written(ref)
+        self._core.written(ref)
         return _outcome(ref, reply)
 
     def _read(self, ref: ParamRef, deadline: int) -> Steps[Pkw]:
@@ -143,11 +98,11 @@ class PkwAccess(PkwChannel):
             number = reply.pwe & 0xFFFF
             text = self._dialect.error_text(number)
             refusal = CommandError("parameter", f"{ref.label}: error {number}, {text}", number)
-            again = self._clock() + RETRY_NS
+            again = self._times.now + RETRY_NS
             if number not in self._dialect.busy or again >= deadline:
                 raise refusal
             busy = refusal
-            while self._clock() < again:
+            while self._times.now < again:
                 yield
         if reply.id == ReplyId.NO_CONTROL:
             raise CommandError("parameter", f"{ref.label}: the bus has no control over the parameters (reply 8)")
@@ -173,7 +128,3 @@ def _raw(ref: ParamRef, value: float, long: bool) -> int:
     if value != int(value) or not -(1 << bits - 1) <= value < 1 << bits:
         raise CommandError("usage", f"{ref.label}: its scale is unknown here, give the {bits}-bit integer on the wire")
     return int(value) & (1 << bits) - 1
-
-
-def _named(reply: Pkw) -> str:
-    return f"parameter {reply.pnu} index {reply.ind} (reply {reply.id})"

@@ -1,6 +1,7 @@
 """Master side of one drive, called once a rotation: state machine, set point, orders, status events.
 
-A plugin subclasses :class:`DriveCore`, hands it its tables and overrides the few hooks at the end of the class. Time
+A plugin subclasses :class:`DriveCore`: its class attributes declare the drive's words, scales, states, texts and
+parameters, and for many drives that is all. The hooks at the end of the class are for behaviour that is not data. Time
 comes in as ``now`` in ns; nothing here blocks or reads a clock.
 """
 
@@ -12,30 +13,41 @@ from typing import Any, Final, Generic, TypeVar
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.profile.channel.base import ParameterChannel, ParamKey, read_many
+from dpstack.profile.channel.pkw import PLAIN_PKW, PkwDialect
+from dpstack.profile.channel.pkw_access import ParamRef, PkwAccess, plain_ref
 from dpstack.profile.master.settings import Setting, SettingsCheck
-from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
+from dpstack.profile.model.drive_type import CHANNEL_LEN, CHECK_SETTINGS, DriveType, Options, TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, DriveJob, DriveJobs, Steps
-from dpstack.profile.model.params import ListedParam
+from dpstack.profile.model.params import ListedParam, ParamTable, listing
 from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State
 from dpstack.profile.model.status import DriveStatus
 from dpstack.profile.model.words import SPEED, Scale
+from dpstack.profile.record47.client import PLUGIN, ParameterClient
+from dpstack.profile.record47.drive_access import AcyclicAccess, plain_places
 from dpstack.units import NS_PER_MS, NS_PER_S
 
+#: the orders that move a drive
 _MOTION: Final = ("start", "stop", "quick_stop", "coast", "acknowledge")
-
-#: default time-outs in s; 15 s of them is the time some drives lock a fault
-_TIMEOUTS: Final = {"start": 5.0, "stop": 60.0, "quick_stop": 60.0, "coast": 5.0, "acknowledge": 20.0}
+_GOALS: Final = {"stop": Goal.STOP, "quick_stop": Goal.QUICK_STOP, "coast": Goal.COAST}
+_PARAMETERS: Final = ("read_many", "read", "write")
+#: The orders every drive knows, with the ones that move it first.
+OPS: Final = (*_MOTION, "speed", "frequency", "reached", "settled", *_PARAMETERS)
+#: default time-outs in s; 15 s of that of acknowledge is the time some drives lock a fault
+_TIMEOUTS: Final = {
+    "start": 5.0,
+    "stop": 60.0,
+    "quick_stop": 60.0,
+    "coast": 5.0,
+    "acknowledge": 20.0,
+    "reached": 60.0,
+    "settled": 5.0,
+    **dict.fromkeys(_PARAMETERS, 5.0),
+}
 #: of the reference, for a drive that has no bit for it
 _CLOSE: Final = 0.01
 #: of the reference: how far the actual speed may be from the set point where the drive's bit says that it is reached.
 #: More than the rounding of any drive; a wrong scale or source of the set point is off by more at most set points
 _BELIEVED: Final = 0.02
-_GOALS: Final = {"stop": Goal.STOP, "quick_stop": Goal.QUICK_STOP, "coast": Goal.COAST}
-_PARAMETERS: Final = ("read_many", "read", "write")
-#: where an order says nothing, in seconds
-_PARAMETER_TIMEOUT: Final = 5.0
-#: The orders every drive knows, with the ones that move it first.
-OPS: Final = (*_MOTION, "speed", "frequency", "reached", "settled", *_PARAMETERS)
 
 _LEAST_NS: Final = 20 * NS_PER_MS
 _LOST: Final = "the drive left data exchange"
@@ -91,11 +103,31 @@ Lookups = tuple[Lookup[Any], ...]
 class DriveCore:
     """Implements :class:`dpstack.dp.process_image.CyclicUnit` for one drive called ``name``.
 
-    ``scan_ns``: how long the drive may take to notice outputs and show it in its inputs. ``reference_hz``: the
-    frequency that 100 % speed means. ``safe_outputs``: the octets for every way out.
+    ``profile``: the drive as the registry has it; ``options``: those of the drive, checked. An option ``reference_hz``
+    (the frequency that 100 % speed means) goes before the profile's.
     """
 
+    #: control word, status word, states
+    table: ControlTable
+    #: the control word of the safe outputs; the set point is 0 then
+    safe_control: int = 0
+    #: time that the drive may take to notice outputs and show it in its inputs, in ns
+    scan_ns: int
+    #: the words of the process data received, in order: ``status`` first, then ``speed``, ``current``, ``torque``,
+    #: ``fault`` (a number), ``warning`` (bits), or a name of its own; a telegram has as many of them as it has words
+    inputs: tuple[str, ...] = ("status", "speed")
+    #: of speed and set point, in parts of the reference
     scale: Scale = SPEED
+    #: of current and torque, in parts of the rated ones; 0x4000 = 100 %
+    current_scale: Scale = Scale("current")
+    #: texts by number of the fault, and by bit of the warning word
+    fault_names: Mapping[int, str] = {}
+    warning_names: Mapping[int, str] = {}
+    #: what the parameter channel and record 47 reach; None: the drive has no parameters
+    parameter_table: ParamTable | None = None
+    dialect: PkwDialect = PLAIN_PKW
+    #: the slot of record 47 of a drive whose parameters have the same numbers there; None: it has no record 47
+    record_slot: int | None = None
     #: why the drive may ignore an acknowledgement, for people
     lock_hint: str = ""
     #: what to check when the drive does not start for no known reason, for people
@@ -103,28 +135,27 @@ class DriveCore:
     #: orders beyond those of every drive, see :meth:`order`
     own_ops: tuple[str, ...] = ()
 
-    def __init__(
-        self,
-        name: str,
-        drive: str,
-        telegram: TelegramSpec,
-        table: ControlTable,
-        *,
-        scan_ns: int,
-        reference_hz: float,
-        safe_outputs: bytes,
-    ) -> None:
+    def __init__(self, profile: DriveType, name: str, telegram: TelegramSpec, options: Options) -> None:
+        if self.inputs[:1] != ("status",) or len(set(self.inputs)) != len(self.inputs):
+            raise ValueError(f"inputs must begin with 'status' and name each word once, not {self.inputs}")
         self.name = name
-        self.drive = drive
+        self.drive = profile.name
+        #: for messages about the configuration
+        self.title = f"drive {name} ({profile.name})"
         self.telegram = telegram
-        self.table = table
-        self.reference_hz = reference_hz
-        self.safe_outputs = safe_outputs
-        self._scans_ns = 3 * scan_ns
+        self.reference_hz = float(options.get("reference_hz", profile.reference_hz))
+        self._offset = CHANNEL_LEN if telegram.channel else 0
+        #: the octets for every way out
+        self.safe_outputs = (
+            bytes(self._offset)
+            + self.safe_control.to_bytes(2, "big").ljust(telegram.outputs, b"\0")[: telegram.outputs]
+        )
         self._rotation_ns = 0  # from one call of cyclic() to the next
         self._called_at: int | None = None
         self.access: ParameterChannel | None = None
-        self.records: RecordQueue | None = None  # what it asks its slave by Read and Write
+        if telegram.channel and self.parameter_table is not None:
+            self.access = self.open_channel()
+        self.records: RecordQueue | None = None  # Reads and Writes to its slave
         #: what is asked over ``access`` while it stands in the status word
         self.lookups: Lookups = ()
         self.now = 0
@@ -132,26 +163,26 @@ class DriveCore:
         self.online = False
         #: the process data received, 16 bits each
         self.words: tuple[int, ...] = (0,) * (telegram.inputs // 2)
+        self._places = {word: place for place, word in enumerate(self.inputs[: len(self.words)])}
         self.status_word = 0
         self.state = State.OFFLINE
         self.goal = Goal.IDLE
         self.setpoint = 0.0
         self.setpoint_at = 0
         self._setpoint_word = 0
-        self._control = table.word(Goal.IDLE, State.OFFLINE)
+        self._control = self.table.word(Goal.IDLE, State.OFFLINE)
         self._achieved = False
         self._dirty = True
-        self._inputs = b""
-        self._offset = CHANNEL_LEN if telegram.channel else 0
+        self._inputs = self._outputs = b""
         self._unpack = struct.Struct(f">{telegram.inputs // 2}H").unpack_from
         self._pack: Callable[..., bytes] = struct.Struct(f">{telegram.outputs // 2}H").pack
         self._rest = (0,) * (telegram.outputs // 2 - 2)
         self._orders = DriveJobs()
         #: the settings of the drive, compared with those that the plugin relies on
-        self.settings_check = SettingsCheck(self)
-        self._told: tuple[object, ...] = ()
-        self._tell_mask = table.status.mask(*(n for n in ("reached", "remote", "warning") if n in table.status.bits))
-        self._outputs = safe_outputs
+        self.settings_check = SettingsCheck(self, enabled=bool(options.get(CHECK_SETTINGS, True)))
+        self._last_event: tuple[object, ...] = ()  # key of the last status event
+        bits = self.table.status.bits
+        self._event_mask = self.table.status.mask(*(n for n in ("reached", "remote", "warning") if n in bits))
 
     # -- CyclicUnit -----------------------------------------------------------------------------------------------
 
@@ -199,7 +230,7 @@ class DriveCore:
         self._inputs = b""
         self.set_goal(Goal.IDLE)
         self.state = State.OFFLINE
-        self._tell()
+        self._tell_status()
         self._build()
 
     def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
@@ -208,12 +239,14 @@ class DriveCore:
         A drive that is not yet in data exchange keeps the order until it is, or until the order's time is over.
         """
         self.now = now
+        checked = Args(op, args)
         try:
-            job = self._job(op, Args(op, args), token)
+            steps = self._steps(op, checked)
+            checked.done()
         except CommandError as error:
             self._orders.refused(token, error)
             return
-        self._orders.begin(job)
+        self._orders.begin(DriveJob(op, token, steps, motion=op in _MOTION))
 
     def take_events(self) -> list[dict[str, object]]:
         """Plain JSON data for the application, oldest first."""
@@ -229,8 +262,8 @@ class DriveCore:
         return DriveStatus(
             state=self.state,
             running=self.state is State.RUNNING,
-            reached=bits.told(word, "reached") if "reached" in bits.bits else _near(self, speed),
-            remote="remote" not in bits.bits or bits.told(word, "remote"),
+            reached=bits.is_set(word, "reached") if "reached" in bits.bits else _near(self, speed),
+            remote="remote" not in bits.bits or bits.is_set(word, "remote"),
             setpoint=self.setpoint,
             speed=speed,
             frequency_hz=None if speed is None else speed * self.reference_hz,
@@ -244,6 +277,13 @@ class DriveCore:
             settings_texts=self.settings_check.texts,
         )
 
+    def faults(self) -> tuple[str, ...]:
+        """The present faults by name."""
+        if self.raw_state not in FAULTED:
+            return ()
+        texts = self.fault_texts()
+        return ("not yet named",) if texts is None else texts
+
     # -- for jobs and plugins -------------------------------------------------------------------------------------
 
     @property
@@ -251,7 +291,7 @@ class DriveCore:
         """After this time the inputs belong to the outputs given now, in ns: three scans of the drive, and three
         rotations (outputs leave, inputs come, their turn here), 20 ms at least.
         """
-        return self._scans_ns + max(3 * self._rotation_ns, _LEAST_NS)
+        return 3 * self.scan_ns + max(3 * self._rotation_ns, _LEAST_NS)
 
     def answers_until(self, deadline: int) -> int:
         """Until when a start may wait for answers of the parameter channel: the rest is for the way to RUNNING."""
@@ -296,7 +336,7 @@ class DriveCore:
             self._control = control
             self._dirty = True
         if self.online:
-            self._tell()
+            self._tell_status()
 
     def notice(self, text: str) -> None:
         """One line for the application."""
@@ -352,25 +392,52 @@ class DriveCore:
         """The set point of ``fraction`` of the reference as its word. Raises ValueError with the range."""
         return self.scale.encode(fraction)
 
+    def word(self, name: str) -> int | None:
+        """The word of the process data called ``name`` in ``inputs``; None where the telegram does not reach it."""
+        place = self._places.get(name)
+        return None if place is None else self.words[place]
+
     def measured(self) -> tuple[float | None, float | None, float | None]:
-        """Speed of the reference, current and torque of the rated ones, as far as the telegram tells."""
-        return self.scale.decode(self.words[1]), None, None
+        """Speed of the reference, current and torque of the rated ones, as far as they are in the process data."""
+        current, torque = (_decoded(self.current_scale, self.word(name)) for name in ("current", "torque"))
+        return _decoded(self.scale, self.word("speed")), current, torque
 
-    def faults(self) -> tuple[str, ...]:
-        """The present faults by name."""
-        return ("fault",) if self.raw_state in FAULTED else ()
-
-    def fault_named(self) -> bool:
-        """True when :meth:`faults` has its final answer."""
-        return True
+    def fault_texts(self) -> tuple[str, ...] | None:
+        """The fault that stands in the status word, by name; None while the drive has not yet named it."""
+        number = self.word("fault")
+        if number is None:
+            return (f"without a name: {self.telegram.name} does not carry it",)
+        return (self.fault_names.get(number, f"number {number}"),) if number else None
 
     def warnings(self) -> tuple[str, ...]:
         """The present warnings by name."""
-        return ()
+        word = self.word("warning")
+        if not word:
+            return ()
+        return tuple(self.warning_names.get(bit, f"bit {bit}") for bit in range(16) if word >> bit & 1)
+
+    def open_channel(self) -> ParameterChannel:
+        """The master's end of the telegram's parameter channel."""
+        return PkwAccess(self.dialect, self)
+
+    def over_records(self, queue: RecordQueue) -> AcyclicAccess | None:
+        """Parameter access over record 47 by the services in ``queue``; None for a drive without record 47."""
+        if self.record_slot is None or self.parameter_table is None:
+            return None
+        places = plain_places(self.parameter_table, self.drive)
+        return AcyclicAccess(ParameterClient(self.record_slot, references=PLUGIN), queue, places, self)
+
+    def resolve(self, key: ParamKey) -> ParamRef:
+        """Find the parameter that a user has named, for the parameter channel. Raises CommandError."""
+        assert self.parameter_table is not None
+        return plain_ref(key, self.parameter_table, self.drive)
+
+    def written(self, ref: ParamRef) -> None:
+        """The drive has taken a write over the parameter channel."""
 
     def parameters(self) -> tuple[ListedParam, ...]:
         """The drive's parameters in the order of its table: what a dump reads (see ``listing``)."""
-        return ()
+        return () if self.parameter_table is None else listing(self.parameter_table)
 
     def obstacle(self) -> str | None:
         """What, by the status word, keeps the drive from running, with what to do about it; or None."""
@@ -417,44 +484,46 @@ class DriveCore:
             data = bytes(self._offset) + data
         self._outputs = data
 
-    def _tell(self) -> None:
+    def _tell_status(self) -> None:
         """A status event when state, remote, reached, warnings or faults changed."""
-        word = self.status_word & self._tell_mask if self.online else 0
         check = self.settings_check
         key: tuple[object, ...] = (self.state,)
         if self.online:
+            word = self.status_word & self._event_mask
             key = (self.state, word, self.faults(), self.warnings(), check.state, check.texts)
-        if key != self._told:
-            self._told = key
+        if key != self._last_event:
+            self._last_event = key
             self._orders.tell({"type": "status", **self.status().as_dict()})
 
-    def _job(self, op: str, args: Args, token: int) -> DriveJob:
-        if op in _MOTION:
-            if (why := self.cannot(op)) is not None:
-                raise CommandError("usage", why)
-            return _motion_job(self, op, args, token)
+    def _steps(self, op: str, args: Args) -> Steps[dict[str, object]]:
+        """The job of the order ``op``. Raises CommandError."""
+        if op in _MOTION and (why := self.cannot(op)) is not None:
+            raise CommandError("usage", why)
+        deadline = self.now + args.timeout_ns(_TIMEOUTS.get(op, 0))  # every order may come with one
         match op:
+            case "start":
+                return _start(self, deadline)
+            case "stop" | "quick_stop" | "coast":
+                return _halt(self, op, deadline)
+            case "acknowledge":
+                return _acknowledge(self, deadline)
             case "speed":
-                steps = self._speed(args.number("value"))
+                return self._speed(args.number("value"))
             case "frequency":
-                steps = self._speed(args.number("value") / self.reference_hz)
+                return self._speed(args.number("value") / self.reference_hz)
             case "reached":
-                steps = _reached(self, self.now + args.timeout_ns(60.0), args.optional("tolerance"))
+                return _reached(self, deadline, args.optional("tolerance"))
             case "settled":
-                steps = _told(self, self.now + args.timeout_ns(5.0))
+                return _settled(self, deadline)
             case "read" | "write" | "read_many":
-                steps = _parameter_steps(self, op, args)
+                return _parameter_steps(self, op, args, deadline)
             case "cancel":
-                steps = self._cancel(args.integer("order"))
-            case _:
-                own = self.order(op, args)
-                if own is None:
-                    known = ", ".join((*OPS, *self.own_ops))
-                    raise CommandError("usage", f"{self.drive} has no order {op!r}; it has {known}")
-                steps = own
-        args.timeout_ns(0)  # every order may come with one
-        args.done()
-        return DriveJob(op, token, steps, motion=False)
+                return self._cancel(args.integer("order"))
+        steps = self.order(op, args)
+        if steps is None:
+            known = ", ".join((*OPS, *self.own_ops))
+            raise CommandError("usage", f"{self.drive} has no order {op!r}; it has {known}")
+        return steps
 
     def _cancel(self, token: int | None) -> Steps[dict[str, object]]:
         """End the order with ``token`` now, so that a start() does not take effect later."""
@@ -468,26 +537,13 @@ class DriveCore:
 
 
 # --- the orders that move a drive ---
-def _motion_job(core: DriveCore, op: str, args: Args, token: int) -> DriveJob:
-    """The job of one order of :data:`_MOTION`. Raises CommandError."""
-    deadline = core.now + args.timeout_ns(_TIMEOUTS[op])
-    args.done()
-    if op == "start":
-        steps = _start(core, deadline)
-    elif op == "acknowledge":
-        steps = _acknowledge(core, deadline)
-    else:
-        steps = _halt(core, op, deadline)
-    return DriveJob(op, token, steps, motion=True)
-
-
 def _start(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
     """Walk to RUNNING. On any failure the goal falls back to IDLE: a drive never starts later by surprise."""
     try:
         yield from _online(core, deadline)
         yield from settled(core, lambda: core.raw_state not in FAULTED, deadline)
         if core.raw_state in FAULTED:
-            text = yield from _named(core, deadline)
+            text = yield from _fault_text(core, deadline)
             raise CommandError("fault", f"{text}; acknowledge it first")
         yield from core.prepare(deadline)
         yield from core.settings_check.known(deadline)
@@ -497,7 +553,7 @@ def _start(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
         since: int | None = None
         while core.state is not State.RUNNING or core.now < trust:
             if core.raw_state in FAULTED:
-                raise CommandError("fault", (yield from _named(core, deadline)))
+                raise CommandError("fault", (yield from _fault_text(core, deadline)))
             if core.now >= deadline:
                 raise CommandError(
                     "timeout", core.obstacle() or f"the drive reports {core.raw_state}, not running{core.start_hint}"
@@ -548,7 +604,8 @@ def _acknowledge(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
                 while core.now < until:
                     yield
             if core.now >= deadline and core.raw_state in FAULTED:
-                raise CommandError("fault", f"{_fault_text(core)} cannot be acknowledged{core.lock_hint}")
+                text = f"fault {', '.join(core.faults()) or 'without a name'}"
+                raise CommandError("fault", f"{text} cannot be acknowledged{core.lock_hint}")
     finally:
         core.set_goal(Goal.IDLE)
     return {"value": str(core.state)}
@@ -565,7 +622,7 @@ def _reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[d
         raise CommandError("usage", "the drive does not tell its speed, so nobody knows when it is reached")
     while True:
         if core.raw_state in FAULTED:
-            raise CommandError("fault", (yield from _named(core, deadline)))
+            raise CommandError("fault", (yield from _fault_text(core, deadline)))
         if core.state is not State.RUNNING and core.goal is not Goal.RUN:
             raise CommandError("usage", f"the drive is not running (it reports {core.state}): start it first")
         status = core.status()
@@ -591,12 +648,12 @@ def _reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[d
         yield
 
 
-def _told(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
-    """What the drive tells is about what it is given now, and a fault has its name, as far as it tells one."""
+def _settled(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
+    """Wait until the inputs belong to the present outputs, and a fault has its name where the drive tells one."""
     yield from _online(core, deadline)
     yield from settled(core, lambda: False, deadline)
     if core.raw_state in FAULTED:
-        yield from _named(core, deadline)
+        yield from _fault_text(core, deadline)
     return {"value": str(core.state)}
 
 
@@ -608,12 +665,16 @@ def _near(core: DriveCore, speed: float | None, tolerance: float = _CLOSE) -> bo
 def _left(core: DriveCore) -> Steps[dict[str, object]]:
     """Tell, as soon as it has a name, why the drive left RUNNING by itself."""
     if core.raw_state in FAULTED:
-        why = yield from _named(core, core.now + NS_PER_S)
+        why = yield from _fault_text(core, core.now + NS_PER_S)
     else:
         reports = f"it reports {core.raw_state}"
         why = (yield from core.why_left()) or reports
     core.notice(f"left the running state by itself: {why}; it stays off until the next start")
     return {}
+
+
+def _decoded(scale: Scale, word: int | None) -> float | None:
+    return None if word is None else scale.decode(word)
 
 
 def settled(core: DriveCore, wanted: Callable[[], bool], deadline: int) -> Steps[None]:
@@ -623,11 +684,6 @@ def settled(core: DriveCore, wanted: Callable[[], bool], deadline: int) -> Steps
         yield
 
 
-def _fault_text(core: DriveCore) -> str:
-    """The present fault by name."""
-    return f"fault {', '.join(core.faults()) or 'without a name'}"
-
-
 def _online(core: DriveCore, deadline: int) -> Steps[None]:
     while not core.online:
         if core.now >= deadline:
@@ -635,21 +691,20 @@ def _online(core: DriveCore, deadline: int) -> Steps[None]:
         yield
 
 
-def _named(core: DriveCore, deadline: int) -> Steps[str]:
+def _fault_text(core: DriveCore, deadline: int) -> Steps[str]:
     """The fault's text; some drives tell its number only some cycles later."""
     until = min(core.now + 4 * core.settle_ns, deadline)
-    while core.raw_state in FAULTED and not core.fault_named() and core.now < until:
+    while core.raw_state in FAULTED and core.fault_texts() is None and core.now < until:
         yield
-    return _fault_text(core)
+    return f"fault {', '.join(core.faults()) or 'without a name'}"
 
 
 # --- orders over the parameter channel ---
-def _parameter_steps(core: DriveCore, op: str, args: Args) -> Steps[dict[str, object]]:
-    """What ``core`` does for the order ``op``, one of :data:`_PARAMETERS`. Raises CommandError."""
+def _parameter_steps(core: DriveCore, op: str, args: Args, deadline: int) -> Steps[dict[str, object]]:
+    """The job of one of the orders :data:`_PARAMETERS`. Raises CommandError."""
     access = core.access
     if access is None:
         raise CommandError("usage", f"{core.telegram.name} of {core.drive} has no parameter channel")
-    deadline = core.now + args.timeout_ns(_PARAMETER_TIMEOUT)
     if op == "read_many":
         return _several(access, [_listed(one) for one in args.tables("parameters")], deadline)
     number, data_set, index = args.name_or_number("number"), args.integer("data_set"), args.integer("index")

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, Generic, Literal, TypeVar
 
 from dpstack.errors import ConfigError
-from dpstack.profile.channel.base import ParamKey
+from dpstack.profile.channel.base import ParamKey, read_raw
 from dpstack.profile.master.core import DriveCore
 from dpstack.profile.model import process_data_map
+from dpstack.profile.model.drive_type import Options
 from dpstack.profile.model.jobs import Args, CommandError, Steps
 from dpstack.profile.model.process_data_map import DataMap, Field
 
@@ -36,6 +37,8 @@ class MappedCore(DriveCore, Generic[M]):
     own_ops: tuple[str, ...] = MAP_OPS
     #: remedy where the telegram has no parameter channel, for people
     channel_hint: str = ""
+    #: the options with the map of the inputs and of the outputs
+    map_options: tuple[str, str] = ("map_inputs", "map_outputs")
     #: name of the output map for people
     outputs_name: str = "the output map"
 
@@ -60,20 +63,29 @@ class MappedCore(DriveCore, Generic[M]):
         """Other maps than the plugin's were written to the drive, which takes them at its next power-on."""
         return self._later is not None
 
-    def take_presets(self, text: str, fields: Sequence[Field | None], what: str) -> None:
-        """The values in the text of the output map's option (``what``, for people). Raises ConfigError."""
+    def maps_of_options(self, options: Options) -> tuple[M, M]:
+        """Maps of the inputs and of the outputs in the options; takes the values in the latter. Raises ConfigError."""
+        inputs_option, outputs_option = self.map_options
+        values = str(options[outputs_option])
+        option = inputs_option
         try:
-            self.presets = process_data_map.given(process_data_map.split(text)[1], fields)
+            inputs = self.option_map(str(options.get(inputs_option, "")), outputs=False)
+            option = outputs_option
+            outputs = self.option_map(process_data_map.split(values)[0], outputs=True)
+            self.presets = process_data_map.given(process_data_map.split(values)[1], outputs.fields)
         except ValueError as error:
-            raise ConfigError(f"{what}: {error}") from None
+            raise ConfigError(f"{self.title}: {option}: {error}") from None
+        if (wrong := self.check_maps(inputs, outputs)) is not None:
+            raise ConfigError(f"{self.title}: {wrong}")
         self.values = dict(self.presets)
+        return inputs, outputs
 
-    def refuse_zeros(self, what: str) -> None:
+    def refuse_zeros(self) -> None:
         """For a map that counts from the first cycle on. Raises ConfigError where a parameter has no value."""
         if missing := self.missing():
             raise ConfigError(
-                f"{what}: {', '.join(missing)} would be written with 0 from the first cycle on: "
-                f"give the value in the map, {missing[0].partition(' ')[0]}=VALUE"
+                f"{self.title}: {self.map_options[1]}: {', '.join(missing)} would be written with 0 from the first "
+                f"cycle on: give the value in the map, {missing[0].partition(' ')[0]}=VALUE"
             )
 
     def missing(self) -> list[str]:
@@ -136,8 +148,18 @@ class MappedCore(DriveCore, Generic[M]):
     # -- hooks for a plugin ---------------------------------------------------------------------------------------
 
     @abstractmethod
-    def parse_map(self, text: str | None, *, outputs: bool) -> M:
-        """The map of the text ``text``; None: the default map. Raises ValueError."""
+    def parse_map(self, text: str, *, outputs: bool) -> M:
+        """Read a map from a text of the user's. Raises ValueError."""
+
+    def option_map(self, text: str, *, outputs: bool) -> M:
+        """Read a map from an option; the text may be empty. Raises ValueError."""
+        return self.parse_map(text, outputs=outputs)
+
+    def present_maps(self) -> tuple[M, M]:
+        """The maps that ``write_map`` writes where none is given."""
+        assert self.inputs_map is not None
+        assert self.outputs_map is not None
+        return self.inputs_map, self.outputs_map
 
     def check_maps(self, inputs: M, outputs: M) -> str | None:
         """Why the drive would refuse the two maps together; None where it accepts them."""
@@ -169,26 +191,29 @@ class MappedCore(DriveCore, Generic[M]):
     # -- inside ---------------------------------------------------------------------------------------------------
 
     def _write(self, inputs: str | None, outputs: str | None, deadline: int) -> Steps[dict[str, object]]:
-        bare, behind = (None, ()) if outputs is None else process_data_map.split(outputs)
+        """The job of ``write_map``; None: the present map stays."""
+        new_inputs, new_outputs = self.present_maps()
+        values: dict[int, int] = {}
         try:
-            maps = self.parse_map(inputs, outputs=False), self.parse_map(bare, outputs=True)
-            if (wrong := self.check_maps(*maps)) is not None:
+            if inputs is not None:
+                new_inputs = self.parse_map(inputs, outputs=False)
+            if outputs is not None:
+                bare, behind = process_data_map.split(outputs)
+                new_outputs = self.parse_map(bare, outputs=True)
+                values = process_data_map.given(behind, new_outputs.fields)
+            if (wrong := self.check_maps(new_inputs, new_outputs)) is not None:
                 raise ValueError(wrong)
-            values = process_data_map.given(behind, maps[1].fields)
         except ValueError as error:
             raise CommandError("usage", f"write_map: {error}") from None
-        return self._with(maps, values, deadline)
+        return self._write_maps(new_inputs, new_outputs, values, deadline)
 
-    def _with(self, maps: tuple[M, M], values: dict[int, int], deadline: int) -> Steps[dict[str, object]]:
+    def _write_maps(self, inputs: M, outputs: M, values: dict[int, int], deadline: int) -> Steps[dict[str, object]]:
         """A parameter without a value gets the drive's present one before the map acts."""
-        inputs, outputs = maps
         for field in outputs.fields:
             if field is None or field.neutral or field.key in values or field.key in self.values:
                 continue
             if (key := self.read_by(field)) is not None and self.access is not None:
-                raw = (yield from self.access.read(key, deadline))["raw"]
-                assert isinstance(raw, int)
-                values[field.key] = raw
+                values[field.key] = yield from read_raw(self.access, key, deadline)
         self.values |= values
         outcome = yield from self.write_map(inputs, outputs, deadline)
         if "acts" in outcome:

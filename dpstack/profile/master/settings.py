@@ -77,24 +77,24 @@ class SettingsCheck:
         "_busy",
         "_core",
         "_differences",
+        "_enabled",
         "_known",
         "_refused",
+        "_reported",
         "_stale",
-        "_told",
         "_turn",
         "_unchecked",
-        "enabled",
     )
 
-    def __init__(self, core: CheckedCore) -> None:
+    def __init__(self, core: CheckedCore, *, enabled: bool) -> None:
         self._core = core
-        self.enabled = True
+        self._enabled = enabled
         self._busy = False
         self._known = False  # there is a result
         self._differences: list[str] = []
         self._refused: list[str] = []  # those of them that refuse a start
         self._unchecked: list[str] = []
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._turn = 0
         self._stale = False
 
@@ -120,7 +120,7 @@ class SettingsCheck:
         settings = core.settings()
         if not settings:
             return
-        if not self.enabled:
+        if not self._enabled:
             self._end([_not_checked(f"the option {CHECK_SETTINGS} is false", settings)])
         elif core.access is None:
             self._end([_not_checked(f"{core.telegram.name} has no parameter channel", settings)])
@@ -149,9 +149,9 @@ class SettingsCheck:
         if self._refused:
             raise CommandError("fault", "; ".join(self._refused))
         if self._busy:
-            self._tell(_not_checked(_NO_ANSWER, core.settings()))
+            self._report(_not_checked(_NO_ANSWER, core.settings()))
         for text in self._unchecked:
-            self._tell(text)
+            self._report(text)
 
     # -- inside ---------------------------------------------------------------------------------------------------
 
@@ -200,18 +200,18 @@ class SettingsCheck:
                     self._differences.append(text)
                     if setting.refuse:
                         self._refused.append(text)
-                    self._tell(text, "; start is refused until then" if setting.refuse else "")
+                    self._report(text, "; start is refused until then" if setting.refuse else "")
 
     def _end(self, unchecked: list[str]) -> None:
         self._unchecked = unchecked
         self._busy, self._known = False, True
-        self._told &= set(self.texts)
+        self._reported &= set(self.texts)
         self._core.update()
 
-    def _tell(self, text: str, more: str = "") -> None:
+    def _report(self, text: str, more: str = "") -> None:
         """Once, until it is no longer so: a drive that comes and goes must not fill a log."""
-        if text not in self._told:
-            self._told.add(text)
+        if text not in self._reported:
+            self._reported.add(text)
             self._core.notice(text + more)
 
 

@@ -8,6 +8,8 @@ from typing import Final, NamedTuple
 
 from dpstack.errors import ConfigError
 
+#: the options of one drive, checked: true or false, a number, a text
+Options = Mapping[str, bool | float | str]
 #: octets of a parameter channel in front of the process data, the same for every drive that has one
 CHANNEL_LEN: Final = 8
 #: the option of every drive that switches the comparison off
@@ -52,12 +54,16 @@ class TelegramFamily(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveType:
-    """``family``: telegrams too many to list; ``fail_safe``: empty frames in Clear are understood."""
+    """``family``: telegrams too many to list; ``fail_safe``: empty frames in Clear are understood.
+
+    ``reference_hz``: what 100 % speed is at the factory.
+    """
 
     name: str
     ident: int
     telegrams: Mapping[str, TelegramSpec]
     default_telegram: str
+    reference_hz: float
     user_prm: bytes = b""
     fail_safe: bool = False
     family: TelegramFamily | None = None

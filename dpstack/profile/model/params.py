@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.profile.model.param_errors import LIMITS, READ_ONLY
+
 _WORD: Final = 0xFFFF
 _LONG: Final = 0xFFFF_FFFF
 #: parts of a step by which a value may miss it: what decimal fractions lose as floats
@@ -86,6 +88,12 @@ class ParamSpec:
         if self.per_unit not in (0, 1):
             return raw / self.per_unit
         return raw / 10**self.decimals if self.decimals else raw
+
+    def write_error(self, raw: int) -> int | None:
+        """The error number of a write of ``raw``: of a read-only parameter, or beyond the limits; None: it may be."""
+        if self.read_only:
+            return READ_ONLY
+        return None if self.low <= self.to_value(raw) <= self.high else LIMITS
 
     def pwe(self, raw: int) -> int:
         """``raw`` as the 32 bits of PWE; a word stands in the low half, its high half is 0."""

@@ -6,6 +6,7 @@ Notation, fields and storage of a map belong to the drive. The checks of maps an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol
 
@@ -74,7 +75,9 @@ def given(values: Sequence[str | None], fields: Sequence[Field | None]) -> dict[
         try:
             value = float(text)
         except ValueError:
-            raise ValueError(f"{field.name}={text}: {text!r} is no number") from None
+            value = math.nan
+        if not math.isfinite(value):
+            raise ValueError(f"{field.name}={text}: {text!r} is no number")
         found[field.key] = field.encode(value)
     return found
 

@@ -27,8 +27,8 @@ class Word:
             value |= 1 << self.bits[name]
         return value
 
-    def told(self, value: int, name: str) -> bool:
-        """The named bit is set in ``value``; False where the word has no such bit."""
+    def is_set(self, value: int, name: str) -> bool:
+        """Whether the named bit is set in ``value``; False where the word has no such bit."""
         return name in self.bits and bool(value >> self.bits[name] & 1)
 
     def names(self, value: int) -> tuple[str, ...]:

@@ -6,16 +6,18 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, TypeVar
 
 from dpstack.dpv1.master.plugin_queue import Outcome, ReadReq, RecordQueue, ServiceFailure, WriteReq
 from dpstack.dpv1.pdu.error_codes import Decode
 from dpstack.profile.channel.base import (
+    Clock,
     Found,
     ParameterChannel,
     ParamKey,
     check_write,
+    find_parameter,
     outcome,
     read_many,
     refused,
@@ -79,11 +81,7 @@ def plain_places(table: ParamTable, drive: str) -> Placed:
     """Parameters of ``table`` by name or number, elements of arrays by index; other numbers go without a scale."""
 
     def placed(key: ParamKey) -> Place:
-        spec = key.spec_in(table)
-        number = spec.number if spec is not None else int(key.name)
-        label = f"parameter {number if spec is None else spec.label}"
-        if not 1 <= number <= 0xFFFF:
-            raise CommandError("usage", f"{label}: parameter numbers are 1..65535")
+        spec, number, label = find_parameter(key, table, 0xFFFF)
         if key.data_set is not None or key.ram:
             what = "writes to RAM only" if key.ram else "data sets"
             raise CommandError("usage", f"{label}: {drive} has no {what}")
@@ -99,31 +97,19 @@ def plain_places(table: ParamTable, drive: str) -> Placed:
 class AcyclicAccess:
     """A :class:`~dpstack.profile.channel.base.ParameterChannel` over record 47; jobs queue.
 
-    ``records``: queue of its services. ``clock``: time of the current cycle in ns. ``written`` is called after a write;
-    ``makers``: texts of the drive's own error numbers.
+    ``records``: queue of its services.
     """
 
-    __slots__ = ("_clock", "_formats", "_makers", "_placed", "_records", "_turns", "_written", "client")
+    __slots__ = ("_clock", "_formats", "_placed", "_records", "_turns", "client")
 
     octets = b""
     busy = False
 
-    def __init__(
-        self,
-        client: ParameterClient,
-        records: RecordQueue,
-        placed: Placed,
-        clock: Callable[[], int],
-        *,
-        written: Callable[[Place], None] = lambda place: None,
-        makers: Mapping[int, str] | None = None,
-    ) -> None:
+    def __init__(self, client: ParameterClient, records: RecordQueue, placed: Placed, clock: Clock) -> None:
         self.client = client
         self._records = records
         self._placed = placed
         self._clock = clock
-        self._written = written
-        self._makers = {} if makers is None else makers
         self._turns: deque[object] = deque()
         self._formats: dict[Address, int] = {}
 
@@ -179,7 +165,6 @@ class AcyclicAccess:
         except ValueError as error:
             raise CommandError("usage", f"{place.label}: {error}") from None
         self._refused(place, result)
-        self._written(place)
         return _outcome(place, values)
 
     def run(self, transport: Transport[T], deadline: int, label: str) -> Steps[T]:
@@ -194,14 +179,14 @@ class AcyclicAccess:
             service = next(transport)
             while True:
                 if isinstance(service, Pause):
-                    until = self._clock() + service.ns
-                    while self._clock() < until:
+                    until = self._clock.now + service.ns
+                    while self._clock.now < until:
                         yield
                     data: bytes | Refused | Silent = b""
                 else:
                     data = yield from self._carried_out(service, deadline, f"{label}: {silence}")
                     silence = data.why if isinstance(data, Silent) else _NO_ANSWER
-                service = transport.send(Answer(self._clock(), data))
+                service = transport.send(Answer(self._clock.now, data))
         except StopIteration as end:
             result: T = end.value
             return result
@@ -223,7 +208,7 @@ class AcyclicAccess:
         return answer_of(pending.outcome)
 
     def _in_time(self, deadline: int, late: str) -> None:
-        if self._clock() >= deadline:
+        if self._clock.now >= deadline:
             raise CommandError("timeout", late)
 
     def _values(self, place: Place, deadline: int, result: Result | None = None) -> Steps[Values]:
@@ -238,7 +223,7 @@ class AcyclicAccess:
 
     def _refused(self, place: Place, result: object) -> None:
         if isinstance(result, ErrorValue):
-            text = error_text(result.number, result.info, self._makers)
+            text = error_text(result.number, result.info, {})
             raise CommandError("parameter", f"{place.label}: {text}", result.number)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -14,22 +14,25 @@ from dpstack.profile import (
     NS_PER_S,
     Args,
     CommandError,
-    ConfigError,
     DriveProfile,
     Goal,
     ListedParam,
     Lookup,
     MappedCore,
+    Options,
     ParamKey,
     ParamRef,
     PkwAccess,
+    PkwDialect,
     Setting,
     State,
     Steps,
     TelegramSpec,
     drivecom_states,
+    find_parameter,
     listing,
     process_data_map,
+    read_raw,
     same,
     settled,
 )
@@ -81,12 +84,17 @@ class DemagCore(MappedCore[OutMap]):
     drive shows them in 281 and 284, the words of this cycle.
     """
 
+    table = _SILENT
+    parameter_table = t.PARAMETERS
+    outputs_at = 2  # behind PZD1 and PZD2
+    outputs_map: OutMap
     own_ops = ("output", "trace")
     lock_hint = f" before it is {t.FAULT_LOCK_S} s old, nor while its cause lasts"
 
-    def __init__(
-        self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
-    ) -> None:
+    def __init__(self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> None:
+        self.scan_ns = t.scan_ms(telegram) * NS_PER_MS
+        self._trace = Trace(channel=telegram.channel)
+        super().__init__(profile, name, telegram, options)
         self._selector = 0
         self._actual = 0
         self._current: int | None = None
@@ -96,33 +104,21 @@ class DemagCore(MappedCore[OutMap]):
         self._fault_word = 0
         self._writes: Counter[str] = Counter()
         self._toggles = False
-        self._trace = Trace(channel=telegram.channel)
         self._toggle_time = Lookup(lambda: self._toggles, self._ask_toggle_time)
-        self.inputs_map = None
-        self.outputs_map: OutMap = _map(name, profile, telegram, options)
-        what = f"drive {name} ({profile.name}): map_outputs"
-        self.take_presets(str(options["map_outputs"]), self.outputs_map.fields, what)
-        self.outputs_at = 2  # behind PZD1 and PZD2
+        self._scaling_current = float(options["scaling_current"])
+        self._wide = telegram.inputs == 12
+        self.inputs_map, self.outputs_map = self.maps_of_options(options)
         #: 412 in the active data set, as far as it is known; the active data set
         self._mode: int | None = None
         self._data_set: int | None = None
         self._mode_at = 0
         self._asking = self._watching = False
-        super().__init__(
-            name,
-            profile.name,
-            telegram,
-            _SILENT,
-            scan_ns=t.scan_ms(telegram) * NS_PER_MS,
-            reference_hz=float(options["reference_hz"]),
-            safe_outputs=bytes(telegram.output_octets),
-        )
         self._set_412 = bool(options["set_412"])
-        self._wide = telegram.inputs == 12
         if telegram.channel:
-            self.access = _Watched(t.PKW, self._resolve, lambda: self.now, lambda: self.settle_ns, self._written)
-            self.access.trace = self._trace
             self.lookups = (self._toggle_time,)
+
+    def open_channel(self) -> PkwAccess:
+        return _Watched(t.PKW, self, self._trace)
 
     def encode(self, control: int, setpoint: int) -> bytes:
         """PZD1 and PZD2, and what was given for PZD3 to PZD6."""
@@ -171,15 +167,9 @@ class DemagCore(MappedCore[OutMap]):
         torque = None if self._active is None else decode(self._active)
         return decode(self._actual), current, torque
 
-    def faults(self) -> tuple[str, ...]:
+    def fault_texts(self) -> tuple[str, ...] | None:
         """The fault by number and text, as soon as its word has come."""
-        if self.raw_state not in FAULTED:
-            return ()
-        return (t.fault_name(self._fault_word) if self._fault_word else "not yet named",)
-
-    def fault_named(self) -> bool:
-        """The fault word has come."""
-        return bool(self._fault_word)
+        return (t.fault_name(self._fault_word),) if self._fault_word else None
 
     def warnings(self) -> tuple[str, ...]:
         if not self.status_word & _WARNING:
@@ -428,10 +418,7 @@ class DemagCore(MappedCore[OutMap]):
 
     def _read(self, number: int, data_set: int | None, deadline: int) -> Steps[int]:
         assert self.access is not None
-        outcome = yield from self.access.read(ParamKey(number, data_set), deadline)
-        value = outcome["value"]
-        assert isinstance(value, int)
-        return value
+        return (yield from read_raw(self.access, ParamKey(number, data_set), deadline))
 
     def lost(self, now: int) -> None:
         """The toggle bit begins anew; what was given for PZD3 to PZD6 does not come back by itself.
@@ -468,11 +455,13 @@ class DemagCore(MappedCore[OutMap]):
             raise CommandError("lost", "the drive is not in data exchange")
         return {"value": self._trace.lines(self._outputs, self._inputs)}
 
-    def parse_map(self, text: str | None, *, outputs: bool) -> OutMap:
-        """What PZD3 to PZD6 mean is set in the drive, and told to the plugin by its option."""
-        return self.outputs_map
+    def parse_map(self, text: str, *, outputs: bool) -> OutMap:
+        """The meaning of PZD3 to PZD6 is set in the drive; the option tells it to the plugin."""
+        if text.strip() and not self._wide:
+            raise ValueError(f"{self.telegram.name} has no PZD3 to PZD6; take PPO2 or PPO4")
+        return outpzd.parse(text, self.reference_hz, self._scaling_current)
 
-    def _written(self, ref: ParamRef) -> None:
+    def written(self, ref: ParamRef) -> None:
         """About a million EEPROM writes are possible (11.1.4): tell the user who spends them in a loop."""
         if ref.pnu in (412, 414):
             self._mode_at = self.now - _MODE_AGE  # known no longer
@@ -482,13 +471,9 @@ class DemagCore(MappedCore[OutMap]):
             if count in _TELL_WRITES:
                 self.notice(f"{ref.label} was written to the EEPROM {count} times, which wears it out: use ram = true")
 
-    def _resolve(self, key: ParamKey) -> ParamRef:
+    def resolve(self, key: ParamKey) -> ParamRef:
         data_set, ram = key.place, key.ram
-        spec = key.spec_in(t.PARAMETERS)
-        number = spec.number if spec is not None else int(key.name)
-        label = f"parameter {spec.label}" if spec is not None else f"parameter {number}"
-        if not 1 <= number <= 999:
-            raise CommandError("usage", f"{label}: parameter numbers are 1..999")
+        spec, number, label = find_parameter(key, t.PARAMETERS, 999)
         if spec is not None and spec.text:
             raise CommandError("usage", f"{label} is a text, which the parameter channel cannot carry")
         if data_set is not None and data_set > t.SETS:
@@ -514,26 +499,15 @@ def _added(values: Sequence[float]) -> str | None:
 
 
 class _Watched(PkwAccess):
-    """Kept for the trace while it is used."""
+    """Shows its octets to the order ``trace``."""
 
-    __slots__ = ("trace",)
+    __slots__ = ("_trace",)
 
-    trace: Trace
+    def __init__(self, dialect: PkwDialect, core: DemagCore, trace: Trace) -> None:
+        super().__init__(dialect, core)
+        self._trace = trace
 
     def step(self, inputs: bytes, now: int) -> None:
-        """One cycle of the handshake, and what it was about."""
-        self.trace.watch("in", inputs)
-        self.trace.watch("out", self.octets)
+        self._trace.watch("in", inputs)
+        self._trace.watch("out", self.octets)
         super().step(inputs, now)
-
-
-def _map(name: str, profile: DriveProfile, telegram: TelegramSpec, options: Mapping[str, bool | float | str]) -> OutMap:
-    """The option. Raises ConfigError."""
-    where = f"drive {name} ({profile.name})"
-    text = str(options["map_outputs"])
-    if text.strip() and telegram.outputs != 12:
-        raise ConfigError(f"{where}: map_outputs: {telegram.name} has no PZD3 to PZD6; take PPO2 or PPO4")
-    try:
-        return outpzd.parse(text, float(options["reference_hz"]), float(options["scaling_current"]))
-    except ValueError as error:
-        raise ConfigError(f"{where}: map_outputs: {error}") from None

@@ -14,6 +14,7 @@ from dpstack.profile import (
     DriveProfile,
     Leave,
     Motor,
+    Options,
     ParamStore,
     Pkw,
     PkwServer,
@@ -76,7 +77,7 @@ class DemagDevice(DriveDevice):
         self,
         profile: DriveProfile,
         telegram: TelegramSpec,
-        options: Mapping[str, bool | float | str],
+        options: Options,
         presets: Mapping[str, object],
     ) -> None:
         super().__init__(profile, telegram, Motor(load=float(options["load"])))

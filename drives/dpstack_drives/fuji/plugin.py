@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from dpstack.profile import (
-    CHANNEL_LEN,
     FAULTED,
     MAP_OPS,
     NS_PER_MS,
     Args,
     CommandError,
-    ConfigError,
     DriveProfile,
     ListedParam,
     Lookup,
     MappedCore,
+    Options,
     ParamKey,
     ParamRef,
-    PkwAccess,
     Setting,
     State,
     Steps,
@@ -27,6 +25,7 @@ from dpstack.profile import (
     equal,
     listing,
     process_data_map,
+    read_raw,
     settled,
 )
 from dpstack_drives.fuji import pcd
@@ -36,11 +35,9 @@ from dpstack_drives.fuji.pcd import PcdMap
 _REMOTE: Final = t.STATUS.mask("remote")
 _REVERSE: Final = t.CONTROL.mask("reverse")
 #: OFF1 (ramp down) with bit 10 set: zeros would be ignored and leave the drive running
-_SAFE: Final = bytes.fromhex("047E")
+_SAFE: Final = 0x047E
 #: how long the drive may take to react is not in the manual; waits reckon with this
 _SCAN_NS: Final = 20 * NS_PER_MS
-#: PCD1 stands behind STW and MAV
-_PCD_AT: Final = 2
 
 
 class FujiCore(MappedCore[PcdMap]):
@@ -53,32 +50,23 @@ class FujiCore(MappedCore[PcdMap]):
     Jobs of its own: those of a :class:`MappedCore`, in PPO2 and PPO4.
     """
 
+    table = t.TABLE
+    scan_ns = _SCAN_NS
+    safe_control = _SAFE
+    parameter_table = t.PARAMETERS
+    dialect = t.PKW
     channel_hint = ": take PPO2"
+    inputs_at = outputs_at = 2  # PCD1 stands behind STW and MAV
+    inputs_map: PcdMap
+    outputs_map: PcdMap
 
-    def __init__(
-        self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
-    ) -> None:
+    def __init__(self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> None:
+        super().__init__(profile, name, telegram, options)
         self._by_bit = options["reverse"] == "bit"
         self._alarm = Lookup(lambda: self.raw_state in FAULTED, self._ask)
-        self.inputs_at = self.outputs_at = _PCD_AT
-        self.inputs_map: PcdMap = _map(name, profile, telegram, options, "map_inputs")
-        self.outputs_map: PcdMap = _map(name, profile, telegram, options, "map_outputs")
-        what = f"drive {name} ({profile.name}): map_outputs"
-        self.take_presets(str(options["map_outputs"]), self.outputs_map.fields, what)
-        self.refuse_zeros(what)
-        super().__init__(
-            name,
-            profile.name,
-            telegram,
-            t.TABLE,
-            scan_ns=_SCAN_NS,
-            reference_hz=float(options["reference_hz"]),
-            safe_outputs=(bytes(CHANNEL_LEN) if telegram.channel else b"")
-            + _SAFE
-            + bytes(telegram.outputs - len(_SAFE)),
-        )
+        self.inputs_map, self.outputs_map = self.maps_of_options(options)
+        self.refuse_zeros()
         if telegram.channel:
-            self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, lambda: self.settle_ns)
             self.lookups = (self._alarm,)
 
     def encode(self, control: int, setpoint: int) -> bytes:
@@ -97,19 +85,13 @@ class FujiCore(MappedCore[PcdMap]):
         """Bit 11 reverses."""
         return _REVERSE if self._by_bit and self.setpoint < 0 else 0
 
-    def faults(self) -> tuple[str, ...]:
+    def fault_texts(self) -> tuple[str, ...] | None:
         """By name where there is a parameter channel; STW alone does not tell."""
-        if self.raw_state not in FAULTED:
-            return ()
         if (alarm := self._alarm.value) is not None:
             return (t.alarm_text(alarm),)
         if self.access is not None:
-            return ("not yet named",)
+            return None
         return ("without a name: PPO3 and PPO4 do not carry it, the keypad shows it",)
-
-    def fault_named(self) -> bool:
-        """Nothing more is to be learned."""
-        return self._alarm.value is not None or self.access is None
 
     def parameters(self) -> tuple[ListedParam, ...]:
         """Of the malfunction history the elements that hold an alarm."""
@@ -162,10 +144,10 @@ class FujiCore(MappedCore[PcdMap]):
             raise CommandError("usage", f"{op}: {self.telegram.name} has no PCD1 to PCD4: take PPO2 or PPO4")
         return super().order(op, args)
 
-    def parse_map(self, text: str | None, *, outputs: bool) -> PcdMap:
-        if text is not None:
-            return pcd.parse(text, outputs=outputs)
-        return self.outputs_map if outputs else self.inputs_map
+    def parse_map(self, text: str, *, outputs: bool) -> PcdMap:
+        if text.strip() and not self._rest:
+            raise ValueError(f"{self.telegram.name} has no PCD1 to PCD4; take PPO2 or PPO4")
+        return pcd.parse(text, outputs=outputs)
 
     def read_map(self, deadline: int) -> Steps[dict[str, object]]:
         """PNU 915 and 916."""
@@ -189,12 +171,9 @@ class FujiCore(MappedCore[PcdMap]):
 
     def _ask(self, deadline: int) -> Steps[int]:
         assert self.access is not None
-        outcome = yield from self.access.read(ParamKey(t.PNU_ALARMS, index=1), deadline)
-        raw = outcome["raw"]
-        assert isinstance(raw, int)
-        return raw
+        return (yield from read_raw(self.access, ParamKey(t.PNU_ALARMS, index=1), deadline))
 
-    def _resolve(self, key: ParamKey) -> ParamRef:
+    def resolve(self, key: ParamKey) -> ParamRef:
         name, index = key.name, key.place
         if key.ram:
             raise CommandError("usage", f"{self.drive} has no writes to RAM only")
@@ -216,37 +195,19 @@ class FujiCore(MappedCore[PcdMap]):
         return ParamRef(number, (1 if array else 0) if index is None else index, array, spec, label)
 
 
-def _assigned(option: str, told: PcdMap, pnu: int, codes: str) -> Setting:
+def _assigned(option: str, own: PcdMap, pnu: int, codes: str) -> Setting:
     """The drive's assignments are those of the option. A wrong one writes into another parameter: refused."""
 
     def differs(values: Sequence[float]) -> str | None:
         found = PcdMap(tuple(int(value) for value in values))
-        if str(found) == str(told):
+        if str(found) == str(own):
             return None
         return (
-            f"{codes} are {str(found) or 'empty'}, the option {option} is {str(told) or 'empty'}: set {option} = "
+            f"{codes} are {str(found) or 'empty'}, the option {option} is {str(own) or 'empty'}: set {option} = "
             f"'{found}', or write the codes (write_map over PPO2) and switch the drive off and on"
         )
 
     keys = tuple(ParamKey(pnu, index=index) for index in t.ARRAYS[pnu])
     return Setting(
-        wanted=f"{codes} = {str(told) or 'empty'}", keys=keys, differs=differs, refuse=option == "map_outputs"
+        wanted=f"{codes} = {str(own) or 'empty'}", keys=keys, differs=differs, refuse=option == "map_outputs"
     )
-
-
-def _map(
-    name: str,
-    profile: DriveProfile,
-    telegram: TelegramSpec,
-    options: Mapping[str, bool | float | str],
-    option: str,
-) -> PcdMap:
-    """Of the option. Raises ConfigError."""
-    where, text = f"drive {name} ({profile.name}): {option}", str(options[option])
-    if text.strip() and telegram.outputs != 12:
-        raise ConfigError(f"{where}: {telegram.name} has no PCD1 to PCD4; take PPO2 or PPO4")
-    try:
-        outputs = option == "map_outputs"
-        return pcd.parse(process_data_map.split(text)[0] if outputs else text, outputs=outputs)
-    except ValueError as error:
-        raise ConfigError(f"{where}: {error}") from None

@@ -16,6 +16,7 @@ from dpstack.profile import (
     DriveProfile,
     Leave,
     Motor,
+    Options,
     ParamStore,
     PkwServer,
     State,
@@ -50,7 +51,7 @@ class FujiDevice(DriveDevice):
         self,
         profile: DriveProfile,
         telegram: TelegramSpec,
-        options: Mapping[str, bool | float | str],
+        options: Options,
         presets: Mapping[str, object],
     ) -> None:
         where = f"simulated {profile.name}"

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Final
 
-from dpstack.profile import CommandError, ParamKey, ParamSpec, Pkw, PkwChannel, PkwDialect, Steps
+from dpstack.profile import CommandError, CycleTimes, ParamKey, ParamSpec, Pkw, PkwChannel, PkwDialect, Steps
 from dpstack_drives.imo import table as t
 
 _LAYOUT: Final = struct.Struct(">HHI")
@@ -73,17 +73,17 @@ _EEPROM: Final = (
 
 
 class ImoAccess(PkwChannel):
-    """The master's end, a :class:`~dpstack.profile.ParameterChannel`. ``notice`` takes a line for the user.
+    """The master's end, a :class:`~dpstack.profile.ParameterChannel`. ``notice`` shows a line to the user."""
 
-    ``settle_ns`` tells after how long the drive's response belongs to what is sent now.
-    """
+    __slots__ = ("_notice", "_warned")
 
-    __slots__ = ("_notice", "_told")
-
-    def __init__(self, clock: Callable[[], int], settle_ns: Callable[[], int], notice: Callable[[str], None]) -> None:
-        super().__init__(PKW, clock, settle_ns, lambda reply: f"{t.name_of(reply.pnu)} (response {reply.id})")
+    def __init__(self, times: CycleTimes, notice: Callable[[str], None]) -> None:
+        super().__init__(PKW, times)
         self._notice = notice
-        self._told = False
+        self._warned = False
+
+    def describe_stray(self, reply: Pkw) -> str:
+        return f"{t.name_of(reply.pnu)} (response {reply.id})"
 
     @property
     def writing(self) -> bool:
@@ -111,8 +111,8 @@ class ImoAccess(PkwChannel):
 
     def put(self, number: int, raw: int, deadline: int) -> Steps[Pkw]:
         """Write a word at an address."""
-        if not self._told:
-            self._told = True
+        if not self._warned:
+            self._warned = True
             self._notice(_EEPROM)
         reply = yield from self._exchange(ImoPkw(Request.WORD, number, 0, raw), deadline)
         return reply

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from dpstack.profile import (
@@ -17,12 +17,12 @@ from dpstack.profile import (
     Goal,
     ListedParam,
     MappedCore,
+    Options,
     ParamKey,
     Setting,
     Steps,
     TelegramSpec,
     listing,
-    process_data_map,
     same,
     settled,
 )
@@ -31,8 +31,6 @@ from dpstack_drives.imo import table as t
 from dpstack_drives.imo.channel import ImoAccess
 from dpstack_drives.imo.pzd import PzdMap
 
-#: the command to stop: zeros are no command and would leave the drive running
-_SAFE: Final = bytes(8) + t.Command.STOP.to_bytes(2, "big") + bytes(2 * t.PZDS)
 #: how long the drive may take to react is not in the manual; waits reckon with this
 _SCAN_NS: Final = 20 * NS_PER_MS
 #: two rotations for each of 22 parameters, at 9.6 kbit/s with other slaves
@@ -60,25 +58,27 @@ class ImoCore(MappedCore[PzdMap]):
     ``pre_excite``, ``control`` (``number`` a name of CW bits 11 to 14, ``value`` 0 or 1).
     """
 
+    table = t.TABLE
+    scan_ns = _SCAN_NS
+    safe_control = t.Command.STOP  # zeros are no command and would leave the drive running
+    parameter_table = t.PARAMETERS
+    inputs_at = outputs_at = 1  # behind SW and CW
     own_ops = (*MAP_OPS, "inch", "pre_excite", "control")
     start_hint = "; does the inverter take run command and frequency from the communication card?"
 
-    def __init__(
-        self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
-    ) -> None:
+    def __init__(self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> None:
+        super().__init__(profile, name, telegram, options)
+        self._max_given = bool(options["max_hz"])
+        self._max_hz = float(options["max_hz"] or options["reference_hz"])
+        self._functions = pzd.to_drive(self._max_hz)
         try:
             t.check_rate(float(options["baud_index"]))
             self._fault_names = t.faults(str(options["fault_names"]))
-            self._max_given = bool(options["max_hz"])
-            self._max_hz = float(options["max_hz"] or options["reference_hz"])
-            self._functions = pzd.to_drive(self._max_hz)
             self._frequency_source = t.source(str(options["frequency_source"]))
             self._maximum = t.parameter(str(options["maximum_parameter"]), "maximum_parameter")
-            self._wanted_inputs = PzdMap.parse(str(options["map_inputs"]), pzd.FROM_DRIVE, outputs=False)
-            map_outputs = process_data_map.split(str(options["map_outputs"]))[0]
-            self._wanted_outputs = PzdMap.parse(map_outputs, self._functions, outputs=True)
         except ValueError as error:
-            raise ConfigError(f"drive {name} ({profile.name}): {error}") from None
+            raise ConfigError(f"{self.title}: {error}") from None
+        self._wanted_maps = self.maps_of_options(options)
         self._reference_rpm = float(options["reference_rpm"])
         self._rated_current = float(options["rated_current"])
         self._set_map = bool(options["set_map"])
@@ -87,24 +87,15 @@ class ImoCore(MappedCore[PzdMap]):
             *(["heartbeat"] if self._heartbeat else []), *(["motor_2"] if options["motor"] == "2" else [])
         )
         self._chosen = 0
-        what = f"drive {name} ({profile.name}): map_outputs"
-        self.take_presets(str(options["map_outputs"]), self._wanted_outputs.fields, what)
-        self.inputs_at = self.outputs_at = 1  # behind SW and CW
         self._learning = False
         self._online_at = 0
         #: as the drive has them; None until it has told
         self.inputs_map: PzdMap | None = None
         self.outputs_map: PzdMap | None = None
-        super().__init__(
-            name,
-            profile.name,
-            telegram,
-            t.TABLE,
-            scan_ns=_SCAN_NS,
-            reference_hz=float(options["reference_hz"]),
-            safe_outputs=_SAFE,
-        )
-        self.access = self._channel = ImoAccess(lambda: self.now, lambda: self.settle_ns, self.notice)
+
+    def open_channel(self) -> ImoAccess:
+        self._channel = ImoAccess(self, self.notice)
+        return self._channel
 
     # -- process data ---------------------------------------------------------------------------------------------
 
@@ -172,28 +163,22 @@ class ImoCore(MappedCore[PzdMap]):
             None if torque is None else torque / 100,
         )
 
-    def faults(self) -> tuple[str, ...]:
+    def fault_texts(self) -> tuple[str, ...] | None:
         """By the fault code where it is in the map; its names are in the inverter's manual."""
-        if self.raw_state not in FAULTED:
-            return ()
         at = None if self.inputs_map is None else self.inputs_map.place(pzd.FAULT_CODE)
         if at is not None:
             code = self.words[1 + at]
             name = self._fault_names.get(code)
             return (f"{name} (code {code})" if name else f"code {code}",)
-        if self.inputs_map is None and self._learning:
-            return ("not yet named",)
+        if self._learning:
+            return None
         return ("without a name: no transmitted PZD (P15.13 to P15.23) is 11, fault_code; the keypad shows it",)
-
-    def fault_named(self) -> bool:
-        """The fault code stands beside SW."""
-        return not self._learning
 
     def warnings(self) -> tuple[str, ...]:
         """SW bit 12, and a heartbeat that is not echoed (an echo is a reading)."""
-        found = ["overload pre-alarm"] if t.STATUS.told(self.status_word, "overload") else []
+        found = ["overload pre-alarm"] if t.STATUS.is_set(self.status_word, "overload") else []
         late = self.now >= self._online_at + self.settle_ns
-        if self._heartbeat and late and not t.STATUS.told(self.status_word, "heartbeat"):
+        if self._heartbeat and late and not t.STATUS.is_set(self.status_word, "heartbeat"):
             found.append("heartbeat not echoed (SW bit 15)")
         return tuple(found)
 
@@ -219,7 +204,7 @@ class ImoCore(MappedCore[PzdMap]):
             )
         if self.status_word & t.CODE == t.Running.POFF:
             return "the drive reports POFF: its mains are off"
-        if not t.STATUS.told(self.status_word, "bus_voltage"):
+        if not t.STATUS.is_set(self.status_word, "bus_voltage"):
             return "SW bit 8 is 0: the bus voltage is not established, not ready to run; see to the mains"
         return None
 
@@ -230,7 +215,7 @@ class ImoCore(MappedCore[PzdMap]):
             raise CommandError("fault", why)
         yield from self.known(deadline)
         if self._frequency_at() is None and self._set_map:
-            yield from self.write_map(self._wanted_inputs, self._wanted_outputs, deadline)
+            yield from self.write_map(*self._wanted_maps, deadline)
         if self._frequency_at() is None:
             raise CommandError(
                 "fault",
@@ -346,11 +331,13 @@ class ImoCore(MappedCore[PzdMap]):
             yield from self._learn(deadline)
         return {"value": {"inputs": str(self.inputs_map), "outputs": str(self.outputs_map)}}
 
-    def parse_map(self, text: str | None, *, outputs: bool) -> PzdMap:
-        """Names of functions; what is not given is that of the options."""
-        if text is None:
-            return self._wanted_outputs if outputs else self._wanted_inputs
+    def parse_map(self, text: str, *, outputs: bool) -> PzdMap:
+        """Names of functions."""
         return PzdMap.parse(text, self._functions if outputs else pzd.FROM_DRIVE, outputs=outputs)
+
+    def present_maps(self) -> tuple[PzdMap, PzdMap]:
+        """Those of the options."""
+        return self._wanted_maps
 
     def written_by(self, key: int) -> str | None:
         return "speed and frequency" if key == pzd.SET_FREQUENCY else None

@@ -13,6 +13,7 @@ from dpstack.profile import (
     DriveProfile,
     Leave,
     Motor,
+    Options,
     ParamStore,
     Pkw,
     PkwServer,
@@ -65,7 +66,7 @@ class ImoDevice(DriveDevice):
         self,
         profile: DriveProfile,
         telegram: TelegramSpec,
-        options: Mapping[str, bool | float | str],
+        options: Options,
         presets: Mapping[str, object],
     ) -> None:
         where = f"simulated {profile.name}"

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.profile import CHANNEL_LEN, RETRY_NS, CommandError, ParamKey, Steps, count_of
+from dpstack.profile import CHANNEL_LEN, RETRY_NS, CommandError, CycleTimes, ParamKey, Steps, count_of
 from dpstack_drives.keb import table as t
 
 RESULT, HANDSHAKE, WRITE, READ = 0x80, 0x40, 0x02, 0x01
@@ -107,21 +107,19 @@ class _Request:
 class KebChannel:
     """The master's end, a :class:`~dpstack.profile.ParameterChannel`. Every access is made with 4 octets.
 
-    ``settle_ns`` tells after how long the drive's octets belong to what is sent now. A request whose order was
-    given up keeps the channel until the drive has confirmed it: another one could not be told from it.
+    A request whose order was given up keeps the channel until the drive has confirmed it: its confirmation could not
+    be distinguished from that of another request.
     """
 
-    __slots__ = ("_active", "_clock", "_queue", "_settle_ns", "_shown", "_synced_at", "octets")
+    __slots__ = ("_active", "_queue", "_shown", "_synced_at", "_times", "octets")
 
-    def __init__(self, clock: Callable[[], int], settle_ns: Callable[[], int]) -> None:
-        self._clock = clock
-        self._settle_ns = settle_ns
+    def __init__(self, times: CycleTimes) -> None:
+        self._times = times
         self._queue: deque[_Request] = deque()
         self._active: _Request | None = None
         self._shown = 0  # the handshake bit of the last request
-        self._synced_at: int | None = 0  # from then on the drive's handshake bit is taken as it stands
+        self._synced_at: int | None = None  # from this time on the drive's handshake bit counts as it stands
         self.octets = _ZEROS
-        self.reset()
 
     @property
     def busy(self) -> bool:
@@ -155,7 +153,7 @@ class KebChannel:
         if shown == self._shown:
             return True
         if self._synced_at is None:
-            self._synced_at = now + self._settle_ns()
+            self._synced_at = now + self._times.settle_ns
         return now >= self._synced_at
 
     # -- orders ---------------------------------------------------------------------------------------------------
@@ -194,18 +192,18 @@ class KebChannel:
             if not reply[0] & RESULT:
                 return reply[4:]
             code = t.Code(reply[4], reply[5], int.from_bytes(reply[6:8], "big"))
-            again = self._clock() + RETRY_NS
+            again = self._times.now + RETRY_NS
             if code != t.BUSY or again >= deadline:
                 text = t.ERRORS.get(code, "an error without a text in the manual")
                 raise CommandError("parameter", f"{target.label}: error {code}, {text}", code.number)
-            while self._clock() < again:
+            while self._times.now < again:
                 yield
 
     def _confirmed(self, request: _Request, deadline: int) -> Steps[bytes]:
         self._queue.append(request)
         try:
             while request.reply is None:
-                if self._clock() >= deadline:
+                if self._times.now >= deadline:
                     raise CommandError("timeout", f"{request.label}: {self._silence(request)}")
                 yield
         finally:

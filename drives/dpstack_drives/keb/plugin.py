@@ -15,6 +15,7 @@ from dpstack.profile import (
     ListedParam,
     Lookup,
     MappedCore,
+    Options,
     ParamKey,
     Scale,
     Setting,
@@ -26,7 +27,6 @@ from dpstack.profile import (
     Word,
     equal,
     listing,
-    process_data_map,
 )
 from dpstack_drives.keb import mapping, pdmap
 from dpstack_drives.keb import table as t
@@ -57,51 +57,37 @@ class KebCore(MappedCore[PdMap]):
     ``control_bits`` an ``output`` is also the control word, without ``rpm_per_count`` the set speed.
     """
 
+    parameter_table = t.PARAMETERS
+    inputs_map: PdMap
+    outputs_map: PdMap
     channel_hint = ": take PCH+..."
     start_hint = f"; does it obey the control word? {t.RECIPE}"
 
-    def __init__(
-        self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
-    ) -> None:
-        where = f"drive {name} ({profile.name})"
+    def __init__(self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> None:
         try:
             self._bits = t.bits(str(options["control_bits"]), t.CONTROL_BITS, "control_bits")
             status = t.bits(str(options["status_bits"]), t.STATUS_BITS, "status_bits")
-            inputs = _map(str(options["map_inputs"]), pdmap.DEFAULT_INPUTS, telegram.inputs, "map_inputs")
-            map_outputs = str(options["map_outputs"])
-            bare = process_data_map.split(map_outputs)[0]
-            outputs = _map(bare, pdmap.DEFAULT_OUTPUTS, telegram.outputs, "map_outputs")
             second = [t.record_and_enable(str(options[f"block2_{way}"])) for way in ("inputs", "outputs")]
-            if (wrong := pdmap.check(inputs, outputs)) is not None:
-                raise ValueError(wrong)
-            table = _table(self._bits, status)
+            self.table = _table(self._bits, status)
         except ValueError as error:
-            raise ConfigError(f"{where}: {error}") from None
-        self.inputs_map: PdMap = inputs
-        self.outputs_map: PdMap = outputs
+            raise ConfigError(f"drive {name} ({profile.name}): {error}") from None
+        self.scan_ns = round(float(options["pd_in_cycle_ms"]) * NS_PER_MS)
+        super().__init__(profile, name, telegram, options)
         self._by_sign = options["direction"] == "sign"
         self._rpm_per_count = float(options["rpm_per_count"])
-        reference = float(options["reference_rpm"])
         if self._rpm_per_count:
-            self.scale = Scale("speed", full=1, span=self._rpm_per_count / reference)
+            self.scale = Scale("speed", full=1, span=self._rpm_per_count / float(options["reference_rpm"]))
         self._ours = str(options["status_bits"]).strip() == t.SIMULATED_BITS
-        what = f"{where}: map_outputs"
-        self.take_presets(map_outputs, outputs.fields, what)
-        self.refuse_zeros(what)
+        self.inputs_map, self.outputs_map = self.maps_of_options(options)
+        self.refuse_zeros()
         self._state_number = Lookup(lambda: self.raw_state in FAULTED, self._ask)
-        super().__init__(
-            name,
-            profile.name,
-            telegram,
-            table,
-            scan_ns=round(float(options["pd_in_cycle_ms"]) * NS_PER_MS),
-            reference_hz=float(options["reference_hz"]),
-            safe_outputs=bytes(telegram.output_octets),
-        )
-        if telegram.channel:
-            self.access = self._channel = KebChannel(lambda: self.now, lambda: self.settle_ns)
+        if isinstance(self.access, KebChannel):
+            self._channel = self.access
             self.lookups = (self._state_number,)
             self._maps = mapping.MapAccess(self._channel, telegram, (second[0], second[1]), self.notice)
+
+    def open_channel(self) -> KebChannel:
+        return KebChannel(self)
 
     # -- process data ---------------------------------------------------------------------------------------------
 
@@ -148,20 +134,14 @@ class KebCore(MappedCore[PdMap]):
         """By name, so far as the index of its group is in the manual."""
         return listing(t.PARAMETERS, data_sets=range(t.SETS), why_not=t.why_not_read)
 
-    def faults(self) -> tuple[str, ...]:
-        """What ru.00 says; its texts are in the application manual."""
-        if self.raw_state not in FAULTED:
-            return ()
+    def fault_texts(self) -> tuple[str, ...] | None:
+        """The number in ru.00; its texts are in the application manual."""
         if (state := self._state_number.value) is not None:
             name = {number: text for text, number in t.TRIPS.items()}.get(state) if self._ours else None
             return (f"inverter state ru.00 = {state}" + (f" {name}" if name else ""),)
         if self.access is not None:
-            return ("not yet named",)
+            return None
         return ("without a name: only the parameter channel (PCH+...) tells ru.00",)
-
-    def fault_named(self) -> bool:
-        """Nothing more is to be learned."""
-        return self._state_number.value is not None or self.access is None
 
     def cannot(self, op: str) -> str | None:
         """What the options and the map do not give."""
@@ -209,11 +189,18 @@ class KebCore(MappedCore[PdMap]):
 
     # -- the process data maps ------------------------------------------------------------------------------------
 
-    def parse_map(self, text: str | None, *, outputs: bool) -> PdMap:
-        """As :class:`PdMap` is written."""
-        if text is not None:
-            return PdMap.parse(text)
-        return self.outputs_map if outputs else self.inputs_map
+    def parse_map(self, text: str, *, outputs: bool) -> PdMap:
+        return PdMap.parse(text)
+
+    def option_map(self, text: str, *, outputs: bool) -> PdMap:
+        """As much of the default map as the telegram takes where the option is empty."""
+        octets = self.telegram.outputs if outputs else self.telegram.inputs
+        if not text.strip():
+            return (pdmap.DEFAULT_OUTPUTS if outputs else pdmap.DEFAULT_INPUTS).cut(octets)
+        given = PdMap.parse(text)
+        if given.octets > octets:
+            raise ValueError(f"{given.octets} octets, the telegram has {octets}")
+        return given
 
     def check_maps(self, inputs: PdMap, outputs: PdMap) -> str | None:
         """What the drive would not confirm (docs/drives/keb-f5.md#process-data-map)."""
@@ -246,14 +233,14 @@ def _absolute(rotation: float) -> str | None:
     )
 
 
-def _active(option: str, told: PdMap, firsts: Sequence[int]) -> list[Setting]:
+def _active(option: str, own: PdMap, firsts: Sequence[int]) -> list[Setting]:
     """The active map is that of the option, block by block; the drive does not tell words from longs.
 
     A value in another's place would be written into another parameter, or taken for status word or speed: refused.
     """
     found = []
     for block, first in enumerate(firsts):
-        entries = told.block(block)
+        entries = own.block(block)
         if block and not entries:
             continue  # the telegram has one block, and so may the drive
         definitions = min(len(entries) + 1, t.BLOCK_VALUES)
@@ -286,16 +273,6 @@ def _active(option: str, told: PdMap, firsts: Sequence[int]) -> list[Setting]:
 
 def _place(index: int, sets: int) -> str:
     return f"{index:04X}" + ("" if sets == 1 else f"@{sets}")
-
-
-def _map(text: str, default: PdMap, octets: int, what: str) -> PdMap:
-    """The map of the option, or as much of the default as the telegram takes. Raises ValueError."""
-    if not text.strip():
-        return default.cut(octets)
-    given = PdMap.parse(text)
-    if given.octets > octets:
-        raise ValueError(f"{what}: {given.octets} octets, the telegram has {octets}")
-    return given
 
 
 def _table(control: Mapping[str, int], status: Mapping[str, int]) -> ControlTable:

@@ -13,6 +13,7 @@ from dpstack.profile import (
     DriveProfile,
     Leave,
     Motor,
+    Options,
     TelegramSpec,
     ramp,
 )
@@ -49,7 +50,7 @@ class KebDevice(DriveDevice):
         self,
         profile: DriveProfile,
         telegram: TelegramSpec,
-        options: Mapping[str, bool | float | str],
+        options: Options,
         presets: Mapping[str, object],
     ) -> None:
         super().__init__(profile, telegram, Motor(load=float(options["load"])))

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
-from dpstack.profile import ParameterChannel, ParamKey, Steps
+from dpstack.profile import ParameterChannel, ParamKey, Steps, read_raw
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls import telegrams
 
@@ -33,18 +33,18 @@ def show(entries: tuple[int, ...]) -> str:
     return " ".join(f"{entry:04X}" for entry in entries)
 
 
-def check(entries: tuple[int, ...], most: int, what: str, *, written: bool) -> str | None:
+def check(entries: tuple[int, ...], most: int, *, written: bool) -> str | None:
     """Why a map cannot be; None where it can. ``written``: the words are written to the drive."""
     if len(entries) > most:
-        return f"{what}: {len(entries)} addresses, the telegram has room for {most}"
+        return f"{len(entries)} addresses, the telegram has room for {most}"
     for place, where in enumerate(entries):
         if not where:
             continue
         spec = t.spec_at(where)
         if written and where in entries[:place]:
-            return f"{what}: {where:04X} stands there twice; the last word would win"
+            return f"{where:04X} stands there twice; the last word would win"
         if written and spec is not None and spec.read_only:
-            return f"{what}: {t.code_of(where)} ({spec.title}) is read only"
+            return f"{t.code_of(where)} ({spec.title}) is read only"
     return None
 
 
@@ -101,10 +101,10 @@ def read(access: ParameterChannel, deadline: int) -> Steps[dict[str, object]]:
     """The maps as the drive has them."""
     found: dict[str, object] = {}
     for name, count_at, first in _PLACES:
-        count = yield from _raw(access, count_at, deadline)
+        count = yield from read_raw(access, ParamKey(count_at), deadline)
         entries: tuple[int, ...] = ()
         for place in range(min(count, telegrams.MOST)):
-            entry = yield from _raw(access, first + place, deadline)
+            entry = yield from read_raw(access, ParamKey(first + place), deadline)
             entries += (entry,)
         found[name] = show(entries)
     return {"value": found}
@@ -125,10 +125,3 @@ def clear_control(access: ParameterChannel, deadline: int) -> Steps[None]:
     yield from access.write(ParamKey(t.PARA_CONTROL), 0, deadline)
     yield from access.write(ParamKey(t.CONTROL_COUNT), 1, deadline)
     yield from access.write(ParamKey(t.UPDATE), 1, deadline)
-
-
-def _raw(access: ParameterChannel, where: int, deadline: int) -> Steps[int]:
-    outcome = yield from access.read(ParamKey(where), deadline)
-    word = outcome["raw"]
-    assert isinstance(word, int)
-    return word

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from dpstack.profile import (
-    CHANNEL_LEN,
     FAULTED,
     NS_PER_MS,
     NS_PER_S,
-    SPEED,
     CommandError,
     ConfigError,
     DriveProfile,
@@ -19,9 +17,9 @@ from dpstack.profile import (
     ListedParam,
     Lookup,
     MappedCore,
+    Options,
     ParamKey,
     ParamRef,
-    PkwAccess,
     Scale,
     Setting,
     State,
@@ -40,7 +38,6 @@ from dpstack_drives.ls.paramap import ParaMap
 _SAFE: Final = 0x047E
 #: of the reference: below it the output frequency counts as 0
 _STILL: Final = 0.005
-_SCAN_NS: Final = t.SCAN_MS * NS_PER_MS
 #: for one element of a lookup: record 47 takes four rotations, 1.4 s at 9.6 kbit/s beside four drives
 _ANSWER_NS: Final = 5 * NS_PER_S
 _SOURCE: Final = "set dr-06 (command source) to 4, field bus, and see that the keypad is not in local mode"
@@ -71,72 +68,60 @@ class LsCore(MappedCore[ParaMap]):
     frequencies of the LS Drive profile have no sign, the direction is in control and status word.
     """
 
+    table = t.PROFIDRIVE_TABLE
+    scan_ns = t.SCAN_MS * NS_PER_MS
+    parameter_table = t.PARAMETERS
+    dialect = t.PKW
+    inputs_map: ParaMap
+    outputs_map: ParaMap
+    map_options = ("para_status", "para_control")
     outputs_name = "para_control"
     start_hint = f"; {_SOURCE}"
 
-    def __init__(
-        self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
-    ) -> None:
-        where = f"drive {name} ({profile.name})"
+    def __init__(self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> None:
         try:
             self._profile = profile_of(telegram, str(options["profile"]))
         except ConfigError as error:
-            raise ConfigError(f"{where}: {error}") from None
+            raise ConfigError(f"drive {name} ({profile.name}): {error}") from None
         self._io = self._profile == t.IO
+        if self._profile != t.PROFIDRIVE:
+            self.table = t.ls_table(0 if self._io else t.AUTHORITY)
+        super().__init__(profile, name, telegram, options)
         self._trip_number = options["trip_word"] == "number"
         self._rpm = options["speed_unit"] == "rpm"
-        self._at = 0 if self._io else t.PARA_AT
-        self._rooms = tuple(min(max(n // 2 - self._at, 0), telegrams.MOST) for n in (telegram.inputs, telegram.outputs))
-        try:
-            self.inputs_map: ParaMap = self._map(str(options["para_status"]), paramap.DEFAULT_STATUS, written=False)
-            self.outputs_map: ParaMap = self._map(str(options["para_control"]), paramap.DEFAULT_CONTROL, written=True)
-        except ValueError as error:
-            raise ConfigError(f"{where}: {error}") from None
-        self.inputs_at = self.outputs_at = self._at
-        what = f"{where}: {self.outputs_name}"
-        self.take_presets(str(options["para_control"]), self.outputs_map.fields, what)
-        self.refuse_zeros(what)
-        self._trips = Lookup(lambda: self.raw_state in FAULTED, self._ask_trips)
-        self._warning = Lookup(self._warned, self._ask_warning)
-        reference_hz = float(options["reference_hz"])
-        if self._profile != t.PROFIDRIVE:
-            self.scale = Scale("speed", full=1, span=0.01 / reference_hz)
-        elif self._rpm:
-            self.scale = Scale("speed", full=1, span=1 / float(options["reference_rpm"]))
-        else:
-            self.scale = SPEED
+        self.inputs_at = self.outputs_at = 0 if self._io else t.PARA_AT
         order = "<" if options["swap"] else ">"
         self.octet_order = "little" if options["swap"] else "big"
-        self._words_out = struct.Struct(f"{order}{telegram.outputs // 2}H")
-        table = t.PROFIDRIVE_TABLE if self._profile == t.PROFIDRIVE else t.ls_table(0 if self._io else t.AUTHORITY)
-        super().__init__(
-            name,
-            profile.name,
-            telegram,
-            table,
-            scan_ns=_SCAN_NS,
-            reference_hz=reference_hz,
-            safe_outputs=(bytes(CHANNEL_LEN) if telegram.channel else b"")
-            + self.encode(_SAFE if self._profile == t.PROFIDRIVE else table.word(Goal.IDLE, State.OFFLINE), 0),
-        )
         self._unpack = struct.Struct(f"{order}{telegram.inputs // 2}H").unpack_from
+        self._words_out = struct.Struct(f"{order}{telegram.outputs // 2}H")
+        self.inputs_map, self.outputs_map = self.maps_of_options(options)
+        self.refuse_zeros()
+        self._trips = Lookup(lambda: self.raw_state in FAULTED, self._ask_trips)
+        self._warning = Lookup(self._warned, self._ask_warning)
+        if self._profile != t.PROFIDRIVE:
+            self.scale = Scale("speed", full=1, span=0.01 / self.reference_hz)
+        elif self._rpm:
+            self.scale = Scale("speed", full=1, span=1 / float(options["reference_rpm"]))
+        safe = _SAFE if self._profile == t.PROFIDRIVE else self.table.word(Goal.IDLE, State.OFFLINE)
+        self.safe_outputs = bytes(self._offset) + self.encode(safe, 0)
         if telegram.channel:
-            self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, lambda: self.settle_ns)
             self.lookups = (self._trips, self._warning)
         self._advise_maps()
 
-    def _map(self, text: str, default: tuple[int, ...], *, written: bool) -> ParaMap:
-        """The map of the option, or as much of the drive's default as the telegram takes. Raises ValueError."""
-        room = self._rooms[written]
+    def _room(self, *, outputs: bool) -> int:
+        """Words of the telegram that a map fills."""
+        octets = self.telegram.outputs if outputs else self.telegram.inputs
+        return min(max(octets // 2 - self.inputs_at, 0), telegrams.MOST)
+
+    def option_map(self, text: str, *, outputs: bool) -> ParaMap:
+        """As much of the drive's default map as the telegram takes where the option is empty."""
+        room = self._room(outputs=outputs)
         if not text.strip():
-            return ParaMap(default[:room])
-        given = ParaMap(paramap.parse(process_data_map.split(text)[0] if written else text))
-        if (wrong := self._wrong(given, "para_control" if written else "para_status", written=written)) is not None:
+            return ParaMap((paramap.DEFAULT_CONTROL if outputs else paramap.DEFAULT_STATUS)[:room])
+        given = self.parse_map(text, outputs=outputs)
+        if (wrong := paramap.check(given.entries, room, written=outputs)) is not None:
             raise ValueError(wrong)
         return given
-
-    def _wrong(self, given: ParaMap, what: str, *, written: bool) -> str | None:
-        return paramap.check(given.entries, self._rooms[written], what, written=written)
 
     def _advise_maps(self) -> None:
         for where in sorted({*self.inputs_map.entries, *self.outputs_map.entries} & t.ADVISED_AGAINST):
@@ -154,7 +139,7 @@ class LsCore(MappedCore[ParaMap]):
         """Parameters over record 47 (docs/drives/ls-s100.md#record-47); trips and warnings have names in every telegram
         then."""
         self.lookups = (self._trips, self._warning)
-        return records.access(self.drive, queue, lambda: self.now, self._advised)
+        return records.access(self.drive, queue, self, self._advised)
 
     # -- process data ---------------------------------------------------------------------------------------------
 
@@ -168,12 +153,12 @@ class LsCore(MappedCore[ParaMap]):
         return word
 
     def _mapped(self, where: int) -> int | None:
-        return process_data_map.raws(self.inputs_map.fields, self.words[self._at :]).get(where)
+        return process_data_map.raws(self.inputs_map.fields, self.words[self.inputs_at :]).get(where)
 
     def encode(self, control: int, setpoint: int) -> bytes:
         """The profile's two words and what the user gave for the mapped ones; VENDOR has only mapped ones."""
         control &= 0xFFFF  # bit 16 is our own
-        mapped = self._words_out.size // 2 - self._at
+        mapped = self._words_out.size // 2 - self.outputs_at
         if self._io:
             front: tuple[int, ...] = ()
             values = {**self.values, t.OPERATION: control, t.FREQUENCY: setpoint}
@@ -206,7 +191,7 @@ class LsCore(MappedCore[ParaMap]):
         if raw is None:
             return None, None, None
         speed = raw * self.scale.span
-        return -speed if self.table.status.told(self.status_word, "reverse") else speed, None, None
+        return -speed if self.table.status.is_set(self.status_word, "reverse") else speed, None, None
 
     def cannot(self, op: str) -> str | None:
         """What the profile or the map does not have."""
@@ -221,25 +206,19 @@ class LsCore(MappedCore[ParaMap]):
     # -- faults and what keeps it from running --------------------------------------------------------------------
 
     def _warned(self) -> bool:
-        return self.online and self.table.status.told(self.status_word, "warning")
+        return self.online and self.table.status.is_set(self.status_word, "warning")
 
-    def faults(self) -> tuple[str, ...]:
+    def fault_texts(self) -> tuple[str, ...] | None:
         """The messages of the present situation by name."""
-        if self.raw_state not in FAULTED:
-            return ()
         if (trips := self._trips.value) is not None:
             return tuple(map(t.trip_text, trips)) or ("without a name: PNU 947 holds none",)
         if self.access is not None:
-            return ("not yet named",)
+            return None
         word = self._mapped(t.TRIP)
         if word and self._trip_number:
             return (t.trip_text(word),)
         shown = f" (000F is {word:04X})" if word is not None else ""
         return (f"without a name{shown}: {self.telegram.name} has no parameter channel, the keypad shows it",)
-
-    def fault_named(self) -> bool:
-        """Nothing more is to be learned."""
-        return self._trips.value is not None or self.access is None
 
     def warnings(self) -> tuple[str, ...]:
         """ZSW1 bit 7; its bits are in the inverter's manual."""
@@ -257,9 +236,9 @@ class LsCore(MappedCore[ParaMap]):
             if self.raw_state is State.SWITCH_ON_INHIBITED:
                 return f"the drive stays in S1 (switching on inhibited) and does not obey STW1: {_SOURCE}"
             return None
-        if self.table.status.told(self.status_word, "keypad"):
+        if self.table.status.is_set(self.status_word, "keypad"):
             return f"LS status bit 15: the keypad controls the drive: {_SOURCE}"
-        if not self._io and not self.table.status.told(self.status_word, "run_granted"):
+        if not self._io and not self.table.status.is_set(self.status_word, "run_granted"):
             return f"LS status bit 13: the run authority is not granted: {_SOURCE}"
         return None
 
@@ -276,7 +255,7 @@ class LsCore(MappedCore[ParaMap]):
             source = yield from self._value(ParamKey("dr-06"), deadline)
             if source not in (None, t.FIELD_BUS["dr-06"]):
                 raise CommandError("fault", f"dr-06 is {source}: {why}")
-        if self._profile != t.PROFIDRIVE and self.table.status.told(self.status_word, "keypad"):
+        if self._profile != t.PROFIDRIVE and self.table.status.is_set(self.status_word, "keypad"):
             raise CommandError("fault", why)
         # otherwise it may only be slow: the time-out tells the same
 
@@ -307,12 +286,12 @@ class LsCore(MappedCore[ParaMap]):
             unit = "rpm" if self._rpm else "percent"
             remedy = f"set COM-14 = {int(self._rpm)} and COM-94 = 1, or the option speed_unit (now {unit!r})"
             found.append(equal("COM-14", int(self._rpm), remedy))
-        for option, told, room, count, refuse in (
-            ("para_control", self.outputs_map, self._rooms[1], t.CONTROL_COUNT, True),
-            ("para_status", self.inputs_map, self._rooms[0], t.STATUS_COUNT, self._io),
+        for option, own, room, count, refuse in (
+            ("para_control", self.outputs_map, self._room(outputs=True), t.CONTROL_COUNT, True),
+            ("para_status", self.inputs_map, self._room(outputs=False), t.STATUS_COUNT, self._io),
         ):
             if room:
-                found.append(_mapped(option, told, room, count, refuse=refuse))
+                found.append(_mapped(option, own, room, count, refuse=refuse))
         return found
 
     def _other_profile(self, found: int) -> str | None:
@@ -350,7 +329,7 @@ class LsCore(MappedCore[ParaMap]):
 
     # -- parameters -----------------------------------------------------------------------------------------------
 
-    def _resolve(self, key: ParamKey) -> ParamRef:
+    def resolve(self, key: ParamKey) -> ParamRef:
         ref, where = references.resolve(key, self.drive)
         self._advised(where)
         return ref
@@ -361,14 +340,15 @@ class LsCore(MappedCore[ParaMap]):
 
     # -- Para Status and Para Control -----------------------------------------------------------------------------
 
-    def parse_map(self, text: str | None, *, outputs: bool) -> ParaMap:
-        if text is not None:
-            return ParaMap(paramap.parse(text))
-        return self.outputs_map if outputs else self.inputs_map
+    def parse_map(self, text: str, *, outputs: bool) -> ParaMap:
+        return ParaMap(paramap.parse(text))
 
     def check_maps(self, inputs: ParaMap, outputs: ParaMap) -> str | None:
         """Room, doubled and read-only words."""
-        return self._wrong(inputs, "inputs", written=False) or self._wrong(outputs, "outputs", written=True)
+        for what, entries, written in (("inputs", inputs.entries, False), ("outputs", outputs.entries, True)):
+            if (wrong := paramap.check(entries, self._room(outputs=written), written=written)) is not None:
+                return f"{what}: {wrong}"
+        return None
 
     def read_map(self, deadline: int) -> Steps[dict[str, object]]:
         """COM-30 and COM-50 with what follows them."""
@@ -405,7 +385,7 @@ class LsCore(MappedCore[ParaMap]):
         return "start, stop and speed" if self._io and key in (t.FREQUENCY, t.OPERATION) else None
 
 
-def _mapped(option: str, told: ParaMap, room: int, count: int, *, refuse: bool) -> Setting:
+def _mapped(option: str, own: ParaMap, room: int, count: int, *, refuse: bool) -> Setting:
     """COM-31.. or COM-51.. are those of the option, as far as the telegram has words for them.
 
     ``count``: the address of their number; theirs follow it.
@@ -415,15 +395,15 @@ def _mapped(option: str, told: ParaMap, room: int, count: int, *, refuse: bool) 
     def differs(values: Sequence[float]) -> str | None:
         number, *entries = (int(value) for value in values)
         found = ParaMap(tuple(entries[:number]))
-        if _filled(found) == _filled(told):
+        if _filled(found) == _filled(own):
             return None
         first = t.code_of(count + 1)
         return (
-            f"{first}.. are {str(found) or 'empty'}, the option {option} says {str(told) or 'none'}: set {option} = "
+            f"{first}.. are {str(found) or 'empty'}, the option {option} says {str(own) or 'none'}: set {option} = "
             f"'{found}' or the codes (write_map)"
         )
 
-    return Setting(wanted=f"{t.code_of(count + 1)}.. = {told}", keys=keys, differs=differs, refuse=refuse)
+    return Setting(wanted=f"{t.code_of(count + 1)}.. = {own}", keys=keys, differs=differs, refuse=refuse)
 
 
 def _filled(one: ParaMap) -> tuple[int, ...]:

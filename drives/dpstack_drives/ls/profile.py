@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from dpstack.profile import DriveCore, DriveProfile, OptionSpec, record47
+from dpstack.profile import DriveProfile, OptionSpec
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls import telegrams
 from dpstack_drives.ls.plugin import LsCore
@@ -26,11 +26,6 @@ _COMMON: Final = {
 }
 
 
-def _record_access(core: DriveCore, queue: record47.RecordQueue) -> record47.AcyclicAccess:
-    assert isinstance(core, LsCore)
-    return core.over_records(queue)
-
-
 DRIVE: Final = DriveProfile(
     name="ls-s100",
     title="LS ELECTRIC LSLV-S100, CPDP-S100",
@@ -48,7 +43,6 @@ DRIVE: Final = DriveProfile(
     ),
     core_factory=LsCore,
     device_factory=LsDevice,
-    record_access=_record_access,
     core_options={
         **_COMMON,
         "trip_word": OptionSpec(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from dpstack.profile import NS_PER_MS, ParamKey, ParamSpec, record47
+from dpstack.profile import NS_PER_MS, Clock, ParamKey, ParamSpec, record47
 from dpstack_drives.ls import references
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls.module import Module
@@ -106,7 +106,7 @@ def served(parameters: record47.ParameterServer, clock: Callable[[int], int]) ->
 
 
 def access(
-    drive: str, queue: record47.RecordQueue, clock: Callable[[], int], advise: Callable[[int], None]
+    drive: str, queue: record47.RecordQueue, clock: Clock, advise: Callable[[int], None]
 ) -> record47.AcyclicAccess:
     """The master's end. ``advise`` is told the address of a drive parameter."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from dpstack.profile import ConfigError, ParamSpec, ParamStore, TelegramSpec, process_data_map
+from dpstack.profile import ConfigError, Options, ParamSpec, ParamStore, TelegramSpec, process_data_map
 from dpstack_drives.ls import paramap, telegrams
 from dpstack_drives.ls import table as t
 
@@ -38,7 +38,7 @@ def take_counts(store: ParamStore, telegram: TelegramSpec) -> None:
     store.write(spec("COM-30"), telegram.inputs // 2, ram_only=True)
 
 
-def presets(options: Mapping[str, bool | float | str], given: Mapping[str, object], where: str) -> dict[str, object]:
+def presets(options: Options, given: Mapping[str, object], where: str) -> dict[str, object]:
     """Values of parameters by code, from the declared options and from parameters given (``DRV-20`` is dr-20).
 
     Raises ConfigError.
@@ -55,9 +55,9 @@ def presets(options: Mapping[str, bool | float | str], given: Mapping[str, objec
             entries = paramap.parse(process_data_map.split(str(options[option]))[0])
         except ValueError as error:
             raise ConfigError(f"{where}: {error}") from None
-        wrong = paramap.check(entries, telegrams.MOST, option, written=first == 51)
+        wrong = paramap.check(entries, telegrams.MOST, written=first == 51)
         if wrong is not None:
-            raise ConfigError(f"{where}: {wrong}")
+            raise ConfigError(f"{where}: {option}: {wrong}")
         if entries:
             found[f"COM-{count}"] = len(entries)
             found |= {f"COM-{first + place}": entry for place, entry in enumerate(entries)}

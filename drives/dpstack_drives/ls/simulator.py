@@ -13,6 +13,7 @@ from dpstack.profile import (
     DriveProfile,
     Leave,
     Motor,
+    Options,
     ParamStore,
     PkwServer,
     State,
@@ -56,7 +57,7 @@ class LsDevice(DriveDevice):
         self,
         profile: DriveProfile,
         telegram: TelegramSpec,
-        options: Mapping[str, bool | float | str],
+        options: Options,
         given: Mapping[str, object],
     ) -> None:
         where = f"simulated {profile.name}"

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from acme_drive import table as t
-from dpstack.profile import CommandError, DeclaredCore, DriveProfile, Setting, Steps, TelegramSpec, equal, settled
+from dpstack.profile import CommandError, DriveCore, Setting, Steps, equal, settled
 
 
-class AcmeCore(DeclaredCore):
+class AcmeCore(DriveCore):
     """Without the status bit ``remote`` the drive does not obey the bus, and ``start()`` says what to do about it."""
 
-    def __init__(
-        self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
-    ) -> None:
-        super().__init__(t.DECLARED, profile, name, telegram, options)
+    table = t.TABLE
+    scan_ns = t.SCAN_NS
+    inputs = ("status", "speed", "current", "fault")
+    scale = t.SPEED
+    current_scale = t.CURRENT
+    fault_names = t.FAULTS
+    parameter_table = t.PARAMETERS
 
     def obstacle(self) -> str | None:
         """By the status word alone."""
-        if t.STATUS.told(self.status_word, "remote"):
+        if t.STATUS.is_set(self.status_word, "remote"):
             return None
         return "the bus does not control the drive (status bit 3 is 0): set parameter 1 (source) to 1"
 

@@ -9,6 +9,7 @@ from dpstack.profile import (
     DriveDevice,
     DriveProfile,
     Motor,
+    Options,
     ParamSpec,
     ParamStore,
     State,
@@ -25,7 +26,7 @@ class AcmeDevice(DriveDevice):
         self,
         profile: DriveProfile,
         telegram: TelegramSpec,
-        options: Mapping[str, bool | float | str],
+        options: Options,
         presets: Mapping[str, object],
     ) -> None:
         super().__init__(profile, telegram, Motor(load=float(options["load"])))
@@ -38,7 +39,7 @@ class AcmeDevice(DriveDevice):
     @property
     def scan_ns(self) -> int:
         """Of the table."""
-        return t.DECLARED.scan_ns
+        return t.SCAN_NS
 
     @property
     def faulted(self) -> bool:
@@ -70,13 +71,12 @@ class AcmeDevice(DriveDevice):
         motor.accel = ramp(self.store.value("acceleration"))
         stop = "quick_stop" if control & t.CONTROL.mask("quick_stop") else "deceleration"
         motor.decel = ramp(self.store.value(stop))
-        scale = t.DECLARED.scale
-        motor.setpoint = scale.decode(setpoint) if control & t.CONTROL.mask("run") else 0.0
+        motor.setpoint = t.SPEED.decode(setpoint) if control & t.CONTROL.mask("run") else 0.0
         names = {State.READY: ("ready",), State.RUNNING: ("ready", "running"), State.FAULT: ("fault",)}
         near = self.state is State.RUNNING and motor.reached(motor.setpoint)
-        told = (*names.get(self.state, ()), *(["remote"] if remote else []), *(["reached"] if near else []))
-        current = t.DECLARED.current_scale.encode(motor.current)
-        return t.STATUS.mask(*told), scale.encode(motor.frequency), current, self.fault
+        bits = (*names.get(self.state, ()), *(["remote"] if remote else []), *(["reached"] if near else []))
+        current = t.CURRENT.encode(motor.current)
+        return t.STATUS.mask(*bits), t.SPEED.encode(motor.frequency), current, self.fault
 
     def _obey(self, control: int) -> None:
         power, run = control & t.CONTROL.mask("power"), control & t.CONTROL.mask("run")

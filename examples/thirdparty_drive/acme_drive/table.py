@@ -7,7 +7,6 @@ from typing import Final
 from dpstack.profile import (
     NS_PER_MS,
     ControlTable,
-    Declaration,
     Goal,
     ParamSpec,
     ParamTable,
@@ -70,13 +69,7 @@ PARAMETERS: Final = ParamTable(
 
 FAULTS: Final = {1: "E01 overcurrent", 2: "E02 overvoltage", 7: "E07 motor overload"}
 
-DECLARED: Final = Declaration(
-    table=TABLE,
-    safe=0x0000,
-    scan_ns=10 * NS_PER_MS,
-    inputs=("status", "speed", "current", "fault"),
-    scale=Scale("speed", full=10_000),  # 2710h = 100 % of the reference
-    current_scale=Scale("current", full=1_000),
-    faults=FAULTS,
-    parameters=PARAMETERS,
-)
+#: the drive obeys and reports every 10 ms
+SCAN_NS: Final = 10 * NS_PER_MS
+SPEED: Final = Scale("speed", full=10_000)  # 2710h = 100 % of the reference
+CURRENT: Final = Scale("current", full=1_000)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from drive_bench import Times
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.profile import Pkw, PkwClient, PkwDialect, PkwServer
+from dpstack.profile import Pkw, PkwChannel, PkwDialect, PkwServer
 from dpstack.profile.channel.pkw import Exchange
 
 READ_400 = bytes.fromhex("11 90 00 00 00 00 00 00")
@@ -16,7 +17,7 @@ STRICT = PkwDialect(answers={1: (1, 2), 2: (1,), 6: (4, 5)}, errors={0: "none"})
 LOOSE = PkwDialect(answers={1: (1,), 2: (1,)}, errors={}, zero_between=False)
 
 
-def busy(client: PkwClient) -> bool:
+def busy(client: PkwChannel) -> bool:
     return client.busy
 
 
@@ -34,7 +35,7 @@ def test_octets_of_the_manuals() -> None:
 
 
 def test_d4_the_master_holds_takes_sets_zero_and_waits_for_zero() -> None:
-    client = PkwClient(STRICT)
+    client = PkwChannel(STRICT, Times())
     assert not busy(client)
     first, second = client.submit(Pkw(1, 400)), client.submit(Pkw(6, 480, 3))
     assert busy(client)
@@ -58,7 +59,7 @@ def test_d4_the_master_holds_takes_sets_zero_and_waits_for_zero() -> None:
 
 
 def test_an_answer_for_another_parameter_is_not_taken_but_remembered() -> None:
-    client = PkwClient(STRICT)
+    client = PkwChannel(STRICT, Times())
     exchange = client.submit(Pkw(1, 400))
     client.step(ZERO, 0)
     client.step(bytes.fromhex("11 91 00 00 00 00 00 07"), 0)
@@ -70,11 +71,11 @@ def test_an_answer_for_another_parameter_is_not_taken_but_remembered() -> None:
 
 
 def test_a_cancelled_order_is_withdrawn_with_zero() -> None:
-    client = PkwClient(STRICT)
+    client = PkwChannel(STRICT, Times())
     running, queued = client.submit(Pkw(1, 400)), client.submit(Pkw(1, 401))
     client.step(ZERO, 0)
-    client.cancel(queued, 0)
-    client.cancel(running, 0)
+    client.cancel(queued)
+    client.cancel(running)
     assert client.octets == ZERO
     client.step(REPLY_400, 0)
     assert running.reply is None
@@ -83,7 +84,7 @@ def test_a_cancelled_order_is_withdrawn_with_zero() -> None:
 
 
 def test_without_the_rule_of_zero_a_stale_reply_is_not_the_answer() -> None:
-    client = PkwClient(LOOSE)
+    client = PkwChannel(LOOSE, Times())
     first, second, third = (client.submit(Pkw(1, pnu)) for pnu in (0x10F, 0x104, 0x104))
     client.step(ZERO, 0)
     client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"), 0)
@@ -104,7 +105,7 @@ def test_without_the_rule_of_zero_a_stale_reply_is_not_the_answer() -> None:
 
 def test_without_the_rule_of_zero_a_write_is_not_answered_by_the_read_before_it() -> None:
     """A drive repeats its last reply: F26 read as 2, then F26 := 15, must not end with that 2."""
-    client = PkwClient(LOOSE)
+    client = PkwChannel(LOOSE, Times())
     read, write = client.submit(Pkw(1, 0x104, 0x1A)), client.submit(Pkw(2, 0x104, 0x1A, 15))
     client.step(ZERO, 0)
     for _ in range(3):
@@ -120,10 +121,12 @@ def test_without_the_rule_of_zero_a_write_is_not_answered_by_the_read_before_it(
 @pytest.mark.parametrize("dialect", [STRICT, LOOSE])
 def test_an_order_that_timed_out_is_not_answered_into_the_next_one(dialect: PkwDialect) -> None:
     """The drive looks every 32 ms: it may take the withdrawn order up after our 0 and answer it then."""
-    client = PkwClient(dialect, settle_ns=lambda: 100)
+    times = Times(settle_ns=100)
+    client = PkwChannel(dialect, times)
     late, again = client.submit(Pkw(2, 400, 0, 1)), client.submit(Pkw(2, 400, 0, 2))
     client.step(ZERO, 0)
-    client.cancel(late, 10)
+    times.now = 10
+    client.cancel(late)
     for now in (12, 50, 109):
         client.step(ZERO, now)
         assert client.octets == ZERO
@@ -132,7 +135,8 @@ def test_an_order_that_timed_out_is_not_answered_into_the_next_one(dialect: PkwD
     client.step(ZERO, 70)  # the drive has seen both: nothing to wait for
     assert client.octets == bytes.fromhex("21 90 00 00 00 00 00 02")
     silent = client.submit(Pkw(1, 400))
-    client.cancel(again, 200)
+    times.now = 200
+    client.cancel(again)
     client.step(ZERO, 299)
     assert client.octets == ZERO
     client.step(ZERO, 300)
@@ -143,7 +147,7 @@ def test_an_order_that_timed_out_is_not_answered_into_the_next_one(dialect: PkwD
 def test_the_first_order_waits_until_the_drive_says_zero() -> None:
     """docs/drives/demag.md#handshake-of-the-parameter-channel: both start at 0; after a re-entry a drive may show its
     last reply for one more scan."""
-    client = PkwClient(STRICT)
+    client = PkwChannel(STRICT, Times())
     exchange = client.submit(Pkw(1, 400))
     client.step(REPLY_400, 0)
     client.step(REPLY_400, 0)
@@ -154,7 +158,7 @@ def test_the_first_order_waits_until_the_drive_says_zero() -> None:
 
 
 def test_reset_starts_at_zero() -> None:
-    client = PkwClient(STRICT)
+    client = PkwChannel(STRICT, Times())
     client.submit(Pkw(1, 400))
     client.step(ZERO, 0)
     client.reset()
@@ -197,7 +201,7 @@ def test_a_loose_slave_repeats_reads_with_the_momentary_value_and_writes_once() 
 
 @given(st.lists(st.binary(min_size=8, max_size=8), max_size=20), st.booleans())
 def test_any_replies_never_raise(replies: list[bytes], strict: bool) -> None:
-    client = PkwClient(STRICT if strict else LOOSE)
+    client = PkwChannel(STRICT if strict else LOOSE, Times())
     for reply in replies:
         if not client.busy:
             client.submit(Pkw(1, 400))

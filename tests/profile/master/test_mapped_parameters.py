@@ -63,6 +63,7 @@ def test_a_value_in_the_option_is_in_the_first_telegram_and_in_the_safe_ones(
         ("fuji", "PPO2", {"map_inputs": "F07=1"}, "map_inputs: 'F07=1' is no function code"),
         ("fuji", "PPO2", {"map_outputs": "S06=1"}, "bits 0 and 1"),
         ("keb", "8/8", {"map_outputs": "2032 2301=1.5"}, "takes 16-bit integers"),
+        ("keb", "8/8", {"map_outputs": "2032 2301=inf"}, "'inf' is no number"),
         ("imo", "PKW+12", {"map_outputs": "set_frequency forward_limit=51"}, "map_outputs: .*outside 0..50 Hz"),
         ("demag", "PPO4", {"map_outputs": "percent=301"}, "map_outputs: .*outside -300..300 %"),
     ],

@@ -28,7 +28,7 @@ class Bench:
         self.queue = RecordQueue()
         self.now = 0
         self.said: list[str] = []
-        self.access = AcyclicAccess(ParameterClient(0), self.queue, plain_places(TABLE, "mixer"), lambda: self.now)
+        self.access = AcyclicAccess(ParameterClient(0), self.queue, plain_places(TABLE, "mixer"), self)
 
     def run(self, steps: Steps[T], *responses: str) -> T:
         """Each request is taken, each Read answered by the next of ``responses``."""
