@@ -11,8 +11,17 @@ from typing import Final
 from dpstack.dp.pdu.alarm_blocks import Alarm, alarm_name, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dpv1.pdu.ms2 import Abort, DataTransport, InitiateReq, InitiateRes, ResourceManagerRes, title_of
-from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative, ReadReq, ReadRes, parse_request, parse_response
+from dpstack.dpv1.pdu.ms2 import Abort, InitiateReq, InitiateRes, ResourceManagerRes
+from dpstack.dpv1.pdu.read_write import (
+    AlarmAck,
+    DataTransport,
+    Function,
+    Negative,
+    ReadReq,
+    ReadRes,
+    parse_request,
+    parse_response,
+)
 from dpstack.errors import PduError
 from dpstack.fdl import describe
 from dpstack.fdl.telegram import SAP_MS1, SAP_MS1_ALARM, SAP_MS2_RM, SAP_SLAVE_DIAG, SSAP_MS2, Telegram
@@ -71,15 +80,13 @@ def _pdu_text(octets: bytes, *, request: bool) -> str:
             return f"Alarm_Ack of {alarm_name(ack.type)}, slot {ack.slot}, sequence number {ack.sequence}"
         case Function.DATA_TRANSPORT:
             carried = DataTransport.parse(octets)
-            return f"{title_of(carried)}, data {len(carried.data)}"
+            return f"{carried.title}, data {len(carried.data)}"
     return _request_text(octets) if request else _response_text(octets)
 
 
 def _request_text(octets: bytes) -> str:
     asked = parse_request(octets)
-    return f"{title_of(asked)}, " + (
-        f"up to {asked.length}" if isinstance(asked, ReadReq) else f"data {len(asked.data)}"
-    )
+    return f"{asked.title}, " + (f"up to {asked.length}" if isinstance(asked, ReadReq) else f"data {len(asked.data)}")
 
 
 def _response_text(octets: bytes) -> str:

@@ -183,7 +183,7 @@ def _content(table: Table, kind: int) -> Content:
     """What a block of this type consists of."""
     if kind in RECORDS:
         given = {key: table.integer(key, 0) for key in RECORDS[kind].fields if key in table}
-        content: Content = RECORDS[kind].record(**given)
+        content: Content = RECORDS[kind].make(**given)
         return content
     version = table.integer("version", 0, 255)
     return DxbTable(1 if version is None else version, tuple(_entries(table, kind)))
@@ -201,7 +201,7 @@ def _entries(table: Table, kind: int) -> Iterator[Any]:
         for key in layout.fields:
             if key not in entry:
                 entry.fail(None, f"no {key}", f"write {{ {example} }}")
-        yield layout.record(**{key: entry.integer(key, 0, 255) for key in layout.fields})
+        yield layout.make(**{key: entry.integer(key, 0, 255) for key in layout.fields})
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,12 @@ class AsyncRecords:
         function: Callable[..., Awaitable[object]] | None
         result, refusal = "", Code.ACCESS_DENIED
         if isinstance(ticket, TransportRequest):
-            name, function, result, refusal = "on_transport", self._on_transport, "what goes back", Code.NOT_SUPPORTED
+            name, function, result, refusal = (
+                "on_transport",
+                self._on_transport,
+                "what goes back",
+                Code.FEATURE_NOT_SUPPORTED,
+            )
         elif isinstance(request, ReadReq):
             name, function, result = "on_read", self._on_read, "a record"
         else:

@@ -5,11 +5,12 @@ A block is device related (its octets with the header, 4 to 63). Octets are coun
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Final, NamedTuple
 
-from dpstack.dp.pdu.layouts import MAX_SLOT, MESSAGE, MessageOctets
+from dpstack.dp.pdu.layouts import MAX_SLOT, OCTET, REST, Layout, bits, flags
 from dpstack.errors import PduError
 
 # Source: AUMA AC 01.2 manual p46 and AC(V) 01.2 manual p48 (table 34), after PNO 2.212. VIPA's IM 253-2DP50 counts
@@ -99,7 +100,7 @@ class AlarmType(IntEnum):
 
 
 #: keys of DPV1_Status_2's bits; vendor types have one in common
-_ENABLED_BY: Final = {
+_ENABLED_BY: Final[Mapping[int, str]] = {
     AlarmType.DIAGNOSIS: "diagnostic",
     AlarmType.PROCESS: "process",
     AlarmType.PULL: "pull_plug",
@@ -129,25 +130,10 @@ class Specifier(IntEnum):
 
     @property
     def text(self) -> str:
-        """What it says, for people."""
-        return _SPECIFIERS[self]
+        return ("", "appears, slot disturbed", "disappears, slot is good", "disappears, slot still disturbed")[self]
 
 
-_SPECIFIERS: Final = {
-    Specifier.NONE: "",
-    Specifier.APPEARS: "appears, slot disturbed",
-    Specifier.DISAPPEARS: "disappears, slot is good",
-    Specifier.DISAPPEARS_OTHERS: "disappears, slot still disturbed",
-}
-_ALARMS: Final = {
-    AlarmType.DIAGNOSIS: "diagnosis alarm",
-    AlarmType.PROCESS: "process alarm",
-    AlarmType.PULL: "pull alarm",
-    AlarmType.PLUG: "plug alarm",
-    AlarmType.STATUS: "status alarm",
-    AlarmType.UPDATE: "update alarm",
-}
-_STATUSES: Final = {
+_STATUSES: Final[Mapping[int, str]] = {
     StatusType.MESSAGE: "status message",
     StatusType.MODULES: "module status",
     StatusType.DXB_LINK: "DXB link status",
@@ -166,7 +152,6 @@ class ModuleState(IntEnum):
 
     @property
     def text(self) -> str:
-        """What it says, for people."""
         return ("ok", "data invalid", "wrong module", "no module")[self]
 
 
@@ -200,20 +185,9 @@ class Alarm:
 
     def build(self) -> bytes:
         """The block with its header. Raises PduError where a value does not fit."""
-        _check(self.slot, self.data)
         if not 0 <= self.type < 127:
             raise PduError(f"{self.type} is no type of an alarm: 1..6, 32..126")
-        raw = MessageOctets(
-            header=HEAD + len(self.data),
-            is_status=False,
-            kind=self.type,
-            slot=self.slot,
-            sequence=self.sequence,
-            add_ack=self.add_ack,
-            specifier=self.specifier,
-            data=self.data,
-        )
-        return MESSAGE.build(raw)
+        return _build(self, self.sequence, self.add_ack)
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,18 +239,7 @@ class Status:
 
     def build(self) -> bytes:
         """The block with its header. Raises PduError where a value does not fit."""
-        _check(self.slot, self.data)
-        raw = MessageOctets(
-            header=HEAD + len(self.data),
-            is_status=True,
-            kind=self.type,
-            slot=self.slot,
-            sequence=self.reserved >> 1,
-            add_ack=bool(self.reserved & 1),
-            specifier=self.specifier,
-            data=self.data,
-        )
-        return MESSAGE.build(raw)
+        return _build(self, self.reserved >> 1, bool(self.reserved & 1))
 
 
 def module_status(states: tuple[ModuleState, ...]) -> Status:
@@ -291,16 +254,44 @@ def parse_block(octets: bytes) -> Alarm | Status:
     """An alarm or status from a device related block, header included. Raises PduError naming the octet."""
     if octets and octets[0] != len(octets):
         raise PduError(f"alarm or status: octet 1 says {octets[0]} octets, there are {len(octets)}")
-    raw = MESSAGE.parse(octets)
-    if raw.slot > MAX_SLOT:
-        raise PduError(f"alarm or status: octet 3: there is no slot {raw.slot}")
-    known: set[int] = set(StatusType) if raw.is_status else set(AlarmType)
-    if raw.kind not in known and raw.kind not in VENDOR:
-        what = "status" if raw.is_status else "alarm"
-        raise PduError(f"alarm or status: octet 2: {raw.kind} is no type of {what}")
-    if raw.is_status:
-        return Status(raw.kind, raw.slot, raw.specifier, raw.data, raw.sequence << 1 | raw.add_ack)
-    return Alarm(raw.kind, raw.slot, raw.specifier, raw.sequence, raw.data, raw.add_ack)
+    return _LAYOUT.parse(octets)
+
+
+def _message(
+    header: int, is_status: bool, type: int, slot: int, sequence: int, add_ack: bool, specifier: int, data: bytes
+) -> Alarm | Status:
+    if slot > MAX_SLOT:
+        raise PduError(f"alarm or status: octet 3: there is no slot {slot}")
+    if type not in (_STATUSES if is_status else _ENABLED_BY) and type not in VENDOR:
+        what = "status" if is_status else "alarm"
+        raise PduError(f"alarm or status: octet 2: {type} is no type of {what}")
+    if is_status:
+        return Status(type, slot, specifier, data, sequence << 1 | add_ack)
+    return Alarm(type, slot, specifier, sequence, data, add_ack)
+
+
+_LAYOUT: Final = Layout(
+    "alarm or status",
+    _message,
+    "header" / OCTET,
+    *flags("is_status"),
+    "type" / bits(7) * "kind",
+    "slot" / OCTET,
+    "sequence" / bits(5),
+    *flags("add_ack"),
+    "specifier" / bits(2),
+    "data" / REST,
+)
+
+
+def _build(block: Alarm | Status, sequence: int, add_ack: bool) -> bytes:
+    if not 0 <= block.slot <= MAX_SLOT:
+        raise PduError(f"slot {block.slot} does not exist: 0..{MAX_SLOT}")
+    length = len(block.data)
+    if length > MAX_DATA:
+        raise PduError(f"{length} octets of data, {MAX_DATA} are possible in one block")
+    is_status = isinstance(block, Status)
+    return _LAYOUT.build(block, header=HEAD + length, is_status=is_status, sequence=sequence, add_ack=add_ack)
 
 
 def kind_of(alarm_type: int) -> str:
@@ -313,29 +304,21 @@ def kind_of(alarm_type: int) -> str:
         return "manufacturer"
     if alarm_type not in _ENABLED_BY:
         raise PduError(f"there is no alarm of type {alarm_type}: 1..6, {VENDOR.start}..{VENDOR.stop - 1}")
-    return _ENABLED_BY[AlarmType(alarm_type)]
+    return _ENABLED_BY[alarm_type]
 
 
 def alarm_name(number: int) -> str:
     """The type of an alarm in words."""
-    if number in AlarmType.__members__.values():
-        return _ALARMS[AlarmType(number)]
+    if number in _ENABLED_BY:
+        return f"{AlarmType(number).name.lower()} alarm"
     return f"vendor alarm {number}" if number in VENDOR else f"alarm of reserved type {number}"
 
 
 def status_name(number: int) -> str:
     """The type of a status in words."""
-    if number in StatusType.__members__.values():
-        return _STATUSES[StatusType(number)]
-    return f"vendor status {number}" if number in VENDOR else f"status of reserved type {number}"
+    reserved = f"vendor status {number}" if number in VENDOR else f"status of reserved type {number}"
+    return _STATUSES.get(number, reserved)
 
 
 def _hex(data: bytes) -> str:
     return f", data {data.hex(' ')}" if data else ""
-
-
-def _check(slot: int, data: bytes) -> None:
-    if not 0 <= slot <= MAX_SLOT:
-        raise PduError(f"slot {slot} does not exist: 0..{MAX_SLOT}")
-    if len(data) > MAX_DATA:
-        raise PduError(f"{len(data)} octets of data, {MAX_DATA} are possible in one block")

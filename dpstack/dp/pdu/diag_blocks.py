@@ -10,10 +10,10 @@ diagnosis that an application sets: what it says beyond the slave's own fault bi
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
-from dpstack.dp.pdu.layouts import BLOCK_HEADER, CHANNEL, BlockHeader, ChannelOctets
+from dpstack.dp.pdu.layouts import Layout, bits, fixed, flags
 from dpstack.errors import PduError
 
 _DEVICE, _IDENTIFIER, _CHANNEL, _REVISION = range(4)
@@ -95,6 +95,18 @@ class ChannelBlock(Block):
         return f"{self.place()}: {self.cause}"
 
 
+_CHANNEL_LAYOUT: Final[Layout[dict[str, Any]]] = Layout(
+    "channel related diagnosis",
+    dict,
+    "kind" / fixed(2, _CHANNEL),
+    "identifier" / bits(6),
+    *flags("output input"),
+    "channel" / bits(6),
+    "size" / bits(3),
+    "error" / bits(5),
+)
+
+
 @dataclass(frozen=True, slots=True)
 class RevisionBlock(Block):
     """Revision number of the diagnosis, one octet."""
@@ -110,23 +122,21 @@ def split_blocks(ext: bytes) -> tuple[tuple[Block, ...], str | None]:
     blocks: list[Block] = []
     at = 0
     while at < len(ext):
-        kind, value = BLOCK_HEADER.parse(ext[at : at + 1])
+        kind, value = divmod(ext[at], 1 << 6)
         announced = (value, value, _CHANNEL_LEN, 1)[kind]
         left = len(ext) - at
         if not announced:
-            return tuple(
-                blocks
-            ), f"octet {at + 7} announces a block without any octets, {left} octets are left undecoded"
+            finding = f"octet {at + 7} announces a block without any octets, {left} octets are left undecoded"
+            return tuple(blocks), finding
         octets = ext[at : at + announced]
-        if kind == _CHANNEL and left >= _CHANNEL_LEN:
-            raw = CHANNEL.parse(octets)
-            blocks.append(ChannelBlock(octets, raw.identifier, raw.channel, raw.input, raw.output, raw.size, raw.error))
-        elif kind == _DEVICE:
+        if kind == _DEVICE:
             blocks.append(DeviceBlock(octets))
         elif kind == _IDENTIFIER:
             blocks.append(IdentifierBlock(octets))
         elif kind == _REVISION:
             blocks.append(RevisionBlock(octets, value))
+        elif left >= _CHANNEL_LEN:
+            blocks.append(ChannelBlock(octets, **_CHANNEL_LAYOUT.parse(octets)))
         if announced > left:
             return tuple(blocks), f"octet {at + 7} announces a block of {announced} octets, {left} are left"
         at += announced
@@ -209,16 +219,18 @@ def channel_block(
     1..31 and ``size`` 0..7 as in docs/protocol.md#diagnosis-blocks (1 short circuit, 6 line break ..., from 16 on the
     maker's). Raises PduError.
     """
-    octets = CHANNEL.build(ChannelOctets(_CHANNEL, identifier, output, input, channel, size, error))
-    return ChannelBlock(octets, identifier, channel, input, output, size, error)
+    unbuilt = ChannelBlock(b"", identifier, channel, input, output, size, error)
+    return replace(unbuilt, octets=_CHANNEL_LAYOUT.build(unbuilt))
 
 
 def revision_block(revision: int) -> RevisionBlock:
     """The revision of the diagnosis, 0..63. Raises PduError."""
-    return RevisionBlock(BLOCK_HEADER.build(BlockHeader(_REVISION, revision)), revision)
+    if not 0 <= revision <= _MAX_BLOCK:
+        raise PduError(f"diagnosis block: value = {revision} does not fit its octets")
+    return RevisionBlock(bytes((_REVISION << 6 | revision,)), revision)
 
 
 def _header(kind: int, octets: int, what: str) -> bytes:
     if not 1 <= octets < _MAX_BLOCK:
         raise PduError(f"{what}: {octets} octets; 1..{_MAX_BLOCK - 1} are possible in a block")
-    return BLOCK_HEADER.build(BlockHeader(kind, octets + 1))
+    return bytes((kind << 6 | octets + 1,))

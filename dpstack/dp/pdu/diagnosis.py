@@ -1,5 +1,4 @@
-"""The diagnosis of a slave: the six fixed octets (bits: :mod:`dpstack.dp.pdu.diag_bits`), and the blocks that may
-follow.
+"""The diagnosis of a slave: the six fixed octets (bits: :mod:`dpstack.dp.pdu.diag_bits`) and the blocks after them.
 
 Facts: docs/protocol.md#slave_diag; what slaves do instead: docs/protocol.md#how-real-devices-deviate.
 """
@@ -11,7 +10,7 @@ from typing import Final
 
 from dpstack.dp.pdu.diag_bits import ALWAYS_ONE, FLAG, FLAGS, Does, Flag, SetBy
 from dpstack.dp.pdu.diag_blocks import Block, split_blocks
-from dpstack.dp.pdu.layouts import DIAGNOSIS, DiagnosisOctets
+from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, adapted
 from dpstack.errors import PduError
 
 __all__ = ["ALWAYS_ONE", "FIXED_LEN", "FLAG", "FLAGS", "MAX_LEN", "NO_MASTER", "Diagnosis", "Flag", "SetBy"]
@@ -21,6 +20,19 @@ FIXED_LEN: Final = 6
 MAX_LEN: Final = 244
 #: Master address of a slave that nobody has parameterised.
 NO_MASTER: Final = 255
+
+
+class _Bit:
+    """One bit of the status octets as an attribute: the one that :data:`FLAGS` has under ``name``."""
+
+    __slots__ = ("_mask", "_status")
+
+    def __init__(self, name: str) -> None:
+        self._status = f"status{FLAG[name].octet}"
+        self._mask = FLAG[name].mask
+
+    def __get__(self, diagnosis: Diagnosis, owner: type[Diagnosis]) -> bool:
+        return bool(getattr(diagnosis, self._status) & self._mask)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,16 +58,13 @@ class Diagnosis:
         """
         if not FIXED_LEN <= len(octets) <= MAX_LEN:
             return None
-        raw = DIAGNOSIS.parse(octets)
-        master = None if raw.master_add == NO_MASTER else raw.master_add
-        return cls(raw.status_1, raw.status_2, raw.status_3, master, raw.ident, raw.ext_diag)
+        return _DIAGNOSIS.parse(octets)
 
     def build(self) -> bytes:
         """The octets. Raises PduError where a value does not fit."""
         if len(self.ext) > MAX_LEN - FIXED_LEN:
             raise PduError(f"Slave_Diag: {len(self.ext)} octets of extended diagnosis, 238 are possible")
-        master = NO_MASTER if self.master is None else self.master
-        return DIAGNOSIS.build(DiagnosisOctets(self.status1, self.status2, self.status3, master, self.ident, self.ext))
+        return _DIAGNOSIS.build(self)
 
     @property
     def findings(self) -> tuple[Flag, ...]:
@@ -105,78 +114,37 @@ class Diagnosis:
         """What is wrong with the lengths in the extended diagnosis, None when they are true."""
         return split_blocks(self.ext)[1]
 
-    @property
-    def station_non_existent(self) -> bool:
-        """The master's bit: no answer."""
-        return bool(self.status1 & 0x01)
+    # the bits that only a master sets say so; texts and what the master does: FLAGS
+    station_non_existent = _Bit("station_non_existent")  # the master's: no answer
+    not_ready = _Bit("station_not_ready")
+    cfg_fault = _Bit("cfg_fault")
+    ext_diag = _Bit("ext_diag")
+    not_supported = _Bit("not_supported")
+    invalid_response = _Bit("invalid_slave_response")  # the master's: an impossible answer
+    prm_fault = _Bit("prm_fault")
+    master_lock = _Bit("master_lock")  # the master's: parameterised by another master
+    prm_req = _Bit("prm_req")
+    stat_diag = _Bit("stat_diag")
+    wd_on = _Bit("wd_on")
+    freeze = _Bit("freeze_mode")
+    sync = _Bit("sync_mode")
+    not_present = _Bit("not_present")  # the master's: not there
+    deactivated = _Bit("deactivated")  # the master's: taken out of service
+    overflow = _Bit("ext_diag_overflow")
 
-    @property
-    def not_ready(self) -> bool:
-        """Station_Not_Ready."""
-        return bool(self.status1 & 0x02)
 
-    @property
-    def cfg_fault(self) -> bool:
-        """Chk_Cfg was refused."""
-        return bool(self.status1 & 0x04)
-
-    @property
-    def ext_diag(self) -> bool:
-        """The extended diagnosis reports something."""
-        return bool(self.status1 & 0x08)
-
-    @property
-    def not_supported(self) -> bool:
-        """A function was asked for that the slave does not have."""
-        return bool(self.status1 & 0x10)
-
-    @property
-    def invalid_response(self) -> bool:
-        """The master's bit: implausible answer."""
-        return bool(self.status1 & 0x20)
-
-    @property
-    def prm_fault(self) -> bool:
-        """Set_Prm was refused."""
-        return bool(self.status1 & 0x40)
-
-    @property
-    def master_lock(self) -> bool:
-        """The master's bit: parameterised by another master."""
-        return bool(self.status1 & 0x80)
-
-    @property
-    def prm_req(self) -> bool:
-        """The slave wants Set_Prm."""
-        return bool(self.status2 & 0x01)
-
-    @property
-    def stat_diag(self) -> bool:
-        """Static diagnosis: the slave cannot give valid data, the master keeps asking."""
-        return bool(self.status2 & 0x02)
-
-    @property
-    def wd_on(self) -> bool:
-        return bool(self.status2 & 0x08)
-
-    @property
-    def freeze(self) -> bool:
-        return bool(self.status2 & 0x10)
-
-    @property
-    def sync(self) -> bool:
-        return bool(self.status2 & 0x20)
-
-    @property
-    def not_present(self) -> bool:
-        """The master's bit: not there."""
-        return bool(self.status2 & 0x40)
-
-    @property
-    def deactivated(self) -> bool:
-        """The master's bit: taken out of service."""
-        return bool(self.status2 & 0x80)
-
-    @property
-    def overflow(self) -> bool:
-        return bool(self.status3 & 0x80)
+_DIAGNOSIS: Final = Layout(
+    "Slave_Diag",
+    Diagnosis,
+    "status1" / OCTET,
+    "status2" / OCTET,
+    "status3" / OCTET,
+    "master"
+    / adapted(
+        OCTET,
+        lambda octet: None if octet == NO_MASTER else octet,
+        lambda master: NO_MASTER if master is None else master,
+    ),
+    "ident" / WORD,
+    "ext" / REST,
+)

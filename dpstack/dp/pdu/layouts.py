@@ -1,15 +1,15 @@
-"""The octets of the DP services, declared once with construct behind a typed wrapper.
+"""Layouts of PDUs, declared bit by bit with construct; constants of DP-V1 that layouts and checks share.
 
 construct knows no types and takes some 10 us and more a PDU: it is imported here only, and never runs on the cyclic
-path. A :class:`Layout` turns octets into a NamedTuple and back; what the values mean is the business of the callers
-(:mod:`dpstack.dp.pdu.requests`, :mod:`dpstack.dp.pdu.diagnosis`). Layouts: docs/protocol.md#slave_diag,
-docs/protocol.md#set_prm, docs/protocol.md#global_control, docs/protocol.md#set_slave_add,
-docs/protocol.md#alarms; those of MS1 and MS2 are in :mod:`dpstack.dpv1.pdu.layouts`.
+path. Each PDU declares its :class:`Layout` beside the class that it is read into. Layouts: docs/protocol.md#slave_diag,
+docs/protocol.md#set_prm, docs/protocol.md#global_control, docs/protocol.md#set_slave_add, docs/protocol.md#alarms,
+docs/protocol.md#functions-of-dp-v1, docs/protocol.md#im.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar, cast
+from collections.abc import Callable
+from typing import Any, Final, Generic, TypeVar
 
 import construct as cs
 
@@ -19,56 +19,64 @@ from dpstack.errors import PduError
 MAX_RECORD: Final = 240
 MAX_SLOT: Final = 254
 
-
-class _Record(Protocol):
-    """A NamedTuple: its fields are those of the declaration."""
-
-    def _asdict(self) -> dict[str, Any]: ...
-
-
-R = TypeVar("R", bound=_Record)
+R = TypeVar("R")
 
 
 class Layout(Generic[R]):
-    """A PDU, declared bit by bit, and the NamedTuple of the same field names that it is read into."""
+    """A PDU, declared field by field. ``make`` is called with the value of each field under the name of the field:
+    usually a class with the same attributes.
 
-    def __init__(self, name: str, record: type[R], *fields: Any) -> None:
+    Fields that :func:`fixed` and :func:`ignored` make are not values: they are reserved, or always the same.
+    ``"group_mask" / OCTET * "group_ident"`` names the field as messages shall name it. ``function``: the number of a
+    DP-V1 service, which is the first octet then.
+    """
+
+    def __init__(self, name: str, make: Callable[..., R], *fields: Any, function: int | None = None) -> None:
         self.name = name
-        self._record: Any = record
-        self.record = record
-        self.fields: tuple[str, ...] = cast(Any, record)._fields
-        self._struct: Any = cs.Bitwise(cs.Struct(*fields))
+        self.make = make
+        self._function = function
+        if function is not None:
+            fields = ("function" / fixed(8, function), *fields)
+        self._names = {field.name: field.docs or field.name for field in fields}
+        #: the names of the values
+        self.fields = tuple(field.name for field in fields if not field.flagbuildnone)
+        self._row: Any = cs.Struct(*fields)
+        self._struct: Any = cs.Bitwise(cs.Struct(*fields, "beyond" / ignored()))
 
-    def parse(self, octets: bytes, before: int = 0) -> R:
-        """Read ``octets``, which stand behind so many others ``before`` them. Raises PduError naming the field that is
-        missing; octets too many are the caller's case."""
+    @property
+    def size(self) -> int:
+        """Octets of a PDU of one length."""
+        return int(self._row.sizeof()) // 8
+
+    def parse(self, octets: bytes) -> R:
+        """Read ``octets``. Raises PduError naming the octet: one is missing, too many, or of another function."""
         try:
-            container = self._struct.parse(octets)
+            found = self._struct.parse(octets)
         except cs.ConstructError as error:
-            raise PduError(
-                f"{self.name} ends after {before + len(octets)} octets: octet {before + len(octets) + 1} "
-                f"({_field(error)}) is missing"
-            ) from None
-        record: R = self._record(*(container[key] for key in self._record._fields))
-        return record
+            where = f"octet {len(octets) + 1} ({self._names[_field(error)]})"
+            raise PduError(f"{self.name} ends after {len(octets)} octets: {where} is missing") from None
+        if self._function not in (None, octets[0]):
+            raise PduError(f"octet 1 is 0x{octets[0]:02X}, {self.name} is 0x{self._function:02X}")
+        if found["beyond"]:
+            last = len(octets) - len(found["beyond"])
+            raise PduError(f"{self.name} has {len(octets)} octets, octet {last} is the last one")
+        return self.make(**{name: found[name] for name in self.fields})
 
-    def build(self, record: R) -> bytes:
-        """The octets of ``record``. Raises PduError naming the field that does not fit."""
+    def build(self, source: object = None, **values: object) -> bytes:
+        """The octets: each field from ``values``, else the attribute of ``source`` that has its name. Raises PduError
+        naming the field that does not fit."""
+        given = {name: values[name] if name in values else getattr(source, name) for name in self.fields}
         try:
-            return bytes(self._struct.build(record._asdict()))
+            return bytes(self._struct.build(given))
         except cs.ConstructError as error:
             field = _field(error)
-            raise PduError(f"{self.name}: {field} = {getattr(record, field, '?')} does not fit its octets") from None
+            what = f"{self._names[field]} = {given.get(field)}"
+            raise PduError(f"{self.name}: {what} does not fit its octets") from None
 
 
 def _field(error: Any) -> str:
     """The field that a construct error is about, from its path ("(parsing) -> ident")."""
     return str(error.path).rpartition(" -> ")[2]
-
-
-def flags(names: str) -> tuple[Any, ...]:
-    """One bit each, most significant first."""
-    return tuple(name / cs.Flag for name in names.split())
 
 
 #: what declarations are made of: ``"name" / OCTET``
@@ -83,163 +91,32 @@ def bits(count: int) -> Any:
     return cs.BitsInteger(count)
 
 
+def flags(names: str) -> tuple[Any, ...]:
+    """One bit each, most significant first."""
+    return tuple(name / cs.Flag for name in names.split())
+
+
 def octets(count: int) -> Any:
     """So many octets as they are."""
     return cs.Bytewise(cs.Bytes(count))
 
 
-class SetPrmOctets(NamedTuple):
-    """Set_Prm as it is on the wire."""
-
-    lock: bool
-    unlock: bool
-    sync: bool
-    freeze: bool
-    wd_on: bool
-    reserved: int
-    wd_fact_1: int
-    wd_fact_2: int
-    min_tsdr: int
-    ident: int
-    group_ident: int
-    user_prm: bytes
+def array(count: int, field: Any) -> Any:
+    """So many of ``field``, as a list."""
+    return cs.Array(count, field)
 
 
-SET_PRM: Final = Layout(
-    "Set_Prm",
-    SetPrmOctets,
-    *flags("lock unlock sync freeze wd_on"),
-    "reserved" / bits(3),
-    "wd_fact_1" / OCTET,
-    "wd_fact_2" / OCTET,
-    "min_tsdr" / OCTET,
-    "ident" / WORD,
-    "group_ident" / OCTET,
-    "user_prm" / REST,
-)
+def fixed(count: int, value: int = 0) -> Any:
+    """So many bits that are always ``value`` when sent, and may be anything when received."""
+    return cs.Default(cs.BitsInteger(count), value)
 
 
-class GlobalControlOctets(NamedTuple):
-    """Global_Control as it is on the wire. ``reserved_high`` are bits 7..6, ``reserved_low`` is bit 0."""
-
-    reserved_high: int
-    sync: bool
-    unsync: bool
-    freeze: bool
-    unfreeze: bool
-    clear_data: bool
-    reserved_low: int
-    group_select: int
+def ignored() -> Any:
+    """The octets up to the end: none when sent, anything when received."""
+    return cs.Default(REST, b"")
 
 
-GLOBAL_CONTROL: Final = Layout(
-    "Global_Control",
-    GlobalControlOctets,
-    "reserved_high" / bits(2),
-    *flags("sync unsync freeze unfreeze clear_data"),
-    "reserved_low" / bits(1),
-    "group_select" / OCTET,
-)
-
-
-class SetSlaveAddOctets(NamedTuple):
-    """Set_Slave_Add as it is on the wire; the meaning of ``no_add_chg`` is the caller's."""
-
-    new_address: int
-    ident: int
-    no_add_chg: int
-    rem_slave_data: bytes
-
-
-SET_SLAVE_ADD: Final = Layout(
-    "Set_Slave_Add",
-    SetSlaveAddOctets,
-    "new_address" / OCTET,
-    "ident" / WORD,
-    "no_add_chg" / OCTET,
-    "rem_slave_data" / REST,
-)
-
-
-class DiagnosisOctets(NamedTuple):
-    """The answer to Slave_Diag as it is on the wire; the bits of the status octets stay in their octets."""
-
-    status_1: int
-    status_2: int
-    status_3: int
-    master_add: int
-    ident: int
-    ext_diag: bytes
-
-
-DIAGNOSIS: Final = Layout(
-    "Slave_Diag",
-    DiagnosisOctets,
-    "status_1" / OCTET,
-    "status_2" / OCTET,
-    "status_3" / OCTET,
-    "master_add" / OCTET,
-    "ident" / WORD,
-    "ext_diag" / REST,
-)
-
-
-class BlockHeader(NamedTuple):
-    """The first octet of a block of the extended diagnosis: kind (bits 7..6) and what the kind makes of the rest."""
-
-    kind: int
-    value: int
-
-
-BLOCK_HEADER: Final = Layout("diagnosis block", BlockHeader, "kind" / bits(2), "value" / bits(6))
-
-
-class ChannelOctets(NamedTuple):
-    """A block of the channel related diagnosis, three octets."""
-
-    kind: int
-    identifier: int
-    output: bool
-    input: bool
-    channel: int
-    size: int
-    error: int
-
-
-CHANNEL: Final = Layout(
-    "channel related diagnosis",
-    ChannelOctets,
-    "kind" / bits(2),
-    "identifier" / bits(6),
-    *flags("output input"),
-    "channel" / bits(6),
-    "size" / bits(3),
-    "error" / bits(5),
-)
-
-
-class MessageOctets(NamedTuple):
-    """An alarm or a status in a device related block of the diagnosis; ``header`` is the block's."""
-
-    header: int
-    is_status: bool
-    kind: int
-    slot: int
-    sequence: int
-    add_ack: bool
-    specifier: int
-    data: bytes
-
-
-MESSAGE: Final = Layout(
-    "alarm or status",
-    MessageOctets,
-    "header" / OCTET,
-    *flags("is_status"),
-    "kind" / bits(7),
-    "slot" / OCTET,
-    "sequence" / bits(5),
-    *flags("add_ack"),
-    "specifier" / bits(2),
-    "data" / REST,
-)
+def adapted(field: Any, read: Callable[[Any], object], write: Callable[[Any], object]) -> Any:
+    """``field`` with another value: ``read`` makes it of that on the wire, ``write`` the other way; both may raise
+    PduError."""
+    return cs.ExprAdapter(field, lambda value, _: read(value), lambda value, _: write(value))

@@ -133,8 +133,6 @@ TABLES: Final[Mapping[int, Layout[Any]]] = {
         "DXB subscription", DxbSubscription, *(name / OCTET for name in DxbSubscription._fields)
     ),
 }
-_SIZES: Final[Mapping[int, int]] = {BlockType.PRM_CMD: 4, BlockType.ISOCHRONOUS: 24, BlockType.TIME_AR: 10}
-_ENTRY_SIZES: Final[Mapping[int, int]] = {BlockType.DXB_LINKS: 4, BlockType.DXB_SUBSCRIBERS: 6}
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +160,7 @@ class PrmBlock:
     @classmethod
     def of(cls, content: Content, slot: int = 0, *, kind: int | None = None, specifier: int = 0) -> PrmBlock:
         """A block of ``content``; ``kind``: of a table without entries. Raises PduError where a value does not fit."""
-        number = type_of(content) if kind is None else kind
+        number = _type_of(content) if kind is None else kind
         if isinstance(content, DxbTable):
             layout = TABLES[number]
             data = bytes((content.version & 0xFF,)) + b"".join(layout.build(one) for one in content.entries)
@@ -184,36 +182,30 @@ class PrmBlock:
     @property
     def content(self) -> Content | None:
         """What it says, None for types that are octets only. Raises PduError for a length that cannot be."""
-        size, entry = _SIZES.get(self.type), _ENTRY_SIZES.get(self.type)
+        record, entry = RECORDS.get(self.type), TABLES.get(self.type)
         count = len(self.data)
-        if size is not None:
-            if count != size:
-                raise PduError(f"{self.title} has {size} octets of data, there are {count}")
-            record: Content = RECORDS[self.type].parse(self.data)
-            return record
+        if record is not None:
+            if count != record.size:
+                raise PduError(f"{self.title} has {record.size} octets of data, there are {count}")
+            content: Content = record.parse(self.data)
+            return content
         if entry is None:
             return None
-        if count % entry != 1:
-            raise PduError(f"{self.title} has a version and entries of {entry} octets each, there are {count} octets")
-        layout = TABLES[self.type]
-        entries = tuple(layout.parse(self.data[at : at + entry]) for at in range(1, count, entry))
-        return DxbTable(self.data[0], entries)
+        size = entry.size
+        if count % size != 1:
+            raise PduError(f"{self.title} has a version and entries of {size} octets each, there are {count} octets")
+        return DxbTable(self.data[0], tuple(entry.parse(self.data[at : at + size]) for at in range(1, count, size)))
 
 
-def type_of(content: Content) -> int:
+def _type_of(content: Content) -> int:
     """The number of its type. Raises PduError for a table without entries: it may be either."""
-    match content:
-        case PrmCmd():
-            return BlockType.PRM_CMD
-        case Isochronous():
-            return BlockType.ISOCHRONOUS
-        case TimeAr():
-            return BlockType.TIME_AR
-        case DxbTable(_, (DxbLink(), *_)):
-            return BlockType.DXB_LINKS
-        case DxbTable(_, (DxbSubscription(), *_)):
-            return BlockType.DXB_SUBSCRIBERS
-    raise PduError("a table without entries: say kind=BlockType.DXB_LINKS or BlockType.DXB_SUBSCRIBERS")
+    kinds: Mapping[int, Layout[Any]] = RECORDS
+    record: object = content
+    if isinstance(content, DxbTable):
+        if not content.entries:
+            raise PduError("a table without entries: say kind=BlockType.DXB_LINKS or BlockType.DXB_SUBSCRIBERS")
+        kinds, record = TABLES, content.entries[0]
+    return next(kind for kind, layout in kinds.items() if layout.make is type(record))
 
 
 def parse_blocks(octets: bytes, first: int = 1) -> tuple[PrmBlock, ...]:

@@ -8,20 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
-from dpstack.dp.pdu.layouts import (
-    GLOBAL_CONTROL,
-    SET_PRM,
-    SET_SLAVE_ADD,
-    GlobalControlOctets,
-    SetPrmOctets,
-    SetSlaveAddOctets,
-)
+from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, adapted, fixed, flags
 from dpstack.errors import PduError
 from dpstack.params import MAX_STATION
-
-__all__ = ["MAX_REM_SLAVE_DATA", "MAX_USER_PRM", "SET_PRM_LEN", "GlobalControl", "PduError", "SetPrm", "SetSlaveAdd"]
 
 #: The fixed octets of Set_Prm.
 SET_PRM_LEN: Final = 7
@@ -30,8 +21,6 @@ MAX_USER_PRM: Final = 237
 
 #: Octets for the device itself that fit after the four fixed ones of Set_Slave_Add.
 MAX_REM_SLAVE_DATA: Final = 240
-#: No_Add_Chg is a Boolean of one octet: 0 is false, anything else true; this value is true to every reader.
-_TRUE: Final = 0xFF
 
 #: as many Global_Controls are kept, read and built
 _KEPT_CONTROLS: Final = 64
@@ -66,41 +55,34 @@ class SetPrm:
         if self.watchdog is not None and not all(1 <= factor <= 255 for factor in self.watchdog):
             raise PduError(f"Set_Prm: watchdog factors {self.watchdog} are outside 1..255 (None switches it off)")
         first, second = self.watchdog or _NO_WATCHDOG
-        return SET_PRM.build(
-            SetPrmOctets(
-                lock=self.lock,
-                unlock=self.unlock,
-                sync=self.sync,
-                freeze=self.freeze,
-                wd_on=self.watchdog is not None,
-                reserved=0,
-                wd_fact_1=first,
-                wd_fact_2=second,
-                min_tsdr=self.min_tsdr,
-                ident=self.ident,
-                group_ident=self.group_mask,
-                user_prm=self.user_prm,
-            )
-        )
+        return _SET_PRM.build(self, wd_on=self.watchdog is not None, wd_fact_1=first, wd_fact_2=second)
 
     @classmethod
     def parse(cls, octets: bytes) -> SetPrm:
         """Read ``octets``; reserved bits are ignored, factors of 0 are kept as they came. Raises PduError."""
-        raw = SET_PRM.parse(octets)
-        if len(raw.user_prm) > MAX_USER_PRM:
+        prm = _SET_PRM.parse(octets)
+        if len(prm.user_prm) > MAX_USER_PRM:
             last = SET_PRM_LEN + MAX_USER_PRM
             raise PduError(f"Set_Prm has {len(octets)} octets, octet {last} is the last possible one")
-        return cls(
-            ident=raw.ident,
-            user_prm=raw.user_prm,
-            lock=raw.lock,
-            unlock=raw.unlock,
-            sync=raw.sync,
-            freeze=raw.freeze,
-            watchdog=(raw.wd_fact_1, raw.wd_fact_2) if raw.wd_on else None,
-            min_tsdr=raw.min_tsdr,
-            group_mask=raw.group_ident,
-        )
+        return prm
+
+
+def _set_prm(wd_on: bool, wd_fact_1: int, wd_fact_2: int, **others: Any) -> SetPrm:
+    return SetPrm(watchdog=(wd_fact_1, wd_fact_2) if wd_on else None, **others)
+
+
+_SET_PRM: Final = Layout(
+    "Set_Prm",
+    _set_prm,
+    *flags("lock unlock sync freeze wd_on"),
+    "reserved" / fixed(3),
+    "wd_fact_1" / OCTET,
+    "wd_fact_2" / OCTET,
+    "min_tsdr" / OCTET,
+    "ident" / WORD,
+    "group_mask" / OCTET * "group_ident",
+    "user_prm" / REST,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,44 +102,25 @@ class GlobalControl:
 
     def build(self) -> bytes:
         """The two octets. Raises PduError where the mask does not fit."""
-        return _control_octets(self)
+        return _build_control(self)
 
     @classmethod
     def parse(cls, octets: bytes) -> GlobalControl:
         """Read ``octets``; reserved bits are ignored. Raises PduError unless there are two."""
-        return _control(octets)
+        return _parse_control(octets)
 
 
+_GLOBAL_CONTROL: Final = Layout(
+    "Global_Control",
+    GlobalControl,
+    "reserved_high" / fixed(2),
+    *flags("sync unsync freeze unfreeze clear"),
+    "reserved_low" / fixed(1),
+    "group_mask" / OCTET * "group_select",
+)
 # Every slave of a bus reads the same Global_Control again and again; construct takes its time.
-@lru_cache(_KEPT_CONTROLS)
-def _control_octets(control: GlobalControl) -> bytes:
-    return GLOBAL_CONTROL.build(
-        GlobalControlOctets(
-            reserved_high=0,
-            sync=control.sync,
-            unsync=control.unsync,
-            freeze=control.freeze,
-            unfreeze=control.unfreeze,
-            clear_data=control.clear,
-            reserved_low=0,
-            group_select=control.group_mask,
-        )
-    )
-
-
-@lru_cache(_KEPT_CONTROLS)
-def _control(octets: bytes) -> GlobalControl:
-    raw = GLOBAL_CONTROL.parse(octets)
-    if len(octets) != 2:
-        raise PduError(f"Global_Control has {len(octets)} octets, octet 2 is the last one")
-    return GlobalControl(
-        clear=raw.clear_data,
-        unfreeze=raw.unfreeze,
-        freeze=raw.freeze,
-        unsync=raw.unsync,
-        sync=raw.sync,
-        group_mask=raw.group_select,
-    )
+_build_control: Final = lru_cache(_KEPT_CONTROLS)(_GLOBAL_CONTROL.build)
+_parse_control: Final = lru_cache(_KEPT_CONTROLS)(_GLOBAL_CONTROL.parse)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,11 +144,20 @@ class SetSlaveAdd:
             raise PduError(
                 f"Set_Slave_Add: {len(self.rem_slave_data)} octets for the device, {MAX_REM_SLAVE_DATA} are possible"
             )
-        no_add_chg = _TRUE if self.no_add_chg else 0
-        return SET_SLAVE_ADD.build(SetSlaveAddOctets(self.address, self.ident, no_add_chg, self.rem_slave_data))
+        return _SET_SLAVE_ADD.build(self)
 
     @classmethod
     def parse(cls, octets: bytes) -> SetSlaveAdd:
-        """Read ``octets``; what address they hold is for the slave to judge. Raises PduError when they are too few."""
-        raw = SET_SLAVE_ADD.parse(octets)
-        return cls(raw.new_address, raw.ident, raw.no_add_chg != 0, raw.rem_slave_data)
+        """Read ``octets``; the slave judges the address in them. Raises PduError when they are too few."""
+        return _SET_SLAVE_ADD.parse(octets)
+
+
+_SET_SLAVE_ADD: Final = Layout(
+    "Set_Slave_Add",
+    SetSlaveAdd,
+    "address" / OCTET * "new_address",
+    "ident" / WORD,
+    # No_Add_Chg is a Boolean of one octet: 0 is false, anything else true; FF is true to every reader.
+    "no_add_chg" / adapted(OCTET, bool, lambda is_fixed: 0xFF if is_fixed else 0),
+    "rem_slave_data" / REST,
+)

@@ -22,7 +22,6 @@ from dpstack.dpv1.master.ms1_job import Ms1Access, Ms1Job
 from dpstack.dpv1.master.plugin_queue import PendingRecord, RecordQueue, queue_at
 from dpstack.dpv1.master.response_check import negative_outcome, service_outcome
 from dpstack.dpv1.pdu.error_codes import Code
-from dpstack.dpv1.pdu.ms2 import title_of
 from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, RecordReq, WriteReq
 from dpstack.dpv1.timeouts import SERVICE_TIMEOUT
 from dpstack.errors import PduError, UsageError
@@ -120,7 +119,7 @@ class RecordJob(Ms1Job):
     @property
     def title(self) -> str:
         """With slot and index: they are what a reader looks for."""
-        return title_of(self._request)
+        return self._request.title
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         return [RecordDone.of(self._request, token, self.address, outcome, self.stale, now)]
@@ -200,8 +199,8 @@ class PluginJobs(Provider):
         request = pending.request
         if isinstance(request, WriteReq) and longest < len(request.data) <= MAX_RECORD:
             # as the slave would, if it can answer what does not fit its buffer: whoever asks may do with less
-            refusal = Negative(Function.WRITE, Code.WRITE_LENGTH)
-            pending.outcome = negative_outcome(f"slave {handler.setup.address}", title_of(request), refusal)
+            refusal = Negative(Function.WRITE, Code.WRITE_LENGTH_ERROR)
+            pending.outcome = negative_outcome(f"slave {handler.setup.address}", request.title, refusal)
             return None
         if isinstance(request, ReadReq):
             request = dataclasses.replace(request, length=min(request.length, longest))

@@ -25,8 +25,8 @@ from dpstack.dpv1.master.ms2_commands import (
 from dpstack.dpv1.master.ms2_connection import NOT_WANTED, TIMED_OUT, MasterConnection, Phase
 from dpstack.dpv1.master.ms2_initiate import InitiateJob
 from dpstack.dpv1.master.ms2_jobs import Connections, IdleJob, ServiceJob
-from dpstack.dpv1.pdu.ms2 import Address, DataTransport, InitiateReq, Service
-from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
+from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
+from dpstack.dpv1.pdu.read_write import DataTransport, ReadReq, Service, WriteReq
 from dpstack.dpv1.timeouts import QUIET_SHARE
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.interface import Failure, Request

@@ -15,8 +15,8 @@ from dpstack.dpv1.master.ms2_commands import ConnectionOver, ConnectionsClosed, 
 from dpstack.dpv1.master.ms2_connection import Ended, MasterConnection, Phase
 from dpstack.dpv1.master.response_check import service_outcome
 from dpstack.dpv1.master.srd_polling import Course, Said
-from dpstack.dpv1.pdu.ms2 import HEAD, IDLE, Abort, DataTransport, ResourceManagerRes, Service, title_of
-from dpstack.dpv1.pdu.read_write import Function, ReadReq
+from dpstack.dpv1.pdu.ms2 import HEAD, IDLE, Abort, ResourceManagerRes
+from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, Service
 from dpstack.dpv1.timeouts import service_timeout
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import SAP_MS2_RM
@@ -129,7 +129,7 @@ class ServiceJob(ConnectionJob):
         self._octets = octets
         self._stale = 0
         self._sent = False
-        self.title = title_of(service)
+        self.title = service.title
         match service:
             case ReadReq(length=length):
                 self._answer = HEAD + length

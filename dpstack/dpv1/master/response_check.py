@@ -5,22 +5,30 @@ from __future__ import annotations
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dpv1.pdu.error_codes import Decode, remedy
-from dpstack.dpv1.pdu.ms2 import DataTransport, Service, function_of, title_of
-from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, ReadRes, WriteReq, parse_response
+from dpstack.dpv1.pdu.read_write import (
+    DataTransport,
+    Function,
+    Negative,
+    ReadReq,
+    ReadRes,
+    Service,
+    WriteReq,
+    parse_response,
+)
 from dpstack.errors import PduError
 
 
 def service_outcome(address: int, service: Service, octets: bytes) -> Outcome | None:
     """The end of ``service`` of the slave at ``address`` that ``octets`` are; None where they answer another one."""
     who = f"slave {address}"
-    title = title_of(service)
+    title = service.title
     try:
         transports = isinstance(service, DataTransport) and octets[:1] == bytes((Function.DATA_TRANSPORT,))
         response = DataTransport.parse(octets) if transports else parse_response(octets)
     except PduError as error:
         return Outcome(failure=ServiceFailure.LENGTH, text=f"{who} answers {title} with what cannot be read: {error}")
     if isinstance(response, Negative):
-        return negative_outcome(who, title, response) if response.function == function_of(service) else None
+        return negative_outcome(who, title, response) if response.function == service.function else None
     if (response.slot, response.index) != (service.slot, service.index):
         return None
     match service, response:

@@ -9,21 +9,9 @@ are VisibleStrings filled up with blanks: what a device is stands in ASCII; what
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, Self
 
-from dpstack.dpv1.pdu.layouts import (
-    IM0,
-    IM1,
-    IM2,
-    IM3,
-    IM4,
-    IM_CALL,
-    Im0Octets,
-    Im1Octets,
-    Im2Octets,
-    ImCallOctets,
-    ImTextOctets,
-)
+from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, adapted, array, fixed, octets
 from dpstack.errors import PduError
 
 #: the record of every slot that calls go through
@@ -35,13 +23,28 @@ _CALL: Final = 0x08
 _FIRST: Final = 65000
 #: FI_Index of I&M records: 65000..65199 are reserved for them
 IM_FI: Final = range(_FIRST, _FIRST + 200)
-_HEADER: Final = bytes(10)
 #: released, revision, prototype, under test in the field, test device
 _KINDS: Final = "VRPUT"
 
 
+class _ImRecord:
+    """One record of I&M; its octets: :data:`_LAYOUTS`."""
+
+    __slots__ = ()
+
+    def build(self) -> bytes:
+        """The 64 octets. Raises PduError where a value does not fit."""
+        return _LAYOUTS[type(self)].build(self)
+
+    @classmethod
+    def parse(cls, octets: bytes) -> Self:
+        """Read ``octets``; those after the 64 are ignored. Raises PduError where there are fewer."""
+        record: Self = _LAYOUTS[cls].parse(octets[:IM_LEN])
+        return record
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Im0:
+class Im0(_ImRecord):
     """I&M0: what the device is; read-only.
 
     ``software_revision``: ``V1.2.3`` (V released, R revision, P prototype, U under test, T test device; 0..255 each);
@@ -60,101 +63,31 @@ class Im0:
     version: tuple[int, int] = (1, 1)
     supported: int = 0
 
-    def build(self) -> bytes:
-        """The 64 octets. Raises PduError where a value does not fit."""
-        kind, functional, bug_fix, internal = _revision(self.software_revision)
-        return IM0.build(
-            Im0Octets(
-                _HEADER,
-                self.manufacturer_id,
-                _visible("order_id", self.order_id, 20),
-                _visible("serial_number", self.serial_number, 16),
-                self.hardware_revision,
-                kind,
-                functional,
-                bug_fix,
-                internal,
-                self.revision_counter,
-                self.profile_id,
-                self.profile_type,
-                *self.version,
-                self.supported,
-            )
-        )
-
-    @classmethod
-    def parse(cls, octets: bytes) -> Im0:
-        """Read ``octets``; those after the 64 are ignored. Raises PduError where there are fewer."""
-        raw = IM0.parse(octets[:IM_LEN])
-        letter = raw.software_kind.decode("latin-1")
-        kind = letter if letter.isprintable() else f"0x{ord(letter):02X} "
-        return cls(
-            manufacturer_id=raw.manufacturer_id,
-            order_id=_read(raw.order_id),
-            serial_number=_read(raw.serial_number),
-            hardware_revision=raw.hardware_revision,
-            software_revision=f"{kind}{raw.software_functional}.{raw.software_bug_fix}.{raw.software_internal}",
-            revision_counter=raw.revision_counter,
-            profile_id=raw.profile_id,
-            profile_type=raw.profile_type,
-            version=(raw.version_major, raw.version_minor),
-            supported=raw.supported,
-        )
-
 
 @dataclass(frozen=True, slots=True)
-class Im1:
+class Im1(_ImRecord):
     """I&M1: what the device is for in the plant (up to 32 characters), and where it is (up to 22)."""
 
     tag_function: str = ""
     tag_location: str = ""
 
-    def build(self) -> bytes:
-        """The 64 octets. Raises PduError where a text does not fit."""
-        tags = _text("tag_function", self.tag_function, 32), _text("tag_location", self.tag_location, 22)
-        return IM1.build(Im1Octets(_HEADER, *tags))
-
-    @classmethod
-    def parse(cls, octets: bytes) -> Im1:
-        """Read ``octets``, as :meth:`Im0.parse`."""
-        raw = IM1.parse(octets[:IM_LEN])
-        return cls(_read(raw.tag_function), _read(raw.tag_location))
-
 
 @dataclass(frozen=True, slots=True)
-class Im2:
+class Im2(_ImRecord):
     """I&M2: the date of installation, up to 16 characters (``2026-01-31 12:00``)."""
 
     date: str = ""
 
-    def build(self) -> bytes:
-        """The 64 octets. Raises PduError where the text does not fit."""
-        return IM2.build(Im2Octets(_HEADER, _text("date", self.date, 16), bytes(38)))
-
-    @classmethod
-    def parse(cls, octets: bytes) -> Im2:
-        """Read ``octets``, as :meth:`Im0.parse`."""
-        return cls(_read(IM2.parse(octets[:IM_LEN]).date))
-
 
 @dataclass(frozen=True, slots=True)
-class Im3:
+class Im3(_ImRecord):
     """I&M3: a description, up to 54 characters."""
 
     descriptor: str = ""
 
-    def build(self) -> bytes:
-        """The 64 octets. Raises PduError where the text does not fit."""
-        return IM3.build(ImTextOctets(_HEADER, _text("descriptor", self.descriptor, 54)))
-
-    @classmethod
-    def parse(cls, octets: bytes) -> Im3:
-        """Read ``octets``, as :meth:`Im0.parse`."""
-        return cls(_read(IM3.parse(octets[:IM_LEN]).body))
-
 
 @dataclass(frozen=True, slots=True)
-class Im4:
+class Im4(_ImRecord):
     """I&M4: a signature of the parameter set, 54 octets; shorter ones are filled up with zeros."""
 
     signature: bytes = bytes(54)
@@ -164,19 +97,10 @@ class Im4:
             raise PduError(f"I&M4: {len(self.signature)} octets of signature, 54 are possible")
         object.__setattr__(self, "signature", self.signature.ljust(54, b"\0"))
 
-    def build(self) -> bytes:
-        """The 64 octets."""
-        return IM4.build(ImTextOctets(_HEADER, self.signature))
-
-    @classmethod
-    def parse(cls, octets: bytes) -> Im4:
-        """Read ``octets``, as :meth:`Im0.parse`."""
-        return cls(IM4.parse(octets[:IM_LEN]).body)
-
 
 Im = Im0 | Im1 | Im2 | Im3 | Im4
 #: by number
-RECORDS: Final[tuple[type[Im0] | type[Im1] | type[Im2] | type[Im3] | type[Im4], ...]] = (Im0, Im1, Im2, Im3, Im4)
+RECORDS: Final[tuple[type[Im], ...]] = (Im0, Im1, Im2, Im3, Im4)
 
 
 def number_of(record: Im) -> int:
@@ -185,7 +109,7 @@ def number_of(record: Im) -> int:
 
 def build_call(number: int, record: Im | None = None) -> bytes:
     """What is written to index 255 to ask for I&M ``number``, or to change it to ``record``."""
-    return IM_CALL.build(ImCallOctets(_CALL, 0, _FIRST + number, b"" if record is None else record.build()))
+    return _IM_CALL.build(function=_CALL, fi_index=_FIRST + number, data=b"" if record is None else record.build())
 
 
 def parse_call(octets: bytes) -> tuple[int, bytes]:
@@ -193,12 +117,19 @@ def parse_call(octets: bytes) -> tuple[int, bytes]:
 
     Raises PduError naming the octet.
     """
-    raw = IM_CALL.parse(octets)
-    if raw.function != _CALL:
-        raise PduError(f"I&M call: octet 1 is 0x{raw.function:02X}, a call begins with 0x{_CALL:02X}")
-    if raw.fi_index not in IM_FI:
-        raise PduError(f"I&M call: octets 3-4 are {raw.fi_index}, I&M has {IM_FI.start}..{IM_FI.stop - 1}")
-    return raw.fi_index, raw.data
+    call = _IM_CALL.parse(octets)
+    function, fi_index = call["function"], call["fi_index"]
+    if function != _CALL:
+        raise PduError(f"I&M call: octet 1 is 0x{function:02X}, a call begins with 0x{_CALL:02X}")
+    if fi_index not in IM_FI:
+        raise PduError(f"I&M call: octets 3-4 are {fi_index}, I&M has {IM_FI.start}..{IM_FI.stop - 1}")
+    return fi_index, call["data"]
+
+
+#: the head of I&M in a record: Extended_Function_Num, a reserved octet, FI_Index; then the data of a record
+_IM_CALL: Final[Layout[dict[str, Any]]] = Layout(
+    "I&M call", dict, "function" / OCTET, "reserved" / fixed(8), "fi_index" / WORD, "data" / REST
+)
 
 
 def parse_answer(octets: bytes, number: int) -> Im:
@@ -209,31 +140,57 @@ def parse_answer(octets: bytes, number: int) -> Im:
     return RECORDS[number].parse(data)
 
 
-def _text(name: str, text: str, length: int) -> bytes:
-    try:
-        octets = text.encode("latin-1")
-    except UnicodeEncodeError:
-        raise PduError(f"{name} = {text!r} has characters outside ISO 8859-1") from None
-    if len(octets) > length:
-        raise PduError(f"{name} = {text!r} has {len(octets)} characters, {length} are possible")
-    return octets.ljust(length)
+def _text(name: str, length: int, *, visible: bool = False) -> Any:
+    """The field ``name``: a text of up to ``length`` characters, filled up with blanks."""
+
+    def write(text: str) -> bytes:
+        if visible and not (text.isascii() and text.isprintable()):
+            raise PduError(f"{name} = {text!r}: a VisibleString has ASCII characters from the blank to ~")
+        try:
+            encoded = text.encode("latin-1")
+        except UnicodeEncodeError:
+            raise PduError(f"{name} = {text!r} has characters outside ISO 8859-1") from None
+        if len(encoded) > length:
+            raise PduError(f"{name} = {text!r} has {len(encoded)} characters, {length} are possible")
+        return encoded.ljust(length)
+
+    return name / adapted(octets(length), lambda found: found.decode("latin-1").rstrip(" \0"), write)
 
 
-def _visible(name: str, text: str, length: int) -> bytes:
-    if not (text.isascii() and text.isprintable()):
-        raise PduError(f"{name} = {text!r}: a VisibleString has ASCII characters from the blank to ~")
-    return _text(name, text, length)
+def _read_revision(octets: bytes) -> str:
+    letter, *numbers = octets
+    kind = chr(letter) if chr(letter).isprintable() else f"0x{letter:02X} "
+    return kind + ".".join(map(str, numbers))
 
 
-def _read(octets: bytes) -> str:
-    return octets.decode("latin-1").rstrip(" \0")
-
-
-def _revision(text: str) -> tuple[bytes, int, int, int]:
+def _revision(text: str) -> bytes:
     kind, numbers = text[:1], text[1:].split(".")
     if not kind or kind not in _KINDS or len(numbers) != 3 or not all(n.isdecimal() and int(n) <= 255 for n in numbers):
         raise PduError(
             f"software_revision = {text!r}: give a letter ({', '.join(_KINDS)}) and three numbers 0..255, like V1.2.3"
         )
-    first, second, third = (int(n) for n in numbers)
-    return kind.encode("ascii"), first, second, third
+    return bytes((ord(kind), *map(int, numbers)))
+
+
+_HEADER: Final = "header" / fixed(80)
+_LAYOUTS: Final[dict[type, Layout[Any]]] = {
+    Im0: Layout(
+        "I&M0",
+        Im0,
+        _HEADER,
+        "manufacturer_id" / WORD,
+        _text("order_id", 20, visible=True),
+        _text("serial_number", 16, visible=True),
+        "hardware_revision" / WORD,
+        "software_revision" / adapted(octets(4), _read_revision, _revision),
+        "revision_counter" / WORD,
+        "profile_id" / WORD,
+        "profile_type" / WORD,
+        "version" / adapted(array(2, OCTET), tuple, list),
+        "supported" / WORD,
+    ),
+    Im1: Layout("I&M1", Im1, _HEADER, _text("tag_function", 32), _text("tag_location", 22)),
+    Im2: Layout("I&M2", Im2, _HEADER, _text("date", 16), "reserved" / fixed(38 * 8)),
+    Im3: Layout("I&M3", Im3, _HEADER, _text("descriptor", 54)),
+    Im4: Layout("I&M4", Im4, _HEADER, "signature" / octets(54)),
+}

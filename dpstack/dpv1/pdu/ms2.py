@@ -1,4 +1,4 @@
-"""The PDUs that MS2 has beside Read and Write: Resource_Manager, Initiate, Data_Transport, Idle, Abort.
+"""The PDUs that open, keep and end a class 2 connection (MS2): Resource_Manager, Initiate, Idle, Abort.
 
 Layouts and reasons: docs/protocol.md#ms2, docs/protocol.md#initiate, docs/protocol.md#idle, docs/protocol.md#abort.
 Times are in ns; on the wire they count 10 ms.
@@ -6,26 +6,13 @@ Times are in ns; on the wire they count 10 ms.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Final
+from typing import Any, ClassVar, Final, Self
 
-from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT
-from dpstack.dpv1.pdu.layouts import (
-    ABORT,
-    INITIATE,
-    INITIATE_REQ,
-    INITIATE_RES,
-    RECORD,
-    RESOURCE_MANAGER,
-    AbortOctets,
-    InitiateOctets,
-    InitiateReqOctets,
-    InitiateResOctets,
-    RecordOctets,
-    ResourceManagerOctets,
-)
-from dpstack.dpv1.pdu.read_write import Function, RecordReq, WriteReq
+from dpstack.dp.pdu.layouts import MAX_RECORD, OCTET, REST, WORD, Layout, adapted, bits, fixed, ignored
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import PduError
 from dpstack.units import NS_PER_MS, ns_to_s
 
@@ -74,18 +61,34 @@ class ResourceManagerRes:
         """The octets. Raises PduError where a value does not fit."""
         if self.server_sap not in SERVER_SAPS:
             raise PduError(f"{self.server_sap} is no server SAP: 0..{SERVER_SAPS[-1]}")
-        octets = ResourceManagerOctets(Function.RESOURCE_MANAGER, self.server_sap, _counts(self.send_timeout_ns), b"")
-        return RESOURCE_MANAGER.build(octets)
+        return _RESOURCE_MANAGER.build(self)
 
     @classmethod
     def parse(cls, octets: bytes) -> ResourceManagerRes:
         """Raises PduError naming the octet."""
-        raw = RESOURCE_MANAGER.parse(octets)
-        _is(Function.RESOURCE_MANAGER, raw.function)
-        _ends(octets, raw.rest, "Resource_Manager")
-        if raw.server_sap not in SERVER_SAPS:
-            raise PduError(f"Resource_Manager: octet 2: {raw.server_sap} is no server SAP (0..{SERVER_SAPS[-1]})")
-        return cls(raw.server_sap, raw.send_timeout * TIMEOUT_UNIT)
+        manager = _RESOURCE_MANAGER.parse(octets)
+        if manager.server_sap not in SERVER_SAPS:
+            raise PduError(f"Resource_Manager: octet 2: {manager.server_sap} is no server SAP (0..{SERVER_SAPS[-1]})")
+        return manager
+
+
+def _counts(timeout_ns: int) -> int:
+    """Rounded up: never shorter than what was meant."""
+    counts = -(-timeout_ns // TIMEOUT_UNIT)
+    if timeout_ns < 0 or counts > _MAX_WORD:
+        longest = ns_to_s(_MAX_WORD * TIMEOUT_UNIT)
+        raise PduError(f"a send time-out of {ns_to_s(timeout_ns):g} s is not possible: 0..{longest:g} s")
+    return counts
+
+
+_SEND_TIMEOUT: Final = "send_timeout_ns" / adapted(WORD, lambda counts: counts * TIMEOUT_UNIT, _counts) * "send_timeout"
+_RESOURCE_MANAGER: Final = Layout(
+    "Resource_Manager",
+    ResourceManagerRes,
+    "server_sap" / OCTET,
+    _SEND_TIMEOUT,
+    function=Function.RESOURCE_MANAGER,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,21 +102,45 @@ class Initiate:
     source: Address = Address()
     destination: Address = Address()
 
-    def common(self) -> bytes:
-        """The octets behind those that request and response have each of their own. Raises PduError where a value does
-        not fit."""
+    LAYOUT: ClassVar[Layout[Any]]
+
+    def build(self) -> bytes:
+        """The octets: a request has at least 20, a response 16. Raises PduError where a value does not fit."""
         source, destination = self.source.build(), self.destination.build()
-        raw = InitiateOctets(
-            features=self.features,
-            profile_features=self.profile_features,
-            profile_ident=self.profile_ident,
+        return self.LAYOUT.build(
+            self,
             s_type=self.source.kind,
             s_len=len(source),
             d_type=self.destination.kind,
             d_len=len(destination),
             addresses=source + destination,
         )
-        return INITIATE.build(raw)
+
+    @classmethod
+    def parse(cls, octets: bytes) -> Self:
+        """Reserved octets may be anything. Raises PduError naming the octet."""
+        initiate: Self = cls.LAYOUT.parse(octets)
+        return initiate
+
+    @classmethod
+    def _read(cls, s_type: int, s_len: int, d_type: int, d_len: int, addresses: bytes, **fields: Any) -> Self:
+        if s_len + d_len != len(addresses):
+            announced = f"{s_len} and {d_len} octets of addresses are announced"
+            raise PduError(f"Initiate: {announced}, {len(addresses)} came")
+        source = _address("S_Addr", s_type, addresses[:s_len])
+        return cls(source=source, destination=_address("D_Addr", d_type, addresses[s_len:]), **fields)
+
+
+_COMMON: Final = (
+    "features" / WORD,
+    "profile_features" / WORD,
+    "profile_ident" / WORD,
+    "s_type" / OCTET,
+    "s_len" / OCTET,
+    "d_type" / OCTET,
+    "d_len" / OCTET,
+    "addresses" / REST,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,18 +149,6 @@ class InitiateReq(Initiate):
 
     send_timeout_ns: int
 
-    def build(self) -> bytes:
-        """The octets, at least 20. Raises PduError where a value does not fit."""
-        send_timeout = _counts(self.send_timeout_ns)
-        return INITIATE_REQ.build(InitiateReqOctets(Function.INITIATE, bytes(3), send_timeout, self.common()))
-
-    @classmethod
-    def parse(cls, octets: bytes) -> InitiateReq:
-        """Raises PduError naming the octet; reserved octets may be anything."""
-        raw = INITIATE_REQ.parse(octets)
-        _is(Function.INITIATE, raw.function)
-        return cls(raw.send_timeout * TIMEOUT_UNIT, **_common(octets, raw.common))
-
 
 @dataclass(frozen=True, slots=True)
 class InitiateRes(Initiate):
@@ -141,42 +156,20 @@ class InitiateRes(Initiate):
 
     max_len: int = MAX_RECORD
 
-    def build(self) -> bytes:
-        """The octets, at least 16. Raises PduError where a value does not fit."""
-        return INITIATE_RES.build(InitiateResOctets(Function.INITIATE, self.max_len, self.common()))
 
-    @classmethod
-    def parse(cls, octets: bytes) -> InitiateRes:
-        """Raises PduError naming the octet."""
-        raw = INITIATE_RES.parse(octets)
-        _is(Function.INITIATE, raw.function)
-        return cls(raw.max_len_data_unit, **_common(octets, raw.common))
+InitiateReq.LAYOUT = Layout(
+    "Initiate", InitiateReq._read, "reserved" / fixed(24), _SEND_TIMEOUT, *_COMMON, function=Function.INITIATE
+)
+InitiateRes.LAYOUT = Layout(
+    "Initiate", InitiateRes._read, "max_len" / OCTET * "max_len_data_unit", *_COMMON, function=Function.INITIATE
+)
 
 
-@dataclass(frozen=True, slots=True)
-class DataTransport:
-    """Data_Transport, request and positive response: ``data`` to and from ``slot`` and ``index``."""
-
-    slot: int
-    index: int
-    data: bytes
-
-    def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
-        if not 0 <= self.slot <= MAX_SLOT:
-            raise PduError(f"slot {self.slot} does not exist: 0..{MAX_SLOT}")
-        if len(self.data) > MAX_RECORD:
-            raise PduError(f"{len(self.data)} octets of data, {MAX_RECORD} are possible in one service")
-        return RECORD.build(RecordOctets(Function.DATA_TRANSPORT, self.slot, self.index, len(self.data), self.data))
-
-    @classmethod
-    def parse(cls, octets: bytes) -> DataTransport:
-        """Raises PduError naming the octet."""
-        raw = RECORD.parse(octets)
-        _is(Function.DATA_TRANSPORT, raw.function)
-        if raw.length != len(raw.data) or raw.length > MAX_RECORD:
-            raise PduError(f"Data_Transport: octet 4 says {raw.length} octets of data, {len(raw.data)} came")
-        return cls(raw.slot, raw.record, raw.data)
+def _address(name: str, kind: int, octets: bytes) -> Address:
+    lengths = {0: range(_ADDRESS, _ADDRESS + 1), 1: range(_NET_ADDRESS, 256)}.get(kind)
+    if lengths is None or len(octets) not in lengths:
+        raise PduError(f"Initiate: {name} of type {kind} with {len(octets)} octets; type 0 has 2, type 1 at least 8")
+    return Address(octets[0], octets[1], octets[_ADDRESS:])
 
 
 #: Idle, request and response; the second octet is reserved and may be anything from others
@@ -213,7 +206,7 @@ class AbortReason(IntEnum):
     RESOURCE = 15
 
 
-_REASONS: Final = {
+_REASONS: Final[Mapping[int, tuple[str, str]]] = {
     AbortReason.SEQUENCE: ("ABT_SE", "a service that is not allowed in this state"),
     AbortReason.REQUEST_PDU: ("ABT_FE", "a request that cannot be read"),
     AbortReason.TIMEOUT: ("ABT_TO", "nothing was heard from the other end in time"),
@@ -237,7 +230,7 @@ _LINK: Final = {
     14: ("DS", "not in the logical ring"),
     15: ("NA", "the other station does not answer"),
 }
-_SUBNETS: Final = {Subnet.NONE: "", Subnet.LOCAL: " in its own subnet", Subnet.REMOTE: " in a remote subnet"}
+_SUBNETS: Final[Mapping[int, str]] = {Subnet.LOCAL: " in its own subnet", Subnet.REMOTE: " in a remote subnet"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,14 +243,14 @@ class Abort:
 
     @property
     def text(self) -> str:
-        where = _SUBNETS.get(Subnet(self.subnet), "") if self.subnet in Subnet.__members__.values() else ""
+        where = _SUBNETS.get(self.subnet, "")
+        unknown = (f"reason {self.reason}", "a reserved reason")
         match self.instance:
             case Instance.MS2:
-                known = AbortReason(self.reason) if self.reason in AbortReason.__members__.values() else None
-                name, text = _REASONS[known] if known else (f"reason {self.reason}", "a reserved reason")
+                name, text = _REASONS.get(self.reason, unknown)
                 return f"{text} ({name}{where})"
             case Instance.FDL:
-                name, text = _LINK.get(self.reason, (f"reason {self.reason}", "a reserved reason"))
+                name, text = _LINK.get(self.reason, unknown)
                 return f"its link layer: {text} ({name}{where})"
             case Instance.USER:
                 return f"its user, reason {self.reason}{where}"
@@ -266,70 +259,22 @@ class Abort:
 
     def build(self) -> bytes:
         """The octets. Raises PduError where a value does not fit."""
-        return ABORT.build(AbortOctets(Function.ABORT, self.subnet, 0, self.instance, self.reason, b""))
+        return _ABORT.build(self)
 
     @classmethod
     def parse(cls, octets: bytes) -> Abort:
-        """What follows is reserved and may be anything (Balluff appends it). Raises PduError naming the octet."""
-        raw = ABORT.parse(octets)
-        _is(Function.ABORT, raw.function)
-        return cls(raw.reason, raw.instance, raw.subnet)
+        """Octets behind the reason are reserved and may be anything (Balluff sends some). Raises PduError naming the
+        octet."""
+        return _ABORT.parse(octets)
 
 
-def _counts(timeout_ns: int) -> int:
-    """Rounded up: never shorter than what was meant."""
-    counts = -(-timeout_ns // TIMEOUT_UNIT)
-    if timeout_ns < 0 or counts > _MAX_WORD:
-        longest = ns_to_s(_MAX_WORD * TIMEOUT_UNIT)
-        raise PduError(f"a send time-out of {ns_to_s(timeout_ns):g} s is not possible: 0..{longest:g} s")
-    return counts
-
-
-def _common(octets: bytes, common: bytes) -> dict[str, Any]:
-    """The fields of :class:`Initiate` in the last part of ``octets``."""
-    raw = INITIATE.parse(common, len(octets) - len(common))
-    if raw.s_len + raw.d_len != len(raw.addresses):
-        announced = f"{raw.s_len} and {raw.d_len} octets of addresses are announced"
-        raise PduError(f"Initiate: {announced}, {len(raw.addresses)} came")
-    return {
-        "features": raw.features,
-        "profile_features": raw.profile_features,
-        "profile_ident": raw.profile_ident,
-        "source": _address("S_Addr", raw.s_type, raw.addresses[: raw.s_len]),
-        "destination": _address("D_Addr", raw.d_type, raw.addresses[raw.s_len :]),
-    }
-
-
-def _address(name: str, kind: int, octets: bytes) -> Address:
-    lengths = {0: range(_ADDRESS, _ADDRESS + 1), 1: range(_NET_ADDRESS, 256)}.get(kind)
-    if lengths is None or len(octets) not in lengths:
-        raise PduError(f"Initiate: {name} of type {kind} with {len(octets)} octets; type 0 has 2, type 1 at least 8")
-    return Address(octets[0], octets[1], octets[_ADDRESS:])
-
-
-def _is(function: Function, found: int) -> None:
-    if found != function:
-        raise PduError(f"octet 1 is 0x{found:02X}, {function.title} is 0x{function:02X}")
-
-
-def _ends(octets: bytes, rest: bytes, name: str) -> None:
-    if rest:
-        raise PduError(f"{name} has {len(octets)} octets, octet {len(octets) - len(rest)} is the last one")
-
-
-Service = RecordReq | DataTransport
-
-
-def function_of(service: Service) -> Function:
-    match service:
-        case DataTransport():
-            return Function.DATA_TRANSPORT
-        case WriteReq():
-            return Function.WRITE
-        case _:
-            return Function.READ
-
-
-def title_of(service: Service) -> str:
-    """With slot and index: they are what a reader looks for."""
-    return f"{function_of(service).title} of slot {service.slot}, index {service.index}"
+_ABORT: Final = Layout(
+    "Abort",
+    Abort,
+    "subnet" / OCTET,
+    "reserved" / fixed(2),
+    "instance" / bits(2),
+    "reason" / bits(4),
+    "rest" / ignored(),
+    function=Function.ABORT,
+)

@@ -1,4 +1,5 @@
-"""The PDUs of Read and Write: requests, responses, negative responses (docs/protocol.md#read-and-write).
+"""The PDUs of the services for records: Read, Write, Data_Transport, Alarm_Ack, requests and responses, negative
+responses (docs/protocol.md#read-and-write).
 
 Lengths are octets of data. Slots 0..254, indexes 0..255, up to 240 octets of data.
 """
@@ -7,18 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final
+from typing import ClassVar, Final, NamedTuple
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier
-from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT
+from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT, OCTET, REST, Layout, adapted, bits, flags
 from dpstack.dpv1.pdu.error_codes import Code, Decode, negative_text
-from dpstack.dpv1.pdu.layouts import ALARM_ACK, NEGATIVE, RECORD, AlarmAckOctets, NegativeOctets, RecordOctets
 from dpstack.errors import PduError
 
 #: the record of PROFIdrive's parameter channel
 PARAMETER_INDEX: Final = 47
 _HEAD: Final = 4
-_NEGATIVE: Final = 0x80
+_REFUSED: Final = 0x80
 
 
 class Function(IntEnum):
@@ -39,60 +39,118 @@ class Function(IntEnum):
         return self.name.title()
 
 
-@dataclass(frozen=True, slots=True)
-class ReadReq:
-    """Read up to ``length`` octets of the record ``index`` of ``slot``."""
+class RecordOctets(NamedTuple):
+    """Read, Write and Data_Transport, requests and positive responses: four octets, and the data where there are
+    any."""
 
+    function: int
     slot: int
-    index: int
-    length: int = MAX_RECORD
-
-    def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
-        _check(self.slot, self.index, self.length)
-        return RECORD.build(RecordOctets(Function.READ, self.slot, self.index, self.length, b""))
-
-
-@dataclass(frozen=True, slots=True)
-class WriteReq:
-    """Write ``data`` into the record ``index`` of ``slot``."""
-
-    slot: int
-    index: int
+    record: int
+    length: int
     data: bytes
 
-    def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
-        _check(self.slot, self.index, len(self.data))
-        return RECORD.build(RecordOctets(Function.WRITE, self.slot, self.index, len(self.data), self.data))
+
+RECORD: Final = Layout(
+    "DP-V1 service",
+    RecordOctets,
+    "function" / OCTET,
+    "slot" / OCTET,
+    "record" / OCTET,
+    "length" / OCTET,
+    "data" / REST,
+)
 
 
 @dataclass(frozen=True, slots=True)
-class ReadRes:
-    """The data of a record: as many octets as it has, never more than were asked for."""
+class _Service:
+    """A service for the record ``index`` of ``slot``."""
+
+    function: ClassVar[Function]
+    #: the unit that its data are limited in, for messages
+    _UNIT: ClassVar = "record"
 
     slot: int
     index: int
-    data: bytes
 
-    def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
-        _check(self.slot, self.index, len(self.data))
-        return RECORD.build(RecordOctets(Function.READ, self.slot, self.index, len(self.data), self.data))
+    @property
+    def title(self) -> str:
+        """With slot and index: they are what a reader looks for."""
+        return f"{self.function.title} of slot {self.slot}, index {self.index}"
+
+    def _octets(self, length: int, data: bytes) -> bytes:
+        if not 0 <= self.slot <= MAX_SLOT:
+            raise PduError(f"slot {self.slot} does not exist: 0..{MAX_SLOT}")
+        if not 0 <= self.index <= 255:
+            raise PduError(f"index {self.index} does not exist: 0..255")
+        if not 0 <= length <= MAX_RECORD:
+            raise PduError(f"{length} octets of data, {MAX_RECORD} are possible in one {self._UNIT}")
+        return RECORD.build(function=self.function, slot=self.slot, record=self.index, length=length, data=data)
 
 
 @dataclass(frozen=True, slots=True)
-class WriteRes:
-    """``length`` octets were taken."""
-
-    slot: int
-    index: int
+class _WithLength(_Service):
     length: int
 
     def build(self) -> bytes:
         """The octets. Raises PduError where a value does not fit."""
-        _check(self.slot, self.index, self.length)
-        return RECORD.build(RecordOctets(Function.WRITE, self.slot, self.index, self.length, b""))
+        return self._octets(self.length, b"")
+
+
+@dataclass(frozen=True, slots=True)
+class _WithData(_Service):
+    data: bytes
+
+    def build(self) -> bytes:
+        """The octets. Raises PduError where a value does not fit."""
+        return self._octets(len(self.data), self.data)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadReq(_WithLength):
+    """Read up to ``length`` octets of the record ``index`` of ``slot``."""
+
+    function = Function.READ
+
+    length: int = MAX_RECORD
+
+
+class WriteReq(_WithData):
+    """Write ``data`` into the record ``index`` of ``slot``."""
+
+    __slots__ = ()
+    function = Function.WRITE
+
+
+class ReadRes(_WithData):
+    """The data of a record: as many octets as it has, never more than were asked for."""
+
+    __slots__ = ()
+    function = Function.READ
+
+
+class WriteRes(_WithLength):
+    """``length`` octets were taken."""
+
+    __slots__ = ()
+    function = Function.WRITE
+
+
+class DataTransport(_WithData):
+    """Data_Transport, request and positive response: ``data`` to and from ``slot`` and ``index``."""
+
+    __slots__ = ()
+    function = Function.DATA_TRANSPORT
+    _UNIT = "service"
+
+    @classmethod
+    def parse(cls, octets: bytes) -> DataTransport:
+        """Raises PduError naming the octet."""
+        raw = RECORD.parse(octets)
+        if raw.function != cls.function:
+            raise PduError(f"octet 1 is 0x{raw.function:02X}, {cls.function.title} is 0x{cls.function:02X}")
+        if raw.length != len(raw.data) or raw.length > MAX_RECORD:
+            raise PduError(f"Data_Transport: octet 4 says {raw.length} octets of data, {len(raw.data)} came")
+        return cls(raw.slot, raw.record, raw.data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +168,17 @@ class Negative:
 
     def build(self) -> bytes:
         """The octets. Raises PduError where a value does not fit."""
-        return NEGATIVE.build(NegativeOctets(self.function | _NEGATIVE, self.decode, self.code_1, self.code_2, b""))
+        return _NEGATIVE.build(self)
+
+
+_NEGATIVE: Final = Layout(
+    "DP-V1 negative response",
+    Negative,
+    "function" / adapted(OCTET, lambda octet: octet & ~_REFUSED, lambda function: function | _REFUSED),
+    "decode" / OCTET * "error_decode",
+    "code_1" / OCTET * "error_code_1",
+    "code_2" / OCTET * "error_code_2",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +193,7 @@ class AlarmAck:
 
     def build(self) -> bytes:
         """The octets. Raises PduError where a value does not fit."""
-        specifier = self.sequence << 3 | self.add_ack << 2 | self.specifier
-        return ALARM_ACK.build(AlarmAckOctets(Function.ALARM_ACK, self.slot, self.type, specifier, b""))
+        return _ALARM_ACK.build(self)
 
     @classmethod
     def of(cls, alarm: Alarm) -> AlarmAck:
@@ -136,15 +203,22 @@ class AlarmAck:
     @classmethod
     def parse(cls, octets: bytes) -> AlarmAck:
         """Raises PduError naming the octet."""
-        raw = ALARM_ACK.parse(octets)
-        if raw.function != Function.ALARM_ACK:
-            raise PduError(f"octet 1 is 0x{raw.function:02X}, Alarm_Ack is 0x{Function.ALARM_ACK:02X}")
-        if raw.rest:
-            raise PduError(f"Alarm_Ack has {len(octets)} octets, octet {_HEAD} is the last one")
-        return cls(raw.slot, raw.kind, raw.specifier & 3, raw.specifier >> 3, bool(raw.specifier & 4))
+        return _ALARM_ACK.parse(octets)
 
+
+_ALARM_ACK: Final = Layout(
+    "Alarm_Ack",
+    AlarmAck,
+    "slot" / OCTET,
+    "type" / OCTET * "kind",
+    "sequence" / bits(5) * "specifier",
+    *flags("add_ack"),
+    "specifier" / bits(2),
+    function=Function.ALARM_ACK,
+)
 
 RecordReq = ReadReq | WriteReq
+Service = RecordReq | DataTransport
 RecordRes = ReadRes | WriteRes | Negative
 
 
@@ -164,7 +238,7 @@ def parse_request(octets: bytes) -> RecordReq:
     if function not in (Function.READ, Function.WRITE):
         known = function in Function.__members__.values()
         what = f"{Function(function).title} is no service here" if known else f"no service 0x{function:02X}"
-        raise UnacceptableError(f"octet 1: {what}", Negative(function, Code.NOT_SUPPORTED))
+        raise UnacceptableError(f"octet 1: {what}", Negative(function, Code.FEATURE_NOT_SUPPORTED))
     try:
         raw = RECORD.parse(octets)
     except PduError as error:
@@ -173,7 +247,7 @@ def parse_request(octets: bytes) -> RecordReq:
         raise UnacceptableError(f"octet 2: there is no slot {raw.slot}", Negative(function, Code.INVALID_SLOT))
     if raw.length > MAX_RECORD:
         reason = f"octet 4: {raw.length} octets of data, {MAX_RECORD} are possible"
-        raise UnacceptableError(reason, Negative(function, Code.WRITE_LENGTH))
+        raise UnacceptableError(reason, Negative(function, Code.WRITE_LENGTH_ERROR))
     if function == Function.READ:
         if raw.data:
             reason = f"{len(raw.data)} octets too many: octet 4 is the last one of a Read request"
@@ -181,7 +255,7 @@ def parse_request(octets: bytes) -> RecordReq:
         return ReadReq(raw.slot, raw.record, raw.length)
     if raw.length != len(raw.data):
         reason = f"octet 4 says {raw.length} octets of data, {len(raw.data)} came"
-        raise UnacceptableError(reason, Negative(function, Code.WRITE_LENGTH))
+        raise UnacceptableError(reason, Negative(function, Code.WRITE_LENGTH_ERROR))
     return WriteReq(raw.slot, raw.record, raw.data)
 
 
@@ -190,13 +264,10 @@ def parse_response(octets: bytes) -> RecordRes:
     if not octets:
         raise PduError("DP-V1 response: no octets")
     function = octets[0]
-    if function & ~_NEGATIVE not in Function.__members__.values():
+    if function & ~_REFUSED not in Function.__members__.values():
         raise PduError(f"DP-V1 response: octet 1 is 0x{function:02X}, which is no service")
-    if function & _NEGATIVE:
-        nrs = NEGATIVE.parse(octets)
-        if nrs.rest:
-            raise PduError(f"DP-V1 negative response has {len(octets)} octets, octet {_HEAD} is the last one")
-        return Negative(function & ~_NEGATIVE, nrs.error_code_1, nrs.error_code_2, nrs.error_decode)
+    if function & _REFUSED:
+        return _NEGATIVE.parse(octets)
     name = f"{Function(function).title} response"
     if function not in (Function.READ, Function.WRITE):
         raise PduError(f"DP-V1 response: octet 1: {Function(function).title} answers neither Read nor Write")
@@ -208,12 +279,3 @@ def parse_response(octets: bytes) -> RecordRes:
     if raw.length != len(raw.data) or raw.length > MAX_RECORD:
         raise PduError(f"{name}: octet 4 says {raw.length} octets of data, {len(raw.data)} came")
     return ReadRes(raw.slot, raw.record, raw.data)
-
-
-def _check(slot: int, index: int, length: int) -> None:
-    if not 0 <= slot <= MAX_SLOT:
-        raise PduError(f"slot {slot} does not exist: 0..{MAX_SLOT}")
-    if not 0 <= index <= 255:
-        raise PduError(f"index {index} does not exist: 0..255")
-    if not 0 <= length <= MAX_RECORD:
-        raise PduError(f"{length} octets of data, {MAX_RECORD} are possible in one record")

@@ -119,7 +119,7 @@ class Ms1Server(SlaveService):
     def _acknowledge(self, alarms: AlarmServer, octets: bytes, sa: int, now: int) -> AlarmAck | Negative:
         if octets[0] != Function.ALARM_ACK:
             self._report.refused("Alarm_Ack", sa, f"octet 1: no service 0x{octets[0]:02X} at SAP 50", now)
-            return Negative(octets[0], Code.NOT_SUPPORTED)
+            return Negative(octets[0], Code.FEATURE_NOT_SUPPORTED)
         done = alarms.acknowledge(octets)
         if done.reason is not None:
             self._report.refused("Alarm_Ack", sa, done.reason, now)

@@ -9,8 +9,8 @@ from dpstack.dp.error_origin import DEVICE_CALL, failure_text
 from dpstack.dp.pdu.layouts import MAX_SLOT
 from dpstack.dp.slave.events import Report, SlaveAppEvent
 from dpstack.dpv1.pdu.error_codes import Code
-from dpstack.dpv1.pdu.ms2 import IDLE, Abort, AbortReason, DataTransport, InitiateReq, InitiateRes, Instance
-from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, UnacceptableError, parse_request
+from dpstack.dpv1.pdu.ms2 import IDLE, Abort, AbortReason, InitiateReq, InitiateRes, Instance
+from dpstack.dpv1.pdu.read_write import DataTransport, Function, Negative, ReadReq, UnacceptableError, parse_request
 from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ms2Trigger, State
 from dpstack.dpv1.slave.record_requests import (
     AnyRequest,
@@ -158,7 +158,7 @@ class ServerConnection:
             negative = Negative(Function.INITIATE, error.code_1 & 0xFF, error.code_2 & 0xFF)
             reason = f"its function: {negative.text}"
         else:
-            negative = Negative(Function.INITIATE, Code.UNAVAILABLE)
+            negative = Negative(Function.INITIATE, Code.RESOURCE_UNAVAILABLE)
             reason = failure_text(error)
         self._refuse(reason, negative.build(), now)
 
@@ -272,7 +272,7 @@ class ServerConnection:
                 request = ReadReq(request.slot, request.index, min(request.length, longest))
             elif len(request.data) > longest:
                 reason = f"{len(request.data)} octets of data, {longest} are possible"
-                raise UnacceptableError(reason, Negative(octets[0], Code.WRITE_LENGTH))
+                raise UnacceptableError(reason, Negative(octets[0], Code.WRITE_LENGTH_ERROR))
         except UnacceptableError as error:
             self._negative(error.negative, str(error), now)
             return

@@ -13,8 +13,16 @@ from dpstack.dp.error_origin import DEVICE_CALL, failure_text
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.slave.events import Report
 from dpstack.dpv1.pdu.error_codes import Code
-from dpstack.dpv1.pdu.ms2 import DataTransport
-from dpstack.dpv1.pdu.read_write import Function, Negative, ReadRes, RecordReq, RecordRes, WriteReq, WriteRes
+from dpstack.dpv1.pdu.read_write import (
+    DataTransport,
+    Function,
+    Negative,
+    ReadRes,
+    RecordReq,
+    RecordRes,
+    WriteReq,
+    WriteRes,
+)
 from dpstack.errors import PduError, RecordRefused
 
 
@@ -139,7 +147,7 @@ def put(ticket: RecordRequest, records: Records | None) -> None:
 
 def put_transport(ticket: TransportRequest, transport: Transport | None) -> None:
     """Let ``transport`` answer it; a device that has none refuses."""
-    _put(ticket, transport, Code.NOT_SUPPORTED)
+    _put(ticket, transport, Code.FEATURE_NOT_SUPPORTED)
 
 
 def _put(ticket: T, serve: Callable[[T], object] | None, otherwise: Code) -> None:

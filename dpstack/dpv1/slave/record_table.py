@@ -36,7 +36,7 @@ class RecordTable:
         elif where not in self._writable:
             ticket.refuse(Code.ACCESS_DENIED)
         elif len(request.data) != len(self.records[where]):
-            ticket.refuse(Code.WRITE_LENGTH)
+            ticket.refuse(Code.WRITE_LENGTH_ERROR)
         else:
             self.records[where] = request.data
             ticket.answer()
@@ -121,7 +121,7 @@ class ImRecords:
                 ticket.refuse(Code.ACCESS_DENIED)
                 return
             if len(data) != IM_LEN:
-                ticket.refuse(Code.WRITE_LENGTH)
+                ticket.refuse(Code.WRITE_LENGTH_ERROR)
                 return
             record = RECORDS[number].parse(data)
             if self._changed is not None:

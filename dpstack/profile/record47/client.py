@@ -248,7 +248,7 @@ class ParameterClient:
             now, data = yield from self._service(WriteReq(self.slot, INDEX, octets), attempts)
             if not isinstance(data, Refused):
                 return now
-            if data.code == Code.WRITE_LENGTH or (several and data.code == Code.INVALID_RANGE):
+            if data.code == Code.WRITE_LENGTH_ERROR or (several and data.code == Code.INVALID_RANGE):
                 return None
             self._again(data, "the request")
             until = min(deadline, now + self._patience) if until is None else until

@@ -175,7 +175,7 @@ class ParameterServer:
         if self._response is not None and now < self._ready_at:
             return _BUSY
         if len(data) > self.rules.limits.octets:
-            return Refused(Code.WRITE_LENGTH)
+            return Refused(Code.WRITE_LENGTH_ERROR)
         try:
             request = Request.parse(data)
             formats_known = True

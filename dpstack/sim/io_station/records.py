@@ -69,7 +69,7 @@ class StationRecords:
         if not isinstance(request, WriteReq):
             ticket.answer(bytes((slot.prm,)))
         elif len(request.data) != 1:
-            ticket.refuse(Code.WRITE_LENGTH)
+            ticket.refuse(Code.WRITE_LENGTH_ERROR)
         elif self._set_prm(slot, request.data[0]) is not None:
             ticket.refuse(Code.INVALID_RANGE)
         else:

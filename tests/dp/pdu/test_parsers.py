@@ -15,8 +15,8 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.prm_blocks import parse_blocks
 from dpstack.dp.pdu.requests import GlobalControl, SetPrm, SetSlaveAdd
 from dpstack.dpv1.pdu import im
-from dpstack.dpv1.pdu.ms2 import Abort, DataTransport, InitiateReq, InitiateRes, ResourceManagerRes
-from dpstack.dpv1.pdu.read_write import AlarmAck, parse_request, parse_response
+from dpstack.dpv1.pdu.ms2 import Abort, InitiateReq, InitiateRes, ResourceManagerRes
+from dpstack.dpv1.pdu.read_write import AlarmAck, DataTransport, parse_request, parse_response
 from dpstack.dpv1.slave.ms2_connection import parse_transport
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.codec import decode

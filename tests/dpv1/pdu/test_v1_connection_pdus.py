@@ -13,13 +13,13 @@ from dpstack.dpv1.pdu.ms2 import (
     Abort,
     AbortReason,
     Address,
-    DataTransport,
     InitiateReq,
     InitiateRes,
     Instance,
     ResourceManagerRes,
     Subnet,
 )
+from dpstack.dpv1.pdu.read_write import DataTransport
 from dpstack.errors import PduError
 from dpstack.units import NS_PER_MS
 
