@@ -9,18 +9,35 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from dpstack.trace import Event
 from dpstack.units import NEVER, NOW
 
-__all__ = ["NEVER", "NOW", "HeldUp", "LineDown", "LineUp", "Machine", "RateRefused", "Transmit", "pump"]
+__all__ = ["NEVER", "NOW", "HeldUp", "LineDown", "LineUp", "Machine", "Order", "RateRefused", "Transmit", "pump"]
 
 #: Puts octets on the line and returns the time in ns at which their last bit leaves it (may lie ahead of now).
 Transmit = Callable[[bytes, int], int]
 
 #: More timer steps than this without input are a defect of the machine, not of its peer.
 _MAX_SETTLE = 1000
+
+
+class Order:
+    """An order of the application to a machine. Derived classes are dataclasses of plain data, which may go to another
+    process by the name of their class.
+
+    ``ENDS``: see :attr:`ends`.
+    """
+
+    __slots__ = ()
+
+    ENDS: ClassVar[bool] = False
+
+    @property
+    def ends(self) -> bool:
+        """It ends something: a driver carries it out however late it comes."""
+        return self.ENDS
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.fixed_cycle import CycleData, CycleStats
-from dpstack.dp.master.scanner import Found, SurveyOrder, SurveyResult
+from dpstack.dp.master.scanner import Found
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.decoder import DecoderStats
@@ -86,20 +86,6 @@ class Counters:
     damage: Mapping[str, int] = field(default_factory=dict)
 
 
-class Survey(Protocol):
-    """A live list that is being made."""
-
-    async def begin(self, order: SurveyOrder) -> None:
-        """Begin to ask. Raises DpError when the bus is over."""
-
-    @property
-    def result(self) -> SurveyResult | None:
-        """None until everything was asked."""
-
-    def end(self) -> None:
-        """Nobody wants it any more. Raises DpError when the bus is over."""
-
-
 class View(Protocol):
     """Where an application finds the snapshots of its bus, with every driver. Reading never waits."""
 
@@ -139,9 +125,6 @@ class View(Protocol):
 
     def watch_rounds(self, on_round: Callable[[], None] | None) -> None:
         """Call ``on_round()`` at the end of every round with data exchange; None: no longer."""
-
-    def survey(self) -> Survey:
-        """A live list to be made."""
 
 
 def no_image(setup: SlaveParams) -> ImageSnapshot:

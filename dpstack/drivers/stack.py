@@ -12,7 +12,7 @@ from dpstack.dp.acyclic.class2 import Class2
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.master import Master
-from dpstack.dp.master.scanner import Scanner, SurveyOrder, SurveyResult
+from dpstack.dp.master.scanner import Scanner
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.services import reading_only
@@ -23,7 +23,6 @@ from dpstack.dpv1.master.ms1_job import Ms1Access
 from dpstack.dpv1.master.ms2 import Ms2
 from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot, no_image
 from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import AttachUser, DetachUser
 from dpstack.fdl.interface import LinkStats, LinkUser
 from dpstack.fdl.livelist import LiveList, live_allowance
 from dpstack.params import BusParams
@@ -102,9 +101,6 @@ class Line(Protocol):
 
     def now(self) -> int:
         """The time in ns."""
-
-    def command(self, command: object, /) -> None:
-        """Hand an order to the station."""
 
 
 class StackView:
@@ -196,35 +192,8 @@ class StackView:
     def watch_rounds(self, on_round: Callable[[], None] | None) -> None:
         self._master.on_round = None if on_round is None else lambda _now: on_round()
 
-    def survey(self) -> StackSurvey:
-        return StackSurvey(self._station, self._line)
-
 
 def image_snapshot(handler: SlaveHandler) -> ImageSnapshot:
     """Inputs and outputs of one slave."""
     image = handler.image
     return ImageSnapshot(image.inputs, image.outputs, image.valid, handler.exchanges, image.input_time)
-
-
-class StackSurvey:
-    """A live list by a link user at ``station``. A :class:`~dpstack.drivers.snapshots.Survey`."""
-
-    def __init__(self, station: ActiveStation, line: Line) -> None:
-        self._station = station
-        self._line = line
-        self._scanner: Scanner | None = None
-
-    async def begin(self, order: SurveyOrder) -> None:
-        self.begin_now(order)
-
-    def begin_now(self, order: SurveyOrder) -> None:
-        self._scanner = order.scanner(self._station.params, self._station.patience, self._line.now())
-        self._line.command(AttachUser(self._scanner))
-
-    @property
-    def result(self) -> SurveyResult | None:
-        return None if self._scanner is None else SurveyResult.of(self._scanner)
-
-    def end(self) -> None:
-        if self._scanner is not None:
-            self._line.command(DetachUser(self._scanner))

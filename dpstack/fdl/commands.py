@@ -2,34 +2,51 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from dpstack.fdl.interface import LinkUser
+from dpstack.machine import Order
+from dpstack.params import BusParams
+from dpstack.phy.patience import Patience
 
 
 @dataclass(frozen=True, slots=True)
-class GoOnline:
+class GoOnline(Order):
     """Leave Offline: listen to the bus, then join the ring or claim the token."""
 
 
 @dataclass(frozen=True, slots=True)
-class GoOffline:
+class GoOffline(Order):
     """Leave the ring in order (the token is passed on first) and stay silent."""
 
+    ENDS = True
+
+
+class AttachUser(Order, ABC):
+    """One more user of the link layer, asked after those there are. It costs nothing before and after.
+
+    ``token``: :class:`DetachUser` has the same.
+    """
+
+    __slots__ = ()
+
+    token: int
+
+    @abstractmethod
+    def link_user(self, params: BusParams, patience: Patience, now: int) -> LinkUser:
+        """The user, for a station with ``params`` at a port with ``patience``."""
+
 
 @dataclass(frozen=True, slots=True)
-class AttachUser:
-    """One more user of the link layer, asked after those there are; it costs nothing before and after."""
+class DetachUser(Order):
+    """Ask the user that came with the order ``token`` no more, if it is there. The end of its request under way is not
+    reported."""
 
-    user: LinkUser
+    ENDS = True
 
-
-@dataclass(frozen=True, slots=True)
-class DetachUser:
-    """Ask ``user`` no more; the end of a request of its under way is not told."""
-
-    user: LinkUser
+    token: int
 
 
 @dataclass(frozen=True, slots=True)

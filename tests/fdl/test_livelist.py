@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from ring_bus import ListUser, RingBus, fixed
 
-from dpstack.fdl.commands import AttachUser, DetachUser
+from dpstack.dp.master.scanner import SurveyOrder
+from dpstack.fdl.commands import DetachUser
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.livelist import LiveList, live_allowance, long_look
@@ -133,12 +134,11 @@ def test_a_user_that_comes_and_goes() -> None:
     bus = RingBus()
     station = bus.master(2, gap=0)
     bus.run(10 * NS_PER_MS)
-    live = LiveList(2)
-    bus.command(station, AttachUser(live))
+    bus.command(station, SurveyOrder(1, tuple(range(127)), (), configs=False, quick=True))
     bus.run(10 * NS_PER_MS)
     asked = len(polls(bus))
     assert asked
-    bus.command(station, DetachUser(live))
+    bus.command(station, DetachUser(1))
     bus.run(10 * NS_PER_MS)
     assert len(polls(bus)) == asked
     assert station.in_ring

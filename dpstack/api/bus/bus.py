@@ -17,7 +17,7 @@ from dpstack.api.bus.ring_entry import OtherMasterNotices, heard_before_joining,
 from dpstack.api.bus.scan import scan_on
 from dpstack.api.bus.shutdown import OrderedEnd
 from dpstack.api.bus.statistics import BusStats, collect
-from dpstack.api.bus.sync_freeze import Group, GroupOrders, Groups
+from dpstack.api.bus.sync_freeze import Group, Groups, send_control
 from dpstack.api.config.config import Config, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.class2 import Class2
@@ -72,7 +72,6 @@ class Bus(Sealed, BusBase):
         self._join_timeout = join_timeout
         self._ordered_end = OrderedEnd(self, self.close, self.hurry)
         self._joined_ns = 0  # machine time of the first token
-        self._groups = GroupOrders(self)
         self._cycles = Cycles(self)
         #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
         self.class2 = Class2(self, self._slaves, self.slave)
@@ -233,24 +232,24 @@ class Bus(Sealed, BusBase):
         ``settle``: first one whole Data_Exchange with each, so that outputs set just now are passed on. Never sent
         twice. Raises UsageError in Stop or for slaves without ``sync``, SlaveFault, BusError (no token).
         """
-        return await self._groups.send(groups, sync=True, settle=settle)
+        return await send_control(self, groups, sync=True, settle=settle)
 
     async def unsync(self, groups: Groups = ()) -> ControlSent:
         """End SYNC."""
-        return await self._groups.send(groups, unsync=True)
+        return await send_control(self, groups, unsync=True)
 
     async def freeze(self, groups: Groups = ()) -> ControlSent:
         """FREEZE: inputs of this moment are kept until the next FREEZE. Everything else as :meth:`sync`."""
-        return await self._groups.send(groups, freeze=True)
+        return await send_control(self, groups, freeze=True)
 
     async def unfreeze(self, groups: Groups = ()) -> ControlSent:
         """End FREEZE."""
-        return await self._groups.send(groups, unfreeze=True)
+        return await send_control(self, groups, unfreeze=True)
 
     def group(self, groups: Groups = ()) -> Group:
         """Slaves to be written at one moment and read at one moment, see
         :class:`~dpstack.api.bus.sync_freeze.Group`."""
-        return Group(self, self._groups, groups)
+        return Group(self, groups)
 
     async def add_slave(self, table: SlaveTable) -> Slave:
         """Take up one more slave while the bus runs: ``table`` has the keys of a [[slave]] table. Raises ConfigError.
@@ -363,7 +362,6 @@ class Bus(Sealed, BusBase):
                     self.forced_clear = None
                 case OperateWaits():
                     self.forced_clear = None
-            self._groups.on_event(event)
             self._events.tell(event)
             for notice in self._other_masters.notices(event):
                 self._events.tell(notice)
@@ -402,7 +400,6 @@ class Bus(Sealed, BusBase):
         self._ordered_end.is_over()
         for drive in self._drives.values():
             drive.end(self._over)
-        self._groups.end(self._over)
         self._cycles.end()
         self.services.end(self._over)
         self._events.end()

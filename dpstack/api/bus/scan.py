@@ -9,8 +9,9 @@ from collections.abc import Iterable
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.scanner import Found, SlaveView, SurveyOrder, view_of
+from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, SurveyOrder, view_of
 from dpstack.errors import DpError
+from dpstack.fdl.commands import DetachUser
 from dpstack.fdl.telegram import StationType
 
 
@@ -19,16 +20,13 @@ async def scan_on(bus: BusBase, *, configs: bool, addresses: Iterable[int], quic
         quick = not any(slave.ready_now for slave in bus.slaves if not bus.view.read_only)
     own = bus.params.address
     mine = {} if bus.view.read_only else {slave.address: slave for slave in bus.slaves}
-    order = SurveyOrder(tuple(addresses), tuple(mine), configs=configs, quick=quick)
-    survey = bus.view.survey()
-    await survey.begin(order)
+    token = bus.services.token()
+    order = SurveyOrder(token, tuple(addresses), tuple(mine), configs=configs, quick=quick)
     try:
-        await bus.until(lambda: survey.result is not None)
-        result = survey.result
+        result = await bus.services.answer_to(token, order, ScanDone)
     finally:
         with contextlib.suppress(DpError):  # the bus may have ended meanwhile
-            survey.end()
-    assert result is not None
+            bus.command(DetachUser(token))
     bus.unreadable = frozenset(result.unreadable)
     return tuple(_of_ours(found, mine.get(found.address), own) for found in result.found)
 

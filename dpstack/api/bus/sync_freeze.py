@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 from collections.abc import Iterable, Mapping
 from types import TracebackType
 from typing import TypeVar
@@ -13,81 +12,43 @@ from dpstack.api.slave.slave import Slave
 from dpstack.argcheck import Sealed
 from dpstack.dp.master.commands import SendControl
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken
-from dpstack.errors import BusError, DpError, SlaveFault, UsageError
-from dpstack.trace import Event
+from dpstack.errors import BusError, SlaveFault, UsageError
 from dpstack.units import NS_PER_US, ns_to_s
 
 #: A group number 1..8, several of them, 0 or nothing for all slaves.
 Groups = int | Iterable[int]
-_tokens = itertools.count(1)
+T = TypeVar("T", ControlSent, PictureTaken)
 
 
-T = TypeVar("T", bound=Event)
+async def send_control(bus: BusBase, groups: Groups, **what: bool) -> ControlSent:
+    """One Global_Control; returns when its last bit has left the line.
+
+    Raises UsageError where it cannot be sent in this mode or to these slaves, SlaveFault for a slave that is not in
+    data exchange where each is needed, BusError when it can no longer be sent.
+    """
+    sent = await _answer(bus, ControlSent, groups, **what)
+    ahead = sent.t_ns - bus.runtime.now()
+    if ahead > 0:
+        await asyncio.sleep(ns_to_s(ahead + NS_PER_US))  # the rounding of the float must not make it early
+    return sent
 
 
-class GroupOrders:
-    """Global_Controls of one bus that have not been sent yet."""
-
-    def __init__(self, bus: BusBase) -> None:
-        self._bus = bus
-        self._pending: dict[int, tuple[asyncio.Future[Event], type[Event]]] = {}
-
-    async def send(self, groups: Groups, **what: bool) -> ControlSent:
-        """One Global_Control; returns when its last bit has left the line.
-
-        Raises UsageError where it cannot be sent in this mode or to these slaves, SlaveFault for a slave that is not
-        in data exchange where each is needed, BusError when it can no longer be sent.
-        """
-        sent = await self._order(SendControl(next(_tokens), numbers(groups), **what), ControlSent)
-        ahead = sent.t_ns - self._bus.runtime.now()
-        if ahead > 0:
-            await asyncio.sleep(ns_to_s(ahead + NS_PER_US))  # the rounding of the float must not make it early
-        return sent
-
-    async def picture(self, groups: Groups) -> dict[int, bytes]:
-        """FREEZE, and the inputs of every slave by address, each from an exchange after it. Raises as :meth:`send`."""
-        command = SendControl(next(_tokens), numbers(groups), freeze=True, picture=True)
-        return (await self._order(command, PictureTaken)).inputs
-
-    async def _order(self, command: SendControl, wanted: type[T]) -> T:
-        future: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
-        self._pending[command.token] = future, wanted
-        try:
-            await self._bus.order(command)
-            event = await future
-        finally:
-            del self._pending[command.token]
-        assert isinstance(event, wanted)
+async def _answer(bus: BusBase, kind: type[T], groups: Groups, **what: bool) -> T:
+    """Order a Global_Control and wait for an event of ``kind``."""
+    token = bus.services.token()
+    event = await bus.services.answer_to(token, SendControl(token, numbers(groups), **what), kind, ControlFailed)
+    if isinstance(event, kind):
         return event
-
-    def on_event(self, event: Event) -> None:
-        if not isinstance(event, (ControlSent, PictureTaken, ControlFailed)) or event.token not in self._pending:
-            return
-        future, wanted = self._pending[event.token]
-        if future.done():
-            return
-        if isinstance(event, ControlFailed):
-            future.set_exception(_failure(event))
-        elif isinstance(event, wanted):
-            future.set_result(event)
-
-    def end(self, error: DpError) -> None:
-        """All pending calls raise ``error``."""
-        for future, _ in self._pending.values():
-            if not future.done():
-                future.set_exception(error)
+    assert isinstance(event, ControlFailed)
+    if event.address is not None:
+        raise SlaveFault(event.address, event.reason)
+    raise BusError(f"SYNC or FREEZE was not sent: {event.reason}")
 
 
 def numbers(groups: Groups) -> tuple[int, ...]:
     """Group numbers; empty for all slaves."""
     given = (groups,) if isinstance(groups, int) else tuple(groups)
     return () if given == (0,) else given
-
-
-def _failure(event: ControlFailed) -> DpError:
-    if event.address is not None:
-        return SlaveFault(event.address, event.reason)
-    return BusError(f"SYNC or FREEZE was not sent: {event.reason}")
 
 
 class Group(Sealed):
@@ -102,9 +63,8 @@ class Group(Sealed):
     Leaving the block ends SYNC and FREEZE. However the bus is left, safe values reach the outputs all the same.
     """
 
-    def __init__(self, bus: BusBase, orders: GroupOrders, groups: Groups) -> None:
+    def __init__(self, bus: BusBase, groups: Groups) -> None:
         self._bus = bus
-        self._orders = orders
         self._groups = numbers(groups)
         if not self.members:
             known = ", ".join(str(g) for g in sorted({g for s in bus.slaves for g in s.setup.groups})) or "none"
@@ -129,15 +89,15 @@ class Group(Sealed):
         for slave, octets in wanted.items():
             slave.check_outputs(octets)
         if not all(slave.synced for slave in members):
-            await self._orders.send(self._groups, sync=True, settle=True)
+            await send_control(self._bus, self._groups, sync=True, settle=True)
         for slave, octets in wanted.items():
             slave.outputs = octets
-        await self._orders.send(self._groups, sync=True, settle=True)
+        await send_control(self._bus, self._groups, sync=True, settle=True)
 
     async def read(self) -> dict[str, bytes]:
         """The inputs of all its slaves at one moment, by name: FREEZE, then one whole Data_Exchange with each."""
-        picture = await self._orders.picture(self._groups)
-        return {self._bus.slave(address).name: octets for address, octets in picture.items()}
+        taken = await _answer(self._bus, PictureTaken, self._groups, freeze=True, picture=True)
+        return {self._bus.slave(address).name: octets for address, octets in taken.inputs.items()}
 
     async def exchange(self, outputs: Mapping[str | int, bytes]) -> dict[str, bytes]:
         await self.write(outputs)
@@ -145,7 +105,7 @@ class Group(Sealed):
 
     async def release(self) -> None:
         """End SYNC and FREEZE: outputs and inputs are live again."""
-        await self._orders.send(self._groups, unsync=True, unfreeze=True)
+        await send_control(self._bus, self._groups, unsync=True, unfreeze=True)
 
     async def __aenter__(self) -> Group:
         return self

@@ -14,12 +14,15 @@ from dpstack.api.slave.alarms import AlarmListeners
 from dpstack.api.slave.service_errors import error_of
 from dpstack.dp.acyclic.job import ServiceEnd, ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken
+from dpstack.dp.master.scanner import ScanDone
 from dpstack.dpv1.master.ms1 import RecordDone
 from dpstack.dpv1.master.ms2_commands import CloseConnection, ConnectionOver, ConnectionsClosed, TransportDone
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.trace import Event
 from dpstack.units import s_to_ns
 
+E = TypeVar("E", bound=Event)
 D = TypeVar("D", bound=ServiceEnd)
 
 
@@ -52,7 +55,7 @@ class Services:
         self._order = order
         self._is_open = is_open
         self._tokens = itertools.count(1)
-        self._waiting: dict[int, asyncio.Future[ServiceEnd]] = {}
+        self._waiting: dict[int, tuple[asyncio.Future[Event], tuple[type[Event], ...]]] = {}
         #: class 2 connections by the token that opened them
         self.connections: dict[int, ConnectionEnd] = {}
         self.alarms = AlarmListeners(command)
@@ -71,24 +74,30 @@ class Services:
 
         ``cancel``: the order that is sent when the caller is cancelled (default CancelService).
         """
-        future: asyncio.Future[ServiceEnd] = asyncio.get_running_loop().create_future()
-        self._waiting[token] = future
         try:
-            await self._order(command)
-            done = await future
+            done = await self.answer_to(token, command, kind)
         except asyncio.CancelledError:
             with contextlib.suppress(DpError):  # the bus may have ended meanwhile
                 self._command(CancelService(token) if cancel is None else cancel)
             raise
-        finally:
-            del self._waiting[token]
-        assert isinstance(done, kind)
         if done.outcome.failure is not None:
             record = (done.slot, done.index) if isinstance(done, (RecordDone, TransportDone)) else None
             if done.outcome.failure is ServiceFailure.CLOSED and not self._is_open():  # no fault of the slave
                 raise BusError(f"this bus was closed: {done.outcome.text}")
             raise error_of(done.address, done.title, done.outcome, record)
         return done
+
+    async def answer_to(self, token: int, command: object, *kinds: type[E]) -> E:
+        """Give the order ``command`` with ``token`` and wait for its answer: an event of one of ``kinds``."""
+        future: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
+        self._waiting[token] = future, kinds
+        try:
+            await self._order(command)
+            event = await future
+        finally:
+            del self._waiting[token]
+        assert isinstance(event, kinds)
+        return event
 
     def close_connection(self, token: int, ending: ConnectionEnd) -> None:
         """End the connection that ``token`` opened; ``ending`` tells when it is over."""
@@ -106,16 +115,17 @@ class Services:
             return False  # an event for all readers, too
         if isinstance(event, ConnectionsClosed):
             return True
-        if not isinstance(event, ServiceEnd):
+        if not isinstance(event, ServiceEnd | ControlSent | ControlFailed | PictureTaken | ScanDone):
             return self.alarms.take(event)
-        future = self._waiting.get(event.token)
-        if future is not None and not future.done():
-            future.set_result(event)
-        return True
+        if (waiting := self._waiting.get(event.token)) is not None:
+            future, kinds = waiting
+            if isinstance(event, kinds) and not future.done():
+                future.set_result(event)
+        return isinstance(event, ServiceEnd)
 
     def end(self, error: DpError) -> None:
         """Pending services and connections end with ``error``."""
-        for future in self._waiting.values():
+        for future, _ in self._waiting.values():
             if not future.done():
                 future.set_exception(error)
         for ending in self.connections.values():

@@ -36,6 +36,7 @@ from dpstack.dp.services import positive
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Req, StationType, Telegram
+from dpstack.machine import Order
 from dpstack.params import MAX_STATION, UNADDRESSED
 from dpstack.trace import Event, Notice
 from dpstack.units import NS_PER_MS, NS_PER_S
@@ -202,7 +203,7 @@ CHANGE_TIMEOUT: Final = 15 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
-class ReadService:
+class ReadService(Order):
     """Ask ``address`` (0..126) for ``service``; ``expected`` as in
     :class:`~dpstack.dp.acyclic.class2_services.Reading`.
 
@@ -217,7 +218,7 @@ class ReadService:
 
 
 @dataclass(frozen=True, slots=True)
-class ChangeAddress:
+class ChangeAddress(Order):
     """Give the slave at ``old`` (0..126) the address ``new`` (0..125); see :mod:`dpstack.dp.acyclic.class2`."""
 
     token: int

@@ -28,7 +28,7 @@ from dpstack.dp.services import positive
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
-from dpstack.machine import LineDown
+from dpstack.machine import LineDown, Order
 from dpstack.trace import Event
 from dpstack.units import NEVER, ns_to_s
 
@@ -69,8 +69,10 @@ CAPACITY: Final = 32
 
 
 @dataclass(frozen=True, slots=True)
-class CancelService:
+class CancelService(Order):
     """Nobody waits for the service with ``token`` any more; one that is over already is no error."""
+
+    ENDS = True
 
     token: int
 

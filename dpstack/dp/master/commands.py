@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.machine import Order
 
 
 class Mode(IntEnum):
@@ -19,7 +20,7 @@ class Mode(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class SetMode:
+class SetMode(Order):
     """Go to ``mode``, up at once; down from Operate through safe values (as at the end) and Clear.
 
     Each mode reached on the way is told by ``ModeChanged``.
@@ -29,46 +30,48 @@ class SetMode:
 
 
 @dataclass(frozen=True, slots=True)
-class Alive:
+class Alive(Order):
     """The application is alive: the application watchdog begins anew. Changes nothing while it is not armed."""
 
 
 @dataclass(frozen=True, slots=True)
-class Shutdown:
+class Shutdown(Order):
     """The end in order: safe values (a cycle, and 50 ms where they are not zeros), Clear twice, out of the ring; then
     ``MasterStopped``."""
 
+    ENDS = True
+
 
 @dataclass(frozen=True, slots=True)
-class AddSlave:
+class AddSlave(Order):
     """Take up one more slave while the bus runs."""
 
     setup: SlaveParams
 
 
 @dataclass(frozen=True, slots=True)
-class RemoveSlave:
+class RemoveSlave(Order):
     """Give a slave up: safe outputs for 50 ms, unlock; one that was added at its address meanwhile waits for that."""
 
     address: int
 
 
 @dataclass(frozen=True, slots=True)
-class DeactivateSlave:
+class DeactivateSlave(Order):
     """Take a slave out of service as :class:`RemoveSlave` does, but keep it: nothing is sent to it until activated."""
 
     address: int
 
 
 @dataclass(frozen=True, slots=True)
-class ActivateSlave:
+class ActivateSlave(Order):
     """Bring a deactivated slave up again."""
 
     address: int
 
 
 @dataclass(frozen=True, slots=True)
-class ReparameteriseSlave:
+class ReparameteriseSlave(Order):
     """Give the slave at ``setup.address`` other parameters: safe outputs for 50 ms, unlock, a new bring-up.
 
     Its process image stays the same object where the lengths stay the same, and so does its cyclic unit; with other
@@ -79,7 +82,7 @@ class ReparameteriseSlave:
 
 
 @dataclass(frozen=True, slots=True)
-class SendControl:
+class SendControl(Order):
     """Global_Control with one or more of SYNC, UNSYNC, FREEZE, UNFREEZE to ``groups`` (1..8; none: to all slaves).
 
     ``settle``: first one whole Data_Exchange with every slave concerned. ``picture``: afterwards another one, whose
@@ -97,10 +100,15 @@ class SendControl:
 
 
 @dataclass(frozen=True, slots=True)
-class DriveCommand:
+class DriveCommand(Order):
     """An order to the cyclic unit of the slave at ``address``; the result is a ``DriveEvent`` with ``token``."""
 
     address: int
     op: str
     args: Mapping[str, object]
     token: int
+
+    @property
+    def ends(self) -> bool:
+        """``cancel`` takes back an order before."""
+        return self.op == "cancel"

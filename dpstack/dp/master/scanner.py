@@ -18,6 +18,7 @@ from typing import Final
 from dpstack.dp.master.verdicts import foreign_owner
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.services import positive
+from dpstack.fdl.commands import AttachUser
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.livelist import LiveList, live_allowance, long_look
@@ -102,7 +103,17 @@ class StationSeen(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanDone(Event):
+    """Every address was asked. ``token``: of the :class:`SurveyOrder`, 0 for the list of a read-only bus.
+
+    ``found``: the stations in order of their addresses. ``unreadable``: addresses whose answers could not be read.
+    """
+
     stations: int
+    token: int = 0
+    found: tuple[Found, ...] = ()
+    unreadable: tuple[int, ...] = ()
+
+    OWED = True
 
     TEMPLATE = "live list complete: {e.stations} stations besides this one"
 
@@ -119,7 +130,8 @@ class Scanner:
 
     ``configs``: ask for the identifier octets too. ``skip``: addresses whose slaves are not asked (those of the DP
     master beside it know more). ``period_ns``: ask each slave again so often; then ``wanted`` addresses that
-    are silent are asked again as well. :attr:`found` is the result, complete when :attr:`done`.
+    are silent are asked again as well. :attr:`found` is the result, complete when :attr:`done`. ``token``: see
+    :class:`ScanDone`.
     """
 
     def __init__(
@@ -131,6 +143,7 @@ class Scanner:
         skip: Collection[int] = (),
         period_ns: int = 0,
         wanted: Collection[int] = (),
+        token: int = 0,
     ) -> None:
         self.live = live
         self.found: dict[int, Found] = {}
@@ -141,6 +154,7 @@ class Scanner:
         self._skip = frozenset(skip)
         self._period_ns = period_ns
         self._wanted = tuple(wanted)
+        self._token = token
         self._next_at = 0
         self._questions: deque[_Question] = deque()
         self._asked: _Question | None = None
@@ -193,7 +207,11 @@ class Scanner:
             self._not_answered(question, now, silent=outcome is Failure.NO_ANSWER)
         if not self.done and self.live.done and not self._questions:
             self.done = True
-            self._events.append(ScanDone(t_ns=now, stations=len(self.found)))
+            found = tuple(found for _, found in sorted(self.found.items()))
+            unreadable = tuple(sorted(self.live.unreadable))
+            self._events.append(
+                ScanDone(t_ns=now, stations=len(found), token=self._token, found=found, unreadable=unreadable)
+            )
 
     def command(self, command: object, now: int) -> bool:
         return False
@@ -276,36 +294,20 @@ class Scanner:
 
 
 @dataclass(frozen=True, slots=True)
-class SurveyOrder:
-    """Ask ``addresses``; ``skip``: their slaves are not asked further. ``configs``: ask for identifier octets too.
+class SurveyOrder(AttachUser):
+    """Ask ``addresses`` once: :class:`ScanDone` has the result. ``skip``: their slaves are not asked further.
 
-    ``quick``: silent addresses without regard to the port's share for them.
+    ``configs``: ask for identifier octets too. ``quick``: silent addresses without regard to the port's share for them.
     """
 
+    token: int
     addresses: tuple[int, ...]
     skip: tuple[int, ...]
     configs: bool
     quick: bool
 
-    def scanner(self, params: BusParams, patience: Patience, now: int) -> Scanner:
-        """The link user that does it at the station of ``params``."""
+    def link_user(self, params: BusParams, patience: Patience, now: int) -> Scanner:
         allowance = None if self.quick else live_allowance(params, patience, now)
         look = long_look(params, patience) if self.quick else None
         live = LiveList(params.address, addresses=self.addresses, allowance=allowance, long_look=look)
-        return Scanner(params.address, live, configs=self.configs, skip=self.skip)
-
-
-@dataclass(frozen=True, slots=True)
-class SurveyResult:
-    """What came of it, once everything was asked. ``unreadable``: addresses whose answers could not be read."""
-
-    found: tuple[Found, ...]
-    unreadable: tuple[int, ...]
-
-    @classmethod
-    def of(cls, scanner: Scanner) -> SurveyResult | None:
-        """The result of ``scanner``; None while it is not complete."""
-        if not scanner.done:
-            return None
-        found = tuple(found for _, found in sorted(scanner.found.items()))
-        return cls(found, tuple(sorted(scanner.live.unreadable)))
+        return Scanner(params.address, live, configs=self.configs, skip=self.skip, token=self.token)

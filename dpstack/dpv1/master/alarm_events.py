@@ -14,10 +14,11 @@ from dpstack.dp.master.events import SlaveEvent
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status
 from dpstack.dp.pdu.diag_texts import DiagTexts, texts_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.machine import Order
 
 
 @dataclass(frozen=True, slots=True)
-class HoldAlarms:
+class HoldAlarms(Order):
     """From now on alarms of the slave at ``address`` are acknowledged by AcknowledgeAlarm only; ``on`` False: by the
     station itself again, those that wait included."""
 
@@ -26,7 +27,7 @@ class HoldAlarms:
 
 
 @dataclass(frozen=True, slots=True)
-class AcknowledgeAlarm:
+class AcknowledgeAlarm(Order):
     """Acknowledge the alarm ``number`` (of AlarmRaised) of the slave at ``address``; its end is AlarmDone."""
 
     address: int

@@ -25,6 +25,7 @@ from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, RecordReq, WriteReq
 from dpstack.dpv1.timeouts import SERVICE_TIMEOUT
 from dpstack.errors import PduError, UsageError
+from dpstack.machine import Order
 from dpstack.trace import Event
 
 _HEAD: Final = 4
@@ -32,7 +33,7 @@ _MAYBE: Final = "it may have been carried out: read it back"
 
 
 @dataclass(frozen=True, slots=True)
-class ReadRecord:
+class ReadRecord(Order):
     """Read up to ``length`` octets of a record of the slave at ``address``; the end is the RecordDone with ``token``.
 
     ``timeout_ns`` counts from the order, the slave's own time-out from the request.
@@ -47,7 +48,7 @@ class ReadRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class WriteRecord:
+class WriteRecord(Order):
     """Write ``data``, otherwise as :class:`ReadRecord`."""
 
     token: int

@@ -14,6 +14,7 @@ from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.pdu.ms2 import FEATURES
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.timeouts import SERVICE_TIMEOUT, least_send_timeout
+from dpstack.machine import Order
 from dpstack.trace import Event
 
 #: what is asked for where nobody says another send time-out
@@ -21,7 +22,7 @@ SEND_TIMEOUT: Final = least_send_timeout(500_000)
 
 
 @dataclass(frozen=True, slots=True)
-class OpenConnection:
+class OpenConnection(Order):
     """Open a connection to the slave at ``address`` (Initiate); its end is the InitiateDone with ``token``.
 
     ``send_timeout_ns``: asked for (the slave may have a longer one); ``response_ns``: in which the slave answers a
@@ -44,7 +45,7 @@ class OpenConnection:
 
 
 @dataclass(frozen=True, slots=True)
-class ReadOver:
+class ReadOver(Order):
     """Read up to ``length`` octets of a record over ``connection``; its end is the RecordDone with ``token``."""
 
     token: int
@@ -56,7 +57,7 @@ class ReadOver:
 
 
 @dataclass(frozen=True, slots=True)
-class WriteOver:
+class WriteOver(Order):
     """Write ``data``, otherwise as :class:`ReadOver`."""
 
     token: int
@@ -68,7 +69,7 @@ class WriteOver:
 
 
 @dataclass(frozen=True, slots=True)
-class TransportOver:
+class TransportOver(Order):
     """Data_Transport of ``data`` over ``connection``; its end is the TransportDone with ``token``."""
 
     token: int
@@ -80,15 +81,19 @@ class TransportOver:
 
 
 @dataclass(frozen=True, slots=True)
-class CloseConnection:
+class CloseConnection(Order):
     """Abort ``connection``, also one that is being opened; services over it end. One that is over is no error."""
+
+    ENDS = True
 
     connection: int
 
 
 @dataclass(frozen=True, slots=True)
-class CloseConnections:
+class CloseConnections(Order):
     """Abort all of them, then tell ConnectionsClosed: for the end of a bus."""
+
+    ENDS = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,7 +20,8 @@ from dpstack.drivers.process.messages import (
     FROM_TERMINALS,
     Answer,
     Frames,
-    Message,
+    News,
+    Question,
     SetUp,
     error_pair,
     framed,
@@ -62,7 +63,7 @@ def main(arguments: list[str]) -> int:
         host.open(become_real_time(pty=is_pty_path(setup.port)))
     except Exception as error:
         with contextlib.suppress(OSError):
-            sock.sendall(framed(Message(answer=Answer(0, error=error_pair(error)))))
+            sock.sendall(framed(News(answer=Answer(0, error=error_pair(error)))))
         return 1
     hosts.append(host)
     collector = Collector()
@@ -82,14 +83,13 @@ def _terminated(loop: SelectLoop, hosts: list[Host]) -> None:
 
 def _set_up(sock: socket.socket) -> SetUp | None:
     """The first message; None when the parent is gone."""
-    frames = Frames()
+    frames = Frames(Question)
     while octets := sock.recv(_CHUNK):
-        for message in frames.feed(octets):
-            if message.question is not None:
-                setup = order_of(message.question.order)
-                if isinstance(setup, SetUp):
-                    return setup
-                raise BusError("the first message is no set-up")
+        for question in frames.feed(octets):
+            setup = order_of(question.order)
+            if isinstance(setup, SetUp):
+                return setup
+            raise BusError("the first message is no set-up")
     return None
 
 

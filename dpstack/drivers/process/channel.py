@@ -6,7 +6,7 @@ refusal is handed on.
 Each order has a time limit, :data:`LIMIT_NS`: the bus process drops an order that it takes later. It sets the number of
 the order that it takes in shared memory before it looks at the clock. So an application that gives up after the limit,
 and sees that its order was not taken, knows that nothing will come of it. Orders that end something
-(:func:`~dpstack.drivers.process.messages.is_ending`) have no limit.
+(:attr:`dpstack.machine.Order.ends`) have no limit.
 """
 
 from __future__ import annotations
@@ -30,18 +30,17 @@ from dpstack.drivers.process.messages import (
     Answer,
     Frames,
     Hello,
-    Message,
     News,
+    Outbox,
     Question,
     SetUp,
     error_of,
-    is_ending,
     named,
     typed,
 )
-from dpstack.drivers.process.outbox import Outbox
 from dpstack.drivers.process.shared_image import SharedImage
 from dpstack.errors import BusError, DpError, OrderDropped, UsageError
+from dpstack.machine import Order
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ms_text, ns_to_s
 
 #: a bus process without a sign of life for so long is silent; orders and outputs that it does not take in this time are
@@ -67,11 +66,13 @@ CLOSE_LIMIT_S: Final = (ANSWER_NS + 3 * _AGAIN_NS) / NS_PER_S + 2 * _END_S
 class _Sent:
     """An order that the bus process has not answered. ``answer`` None: nobody awaits it.
 
-    ``owing``: the bus process owed an answer before. ``until``: when the answer is judged next.
+    ``owing``: the bus process owed an answer before. ``until``: when the answer is judged next. ``on_done``: called
+    with the order once the bus process has carried it out.
     """
 
-    order: object
+    order: Order
     answer: asyncio.Future[object] | None
+    on_done: Callable[[Order], None] | None
     began: int
     until: int
     owing: bool
@@ -89,7 +90,7 @@ class Channel:
     def __init__(
         self,
         on_news: Callable[[News], None],
-        on_refused: Callable[[object, DpError], None],
+        on_refused: Callable[[Order, DpError], None],
         why_gone: Callable[[int | None, News | None], DpError],
         on_gone: Callable[[DpError], None],
     ) -> None:
@@ -101,7 +102,7 @@ class Channel:
         self._sock: socket.socket | None = None
         self._outbox: Outbox | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._frames = Frames()
+        self._frames = Frames(News)
         self._hello: asyncio.Future[Hello] | None = None
         self._last_words: News | None = None
         self._number = 0
@@ -141,7 +142,7 @@ class Channel:
                 ours.setblocking(False)
                 self._process = _started(theirs.fileno(), memory)
             self._outbox = Outbox(loop, ours)
-            self._outbox.send(Message(question=Question(0, named(setup))))
+            self._outbox.send(Question(0, named(setup)))
             loop.add_reader(ours.fileno(), self._on_readable)
             async with asyncio.timeout(_START_S):
                 return await self._hello
@@ -218,40 +219,42 @@ class Channel:
 
     # --- orders and answers -----------------------------------------------------------------------------------------
 
-    def order(self, order: object) -> asyncio.Future[object]:
-        """Send ``order``; the future ends with what the bus process answers, or raises.
+    def order(self, order: Order, on_done: Callable[[Order], None] | None = None) -> asyncio.Future[object]:
+        """Send ``order``; the future ends with the answer of the bus process, or raises. ``on_done`` is called before.
 
         It raises OrderDropped when the bus process does not take the order in time, BusError when it is gone, or took
         the order and does not answer.
         """
         answer: asyncio.Future[object] = asyncio.get_running_loop().create_future()
         try:
-            self._send(order, answer)
+            self._send(order, answer, on_done)
         except Exception as error:
             answer.set_exception(error)
         return answer
 
-    def tell(self, order: object) -> None:
+    def tell(self, order: Order) -> None:
         """Send ``order``; ``on_refused`` is told where the bus process refuses it, or drops it.
 
         Raises UsageError where there is no bus process yet, OrderDropped where it is silent, and what ended it.
         """
         self._send(order, None)
 
-    def tell_if_it_reads(self, order: object) -> None:
+    def tell_if_it_reads(self, order: Order) -> None:
         """Send ``order`` and forget it; left out while the bus process reads nothing. Raises as :meth:`tell`."""
         if not self.silent_ns() and (self._outbox is None or not self._outbox.waiting):
             self._send(order, None)
             self._sent.pop(self._number, None)
 
-    def _send(self, order: object, answer: asyncio.Future[object] | None) -> None:
+    def _send(
+        self, order: Order, answer: asyncio.Future[object] | None, on_done: Callable[[Order], None] | None = None
+    ) -> None:
         if self._gone is not None:
             raise self._gone
         if self._process is None or self._loop is None:
             raise UsageError("the driver is not open: await open() first")
         began = monotonic_ns()
-        silent, ending = self.silent_ns(), is_ending(order)
-        if silent and not ending:
+        silent = self.silent_ns()
+        if silent and not order.ends:
             raise OrderDropped(
                 f"the bus process (pid {self.pid}) has shown no sign of life for {ms_text(silent)} (it is stopped, or "
                 "hangs): the order was dropped"
@@ -259,9 +262,9 @@ class Channel:
         number = self._number + 1
         limit = began + (_AGAIN_NS if silent or self._silent else LIMIT_NS)
         if self._outbox is not None:  # else it has hung up: how it ended is known soon
-            self._outbox.send(Message(question=Question(number, named(order), NEVER if ending else limit)))
+            self._outbox.send(Question(number, named(order), NEVER if order.ends else limit))
         self._number = number
-        self._sent[number] = _Sent(order, answer, began, limit, self._silent)
+        self._sent[number] = _Sent(order, answer, on_done, began, limit, self._silent)
         if answer is not None:
             self._loop.call_later(ns_to_s(limit - began), self._judge, number)
 
@@ -281,7 +284,7 @@ class Channel:
         self._silent = True
         del self._sent[number]
         if not sent.answer.done():
-            sent.answer.set_exception(self._unanswered(taken=taken, ending=is_ending(sent.order)))
+            sent.answer.set_exception(self._unanswered(taken=taken, ending=sent.order.ends))
 
     def _unanswered(self, *, taken: bool, ending: bool) -> BusError:
         who = f"the bus process (pid {self.pid})"
@@ -294,7 +297,7 @@ class Channel:
         return OrderDropped(f"{who} did not take the order within {limit} (it is stopped, or hangs): it was dropped")
 
     def _on_readable(self) -> bool:
-        """Take what the bus process says; False where it says nothing more."""
+        """Read news of the bus process; False where there are no more."""
         if self._sock is None:
             return False
         try:
@@ -307,13 +310,12 @@ class Channel:
             self._hung_up()
             return False
         self._silent = False
-        for message in self._frames.feed(octets):
-            if message.news is not None:
-                if message.news.over is not None:
-                    self._last_words = message.news
-                self._on_news(message.news)
-            if message.answer is not None:
-                self._on_answer(message.answer)
+        for news in self._frames.feed(octets):
+            if news.over is not None:
+                self._last_words = news
+            self._on_news(news)
+            if news.answer is not None:
+                self._on_answer(news.answer)
         return True
 
     def _on_answer(self, answer: Answer) -> None:
@@ -327,8 +329,10 @@ class Channel:
         sent = self._sent.pop(answer.number, None)
         if sent is None:
             return
+        if answer.error is None and sent.on_done is not None:
+            sent.on_done(sent.order)
         if sent.answer is None:
-            if answer.error is not None and not is_ending(sent.order):
+            if answer.error is not None and not sent.order.ends:
                 self._on_refused(sent.order, error_of(answer.error))
         elif sent.answer.done():  # who awaited it was cancelled
             return

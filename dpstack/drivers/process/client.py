@@ -1,7 +1,7 @@
-"""The process driver: the bus runs in a process of its own, and the application's is told.
+"""The process driver, in the application: the bus runs in a process of its own.
 
-Nothing here waits for the bus process but who awaits it. An awaited order (:meth:`ProcessRuntime.order`) ends with the
-answer: what it changes is seen then, and what the machines raise is raised then. Any other order
+Only a caller that awaits an order waits for the bus process. An awaited order (:meth:`ProcessRuntime.order`) ends with
+the answer: what it changes is seen then, and what the machines raise is raised then. Any other order
 (:meth:`ProcessRuntime.command`) is sent, and a refusal is told later. Process image, outputs, drives and counters
 stand in shared memory, states come with the events.
 
@@ -16,8 +16,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
-import itertools
 import os
+import signal
 from collections.abc import Callable, Iterable, Mapping
 from time import monotonic_ns
 from typing import Final
@@ -25,35 +25,13 @@ from typing import Final
 from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, Mode, RemoveSlave, ReparameteriseSlave
 from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveState, SlaveStateChanged
 from dpstack.dp.master.fixed_cycle import CycleData
-from dpstack.dp.master.scanner import SurveyOrder, SurveyResult
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmRaised, texts_beside
 from dpstack.drivers.futures import outlast
 from dpstack.drivers.process import channel
-from dpstack.drivers.process.client_errors import how_it_ended, killed_at_the_end
-from dpstack.drivers.process.messages import (
-    CloseBus,
-    EndSurvey,
-    News,
-    SetUp,
-    StartSurvey,
-    TakeOutputs,
-    WatchRounds,
-    checked_arguments,
-    decoded,
-    event_of,
-    typed,
-)
-from dpstack.drivers.process.shared_image import (
-    Outputs,
-    Picture,
-    SharedImage,
-    make_memory,
-    no_limit,
-    output_octets,
-    read_picture,
-)
+from dpstack.drivers.process.messages import CloseBus, News, SetUp, TakeOutputs, checked_arguments, event_of, typed
+from dpstack.drivers.process.shared_image import Outputs, Picture, SharedImage, make_memory, no_limit
 from dpstack.drivers.runtime import (
     IN_PARENT,
     BusProcessBack,
@@ -65,8 +43,9 @@ from dpstack.drivers.runtime import (
 )
 from dpstack.drivers.shutdown import at_slaves
 from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot, no_image
-from dpstack.errors import DpError, OrderDropped, UsageError
+from dpstack.errors import BusError, DpError, OrderDropped, UsageError
 from dpstack.fdl.interface import LinkStats
+from dpstack.machine import Order
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_MS, s_to_ns
 
@@ -76,7 +55,6 @@ _FRESH_NS: Final = NS_PER_MS
 _WATCH_S: Final = 0.1
 _EMPTY: Final = Picture(0, 0, {})
 _UNKNOWN: Final = SlaveSnapshot()
-_numbers = itertools.count(1)
 
 
 class ProcessRuntime:
@@ -108,8 +86,7 @@ class ProcessRuntime:
         self._setup = setup
         self._on_events = on_events
         self._on_failure = on_failure
-        self._on_refused = on_refused
-        self._channel = channel.Channel(self._on_news, self._refused, self._why_gone, self._on_gone)
+        self._channel = channel.Channel(self._on_news, on_refused, self._why_gone, self._on_gone)
         self._image: SharedImage | None = None
         self._picture = _EMPTY
         self._outputs: dict[int, Outputs] = {}
@@ -127,7 +104,6 @@ class ProcessRuntime:
         self._watchdogs_then: dict[str, int] = {}
         self._untold: list[Event] = []  # of the silence
         self._watch: asyncio.TimerHandle | None = None
-        self._surveys: dict[int, SurveyResult] = {}
 
     # --- Runtime ----------------------------------------------------------------------------------------------------
 
@@ -157,6 +133,7 @@ class ProcessRuntime:
         memory = make_memory()
         try:
             self._image = SharedImage(memory)
+            self._image.rounds_watched.value = self._on_round is not None
             self._publish()
             hello = await self._channel.start(self._setup, memory, self._image)
         finally:
@@ -235,43 +212,20 @@ class ProcessRuntime:
         It raises OrderDropped when they did not take it in time, BusError when nobody knows, or the bus is gone.
         """
         self._publish_soon()
-        answer = self._channel.order(_sendable(command))
-        match command:
-            case AddSlave(setup) if setup.address not in self.setups:
-                self._set_up(setup, answer)
-            case ReparameteriseSlave(setup) if setup.address in self.setups:
-                self._set_up(setup, answer)
-            case RemoveSlave(address) if (removed := self.setups.get(address)) is not None:
-                answer.add_done_callback(lambda done: self._removed(removed, done))
-        return answer
+        return self._channel.order(_sendable(command), self._on_carried_out)
 
-    def _set_up(self, setup: SlaveParams, answer: asyncio.Future[object]) -> None:
-        """A slave is to have ``setup``, unless ``answer`` is a refusal."""
-        before = self.setups.get(setup.address)
-        self.setups[setup.address] = setup
-
-        def settle(done: asyncio.Future[object]) -> None:
-            if self.setups.get(setup.address) is not setup:
-                return
-            if done.cancelled() or done.exception() is None:
+    def _on_carried_out(self, order: Order) -> None:
+        """Keep the parameters of the slaves as the bus process has them."""
+        match order:
+            case AddSlave(setup) | ReparameteriseSlave(setup):
+                before = self.setups.get(setup.address)
                 if before is not None and before.output_len != setup.output_len:
                     self._put_outputs(setup.address, None)
-            elif before is None:
-                del self.setups[setup.address]
-            else:
-                self.setups[setup.address] = before
-
-        answer.add_done_callback(settle)
-
-    def _removed(self, setup: SlaveParams, done: asyncio.Future[object]) -> None:
-        if not done.cancelled() and done.exception() is None and self.setups.get(setup.address) is setup:
-            self._put_outputs(setup.address, None)
-            del self.setups[setup.address]
-            self._slaves.pop(setup.address, None)
-
-    def _refused(self, order: object, error: DpError) -> None:
-        if not isinstance(order, WatchRounds):  # else it is given again when the bus process goes on
-            self._on_refused(order, error)
+                self.setups[setup.address] = setup
+            case RemoveSlave(address) if address in self.setups:
+                self._put_outputs(address, None)
+                del self.setups[address]
+                self._slaves.pop(address, None)
 
     # --- what else the bus process does -------------------------------------------------------------------------------
 
@@ -279,22 +233,9 @@ class ProcessRuntime:
         """What the drive plugin of a slave told last, as plain data; None when nobody tells."""
         if not self._channel.is_open or self._image is None:
             return None
-        octets = self._image.drives.read()
-        if octets is not None:
-            self._drives = decoded(octets, dict[int, object])
+        new = self._image.drives.read_new()
+        self._drives = self._drives if new is None else new
         return self._drives.get(address)
-
-    def survey(self) -> ProcessSurvey:
-        return ProcessSurvey(self)
-
-    def survey_result(self, number: int) -> SurveyResult | None:
-        """What came of the live list with ``number``; None until it is complete."""
-        return self._surveys.get(number)
-
-    def forget_survey(self, number: int) -> None:
-        """Nobody wants the live list with ``number`` any more."""
-        self._surveys.pop(number, None)
-        self.command(EndSurvey(number))
 
     # --- the view ---------------------------------------------------------------------------------------------------
 
@@ -327,9 +268,7 @@ class ProcessRuntime:
         now = monotonic_ns()
         if self._image is not None and now - self._counted_ns >= _FRESH_NS:
             self._counted_ns = now
-            octets = self._image.counters.read()
-            if octets is not None:
-                self._counters = decoded(octets, Counters)
+            self._counters = self._image.counters.read_new() or self._counters
         return self._counters
 
     @property
@@ -341,18 +280,15 @@ class ProcessRuntime:
         return self._newest_picture().rotations
 
     def watch_rounds(self, on_round: Callable[[], None] | None) -> None:
-        """Have the ends of rounds told, or no longer. A silent bus process is told when it goes on."""
-        changed = (on_round is None) is not (self._on_round is None)
+        """Call ``on_round`` at the end of each round; None: no longer."""
         self._on_round = on_round
-        if changed and self._channel.is_open:
-            with contextlib.suppress(DpError if on_round is None else OrderDropped):
-                self.command(WatchRounds(on_round is not None))
+        if self._image is not None:
+            self._image.rounds_watched.value = on_round is not None
 
     def _newest_picture(self) -> Picture:
         """The newest whole process image."""
-        octets = None if self._image is None else self._image.inputs.read()
-        if octets is not None:
-            self._picture = read_picture(octets)
+        if self._image is not None:
+            self._picture = self._image.inputs.read_new() or self._picture
         return self._picture
 
     # --- the application's outputs ----------------------------------------------------------------------------------
@@ -387,7 +323,7 @@ class ProcessRuntime:
         for address in changed:
             until = monotonic_ns() + channel.LIMIT_NS if self._watch is not None else no_limit()
             self._outputs[address] = Outputs(until, self._outputs[address].octets)
-        self._image.outputs.write(output_octets(self._outputs))
+        self._image.outputs.write(self._outputs)
         self._awaited |= dict.fromkeys(changed, self._image.outputs.newest)
 
     async def hand_over_outputs(self) -> None:
@@ -492,7 +428,6 @@ class ProcessRuntime:
         now = monotonic_ns()
         back = BusProcessBack(t_ns=now, pid=self.pid or 0, silent_ns=now - self._silent_since)
         self._silent_since, self._not_running = 0, None
-        asyncio.get_running_loop().call_soon(self._watch_rounds_again)
         known = {event.address for event in told if isinstance(event, SlaveStateChanged)}
         here = (
             address
@@ -500,11 +435,6 @@ class ProcessRuntime:
             if slave.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED) and address not in known
         )
         return [back, *self._states(here, now)]
-
-    def _watch_rounds_again(self) -> None:
-        if self._channel.is_open:
-            with contextlib.suppress(DpError):
-                self.command(WatchRounds(self._on_round is not None))
 
     def _lose(self, why: str, remedy: str = "") -> list[int]:
         """Nobody runs the bus any more: nothing is known of the slaves. Returns those whose state changed by it."""
@@ -536,7 +466,6 @@ class ProcessRuntime:
         self._slaves |= news.slaves
         if news.cycle is not None:
             self.cycle = news.cycle
-        self._surveys |= news.surveys
         try:
             if news.round_over:
                 if self._on_round is not None:
@@ -599,26 +528,40 @@ def _names(slaves: Iterable[SlaveParams]) -> str:
     return ", ".join(f"slave {slave.address} ({slave.name})" for slave in slaves)
 
 
-def _sendable(command: object) -> object:
+def _sendable(command: object) -> Order:
     """A drive's order as JSON can carry it."""
     if isinstance(command, DriveCommand):
         return dataclasses.replace(command, args=checked_arguments(command.args))
+    assert isinstance(command, Order)
     return command
 
 
-class ProcessSurvey:
-    """One live list made by the bus process of ``runtime``. A :class:`Survey`."""
+def how_it_ended(code: int | None, last: News | None, watchdogs: Mapping[str, int]) -> BusError:
+    """``code``: its exit code, negative for a signal. ``last``: its last words, if any.
 
-    def __init__(self, runtime: ProcessRuntime) -> None:
-        self._runtime = runtime
-        self._number = next(_numbers)
+    ``watchdogs``: of the slaves that were in data exchange, by name, in ns (0 is off).
+    """
+    if last is not None and last.defect:
+        text = f"the bus was stopped by a defect in dpstack ({last.over}); please report it. {at_slaves(watchdogs)}"
+        return BusError(text)
+    if last is not None:
+        return BusError(f"the bus process has ended: {last.over}; outputs were set to their safe values before")
+    if code is None:
+        how = "does not talk any more"
+    elif code < 0:
+        how = f"was killed by {_signal(-code)}"
+    else:
+        how = f"ended with exit code {code}, see what it wrote to standard error"
+    return BusError(f"the bus process {how}: nothing is sent any more. {at_slaves(watchdogs)}; open the bus anew")
 
-    async def begin(self, order: SurveyOrder) -> None:
-        await self._runtime.order(StartSurvey(self._number, order))
 
-    @property
-    def result(self) -> SurveyResult | None:
-        return self._runtime.survey_result(self._number)
+def killed_at_the_end(watchdogs: Mapping[str, int]) -> str:
+    """It did not end when it was told to; ``watchdogs`` as in :func:`how_it_ended`."""
+    return f"it did not answer at the end of the bus and was killed: the end was not in order. {at_slaves(watchdogs)}"
 
-    def end(self) -> None:
-        self._runtime.forget_survey(self._number)
+
+def _signal(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

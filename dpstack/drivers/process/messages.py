@@ -1,8 +1,8 @@
-"""What a bus process and its parent say to each other: JSON with a length in front, never pickle.
+"""Messages between a bus process and its application: JSON with a length in front, never pickle.
 
-Orders, events and everything inside them are dataclasses; msgspec writes them and reads them back by their type hints.
-A message is one JSON object, see :class:`Answer`, :class:`News` and :class:`Question`; what can be of several classes
-stands as a pair of the class's name and its fields.
+The application sends a :class:`Question`, the bus process :class:`News`. Orders, events and everything inside them are
+dataclasses; msgspec writes them and reads them back by their type hints. A value that can be of several classes stands
+as a pair of the class's name and its fields.
 """
 
 from __future__ import annotations
@@ -12,31 +12,37 @@ import functools
 import inspect
 import math
 import signal
+import socket
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Final, TypeVar
+from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
 import msgspec
 
 from dpstack import errors
-from dpstack.dp.master.commands import DriveCommand
 from dpstack.dp.master.fixed_cycle import CycleData
-from dpstack.dp.master.scanner import SurveyOrder, SurveyResult
 from dpstack.drivers.line.echo import Echo
-from dpstack.drivers.process.order_types import ENDING_ORDERS, MACHINE_ORDERS
+from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.process.plugins import PluginRef
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, DpError
 from dpstack.gsd.diag_texts import DiagTexts
+from dpstack.machine import Order
 from dpstack.trace import Event
 from dpstack.units import NEVER
+
+if TYPE_CHECKING:
+    import asyncio
 
 T = TypeVar("T")
 
 #: a longer message is none of ours; the longest is a set-up of 125 slaves
 MAX_MESSAGE: Final = 4 * 1024 * 1024
 _LENGTH: Final = 4
+#: beyond this events are dropped (and counted) until somebody reads again
+FULL: Final = 256 * 1024
+_LAST_WORDS_S: Final = 0.5
 #: signals that a terminal sends to all in front of it: the application's, whose way out is the bus process's, too
 FROM_TERMINALS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
 
@@ -44,11 +50,11 @@ FROM_TERMINALS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
 Named = tuple[str, object]
 
 
-# --- orders of the parent that no machine knows ----------------------------------------------------------------------
+# --- orders of the application that no machine knows ----------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SetUp:
+class SetUp(Order):
     """The first message: everything that the bus process is handed.
 
     ``plugins`` by slave address; ``preload``: places of plugins that may be attached later (importing takes time that
@@ -67,7 +73,7 @@ class SetUp:
 
 
 @dataclass(frozen=True, slots=True)
-class AttachPlugin:
+class AttachPlugin(Order):
     """Put a drive plugin onto the process image of the slave at ``address``."""
 
     address: int
@@ -75,84 +81,24 @@ class AttachPlugin:
 
 
 @dataclass(frozen=True, slots=True)
-class WatchRounds:
-    """Tell the end of every round, or no longer."""
-
-    on: bool
-
-
-@dataclass(frozen=True, slots=True)
-class TakeOutputs:
+class TakeOutputs(Order):
     """Take the outputs that the application has published; answered when that is done."""
 
 
 @dataclass(frozen=True, slots=True)
-class StartSurvey:
-    """One live list; its result comes with the :class:`News` under ``number``."""
-
-    number: int
-    order: SurveyOrder
-
-
-@dataclass(frozen=True, slots=True)
-class EndSurvey:
-    """Nobody waits for it any more, or it is complete."""
-
-    number: int
-
-
-@dataclass(frozen=True, slots=True)
-class CloseBus:
+class CloseBus(Order):
     """Release the port and end; the bus was left before. Answered with the last :class:`Counters`."""
 
-
-def is_ending(order: object) -> bool:
-    """Whether ``order`` ends something: the bus process carries it out however late it comes. All others it drops after
-    their time limit."""
-    match order:
-        case EndSurvey() | CloseBus() | WatchRounds(on=False) | DriveCommand(op="cancel"):
-            return True
-    return isinstance(order, ENDING_ORDERS)
+    ENDS = True
 
 
-#: what machines and driver know as orders
-ORDERS: Final[dict[str, type]] = {
-    kind.__name__: kind
-    for kind in (
-        *MACHINE_ORDERS, SetUp, AttachPlugin, WatchRounds, TakeOutputs, StartSurvey, EndSurvey, CloseBus,
-    )
-}  # fmt: skip
-
-
-# --- what the bus process tells --------------------------------------------------------------------------------------
+# --- messages of the bus process -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Hello:
     port_name: str
     paced: bool
-
-
-@dataclass(slots=True)
-class News:
-    """State and events in order: the state is that after the events. What did not change is left out.
-
-    ``round_over``: a round ended, ``cycle`` is what it brought (told while somebody watches). ``over``: nothing more
-    will come, for this reason; ``defect``: one of ours. ``silence``: the bus process answers that it lives to an
-    application that found it silent for the so-many-th time; everything of the state is in this message.
-    ``dropped``: outputs that came too late, by address with their ``until_ns``.
-    """
-
-    bus: BusSnapshot | None = None
-    slaves: dict[int, SlaveSnapshot] = field(default_factory=dict)
-    surveys: dict[int, SurveyResult] = field(default_factory=dict)
-    events: list[Named] = field(default_factory=list)
-    round_over: bool = False
-    cycle: CycleData | None = None
-    over: str | None = None
-    defect: bool = False
-    silence: int = 0
-    dropped: dict[int, int] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -165,6 +111,28 @@ class Answer:
 
 
 @dataclass(slots=True)
+class News:
+    """Events in order, the state after them, then an ``answer``. Parts of the state that did not change are left out.
+
+    ``round_over``: a round ended, ``cycle`` is its data (sent while the application watches the rounds). ``over``: the
+    reason of the end, in the last message; ``defect``: a defect of dpstack. ``silence``: the bus process answers that
+    it is alive to an application that found it silent for the so-many-th time; everything of the state is in this
+    message. ``dropped``: outputs that came too late, by address with their ``until_ns``.
+    """
+
+    bus: BusSnapshot | None = None
+    slaves: dict[int, SlaveSnapshot] = field(default_factory=dict)
+    events: list[Named] = field(default_factory=list)
+    answer: Answer | None = None
+    round_over: bool = False
+    cycle: CycleData | None = None
+    over: str | None = None
+    defect: bool = False
+    silence: int = 0
+    dropped: dict[int, int] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
 class Question:
     """An order with a number that its answer carries. The bus process drops it where it does not take it before
     ``until_ns`` (CLOCK_MONOTONIC)."""
@@ -172,15 +140,6 @@ class Question:
     number: int
     order: Named
     until_ns: int = NEVER
-
-
-@dataclass(slots=True)
-class Message:
-    """One message, either way: one of these."""
-
-    news: News | None = None
-    answer: Answer | None = None
-    question: Question | None = None
 
 
 # --- the codec -------------------------------------------------------------------------------------------------------
@@ -202,11 +161,6 @@ def _strange(kind: type, value: object) -> object:
 _encoder: Final = msgspec.json.Encoder(enc_hook=_plain)
 
 
-def encoded(thing: object) -> bytes:
-    """The octets of one object, see :func:`decoded`. Raises TypeError for what is not plain data."""
-    return _encoder.encode(thing)
-
-
 @contextlib.contextmanager
 def _readable(what: str) -> Iterator[None]:
     """Raises BusError for what msgspec cannot read: also text that is no UTF-8, and brackets too deep in each other."""
@@ -216,31 +170,21 @@ def _readable(what: str) -> Iterator[None]:
         raise BusError(f"{what} cannot be read: {error}") from None
 
 
-def decoded(octets: bytes, kind: type[T]) -> T:
-    """The object of ``kind`` that :func:`encoded` was given. Raises BusError."""
-    with _readable(kind.__name__):
-        return msgspec.json.decode(octets, type=kind, dec_hook=_strange)
-
-
-def framed(message: Message) -> bytes:
+def framed(message: Question | News) -> bytes:
     """The octets of one message. Raises TypeError for what is not plain data."""
-    octets = encoded(message)
+    octets = _encoder.encode(message)
     return len(octets).to_bytes(_LENGTH, "big") + octets
 
 
-@functools.cache
-def _decoder() -> msgspec.json.Decoder[Message]:
-    return msgspec.json.Decoder(Message, dec_hook=_strange)
+class Frames(Generic[T]):
+    """Cuts the octets of a socket into messages of ``kind``."""
 
-
-class Frames:
-    """Cuts what a socket delivers into messages."""
-
-    def __init__(self) -> None:
+    def __init__(self, kind: type[T]) -> None:
+        self._decoder = msgspec.json.Decoder(kind, dec_hook=_strange)
         self._rest = bytearray()
 
-    def feed(self, octets: bytes) -> Iterator[Message]:
-        """The messages that are complete now. Raises BusError for what is none."""
+    def feed(self, octets: bytes) -> Iterator[T]:
+        """The messages that are complete now. Raises BusError for octets that are no message."""
         rest = self._rest
         rest += octets
         while len(rest) >= _LENGTH:
@@ -252,8 +196,66 @@ class Frames:
             octets = bytes(rest[_LENGTH : _LENGTH + length])
             del rest[: _LENGTH + length]
             with _readable("a message between bus process and application"):
-                message = _decoder().decode(octets)
+                message = self._decoder.decode(octets)
             yield message
+
+
+class Outbox:
+    """Messages on their way into ``sock``, in order. It never waits for the other process, which may not read."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop | SelectLoop, sock: socket.socket) -> None:
+        self._loop = loop
+        self._sock = sock
+        self._waiting = bytearray()
+        self._watched = False
+
+    @property
+    def full(self) -> bool:
+        """The other process does not read: only answers are still sent."""
+        return len(self._waiting) > FULL
+
+    @property
+    def waiting(self) -> bool:
+        """Octets were not taken yet."""
+        return bool(self._waiting)
+
+    def send(self, message: Question | News) -> None:
+        """Put one message at the end; as much as the socket takes leaves at once."""
+        self._waiting += framed(message)
+        if not self._watched:
+            self._flush()
+
+    def _flush(self) -> None:
+        waiting = self._waiting
+        try:
+            while waiting:
+                del waiting[: self._sock.send(waiting)]
+        except BlockingIOError:
+            pass
+        except OSError:  # the other process has gone; the reader of the socket learns of it
+            waiting.clear()
+        if bool(waiting) is not self._watched:
+            self._watched = bool(waiting)
+            if waiting:
+                self._loop.add_writer(self._sock.fileno(), self._flush)
+            else:
+                self._loop.remove_writer(self._sock.fileno())
+
+    def forget(self) -> None:
+        """Drop the octets that were not taken yet."""
+        self._waiting.clear()
+        if self._watched:
+            self._watched = False
+            self._loop.remove_writer(self._sock.fileno())
+
+    def close(self) -> None:
+        """Send the rest within a time limit, then hang up."""
+        if self._watched:
+            self._loop.remove_writer(self._sock.fileno())
+        with contextlib.suppress(OSError):
+            self._sock.settimeout(_LAST_WORDS_S)
+            self._sock.sendall(self._waiting)
+        self._sock.close()
 
 
 def typed(value: object, kind: type[T]) -> T:
@@ -267,24 +269,28 @@ def named(thing: object) -> Named:
     return type(thing).__name__, thing
 
 
-def order_of(named_order: Named) -> object:
+def order_of(named_order: Named) -> Order:
     """The order that :func:`named` was given. Raises BusError."""
-    return _made(named_order, ORDERS)
+    return _made(named_order, order_classes())
 
 
 def event_of(named_event: Named) -> Event:
     """The event that :func:`named` was given. Raises BusError."""
-    event = _made(named_event, event_classes())
-    assert isinstance(event, Event)
-    return event
+    return _made(named_event, event_classes())
 
 
-def _made(named_thing: Named, table: Mapping[str, type]) -> object:
+def _made(named_thing: Named, classes: Mapping[str, type[T]]) -> T:
     name, fields = named_thing
-    kind = table.get(name)
+    kind = classes.get(name)
     if kind is None:
         raise BusError(f"{name!r} is nothing that bus process and application tell each other")
     return typed(fields, kind)
+
+
+@functools.cache
+def order_classes() -> dict[str, type[Order]]:
+    """Every class of orders by name."""
+    return {kind.__name__: kind for kind in _below(Order)}
 
 
 @functools.cache
@@ -293,7 +299,7 @@ def event_classes() -> dict[str, type[Event]]:
     return {kind.__name__: kind for kind in _below(Event)}
 
 
-def _below(kind: type[Event]) -> Iterator[type[Event]]:
+def _below(kind: type[T]) -> Iterator[type[T]]:
     for sub in kind.__subclasses__():
         if not inspect.isabstract(sub):
             yield sub

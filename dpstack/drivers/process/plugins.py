@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from dpstack.dp.process_image import CyclicUnit
 from dpstack.dpv1.master.plugin_queue import RecordQueue
@@ -26,22 +25,12 @@ class PluginRef:
     records: bool = False
 
 
-class UnitMaker(Protocol):
-    """What stands at a plugin's place: a drive profile, or anything that makes a cyclic unit in the same way."""
+def core_at(place: str) -> Callable[..., CyclicUnit]:
+    """The method ``core`` of the drive profile at ``place``, or of another object: it makes the cyclic unit of a slave
+    (see :class:`dpstack.profile.DriveProfile`).
 
-    def core(
-        self,
-        name: str,
-        telegram: str | None = None,
-        options: Mapping[str, object] | None = None,
-        *,
-        records: RecordQueue | None = None,
-    ) -> CyclicUnit:
-        """The cyclic unit of the slave called ``name``; ``records``: takes what it asks it. Raises ConfigError."""
-
-
-def found_at(place: str) -> UnitMaker:
-    """What stands at ``place``. Raises ConfigError that names it, and why it cannot be imported."""
+    Raises ConfigError that names the place, and why it cannot be imported.
+    """
     module, colon, path = place.partition(":")
     if not (module and colon and path):
         raise ConfigError(f"plugin {place!r}: write its place as package.module:name")
@@ -54,13 +43,14 @@ def found_at(place: str) -> UnitMaker:
             f"plugin {place} cannot be imported in the bus process ({type(error).__name__}: {error}); "
             'install it as a package, or take driver = "asyncio"'
         ) from None
-    if not callable(getattr(found, "core", None)):
+    core = getattr(found, "core", None)
+    if not callable(core):
         raise ConfigError(f"plugin {place} makes no cyclic unit: it has no method core()")
-    maker: UnitMaker = found
-    return maker
+    make: Callable[..., CyclicUnit] = core
+    return make
 
 
 def load(ref: PluginRef) -> CyclicUnit:
     """The cyclic unit that ``ref`` means. Raises ConfigError."""
     records = RecordQueue() if ref.records else None
-    return found_at(ref.place).core(ref.name, ref.telegram, ref.options, records=records)
+    return core_at(ref.place)(ref.name, ref.telegram, ref.options, records=records)

@@ -1,4 +1,4 @@
-"""The bus process from the inside: machines and driver of one bus, and what is told to the application."""
+"""The bus process from the inside: machines and driver of one bus, orders of the application, news for it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import partial
 from time import monotonic_ns
 from typing import Final
 
-from dpstack.dp.master.commands import AddSlave, Mode, SendControl, Shutdown
+from dpstack.dp.master.commands import Mode, SendControl, Shutdown
 from dpstack.dp.master.events import DriveEvent
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.process_image import SlaveImage
@@ -20,37 +20,33 @@ from dpstack.drivers.process.messages import (
     Answer,
     AttachPlugin,
     CloseBus,
-    EndSurvey,
     Frames,
     Hello,
-    Message,
     News,
+    Outbox,
     Question,
     SetUp,
-    StartSurvey,
     TakeOutputs,
-    WatchRounds,
-    encoded,
     error_pair,
     named,
     order_of,
 )
-from dpstack.drivers.process.outbox import Outbox
-from dpstack.drivers.process.shared_image import SharedImage, picture_octets
+from dpstack.drivers.process.shared_image import Picture, SharedImage
 from dpstack.drivers.shutdown import Ending
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
-from dpstack.drivers.stack import StackSurvey, StackView, build_stack, image_snapshot
+from dpstack.drivers.stack import StackView, build_stack, image_snapshot
 from dpstack.errors import BusError, OrderDropped, UsageError
 from dpstack.fdl.commands import GoOffline
 from dpstack.ports import open_port
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_MS, ms_text
 
-#: what changes without an event, and what was held back for an application that did not read, is told so often
-_RHYTHM: Final = 100 * NS_PER_MS
-#: so often it shows that it lives, whatever the application does, and takes the application's outputs
+#: interval of the heartbeat; the application's outputs are taken at least as often
 _HEARTBEAT: Final = 20 * NS_PER_MS
-#: and so often what its drives tell, where nobody watches the rounds and no event comes
+#: after this many heartbeats come the counters, changes without an event, and news held back for an application that
+#: did not read
+_BEATS_TO_NEWS: Final = 5
+#: interval of the statuses of the drives, where the rounds are not watched and no event comes
 _DRIVES_NS: Final = 10 * NS_PER_MS
 #: SIGTERM is for the application, too, if that begins its end within this time
 _GRACE: Final = 200 * NS_PER_MS
@@ -73,13 +69,13 @@ class Host:
         self._loop = loop
         self._sock = sock
         self._image = image
-        self._frames = Frames()
+        self._frames = Frames(Question)
         self._questions: deque[Question] = deque()
         self._outbox = Outbox(loop, sock)
         stack = build_stack(setup.stack)
         self._master, self._station = stack.master, stack.station
         for place in setup.preload:
-            plugins.found_at(place)
+            plugins.core_at(place)
         for address, ref in setup.plugins.items():
             self._master.handlers[address].image.unit = plugins.load(ref)
         port = open_port(setup.port, setup.stack.params.baud, event_char=setup.event_char, rs485=setup.rs485)
@@ -98,19 +94,18 @@ class Host:
         self._ending = Ending(
             loop, self.runtime.command, stack.station, lambda: stack.master.rotation.max_ns, self._finish
         )
-        self._surveys: dict[int, StackSurvey] = {}
-        self._watched = False
+        self._rounds_watched = False
+        self._beats = 0
         self._dropped = 0
         self._over = False
         self._leaving = False  # the application has begun the end
         self._until: dict[int, int] = {}  # the outputs that were taken or dropped, by address and deadline
         self._silences = 0  # of the application's words that this process is silent: those that were answered
-        # what was told last
+        # sent last
         self._bus: BusSnapshot | None = None
         self._slaves: dict[int, SlaveSnapshot] = {}
-        self._told_surveys: set[int] = set()
         self._told_cycle: CycleData | None = None
-        self._told_drives = encoded({})
+        self._told_drives: dict[int, object] = {}
         self._drives_at = 0  # when they were published
 
     def open(self, notices: list[str]) -> None:
@@ -123,12 +118,11 @@ class Host:
         self.runtime.open()
         self._image.heartbeat.value = monotonic_ns()
         self._count()
-        self._tell([_notice(text) for text in notices])
-        self._outbox.send(Message(answer=Answer(0, value=Hello(self.runtime.port_name, self.runtime.paced))))
+        hello = Answer(0, value=Hello(self.runtime.port_name, self.runtime.paced))
+        self._tell([_notice(text) for text in notices], answer=hello)
         self._sock.setblocking(False)
         self._loop.add_reader(self._sock.fileno(), self._on_readable)
         self._on_heartbeat()
-        self._loop.call_at(monotonic_ns() + _RHYTHM, self._on_rhythm)
 
     def end(self, why: str) -> None:
         """The ordered end without an order of the application: it is gone, or somebody wants this process to end."""
@@ -153,7 +147,7 @@ class Host:
             return
         idle = not self._questions
         try:
-            self._questions += [m.question for m in self._frames.feed(octets) if m.question is not None]
+            self._questions += self._frames.feed(octets)
         except BusError as error:
             self._loop.remove_reader(self._sock.fileno())
             self.end(str(error))
@@ -177,7 +171,10 @@ class Host:
             answer.value = self._carry_out(order)
         except Exception as error:
             answer.error = error_pair(error)
-        self._outbox.send(Message(answer=answer))
+        if isinstance(order, TakeOutputs):  # it changes no state, and may come in each cycle
+            self._outbox.send(News(answer=answer))
+        else:
+            self._tell([], answer=answer)
         if isinstance(order, CloseBus):
             if self._has_ended:
                 self._stop()
@@ -193,37 +190,20 @@ class Host:
             case AttachPlugin(address, ref):
                 self._handler_image(address).unit = plugins.load(ref)
                 self._publish_drives()
-            case WatchRounds(on):
-                self._watched = on
-                self._count()  # who waited for rounds looks at the counters next
             case TakeOutputs():
                 self._take_outputs()
-            case StartSurvey(number, wanted):
-                survey = self._view.survey()
-                survey.begin_now(wanted)
-                self._surveys[number] = survey
-            case EndSurvey(number):
-                found = self._surveys.pop(number, None)
-                if found is not None:
-                    found.end()
-            case Shutdown():
-                self._leaving = True
-                self.runtime.command(order)
-                self._tell([])
             case GoOffline() if self._master.mode is not Mode.OFFLINE:
                 self.end("the application ended the bus")  # without a token no Clear could be sent
             case CloseBus():
                 if self._has_ended:
                     self.runtime.close()
-                self._tell([])
                 return self._view.counted()
             case _:
-                if isinstance(order, SendControl):  # what was set before it is what it acts on
+                if isinstance(order, SendControl):  # it acts on the outputs that were set before it
                     self._take_outputs()
+                elif isinstance(order, Shutdown):
+                    self._leaving = True
                 self.runtime.command(order)
-                if isinstance(order, AddSlave):
-                    self._publish()
-                self._tell([])
         return None
 
     def _handler_image(self, address: int) -> SlaveImage:
@@ -236,31 +216,34 @@ class Host:
 
     def _on_round(self, _now: int) -> None:
         self._publish()
+        watched = bool(self._image.rounds_watched.value)
+        if watched is not self._rounds_watched:
+            self._rounds_watched = watched
+            self._count()  # an application that waited for rounds looks at the counters next
         # after the round's last telegram, not before it
-        if self._watched:
+        if watched:
             self._loop.call_soon(partial(self._tell_round, self._master.cycle))
         elif monotonic_ns() - self._drives_at >= _DRIVES_NS:
             self._loop.call_soon(self._publish_drives)
 
     def _publish(self) -> None:
-        slaves = [(address, image_snapshot(handler)) for address, handler in self._master.handlers.items()]
-        self._image.inputs.write(picture_octets(self._master.rounds, self._master.rotation_count, slaves))
+        slaves = {address: image_snapshot(handler) for address, handler in self._master.handlers.items()}
+        self._image.inputs.write(Picture(self._master.rounds, self._master.rotation_count, slaves))
 
     def _publish_drives(self) -> None:
         """What the plugins tell of their drives, where that has changed."""
         if self._over:
             return
         self._drives_at = monotonic_ns()
-        told = {}
+        told: dict[int, object] = {}
         for address, handler in self._master.handlers.items():
             status = getattr(handler.image.unit, "status", None)
             if status is not None:
                 with contextlib.suppress(Exception):  # the plugin's own: nothing is known of its drive
                     told[address] = status()
-        octets = encoded(told)
-        if octets != self._told_drives and len(octets) <= self._image.drives.limit:
-            self._told_drives = octets
-            self._image.drives.write(octets)
+        if told != self._told_drives:
+            self._told_drives = told
+            self._image.drives.write(told)
 
     def _take_outputs(self) -> None:
         """Those that were set since the last time, unless their time limit is over: a process that was stopped must not
@@ -284,37 +267,39 @@ class Host:
                 handler.image.outputs = octets
         if dropped:
             self._publish()
-            self._outbox.send(Message(news=News(dropped=dropped)))
+            self._outbox.send(News(dropped=dropped))
 
-    # --- what is told ---
+    # --- news for the application ---
 
     def on_events(self, events: list[Event]) -> None:
         for event in events:
             self._ending.on_event(event)
         self._tell(events)
 
-    def _tell(self, events: list[Event], *, over: str | None = None, defect: bool = False) -> None:
-        """Events, with what has changed by them. For an application that does not read: later."""
+    def _tell(
+        self, events: list[Event], *, answer: Answer | None = None, over: str | None = None, defect: bool = False
+    ) -> None:
+        """Send events, the changes of the state and an answer. For an application that does not read: later."""
         self._publish()
         if any(isinstance(event, DriveEvent) for event in events):
             self._publish_drives()
         if self._outbox.full:
             kept = [event for event in events if event.owed]
             self._dropped += len(events) - len(kept)
-            if not kept and over is None:  # the last words come in any case
+            if not kept and answer is None and over is None:  # answers and the last words come in any case
                 return
             events = kept
-        news = News(events=[named(event) for event in events], over=over, defect=defect)
+        news = News(events=[named(event) for event in events], answer=answer, over=over, defect=defect)
         silences = self._image.silences.value
-        if silences != self._silences:  # the application gave the bus up: it is told everything anew
+        if silences != self._silences:  # the application gave the bus up: it gets the whole state anew
             self._silences = news.silence = silences
             self._bus, self._slaves = None, {}
         self._state(news)
-        if events or over is not None or news.silence or news.bus or news.slaves or news.surveys:
-            self._outbox.send(Message(news=news))
+        if events or answer is not None or over is not None or news.silence or news.bus or news.slaves:
+            self._outbox.send(news)
 
     def _state(self, news: News) -> None:
-        """Into ``news`` what is not as it was told last."""
+        """Put into ``news`` the parts of the state that have changed since the last one."""
         bus = self._view.bus()
         if bus != self._bus:
             self._bus = news.bus = bus
@@ -322,17 +307,12 @@ class Host:
         if slaves != self._slaves:
             news.slaves = {a: now for a, now in slaves.items() if self._slaves.get(a) != now}
             self._slaves = slaves
-        for number, survey in self._surveys.items():
-            result = survey.result
-            if result is not None and number not in self._told_surveys:
-                self._told_surveys.add(number)
-                news.surveys[number] = result
 
     def _tell_round(self, cycle: CycleData | None) -> None:
         self._publish_drives()
         if not self._outbox.full and not self._over:
             told, self._told_cycle = self._told_cycle, cycle
-            self._outbox.send(Message(news=News(round_over=True, cycle=None if cycle is told else cycle)))
+            self._outbox.send(News(round_over=True, cycle=None if cycle is told else cycle))
 
     def _on_heartbeat(self) -> None:
         if self._over:
@@ -340,25 +320,20 @@ class Host:
         now = monotonic_ns()
         self._image.heartbeat.value = now
         self._take_outputs()
-        if self._image.silences.value != self._silences:
+        self._beats += 1
+        if not self._beats % _BEATS_TO_NEWS:
+            self._count()
+            if not self._outbox.full:
+                missed, self._dropped = self._dropped, 0
+                text = f"the application did not read for a while: {missed} events were dropped"
+                self._tell([_notice(text)] if missed else [])
+        elif self._image.silences.value != self._silences:
             self._tell([])
         self._loop.call_at(now + _HEARTBEAT, self._on_heartbeat)
 
     def _count(self) -> None:
-        """Put the counters where the application reads them."""
-        octets = encoded(self._view.counted())
-        if len(octets) <= self._image.counters.limit:  # otherwise the application has older ones, with their age
-            self._image.counters.write(octets)
-
-    def _on_rhythm(self) -> None:
-        if self._over:
-            return
-        self._count()
-        if not self._outbox.full:
-            missed, self._dropped = self._dropped, 0
-            text = f"the application did not read for a while: {missed} events were dropped"
-            self._tell([_notice(text)] if missed else [])
-        self._loop.call_at(monotonic_ns() + _RHYTHM, self._on_rhythm)
+        """Publish the counters."""
+        self._image.counters.write(self._view.counted())
 
     # --- the end ---
 

@@ -63,8 +63,3 @@ class GuardedUser:
 
     def take_events(self) -> list[Event]:
         return self.user.take_events()
-
-
-def unguarded(user: LinkUser) -> LinkUser:
-    """The user itself, without a guard in front of it."""
-    return user.user if isinstance(user, GuardedUser) else user

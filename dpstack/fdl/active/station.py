@@ -13,7 +13,7 @@ from dpstack.errors import UsageError
 from dpstack.fdl.active import exchange, listen_idle_claim, pass_token, use_token
 from dpstack.fdl.active.context import NONE, Link, Rows, classify
 from dpstack.fdl.active.cycle_window import CycleWindow
-from dpstack.fdl.active.request_filter import Guard, GuardedUser, unguarded
+from dpstack.fdl.active.request_filter import Guard, GuardedUser
 from dpstack.fdl.active.states import Input, State, handlers_by_state
 from dpstack.fdl.codec import encode
 from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline, GoOnline
@@ -65,7 +65,18 @@ class ActiveStation:
     not its own go to the users; :class:`UsageError` when none takes it.
     """
 
-    __slots__ = ("_decoder", "_guard", "_link", "_longest_ns", "_partial", "_sending", "address", "baud", "wire")
+    __slots__ = (
+        "_attached",
+        "_decoder",
+        "_guard",
+        "_link",
+        "_longest_ns",
+        "_partial",
+        "_sending",
+        "address",
+        "baud",
+        "wire",
+    )
 
     def __init__(
         self,
@@ -82,6 +93,7 @@ class ActiveStation:
         #: the rate of its receiver
         self.baud: Final = params.baud
         self._guard = guard
+        self._attached: dict[int, LinkUser] = {}  # by the token of their orders
         self._link = Link(params, [self._guarded(user) for user in users], patience, ROWS, now)
         if budget is not None:
             self._link.budget = budget
@@ -363,25 +375,25 @@ class ActiveStation:
             return
         bad[cause] = bad.get(cause, 0) + times
 
-    def _attach(self, user: LinkUser) -> None:
-        self._link.users += (self._guarded(user),)
-
-    def _detach(self, user: LinkUser) -> None:
-        link = self._link
-        if link.user is not None and unguarded(link.user) is user:
-            link.user = None
-        link.users = tuple(other for other in link.users if unguarded(other) is not user)
-
     def _offer(self, command: object, now: int) -> None:
-        if isinstance(command, (AttachUser, DetachUser)):
-            change = self._attach if isinstance(command, AttachUser) else self._detach
-            change(command.user)
-            self._link.ask_times()
-            return
-        for user in self._link.users:
+        link = self._link
+        match command:
+            case AttachUser(token=token):
+                user = self._attached[token] = self._guarded(command.link_user(link.params, link.patience, now))
+                link.users += (user,)
+                link.ask_times()
+                return
+            case DetachUser(token):
+                gone = self._attached.pop(token, None)
+                if link.user is gone:
+                    link.user = None
+                link.users = tuple(user for user in link.users if user is not gone)
+                link.ask_times()
+                return
+        for user in link.users:
             if user.command(command, now):
-                self._link.ask_times()
-                use_token.let_go(self._link, now)
+                link.ask_times()
+                use_token.let_go(link, now)
                 return
         raise UsageError(f"nobody on this bus takes the command {command!r}: its user is not attached")
 

@@ -18,10 +18,8 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.process import messages as m
-from dpstack.drivers.process.outbox import FULL, Outbox
 from dpstack.drivers.process.server import Host
-from dpstack.drivers.process.shared_image import SharedImage, make_memory
-from dpstack.drivers.snapshots import Counters
+from dpstack.drivers.process.shared_image import Outputs, SharedImage, make_memory
 from dpstack.drivers.stack import StackSpec
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.params import BusParams
@@ -30,7 +28,7 @@ from dpstack.trace import Notice
 from dpstack.units import NEVER, NS_PER_S
 
 
-def is_full(outbox: Outbox) -> bool:
+def is_full(outbox: m.Outbox) -> bool:
     return outbox.full
 
 
@@ -40,26 +38,26 @@ def test_nobody_reads_what_the_bus_process_tells() -> None:
     ours, theirs = socket.socketpair()
     with theirs:
         ours.setblocking(False)
-        outbox = Outbox(loop, ours)
+        outbox = m.Outbox(loop, ours)
         event = m.named(Notice(t_ns=1, source="x" * 1000, message="y"))
         sent = 0
         while not is_full(outbox):
-            outbox.send(m.Message(news=m.News(events=[event])))
+            outbox.send(m.News(events=[event]))
             sent += 1
-            assert sent < 10 * FULL
-        outbox.send(m.Message(answer=m.Answer(7)))
-        frames = m.Frames()
-        got: list[m.Message] = []
+            assert sent < 10 * m.FULL
+        outbox.send(m.News(answer=m.Answer(7)))
+        frames = m.Frames(m.News)
+        got: list[m.News] = []
 
         def read() -> None:
             got.extend(frames.feed(theirs.recv(65_536)))
-            if any(message.answer for message in got):
+            if any(news.answer for news in got):
                 loop.stop()
 
         loop.add_reader(theirs.fileno(), read)
         loop.run()
         assert len(got) == sent + 1
-        assert [message.answer for message in got if message.answer is not None] == [m.Answer(7)]
+        assert [news.answer for news in got if news.answer is not None] == [m.Answer(7)]
         assert not is_full(outbox)
         outbox.close()
     loop.close()
@@ -85,9 +83,9 @@ class Rig:
         setup = m.SetUp(port="pty", event_char=False, rs485=True, echo=Echo.OFF, tune=False, stack=spec)
         self.host = Host(self.loop, ours, self.image, setup)
         self.host.open(["no real-time priority"])
-        self.got: list[m.Message] = []
+        self.got: list[m.News] = []
         self.closed = False  # by order
-        self.frames = m.Frames()
+        self.frames = m.Frames(m.News)
 
     def read(self) -> None:
         self.got += self.frames.feed(self.sock.recv(65_536))
@@ -101,11 +99,11 @@ class Rig:
 
     @property
     def over(self) -> bool:
-        return any(message.news is not None and message.news.over is not None for message in self.got)
+        return any(news.over is not None for news in self.got)
 
     @property
     def told(self) -> list[str]:
-        return [m.event_of(event).text for message in self.got if message.news for event in message.news.events]
+        return [m.event_of(event).text for news in self.got for event in news.events]
 
 
 @pytest.fixture
@@ -118,16 +116,16 @@ def rig() -> Iterator[Rig]:
 def test_sigterm_to_both_leaves_the_end_to_the_application(rig: Rig) -> None:
     """As a service manager sends it: the end that the application has begun goes on, and is no failure."""
     rig.host.terminated("it was told to end (SIGTERM)")
-    for number, order in enumerate((Shutdown(), m.WatchRounds(False)), 1):
-        rig.sock.send(m.framed(m.Message(question=m.Question(number, m.named(order)))))
+    for number, order in enumerate((Shutdown(), m.TakeOutputs()), 1):
+        rig.sock.send(m.framed(m.Question(number, m.named(order))))
     rig.loop.call_at(time.monotonic_ns() + 400_000_000, rig.loop.stop)
     rig.loop.run()
-    rig.sock.send(m.framed(m.Message(question=m.Question(3, m.named(m.CloseBus())))))
+    rig.sock.send(m.framed(m.Question(3, m.named(m.CloseBus()))))
     rig.loop.run()
     rig.sock.setblocking(True)
     rig.read()
     assert not rig.over
-    assert [message.answer.number for message in rig.got if message.answer is not None] == [0, 1, 2, 3]
+    assert [news.answer.number for news in rig.got if news.answer is not None] == [0, 1, 2, 3]
     rig.closed = True
 
 
@@ -153,7 +151,7 @@ def test_events_beyond_the_bound_are_dropped_counted_and_told(rig: Rig) -> None:
     events = rig.told.count(event.text)
     assert 100 < events < 1_000
     assert f"bus process: {dropped}{2_001 - events} events were dropped" in rig.told
-    owed = [event for message in rig.got if message.news for event in message.news.events if event[0] == "DriveEvent"]
+    owed = [event for news in rig.got for event in news.events if event[0] == "DriveEvent"]
     assert [m.event_of(event) for event in owed] == [answer]
 
 
@@ -161,7 +159,7 @@ def test_the_last_words_are_not_dropped(rig: Rig, monkeypatch: pytest.MonkeyPatc
     """An application that begins to read when the bus process hangs up is told why it did."""
     hangs_up = threading.Event()
 
-    def close(outbox: Outbox, real: Callable[[Outbox], None] = Outbox.close) -> None:
+    def close(outbox: m.Outbox, real: Callable[[m.Outbox], None] = m.Outbox.close) -> None:
         hangs_up.set()
         real(outbox)
 
@@ -171,7 +169,7 @@ def test_the_last_words_are_not_dropped(rig: Rig, monkeypatch: pytest.MonkeyPatc
         while octets := rig.sock.recv(65_536):
             rig.got += rig.frames.feed(octets)
 
-    monkeypatch.setattr(Outbox, "close", close)
+    monkeypatch.setattr(m.Outbox, "close", close)
     reader = threading.Thread(target=read)
     reader.start()
     for _ in range(2_000):
@@ -180,14 +178,13 @@ def test_the_last_words_are_not_dropped(rig: Rig, monkeypatch: pytest.MonkeyPatc
     rig.loop.run()
     reader.join()
     rig.closed = True
-    assert rig.got[-1].news is not None
-    assert rig.got[-1].news.over == "somebody wants it"
+    assert rig.got[-1].over == "somebody wants it"
 
 
 def test_a_flood_of_orders_is_answered_in_order_and_never_piles_up(rig: Rig) -> None:
     count = 500
     rig.sock.setblocking(False)
-    left = b"".join(m.framed(m.Message(question=m.Question(n, m.named(RemoveSlave(77))))) for n in range(1, count + 1))
+    left = b"".join(m.framed(m.Question(n, m.named(RemoveSlave(77)))) for n in range(1, count + 1))
 
     def write() -> None:
         nonlocal left
@@ -205,7 +202,7 @@ def test_a_flood_of_orders_is_answered_in_order_and_never_piles_up(rig: Rig) -> 
     rig.loop.add_reader(rig.sock.fileno(), read)
     rig.loop.run()
     rig.loop.remove_reader(rig.sock.fileno())
-    answers = [message.answer for message in rig.got if message.answer is not None and message.answer.number]
+    answers = [news.answer for news in rig.got if news.answer is not None and news.answer.number]
     assert [answer.number for answer in answers] == list(range(1, count + 1))
     assert {answer.error for answer in answers} == {
         ("UsageError", "no slave with address 77 is configured (configured: none)")
@@ -216,23 +213,22 @@ def test_garbage_from_the_application_ends_the_bus_in_order(rig: Rig) -> None:
     rig.sock.send(b"\xff" * 8)
     rig.loop.run()
     rig.read()
-    assert rig.got[-1].news is not None
-    assert "a message of 4294967295 octets" in str(rig.got[-1].news.over)
+    assert "a message of 4294967295 octets" in str(rig.got[-1].over)
 
 
 def asked(rig: Rig, number: int, order: object, until_ns: int = NEVER) -> m.Answer:
     """The answer to ``order``; what was told before it is in ``rig.got``."""
-    rig.sock.send(m.framed(m.Message(question=m.Question(number, m.named(order), until_ns))))
+    rig.sock.send(m.framed(m.Question(number, m.named(order), until_ns)))
 
     def read() -> None:
         rig.read()
-        if any(message.answer is not None and message.answer.number == number for message in rig.got):
+        if any(news.answer is not None and news.answer.number == number for news in rig.got):
             rig.loop.stop()
 
     rig.loop.add_reader(rig.sock.fileno(), read)
     rig.loop.run()
     rig.loop.remove_reader(rig.sock.fileno())
-    return next(message.answer for message in rig.got if message.answer is not None and message.answer.number == number)
+    return next(news.answer for news in rig.got if news.answer is not None and news.answer.number == number)
 
 
 def run_until(rig: Rig, condition: Callable[[], bool]) -> None:
@@ -247,7 +243,7 @@ def run_until(rig: Rig, condition: Callable[[], bool]) -> None:
 
 
 def test_an_order_after_its_time_limit_is_dropped_and_its_number_shows_that_it_was_looked_at(rig: Rig) -> None:
-    assert asked(rig, 1, m.WatchRounds(False)) == m.Answer(1)
+    assert asked(rig, 1, m.TakeOutputs()) == m.Answer(1)
     assert rig.image.order_taken.value == 1
     answer = asked(rig, 2, SetMode(Mode.OPERATE), until_ns=time.monotonic_ns())
     assert answer.error is not None
@@ -255,24 +251,24 @@ def test_an_order_after_its_time_limit_is_dropped_and_its_number_shows_that_it_w
     assert kind == "OrderDropped"
     assert "too late and dropped it" in text
     assert rig.image.order_taken.value == 2
-    asked(rig, 3, m.WatchRounds(False))
-    modes = [message.news.bus.mode for message in rig.got if message.news and message.news.bus]
+    asked(rig, 3, m.TakeOutputs())
+    modes = [news.bus.mode for news in rig.got if news.bus]
     assert modes == [Mode.CLEAR]
 
 
 def test_outputs_after_their_time_limit_are_dropped_and_that_is_told(rig: Rig) -> None:
     asked(rig, 1, AddSlave(SlaveParams(address=4, name="v", ident=1, config=b"\x20\x10")))
     late = time.monotonic_ns()
-    rig.image.outputs.write(bytes((4, 1)) + late.to_bytes(8, "little") + b"\x11")
+    rig.image.outputs.write({4: Outputs(late, b"\x11")})
     asked(rig, 2, m.TakeOutputs())
-    assert [message.news.dropped for message in rig.got if message.news and message.news.dropped] == [{4: late}]
+    assert [news.dropped for news in rig.got if news.dropped] == [{4: late}]
     assert outputs_of(rig) == b"\0"
     # the same again beside those of others is not told again; what has time is taken, without any round
-    rig.image.outputs.write(bytes((4, 1)) + late.to_bytes(8, "little") + b"\x11")
+    rig.image.outputs.write({4: Outputs(late, b"\x11")})
     asked(rig, 3, m.TakeOutputs())
-    rig.image.outputs.write(bytes((4, 1)) + NEVER.to_bytes(8, "little") + b"\x22")
+    rig.image.outputs.write({4: Outputs(NEVER, b"\x22")})
     run_until(rig, lambda: rig.image.outputs_taken.value == 3)
-    assert len([message for message in rig.got if message.news and message.news.dropped]) == 1
+    assert len([news for news in rig.got if news.dropped]) == 1
     assert outputs_of(rig) == b"\x22"
 
 
@@ -283,9 +279,9 @@ def outputs_of(rig: Rig) -> bytes:
 def test_it_shows_that_it_lives_whatever_the_application_does(rig: Rig) -> None:
     before = rig.image.heartbeat.value
     run_until(rig, lambda: rig.image.heartbeat.value > before + 100_000_000)
-    octets = rig.image.counters.read()
-    assert octets is not None
-    assert m.decoded(octets, Counters).t_ns > before
+    counters = rig.image.counters.read_new()
+    assert counters is not None
+    assert counters.t_ns > before
 
 
 def test_it_tells_everything_anew_to_an_application_that_found_it_silent(rig: Rig) -> None:
@@ -294,9 +290,9 @@ def test_it_tells_everything_anew_to_an_application_that_found_it_silent(rig: Ri
     rig.image.silences.value = 7
     run_until(rig, lambda: rig.host._silences == 7)
     rig.sock.setblocking(True)
-    while not any(message.news and message.news.silence for message in rig.got[told:]):
+    while not any(news.silence for news in rig.got[told:]):
         rig.read()
-    (news,) = [message.news for message in rig.got[told:] if message.news and message.news.silence]
+    (news,) = [news for news in rig.got[told:] if news.silence]
     assert news.silence == 7
     assert news.bus is not None
     assert set(news.slaves) == {4}
@@ -311,10 +307,10 @@ def test_orders_of_the_end_that_come_all_at_once_do_not_cut_it_short(rig: Rig, o
     begun = time.monotonic_ns()
     while not any("claimed the token" in text for text in rig.told):
         assert time.monotonic_ns() - begun < 10 * NS_PER_S
-        asked(rig, 3, m.WatchRounds(False))
-        rig.got = [message for message in rig.got if message.answer is None]
+        asked(rig, 3, m.TakeOutputs())
+        rig.got = [news for news in rig.got if news.answer is None]
     for number, order in enumerate(orders, 4):
-        rig.sock.send(m.framed(m.Message(question=m.Question(number, m.named(order)))))
+        rig.sock.send(m.framed(m.Question(number, m.named(order))))
     rig.loop.run()
     rig.read()
     # nobody reads the other end of this line: a slow computer may hear of dropped telegrams after it
