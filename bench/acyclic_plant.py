@@ -17,7 +17,8 @@ from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
-from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import RecordTable
@@ -220,10 +221,12 @@ class Plant:
                 waiting[self._orders] = address
                 self.world.command(self._station, self._order(address, load))
 
-    def _order(self, address: int, load: Load) -> ReadRecord | WriteRecord:
+    def _order(self, address: int, load: Load) -> RecordOrder:
         if load.write:
-            return WriteRecord(self._orders, address, _SLOT, load.octets, bytes(load.octets))
-        return ReadRecord(self._orders, address, _SLOT, load.octets, load.octets)
+            return RecordOrder(
+                self._orders, Function.WRITE, _SLOT, load.octets, data=bytes(load.octets), address=address
+            )
+        return RecordOrder(self._orders, Function.READ, _SLOT, load.octets, load.octets, address=address)
 
 
 def setups(slaves: int) -> list[SlaveParams]:

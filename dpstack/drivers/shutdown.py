@@ -15,7 +15,7 @@ from typing import Final
 
 from dpstack.dp.master.commands import Shutdown
 from dpstack.dp.master.events import MasterStopped
-from dpstack.dpv1.master.ms2_commands import CloseConnections, ConnectionsClosed
+from dpstack.dpv1.master.orders import CloseConnections, ConnectionsClosed
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import Alarm, SelectLoop
 from dpstack.drivers.line.select_runtime import SelectRuntime

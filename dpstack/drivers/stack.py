@@ -18,8 +18,7 @@ from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.services import reading_only
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_ack import Alarms
-from dpstack.dpv1.master.ms1 import Ms1, PluginJobs
-from dpstack.dpv1.master.ms1_job import Ms1Access
+from dpstack.dpv1.master.ms1 import Ms1
 from dpstack.dpv1.master.ms2 import Ms2
 from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot, no_image
 from dpstack.fdl.active.station import ActiveStation
@@ -70,8 +69,8 @@ def build_stack(spec: StackSpec) -> Stack:
 
 def acyclic_services(own: int, master: Master | None = None) -> Acyclic:
     """All acyclic services of the station ``own``; ``master``: the class 1 master of the same station, if any."""
-    ms1 = Ms1Access(master)
-    return Acyclic(master, (Class2(own, master), Ms1(ms1), Alarms(ms1), PluginJobs(ms1), Ms2(own, master)))
+    ms1 = Ms1(master)
+    return Acyclic(master, (Class2(own, master), Alarms(ms1), ms1, Ms2(own, master)))
 
 
 def _watcher(spec: StackSpec) -> Scanner:

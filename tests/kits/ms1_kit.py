@@ -15,7 +15,8 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -148,13 +149,13 @@ class Ms1Bus:
     def order_read(self, slot: int = 1, index: int = 2, length: int = 240, *, address: int = 4) -> int:
         """Ordered only."""
         self.tokens += 1
-        self.send(ReadRecord(self.tokens, address, slot, index, length))
+        self.send(RecordOrder(self.tokens, Function.READ, slot, index, length, address=address))
         return self.tokens
 
     def write(self, slot: int, index: int, data: bytes, *, address: int = 4) -> RecordDone:
         """The end of one Write."""
         self.tokens += 1
-        self.send(WriteRecord(self.tokens, address, slot, index, data))
+        self.send(RecordOrder(self.tokens, Function.WRITE, slot, index, data=data, address=address))
         return self.end(self.tokens)
 
     def end(self, token: int, within_ns: int = 20_000 * MS) -> RecordDone:

@@ -15,18 +15,16 @@ from ring_bus import RingBus
 
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dpv1.master.ms1 import RecordDone
 from dpstack.dpv1.master.ms2 import Ms2
-from dpstack.dpv1.master.ms2_commands import (
+from dpstack.dpv1.master.orders import (
     CloseConnection,
     ConnectionOver,
     InitiateDone,
     OpenConnection,
-    ReadOver,
-    TransportDone,
-    TransportOver,
-    WriteOver,
+    RecordDone,
+    RecordOrder,
 )
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.request_filter import Guard
@@ -217,7 +215,7 @@ class Ms2Bus:
     def order_read(self, connection: int, slot: int = 1, index: int = 2, length: int = 240, **more: Any) -> int:
         """Ordered only."""
         token = self.token()
-        self.send(ReadOver(token, connection, slot, index, length, **more))
+        self.send(RecordOrder(token, Function.READ, slot, index, length, connection=connection, **more))
         return token
 
     def read(self, connection: int, slot: int = 1, index: int = 2, length: int = 240, **more: Any) -> RecordDone:
@@ -227,14 +225,14 @@ class Ms2Bus:
     def write(self, connection: int, slot: int, index: int, data: bytes) -> RecordDone:
         """The end of one Write."""
         token = self.token()
-        self.send(WriteOver(token, connection, slot, index, data))
+        self.send(RecordOrder(token, Function.WRITE, slot, index, data=data, connection=connection))
         return self.end(token, RecordDone)
 
-    def transport(self, connection: int, slot: int, index: int, data: bytes) -> TransportDone:
+    def transport(self, connection: int, slot: int, index: int, data: bytes) -> RecordDone:
         """The end of one Data_Transport."""
         token = self.token()
-        self.send(TransportOver(token, connection, slot, index, data))
-        return self.end(token, TransportDone)
+        self.send(RecordOrder(token, Function.DATA_TRANSPORT, slot, index, data=data, connection=connection))
+        return self.end(token, RecordDone)
 
     def close(self, connection: int) -> ConnectionOver:
         """The end of a connection."""

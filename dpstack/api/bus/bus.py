@@ -29,7 +29,7 @@ from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, Mode, Remo
 from dpstack.dp.master.events import ControlSent, DriveEvent, ForcedClear, ModeChanged, OperateWaits, SlaveStateChanged
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.alarm_events import AcknowledgeAlarm, HoldAlarms
+from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
 from dpstack.drivers.futures import outlast, whole
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.fdl.commands import GoOnline

@@ -31,8 +31,7 @@ from dpstack.dp.master.events import (
 )
 from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, StationSeen
 from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier, Status
-from dpstack.dpv1.master.alarm_events import AlarmRaised, StatusTold
-from dpstack.dpv1.master.ms2_commands import ConnectionOver
+from dpstack.dpv1.master.orders import AlarmRaised, ConnectionOver, StatusTold
 from dpstack.drivers.runtime import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped, PortBack, PortLost
 from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
 from dpstack.trace import Event, Notice, Severity

@@ -23,7 +23,7 @@ async def scan_on(bus: BusBase, *, configs: bool, addresses: Iterable[int], quic
     token = bus.services.token()
     order = SurveyOrder(token, tuple(addresses), tuple(mine), configs=configs, quick=quick)
     try:
-        result = await bus.services.answer_to(token, order, ScanDone)
+        result = await bus.services.answer_to(order, ScanDone)
     finally:
         with contextlib.suppress(DpError):  # the bus may have ended meanwhile
             bus.command(DetachUser(token))

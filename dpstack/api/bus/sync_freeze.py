@@ -36,7 +36,7 @@ async def send_control(bus: BusBase, groups: Groups, **what: bool) -> ControlSen
 async def _answer(bus: BusBase, kind: type[T], groups: Groups, **what: bool) -> T:
     """Order a Global_Control and wait for an event of ``kind``."""
     token = bus.services.token()
-    event = await bus.services.answer_to(token, SendControl(token, numbers(groups), **what), kind, ControlFailed)
+    event = await bus.services.answer_to(SendControl(token, numbers(groups), **what), kind, ControlFailed)
     if isinstance(event, kind):
         return event
     assert isinstance(event, ControlFailed)

@@ -6,7 +6,7 @@
 - ``host``: Protocol of the bus that slaves, drives and class 2 services use
 - ``ms2_connection``: ``bus.class2.connect(...)``: a class 2 connection (MS2) to a slave
 - ``record_parameters``: PROFIdrive parameter access (record 47) for asyncio programs
-- ``records``: Read, Write and I&M of DP-V1 at one slave, over MS1 or MS2
+- ``records``: Read, Write, I&M and PROFIdrive parameters of DP-V1 at one slave, over MS1 or MS2
 - ``service_errors``: Exceptions of failed acyclic services
 - ``services``: Pending acyclic services of a bus: requests, results, cancellation
 - ``slave``: ``Slave``: state, diagnosis, process data and records of a slave

@@ -20,7 +20,7 @@ from dpstack.api.streams import Stream
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier, Status
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dpv1.master.alarm_events import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
+from dpstack.dpv1.master.orders import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import DpError
 from dpstack.trace import Event

@@ -22,7 +22,7 @@ from dpstack.dp.acyclic.class2_services import Service, ServiceDone
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_data import Value
-from dpstack.dpv1.master.ms2_commands import OpenConnection
+from dpstack.dpv1.master.orders import OpenConnection
 from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import ConfigError, PduError, UsageError
 from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
@@ -84,7 +84,7 @@ class Class2(Sealed):
 
     async def diagnosis(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ReadDiagnosis:
         """Slave_Diag. (Of a slave in data exchange with this very master, the master takes notice of it too.)"""
-        return self._told(await self._read(slave, Service.DIAGNOSIS, timeout))
+        return self._read_diagnosis(await self._read(slave, Service.DIAGNOSIS, timeout))
 
     async def config(self, slave: Slave | str | int, *, timeout: float = 5.0) -> Configuration:
         """Get_Cfg: the identifier octets."""
@@ -92,15 +92,11 @@ class Class2(Sealed):
 
     async def inputs(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ProcessData:
         """RD_Inp: the inputs that the slave gives its master; open while it is in data exchange with anybody."""
-        done = await self._read(slave, Service.INPUTS, timeout)
-        known = self._known(done.address)
-        return ProcessData(done.outcome.data, known.config.input_fields.values(done.outcome.data) if known else {})
+        return await self._process_data(slave, Service.INPUTS, timeout)
 
     async def outputs(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ProcessData:
         """RD_Outp: the outputs that the slave has got from its master; open as RD_Inp is."""
-        done = await self._read(slave, Service.OUTPUTS, timeout)
-        known = self._known(done.address)
-        return ProcessData(done.outcome.data, known.config.output_fields.values(done.outcome.data) if known else {})
+        return await self._process_data(slave, Service.OUTPUTS, timeout)
 
     async def set_address(
         self,
@@ -129,9 +125,9 @@ class Class2(Sealed):
         whole("old", old), whole("new", new)
         if not force:
             self._check_settable(old, new, ident)
-        token = self._bus.services.token()
-        command = ChangeAddress(token, old, new, ident, no_change, rem_slave_data, time_of(timeout))
-        return self._told(await self._bus.services.do(token, command, ServiceDone))
+        services = self._bus.services
+        order = ChangeAddress(services.token(), old, new, ident, no_change, rem_slave_data, time_of(timeout))
+        return self._read_diagnosis(await services.do(order, ServiceDone))
 
     def connect(
         self,
@@ -153,9 +149,10 @@ class Class2(Sealed):
         where the end is not on this bus. ``timeout`` as of its services. Raises ServiceRefused (no connection left, or
         none at all), ConnectionEnded (the slave aborts), SlaveTimeout, SlaveFault, UsageError, BusError.
         """
-        known = slave if isinstance(slave, SlaveConfig) else self._config(slave)
-        limits = Ms2Limits() if known is None else known.ms2
         address = slave.address if isinstance(slave, SlaveConfig) else self._address(slave)
+        on_bus = self._slaves.get(address)
+        known = slave if isinstance(slave, SlaveConfig) else None if on_bus is None else on_bus.config
+        limits = Ms2Limits() if known is None else known.ms2
         usual = least_send_timeout(self._bus.params.baud)
         silence = usual if send_timeout is None else time_of(send_timeout, "send_timeout")
         response = limits.response_ns if response_timeout is None else time_of(response_timeout, "response_timeout")
@@ -184,13 +181,21 @@ class Class2(Sealed):
 
     async def _read(self, slave: Slave | str | int, service: Service, timeout: float) -> ServiceDone:
         address = self._address(slave)
-        known = self._known(address)
+        known = self._slaves.get(address)
         expected = None
         if known is not None and service in (Service.INPUTS, Service.OUTPUTS):
             expected = known.setup.input_len if service is Service.INPUTS else known.setup.output_len
-        token = self._bus.services.token()
-        command = ReadService(token, address, service, expected, time_of(timeout))
-        return await self._bus.services.do(token, command, ServiceDone)
+        services = self._bus.services
+        order = ReadService(services.token(), address, service, expected, time_of(timeout))
+        return await services.do(order, ServiceDone)
+
+    async def _process_data(self, slave: Slave | str | int, service: Service, timeout: float) -> ProcessData:
+        done = await self._read(slave, service, timeout)
+        known, data = self._slaves.get(done.address), done.outcome.data
+        if known is None:
+            return ProcessData(data)
+        fields = known.config.input_fields if service is Service.INPUTS else known.config.output_fields
+        return ProcessData(data, fields.values(data))
 
     def _address(self, slave: Slave | str | int) -> int:
         """Addresses 0..126, whether this bus knows the slave or not; those it knows also by name."""
@@ -203,17 +208,10 @@ class Class2(Sealed):
             raise UsageError(f"{slave!r} is no slave: give its address, 0..126, its name, or bus.slave(...)")
         return address
 
-    def _config(self, slave: Slave | str | int) -> SlaveConfig | None:
-        known = self._known(self._address(slave))
-        return None if known is None else known.config
-
-    def _known(self, address: int) -> Slave | None:
-        return self._slaves.get(address)
-
     def _check_settable(self, old: int, new: int, ident: int | None) -> None:
         """Raises UsageError where its GSD file says that it cannot be given an address."""
         alike = [slave for slave in self._slaves.values() if ident is not None and slave.setup.ident == ident]
-        known = self._known(old) or (alike[0] if alike else self._known(new) if ident is None else None)
+        known = self._slaves.get(old) or (alike[0] if alike else self._slaves.get(new) if ident is None else None)
         device = None if known is None else known.config.device
         if known is not None and device is not None and not device.set_slave_add:
             raise UsageError(
@@ -221,11 +219,11 @@ class Class2(Sealed):
                 f"is set at the device (switches, its keypad); force=True asks it all the same"
             )
 
-    def _told(self, done: ServiceDone) -> ReadDiagnosis:
+    def _read_diagnosis(self, done: ServiceDone) -> ReadDiagnosis:
         found = Diagnosis.parse(done.outcome.data)
         if found is None:  # judged before it came here
             raise PduError(f"slave {done.address}: {len(done.outcome.data)} octets are no diagnosis")
-        known = self._known(done.address)
+        known = self._slaves.get(done.address)
         if known is not None and known.setup.ident not in (found.ident, None):
             known = None  # another device stands there
         texts = None if known is None else known.setup.texts

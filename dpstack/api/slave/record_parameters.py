@@ -6,19 +6,9 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from typing import TypeVar
 
-from dpstack.api.slave.records import RecordAccess
 from dpstack.argcheck import whole
 from dpstack.dp.pdu.layouts import MAX_RECORD
-from dpstack.dpv1.pdu.error_codes import Decode
-from dpstack.errors import (
-    AcyclicError,
-    DriveError,
-    DriveTimeout,
-    ParameterError,
-    ServiceRefused,
-    SlaveTimeout,
-    UsageError,
-)
+from dpstack.errors import DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import CommandError
 from dpstack.profile.record47 import (
     PROGRAM,
@@ -178,27 +168,6 @@ def _wanted(items: Iterable[Address | Item | int]) -> list[Address | Item]:
     if wrong is not None:
         raise UsageError(f"{wrong!r} is no parameter: give its number, or Address(pnu, subindex, elements)")
     return [Address(one) if isinstance(one, int) else one for one in found]
-
-
-def over_records(records: RecordAccess, timeout: float | None) -> CarryOut:
-    """What the slave refuses is an answer, and so is its silence; other failures are raised as by Read and Write."""
-
-    async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused | Silent:
-        try:
-            if isinstance(request, ReadReq):
-                return await records.read(request.slot, request.index, request.length, timeout=timeout)
-            await records.write(request.slot, request.index, request.data, timeout=timeout)
-        except AcyclicError as error:
-            if error.error_decode != Decode.DPV1:
-                raise
-            return Refused(error.code_1)
-        except ServiceRefused as error:
-            return Refused(0, str(error))
-        except SlaveTimeout as error:
-            return Silent(str(error))
-        return b""
-
-    return carry_out
 
 
 def _now(loop: asyncio.AbstractEventLoop) -> int:

@@ -1,4 +1,4 @@
-"""Read, Write and I&M of DP-V1 at one slave, over MS1 or MS2."""
+"""Read, Write, I&M and PROFIdrive parameters of DP-V1 at one slave, over MS1 or MS2."""
 
 from __future__ import annotations
 
@@ -6,17 +6,19 @@ import abc
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
+from dpstack.api.slave.record_parameters import RecordParameters
 from dpstack.api.slave.services import time_of
 from dpstack.argcheck import octets, whole
 from dpstack.dp.pdu.layouts import MAX_RECORD
-from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder
 from dpstack.dpv1.pdu.error_codes import AGAIN, Decode
 from dpstack.dpv1.pdu.im import IM_ANSWER, IM_INDEX, RECORDS, Im, Im0, build_call, number_of, parse_answer
+from dpstack.dpv1.pdu.read_write import Function, ReadReq, WriteReq
 from dpstack.dpv1.timeouts import service_timeout
-from dpstack.errors import AcyclicError, PduError, SlaveFault, SlaveTimeout, UsageError
+from dpstack.errors import AcyclicError, PduError, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
+from dpstack.profile.record47 import Refused, Silent
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
@@ -35,11 +37,33 @@ def usual_timeout(response_ns: int) -> float:
     return ns_to_s(service_timeout(response_ns))
 
 
-class RecordAccess(abc.ABC):
-    """Read and Write of one slave, and I&M on top of them.
+class RecordWay(NamedTuple):
+    """The way to the records of the slave ``who``: MS1, or the class 2 ``connection`` with that token.
 
-    A ``timeout`` in seconds counts from the call; None: :func:`usual_timeout`.
+    ``longest``: octets of data in one service, ``limit_text`` says so; ``response_ns``: time of the slave for one
+    service, 0: not known; ``im_call`` is held during an I&M call and the read of its answer: the slave handles one call
+    at a time.
     """
+
+    services: Services
+    address: int
+    who: str
+    longest: int
+    limit_text: str
+    response_ns: int
+    im_call: asyncio.Lock
+    connection: int | None = None
+
+
+class RecordAccess(abc.ABC):
+    """Read and Write of one slave, and I&M and PROFIdrive parameters on top of them.
+
+    A ``timeout`` in seconds counts from the call (None: 10, longer where the slave may take longer).
+    """
+
+    @property
+    @abc.abstractmethod
+    def name(self) -> str: ...
 
     @property
     @abc.abstractmethod
@@ -47,30 +71,76 @@ class RecordAccess(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def who(self) -> str: ...
+    def _way(self) -> RecordWay: ...
 
-    @property
-    @abc.abstractmethod
-    def longest(self) -> int:
-        """Octets of data in one service, at most."""
-
-    @property
-    @abc.abstractmethod
-    def usual_timeout(self) -> float:
-        """The default timeout of a service in seconds."""
-
-    @property
-    @abc.abstractmethod
-    def im_call(self) -> asyncio.Lock:
-        """Held during an I&M call and the read of its answer: the slave handles one call at a time."""
-
-    @abc.abstractmethod
     async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
-        """Up to ``length`` octets of a record (None: the longest possible)."""
+        """Read a record of DP-V1: ``slot`` 0..254, ``index`` 0..255; up to ``length`` octets (None: all there are).
 
-    @abc.abstractmethod
+        Services to a slave, or over a connection, go one after the other; the cycle goes on. The slave has its
+        C1_Response_Timeout, or C2_Response_Timeout.
+        Raises AcyclicError (the slave refuses: class, code, text), ServiceRefused (it has no Read and Write),
+        SlaveTimeout, SlaveFault (it left data exchange, or its answer is impossible), ConnectionEnded, UsageError,
+        BusError.
+        """
+        wanted = self._way.longest if length is None else whole("length", length)
+        return await self._carry_out(Function.READ, slot, index, timeout, length=wanted)
+
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
-        """All of ``data``."""
+        """Write all of ``data`` (up to 240 octets) into a record of DP-V1; otherwise as :meth:`read`."""
+        await self._carry_out(Function.WRITE, slot, index, timeout, data=data)
+
+    async def _carry_out(
+        self,
+        function: Function,
+        slot: int,
+        index: int,
+        timeout: float | None,
+        *,
+        length: int = MAX_RECORD,
+        data: bytes = b"",
+    ) -> bytes:
+        way = self._way
+        data = octets("data", data)
+        if way.longest < len(data) <= MAX_RECORD:
+            raise UsageError(f"{way.who}: {len(data)} octets, {way.limit_text}")
+        order = RecordOrder(
+            way.services.token(),
+            function,
+            whole("slot", slot),
+            whole("index", index),
+            length,
+            data,
+            time_of(usual_timeout(way.response_ns) if timeout is None else timeout),
+            address=way.address if way.connection is None else None,
+            connection=way.connection,
+        )
+        return (await self._order(order)).outcome.data
+
+    async def _order(self, order: RecordOrder) -> RecordDone:
+        return await self._way.services.do(order, RecordDone)
+
+    def parameters(self, slot: int = 1, *, object: int = 1, timeout: float | None = None) -> RecordParameters:
+        """PROFIdrive's parameter access, record 47 of ``slot``: many parameters, arrays, the drive's own list.
+
+        ``object``: axis or drive object; ``timeout`` in seconds for each Read and Write. Make one and keep it.
+        """
+
+        async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused | Silent:
+            try:
+                if isinstance(request, ReadReq):
+                    return await self.read(request.slot, request.index, request.length, timeout=timeout)
+                await self.write(request.slot, request.index, request.data, timeout=timeout)
+            except AcyclicError as error:
+                if error.error_decode != Decode.DPV1:
+                    raise
+                return Refused(error.code_1)
+            except ServiceRefused as error:
+                return Refused(0, str(error))
+            except SlaveTimeout as error:
+                return Silent(str(error))
+            return b""
+
+        return RecordParameters(self.name, carry_out, slot, object=object, longest=self._way.longest)
 
     async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
         """I&M ``number`` 0..4 of ``slot``: the call, then its answer. Raises as :meth:`read`.
@@ -83,12 +153,12 @@ class RecordAccess(abc.ABC):
         what = f"I&M{number} of slot {slot}"
         async with self._calling(what, timeout):
             await _until_ready(lambda: self.write(slot, IM_INDEX, build_call(number), timeout=timeout), timeout)
-            length = min(IM_ANSWER, self.longest)
+            length = min(IM_ANSWER, self._way.longest)
             answer = await _until_ready(lambda: self.read(slot, IM_INDEX, length, timeout=timeout), timeout)
         try:
             return parse_answer(answer, number)
         except PduError as error:
-            raise SlaveFault(self.address, f"{self.who} gives no I&M{number}: {error}") from None
+            raise SlaveFault(self.address, f"{self._way.who} gives no I&M{number}: {error}") from None
 
     async def write_im(self, record: Im, *, slot: int = 0, timeout: float | None = None) -> None:
         """Write I&M1 to I&M4. Raises as :meth:`read`."""
@@ -103,27 +173,24 @@ class RecordAccess(abc.ABC):
         async with self._calling(f"I&M{number_of(record)} of slot {slot}", timeout):
             await _until_ready(lambda: self.write(slot, IM_INDEX, call, timeout=timeout), timeout)
 
-    def _time(self, timeout: float | None) -> int:
-        """In ns. Raises UsageError."""
-        return time_of(self.usual_timeout if timeout is None else timeout)
-
     @contextlib.asynccontextmanager
     async def _calling(self, what: str, given: float | None) -> AsyncIterator[None]:
         """Lock out other I&M calls to this slave; a negative answer is raised as one to ``what``."""
-        timeout = self.usual_timeout if given is None else given
+        way = self._way
+        timeout = usual_timeout(way.response_ns) if given is None else given
         time_of(timeout)
         try:
             async with asyncio.timeout(timeout):
-                await self.im_call.acquire()
+                await way.im_call.acquire()
         except TimeoutError:
-            late = f"{self.who}: {what} had no turn within {timeout:g} s: another I&M call is under way"
+            late = f"{way.who}: {what} had no turn within {timeout:g} s: another I&M call is under way"
             raise SlaveTimeout(self.address, f"{late}; give it a longer timeout") from None
         try:
             yield
         except AcyclicError as error:
             raise error.about(what) from None
         finally:
-            self.im_call.release()
+            way.im_call.release()
 
 
 async def _until_ready(service: Callable[[], Awaitable[T]], timeout: float | None) -> T:
@@ -138,56 +205,3 @@ async def _until_ready(service: Callable[[], Awaitable[T]], timeout: float | Non
                 raise
         await asyncio.sleep(pause)
         pause = min(2 * pause, _LONGEST_PAUSE)
-
-
-class Records(RecordAccess):
-    """The records of a slave of this master (MS1)."""
-
-    def __init__(self, services: Services, setup: SlaveParams) -> None:
-        self._services = services
-        self._setup = setup
-
-    @property
-    def address(self) -> int:
-        return self._setup.address
-
-    @property
-    def who(self) -> str:
-        return f"slave {self._setup.address} ({self._setup.name})"
-
-    @property
-    def im_call(self) -> asyncio.Lock:
-        """One lock for all callers."""
-        return self._services.im_call(self.address)
-
-    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
-        """Up to ``length`` octets (None: the longest possible)."""
-        token = self._services.token()
-        wanted = self.longest if length is None else whole("length", length)
-        place = whole("slot", slot), whole("index", index)
-        command = ReadRecord(token, self.address, *place, wanted, self._time(timeout))
-        return (await self._services.do(token, command, RecordDone)).outcome.data
-
-    async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
-        """All of ``data``."""
-        data = octets("data", data)
-        if self.longest < len(data) <= MAX_RECORD:
-            raise UsageError(
-                f"{self.who}: {len(data)} octets, its GSD file says C1_Max_Data_Len = {self.longest}: write less"
-            )
-        token = self._services.token()
-        place = whole("slot", slot), whole("index", index)
-        command = WriteRecord(token, self.address, *place, data, self._time(timeout))
-        await self._services.do(token, command, RecordDone)
-
-    @property
-    def usual_timeout(self) -> float:
-        """By C1_Response_Timeout."""
-        dpv1 = self._setup.dpv1
-        return usual_timeout(0 if dpv1 is None else dpv1.c1_response_timeout_ns)
-
-    @property
-    def longest(self) -> int:
-        """C1_Max_Data_Len."""
-        dpv1 = self._setup.dpv1
-        return MAX_RECORD if dpv1 is None else dpv1.c1_max_data_len

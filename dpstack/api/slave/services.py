@@ -8,7 +8,7 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Awaitable, Callable
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from dpstack.api.slave.alarms import AlarmListeners
 from dpstack.api.slave.service_errors import error_of
@@ -16,14 +16,20 @@ from dpstack.dp.acyclic.job import ServiceEnd, ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken
 from dpstack.dp.master.scanner import ScanDone
-from dpstack.dpv1.master.ms1 import RecordDone
-from dpstack.dpv1.master.ms2_commands import CloseConnection, ConnectionOver, ConnectionsClosed, TransportDone
+from dpstack.dpv1.master.orders import CloseConnection, ConnectionOver, ConnectionsClosed, RecordDone
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.trace import Event
 from dpstack.units import s_to_ns
 
 E = TypeVar("E", bound=Event)
 D = TypeVar("D", bound=ServiceEnd)
+
+
+class TokenOrder(Protocol):
+    """An order whose end is an event with the same ``token``."""
+
+    @property
+    def token(self) -> int: ...
 
 
 def time_of(seconds: float, what: str = "timeout") -> int:
@@ -62,40 +68,40 @@ class Services:
         self._im_calls: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
 
     def im_call(self, address: int) -> asyncio.Lock:
-        """The lock of the slave at ``address``, see :attr:`~dpstack.api.slave.records.RecordAccess.im_call`."""
+        """The lock of the slave at ``address``, see :class:`~dpstack.api.slave.records.RecordWay`."""
         return self._im_calls[address]
 
     def token(self) -> int:
         return next(self._tokens)
 
-    async def do(self, token: int, command: object, kind: type[D], cancel: object = None) -> D:
+    async def do(self, order: TokenOrder, kind: type[D], cancel: object = None) -> D:
         """Order a service and wait for its end, an event of ``kind``. Raises the exception of a failure
         (:mod:`dpstack.api.slave.service_errors`).
 
         ``cancel``: the order that is sent when the caller is cancelled (default CancelService).
         """
         try:
-            done = await self.answer_to(token, command, kind)
+            done = await self.answer_to(order, kind)
         except asyncio.CancelledError:
             with contextlib.suppress(DpError):  # the bus may have ended meanwhile
-                self._command(CancelService(token) if cancel is None else cancel)
+                self._command(CancelService(order.token) if cancel is None else cancel)
             raise
         if done.outcome.failure is not None:
-            record = (done.slot, done.index) if isinstance(done, (RecordDone, TransportDone)) else None
+            record = (done.slot, done.index) if isinstance(done, RecordDone) else None
             if done.outcome.failure is ServiceFailure.CLOSED and not self._is_open():  # no fault of the slave
                 raise BusError(f"this bus was closed: {done.outcome.text}")
             raise error_of(done.address, done.title, done.outcome, record)
         return done
 
-    async def answer_to(self, token: int, command: object, *kinds: type[E]) -> E:
-        """Give the order ``command`` with ``token`` and wait for its answer: an event of one of ``kinds``."""
+    async def answer_to(self, order: TokenOrder, *kinds: type[E]) -> E:
+        """Give the ``order`` and wait for its answer: an event of one of ``kinds``."""
         future: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
-        self._waiting[token] = future, kinds
+        self._waiting[order.token] = future, kinds
         try:
-            await self._order(command)
+            await self._order(order)
             event = await future
         finally:
-            del self._waiting[token]
+            del self._waiting[order.token]
         assert isinstance(event, kinds)
         return event
 

@@ -9,8 +9,7 @@ from typing import Unpack
 from dpstack.api.config.slave import Changes, SlaveConfig, changed
 from dpstack.api.slave.alarms import AlarmStream, StatusStream
 from dpstack.api.slave.host import Host
-from dpstack.api.slave.record_parameters import RecordParameters, over_records
-from dpstack.api.slave.records import Records
+from dpstack.api.slave.records import RecordAccess, RecordWay
 from dpstack.argcheck import Sealed
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, ReparameteriseSlave
@@ -19,11 +18,11 @@ from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.process_data import Field, Value
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.ms1_job import need_dpv1
-from dpstack.dpv1.pdu.im import Im
+from dpstack.dpv1.master.ms1 import need_dpv1
 from dpstack.drivers.futures import whole
 from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
@@ -31,7 +30,7 @@ from dpstack.text import octets_text
 from dpstack.units import ns_to_s
 
 
-class Slave(Sealed):
+class Slave(Sealed, RecordAccess):
     """One slave of a bus: inputs, outputs, state, diagnosis. Made by the bus, see ``Bus.slave``."""
 
     def __init__(self, bus: Host, config: SlaveConfig, setup: SlaveParams, *, has_plugin: bool) -> None:
@@ -42,6 +41,11 @@ class Slave(Sealed):
         self._seal(Slave)
 
     def _sealed_name(self) -> str:
+        return self.who
+
+    @property
+    def who(self) -> str:
+        """Address and name, for texts."""
         return f"slave {self.address} ({self.name})"
 
     def _no_attribute(self, name: str, *, method: bool) -> str:
@@ -246,7 +250,7 @@ class Slave(Sealed):
         elif len(octets) != length:
             why = f"{octets_text(len(octets))} of outputs given, the slave's configuration has {length}"
         if why:
-            raise UsageError(f"slave {self.address} ({self.name}): {why}")
+            raise UsageError(f"{self.who}: {why}")
 
     # --- named fields -------------------------------------------------------------------------------------------
 
@@ -291,7 +295,7 @@ class Slave(Sealed):
             try:
                 octets = self.output_field(name).put(octets, value)
             except ValueError as error:
-                raise UsageError(f"slave {self.address} ({self.name}): {error}") from None
+                raise UsageError(f"{self.who}: {error}") from None
         self.outputs = octets
 
     def output_field(self, name: str) -> Field:
@@ -302,7 +306,7 @@ class Slave(Sealed):
         return found
 
     def _unknown(self, name: object, what: str, known: tuple[str, ...]) -> UsageError:
-        who = f"slave {self.address} ({self.name})"
+        who = self.who
         if name in self:
             return UsageError(f"{who}: {name} is an input: only outputs can be set")
         near = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
@@ -331,37 +335,6 @@ class Slave(Sealed):
 
     # --- DP-V1 --------------------------------------------------------------------------------------------------
 
-    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
-        """Read a record of DP-V1: ``slot`` 0..254, ``index`` 0..255; up to ``length`` octets (None: all there are).
-
-        Open in data exchange, where the slave is parameterised for it (``dpv1``). One service per slave is under way,
-        others wait; the cycle goes on. ``timeout`` in seconds from the call (None: 10, longer where C1_Response_Timeout
-        is); the slave has its C1_Response_Timeout.
-        Raises AcyclicError (the slave refuses: class, code, text), ServiceRefused (it has no Read and Write),
-        SlaveTimeout, SlaveFault (it left data exchange, or answers what cannot be), UsageError, BusError.
-        """
-        return await self._records.read(slot, index, length, timeout=timeout)
-
-    async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
-        """Write a record of DP-V1, up to 240 octets; otherwise as :meth:`read`."""
-        await self._records.write(slot, index, data, timeout=timeout)
-
-    async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
-        """I&M ``number`` 0..4 of ``slot``. Raises as :meth:`read`; AcyclicError where the slave has it not."""
-        return await self._records.im(number, slot=slot, timeout=timeout)
-
-    async def write_im(self, record: Im, *, slot: int = 0, timeout: float | None = None) -> None:
-        """Write I&M1 to I&M4. Raises as :meth:`read`."""
-        await self._records.write_im(record, slot=slot, timeout=timeout)
-
-    def parameters(self, slot: int = 1, *, object: int = 1, timeout: float | None = None) -> RecordParameters:
-        """PROFIdrive's parameter access, record 47 of ``slot``: many parameters, arrays, the drive's own list.
-
-        ``object``: axis or drive object; ``timeout`` in seconds for each Read and Write. Make one and keep it.
-        """
-        records = self._records
-        return RecordParameters(self.name, over_records(records, timeout), slot, object=object, longest=records.longest)
-
     def alarms(self, *, acknowledge: bool = True) -> AlarmStream:
         """Alarms from now on: an async iterator of :class:`~dpstack.api.slave.alarms.SlaveAlarm`, each one once, in
         order.
@@ -385,7 +358,7 @@ class Slave(Sealed):
         self._bus.check_open()
         if self.setup.dpv1 is None:
             raise UsageError(
-                f"slave {self.address} ({self.name}) is not parameterised for DP-V1: no status messages; "
+                f"{self.who} is not parameterised for DP-V1: no status messages; "
                 f"if it has them put dpv1 = true into its [[slave]] table"
             )
         return self._bus.services.alarms.statuses(self.address)
@@ -396,8 +369,13 @@ class Slave(Sealed):
         return self.snapshot.alarms
 
     @property
-    def _records(self) -> Records:
-        return Records(self._bus.services, self.setup)
+    def _way(self) -> RecordWay:
+        services, address = self._bus.services, self.address
+        dpv1 = self.setup.dpv1 or Dpv1()
+        longest = dpv1.c1_max_data_len
+        limit = f"its GSD file says C1_Max_Data_Len = {longest}: write less"
+        response_ns = dpv1.c1_response_timeout_ns
+        return RecordWay(services, address, self.who, longest, limit, response_ns, services.im_call(address))
 
     async def deactivate(self) -> None:
         """Take it out of service: safe outputs for 50 ms, Unlock, then nothing is sent to it until :meth:`activate`.
@@ -451,13 +429,13 @@ class Slave(Sealed):
     def _is_ready(self) -> bool:
         fault = self.fault
         if self.deactivated:
-            raise UsageError(f"slave {self.address} ({self.name}) is out of service: activate() it first")
+            raise UsageError(f"{self.who} is out of service: activate() it first")
         if self.state is SlaveState.FAULT and fault is not None:
-            raise SlaveFault(self.address, f"slave {self.address} ({self.name}): {fault.text}")
+            raise SlaveFault(self.address, f"{self.who}: {fault.text}")
         return self.ready_now
 
     def _late(self, wanted: str, timeout: float | None) -> SlaveTimeout:
         fault = self.fault
         why = fault.text if fault else f"it is in {self.state.value}"
-        text = f"slave {self.address} ({self.name}): not in {wanted} after {timeout:g} s: {why}"
+        text = f"{self.who}: not in {wanted} after {timeout:g} s: {why}"
         return SlaveTimeout(self.address, text)

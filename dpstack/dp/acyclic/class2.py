@@ -11,7 +11,6 @@ the service, then Slave_Diag at the new address and silence at the old one.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Final
 
@@ -50,8 +49,8 @@ _LOOK_BACK: Final = 10
 _LOOK_BACK_EVERY: Final = 5
 
 
-@dataclass(slots=True)
-class AddressChange:
+@dataclass
+class AddressChange(Job):
     """The job. ``own``: the asking station; ``ident`` None: whatever device is there; the rest as in
     :class:`~dpstack.dp.pdu.requests.SetSlaveAdd`."""
 
@@ -61,18 +60,9 @@ class AddressChange:
     ident: int | None = None
     no_add_chg: bool = False
     rem_slave_data: bytes = b""
-    service: Service = Service.SET_ADDRESS
-    aftermath: str = ""
-    lane: Hashable | None = None
-
-    @property
-    def title(self) -> str:
-        """The service's."""
-        return self.service.title
-
-    def bar(self) -> str:
-        """It is open whatever the slave's state."""
-        return ""
+    service = Service.SET_ADDRESS
+    title = service.title
+    aftermath = ""
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """A notice of a new address, too."""
@@ -242,10 +232,10 @@ class Class2(Provider):
             case ReadService(token, address, service, expected, timeout_ns):
                 if service is Service.SET_ADDRESS:
                     raise UsageError("Set_Slave_Add does not read: use ChangeAddress")
-                _check(address, self._own)
+                check_address(address, self._own)
                 return token, Reading(address, service, expected), timeout_ns
             case ChangeAddress(token, old, new, ident, no_add_chg, rem_slave_data, timeout_ns):
-                _check(old, self._own)
+                check_address(old, self._own)
                 _check_new(old, new, self._own, self._master)
                 try:
                     SetSlaveAdd(new, ident or 0, no_add_chg, rem_slave_data).build()
@@ -255,7 +245,8 @@ class Class2(Provider):
         return None
 
 
-def _check(address: int, own: int) -> None:
+def check_address(address: int, own: int) -> None:
+    """Raises UsageError for an address that no slave can have, beside the station ``own``."""
     if not 0 <= address <= UNADDRESSED:
         raise UsageError(f"{address} is no address of a slave: 0..{UNADDRESSED} ({UNADDRESSED}: as delivered)")
     if address == own:

@@ -7,7 +7,6 @@ anything in the slave.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
@@ -73,25 +72,14 @@ def done(job: Job, service: Service, token: int, outcome: Outcome, now: int) -> 
     return [ServiceDone(t_ns=now, token=token, address=job.address, service=service, outcome=outcome)]
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(Job):
     """One of the reading services. ``expected``: the octets that RD_Inp and RD_Outp must have, None for any number."""
 
-    address: int
-    service: Service
-    expected: int | None = None
-    #: it changes nothing
-    aftermath: str = ""
-    lane: Hashable | None = None
-
-    @property
-    def title(self) -> str:
-        """The service's."""
-        return self.service.title
-
-    def bar(self) -> str:
-        """It is open whatever the slave's state."""
-        return ""
+    def __init__(self, address: int, service: Service, expected: int | None = None) -> None:
+        self.address = address
+        self.title = service.title
+        self.service = service
+        self.expected = expected
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         return done(self, self.service, token, outcome, now)

@@ -3,7 +3,8 @@
 A job is a generator of :class:`Step`: it gives the next request and is sent what became of it, and when
 (:class:`Heard`): that is all the time that a job knows, and it judges by it how long the slave has had. Its end is one
 :class:`Outcome`, told by one :class:`ServiceEnd` where a program waits for it. Jobs are in
-:mod:`dpstack.dp.acyclic.class2_services`, :mod:`dpstack.dpv1.master.ms1_job` and :mod:`dpstack.dpv1.master.ms2_jobs`.
+:mod:`dpstack.dp.acyclic.class2_services`, :mod:`dpstack.dpv1.master.ms1` and
+:mod:`dpstack.dpv1.master.ms2_connection`.
 """
 
 from __future__ import annotations
@@ -115,33 +116,34 @@ class Heard(NamedTuple):
 Steps = Generator[Step, Heard, T]
 
 
-class Job(Protocol):
-    """One service from its beginning to its one end."""
+class Job(abc.ABC):
+    """One service from its beginning to its one end: ``title``, by the standard's name, to the slave at ``address``."""
 
-    @property
-    def address(self) -> int:
-        """The slave it is about."""
-
-    @property
-    def title(self) -> str:
-        """What is asked, by the standard's name."""
+    address: int
+    title: str
 
     @property
     def lane(self) -> Hashable | None:
         """Jobs of the same lane run one after the other, in the order they came."""
+        return None
 
     @property
     def aftermath(self) -> str:
-        """What has to be said of it when it is cut short now; empty when nothing has happened to the slave."""
+        """The warning for a job that is cut short now; empty when nothing has happened to the slave."""
+        return ""
 
     def bar(self) -> str:
-        """Why it can never end any more; its title stands in front. Empty while it can. Asked in every token hold."""
+        """The reason why it can never end any more, to stand behind its title; empty while it can. Called in every
+        token hold."""
+        return ""
 
+    @abc.abstractmethod
     def steps(self) -> Steps[Outcome]:
         """Its requests, one after the other."""
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
-        """What is told of its one end, to whom ``token`` means something."""
+        """The events of its one end, for the program that ordered it with ``token``."""
+        return []
 
 
 #: the token of jobs that no program ordered: of cyclic units and connections; acknowledgements of alarms

@@ -1,30 +1,28 @@
 """Alarms of one slave at its master: recognised in its diagnoses, delivered once, acknowledged.
 
-An alarm is open from the diagnosis it comes in until the slave takes its acknowledgement; the sequence of requests is
-:mod:`dpstack.dpv1.master.alarm_ack`'s. Facts: docs/protocol.md#alarms, docs/protocol.md#alarm_ack. Decisions where the
-sources leave something open: docs/decisions/alarms.md#alarms-at-the-master.
+An alarm is open from the diagnosis that brings it until the slave takes its acknowledgement, which
+:mod:`~dpstack.dpv1.master.alarm_ack` sends. Facts: docs/protocol.md#alarms, docs/protocol.md#alarm_ack. Decisions where
+the sources leave something open: docs/decisions/alarms.md#alarms-at-the-master.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import dataclasses
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.diag_reader import AlarmCounts
-from dpstack.dp.master.fault_report import Findings
+from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARM_MODE, ALARMS
-from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.alarm_events import AlarmBook, AlarmDone, AlarmRaised, StatusTold, texts_beside
 from dpstack.dpv1.master.alarm_repeats import Key, Settling
+from dpstack.dpv1.master.orders import AlarmDone, AlarmRaised, StatusTold, texts_beside
 from dpstack.dpv1.pdu.error_codes import AGAIN
 from dpstack.errors import PduError
-from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_MS
 
 #: alarms of one slave that are open, or not taken by the application; those of a slave that keeps the rules are 32
@@ -68,29 +66,39 @@ class OpenAlarm:
         return self.unanswered or self.stage is Stage.ASKED
 
 
-class AlarmHandler:
-    """The alarms of one slave under one set of parameters, ``book`` is what outlasts it; ``ask(now)`` has its diagnosis
-    read."""
+@dataclass(slots=True)
+class AlarmBook:
+    """The state of a slave's alarms that outlasts its parameters, also while DP-V1 is off.
 
-    def __init__(
-        self,
-        setup: SlaveParams,
-        findings: Findings,
-        emit: Callable[[Event], None],
-        ask: Callable[[int], None],
-        book: AlarmBook,
-    ) -> None:
+    ``hold``: the application acknowledges (:class:`~dpstack.dpv1.master.orders.HoldAlarms`); ``number`` of the last
+    alarm; ``untaken``: numbers of alarms that are void, but that the application has not taken yet.
+    """
+
+    counts: AlarmCounts = field(default_factory=AlarmCounts)
+    number: int = 0
+    hold: bool = False
+    untaken: set[int] = field(default_factory=set)
+
+    def count(self, name: str) -> None:
+        self.counts = dataclasses.replace(self.counts, **{name: getattr(self.counts, name) + 1})
+
+
+class AlarmHandler:
+    """The alarms of the slave that ``handler`` handles, under one set of parameters; ``book`` outlasts them."""
+
+    def __init__(self, handler: SlaveHandler, book: AlarmBook) -> None:
+        self.handler = handler
+        setup = self._setup = handler.setup
         sent = setup.user_octets(None)
         self._enabled = sent[1]
         #: in all; 0: one of each type
         self._limit = ALARM_LIMITS[sent[2] & ALARM_MODE]
-        self._setup = setup
         #: they are acknowledged at SAP 50
         self.extra_sap = self._has_extra_sap
         self._extra_sap_took = False
-        self._findings = findings
-        self._emit = emit
-        self._ask = ask
+        self._findings = handler.findings
+        self._emit = handler.emit
+        self._want_diagnosis = handler.want_diagnosis
         self._book = book
         self._open: dict[Key, OpenAlarm] = {}
         self._asked: OpenAlarm | None = None
@@ -113,7 +121,7 @@ class AlarmHandler:
             if isinstance(message, Status):
                 self._on_status(message, octets, now)
             else:
-                self._ask(now)
+                self._want_diagnosis(now)
 
     def take(self, diagnosis: Diagnosis, flagged_at: int, exchanges: int, now: int) -> None:
         """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged_at``: the first of them in
@@ -222,25 +230,18 @@ class AlarmHandler:
 
     # --- from the application -----------------------------------------------------------------------------------
 
-    def release(self, now: int) -> None:
-        """They are the station's to acknowledge again, those that wait included."""
+    def release(self, number: int | None, now: int) -> None:
+        """The station acknowledges the alarm ``number``, None: all that wait. One that is over is no error."""
         for known in self._open.values():
-            if known.stage is Stage.HELD:
+            if known.stage is Stage.HELD and number in (None, known.number):
                 known.stage = Stage.WAITING
-        self._room(now)
-
-    def acknowledge(self, number: int, now: int) -> None:
-        """See :class:`~dpstack.dpv1.master.alarm_events.AcknowledgeAlarm`; one that is over is no error."""
-        for known in self._open.values():
-            if known.number == number and known.stage is Stage.HELD:
-                known.stage = Stage.WAITING
-        self._room(now)
+        self._make_room(now)
 
     # --- the acknowledgement ------------------------------------------------------------------------------------
 
-    def missed(self, exchanges: int) -> None:
-        """The slave gave no answer to a request of any service, after so many ``exchanges``."""
-        self._unsure = self._unsure or exchanges == self._read_after
+    def missed(self) -> None:
+        """The slave gave no answer to a request of any service."""
+        self._unsure = self._unsure or self.handler.exchanges == self._read_after
 
     @property
     def counts(self) -> AlarmCounts:
@@ -252,13 +253,13 @@ class AlarmHandler:
         """There is something to be looked at by :meth:`next_ack`, now or later."""
         return bool(self._open) or self._settling.look_at != NEVER
 
-    def next_ack(self, exchanges: int, now: int) -> OpenAlarm | None:
-        """The alarm to be acknowledged now: one at a time, in the order they came. For every token hold while
+    def next_ack(self, now: int) -> OpenAlarm | None:
+        """The alarm to be acknowledged now: one at a time, in the order they came. Called in every token hold while
         :attr:`busy`."""
         if self._settling.look_at <= now:
             self._settling.look_at = NEVER
-            self._ask(now)
-        if self._asked is not None or not self._open or exchanges == self._read_after:
+            self._want_diagnosis(now)
+        if self._asked is not None or not self._open or self.handler.exchanges == self._read_after:
             return None
         for known in tuple(self._open.values()):
             if known.answered:
@@ -267,7 +268,8 @@ class AlarmHandler:
                 return known
         return None
 
-    def asked(self, known: OpenAlarm) -> None:
+    def begin_ack(self, known: OpenAlarm) -> None:
+        """Its acknowledgement begins."""
         self._asked = known
         known.stage = Stage.ASKED
         if known.attempts:
@@ -314,18 +316,18 @@ class AlarmHandler:
             self._book.count("acknowledged")
         self._done(known, outcome, now)
         if known.shown:
-            self._ask(now)
-        self._room(now)
+            self._want_diagnosis(now)
+        self._make_room(now)
 
     def _done(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
         address, name = self._setup.address, self._setup.name
         self._emit(AlarmDone(t_ns=now, address=address, name=name, number=known.number, outcome=outcome))
 
-    def _room(self, now: int) -> None:
+    def _make_room(self, now: int) -> None:
         """What was dropped may still stand in its diagnosis."""
         if self._dropped and len(self._open) + len(self._book.untaken) < MAX_OPEN:
             self._dropped = False
-            self._ask(now)
+            self._want_diagnosis(now)
 
     # --- the end ------------------------------------------------------------------------------------------------
 

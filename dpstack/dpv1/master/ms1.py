@@ -1,185 +1,299 @@
-"""Read and Write of a class 1 master to its slaves (MS1): DSAP 51, SSAP 51, open while the slave is in data exchange.
+"""MS1 of a class 1 master: Read and Write to its slaves, and the steps that every MS1 service has (DSAP 51, SSAP 51).
 
 The request is one SRD. The slave answers in it at once, or acknowledges and is polled with empty SRDs; both are legal
-(docs/protocol.md#ms1). One service per slave is outstanding, others wait. What is to be asked when is
-:mod:`dpstack.dp.acyclic.queue`'s.
+(docs/protocol.md#ms1). A slave has one service at a time, others wait in :mod:`dpstack.dp.acyclic.queue`. A Read
+without any answer is repeated, a Write is not: the slave may have carried it out, and the outcome says so.
 
-A Read without any answer is repeated, a Write is not: it may have been carried out, which is said. The course of a
-service, with what was decided about answers, is :mod:`dpstack.dpv1.master.ms1_job`.
+Alarm_Ack is in :mod:`dpstack.dpv1.master.alarm_ack`, the polling in :mod:`dpstack.dpv1.master.srd_polling`. Decisions
+where the sources leave something open: docs/decisions/services.md#ms1-at-the-master.
 """
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.acyclic.job import Job, Outcome, Provider, ServiceEnd, ServiceFailure
+from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, Provider, ServiceFailure, Steps
+from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.pdu.layouts import MAX_RECORD
-from dpstack.dpv1.master.ms1_job import Ms1Access, Ms1Job
+from dpstack.dp.services import refusal_text
+from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder
 from dpstack.dpv1.master.plugin_queue import PendingRecord, RecordQueue, queue_at
-from dpstack.dpv1.master.response_check import negative_outcome, service_outcome
+from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Polling, Reply, negative_outcome, service_outcome
 from dpstack.dpv1.pdu.error_codes import Code
-from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, RecordReq, WriteReq
-from dpstack.dpv1.timeouts import SERVICE_TIMEOUT
+from dpstack.dpv1.pdu.read_write import DataTransport, Function, Negative, ReadReq, RecordReq, WriteReq
+from dpstack.dpv1.timeouts import RESPONSE_TIMEOUT, service_timeout
 from dpstack.errors import PduError, UsageError
-from dpstack.machine import Order
+from dpstack.fdl.interface import Failure, Request
+from dpstack.fdl.telegram import SAP_MS1, Req, Telegram
 from dpstack.trace import Event
+from dpstack.units import ns_to_s
 
 _HEAD: Final = 4
 _MAYBE: Final = "it may have been carried out: read it back"
 
 
-@dataclass(frozen=True, slots=True)
-class ReadRecord(Order):
-    """Read up to ``length`` octets of a record of the slave at ``address``; the end is the RecordDone with ``token``.
-
-    ``timeout_ns`` counts from the order, the slave's own time-out from the request.
-    """
-
-    token: int
-    address: int
-    slot: int
-    index: int
-    length: int = MAX_RECORD
-    timeout_ns: int = SERVICE_TIMEOUT
-
-
-@dataclass(frozen=True, slots=True)
-class WriteRecord(Order):
-    """Write ``data``, otherwise as :class:`ReadRecord`."""
-
-    token: int
-    address: int
-    slot: int
-    index: int
-    data: bytes
-    timeout_ns: int = SERVICE_TIMEOUT
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordDone(ServiceEnd):
-    """The one end of the Read or Write with ``token``; the data read are in ``outcome``.
-
-    ``stale``: answers to other requests that came before it.
-    """
-
-    write: bool
-    slot: int
-    index: int
-    stale: int = 0
-
-    @classmethod
-    def of(cls, request: RecordReq, token: int, address: int, outcome: Outcome, stale: int, now: int) -> RecordDone:
-        """The end of ``request``, whichever way it went."""
-        return cls(
-            t_ns=now,
-            token=token,
-            address=address,
-            write=isinstance(request, WriteReq),
-            slot=request.slot,
-            index=request.index,
-            outcome=outcome,
-            stale=stale,
+def need_dpv1(setup: SlaveParams, *, read_only: bool) -> None:
+    """Raises UsageError for a slave that has no Read, Write and alarms of this master."""
+    if read_only:
+        raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
+    if setup.dpv1 is None:
+        raise UsageError(
+            f"slave {setup.address} ({setup.name}) is not parameterised for DP-V1: no Read, Write, alarms; "
+            f"if it has them put dpv1 = true into its [[slave]] table"
         )
 
-    @property
-    def title(self) -> str:
-        return (Function.WRITE if self.write else Function.READ).title
+
+@dataclass(frozen=True, slots=True)
+class Unfetched:
+    """A service that ended without the slave's answer. The next service fetches that answer by ``polling``.
+
+    ``since``: the data exchange in which the service ran, by its beginning.
+    """
+
+    since: int
+    job: Ms1Job
+    polling: Polling
+
+
+class Ms1Job(Job):
+    """One service to the slave that ``handler`` handles: ``octets`` to ``sap``, with up to ``longest`` octets back."""
+
+    #: a request without any answer is repeated
+    repeats = False
+    #: advice when the slave does not answer
+    hint = "; try again"
+    #: reason for which the slave might have closed the SAP
+    why_closed = ""
+
+    def __init__(
+        self, title: str, handler: SlaveHandler, ms1: Ms1, octets: bytes, longest: int, sap: int = SAP_MS1
+    ) -> None:
+        self.address = handler.setup.address
+        self.title = title
+        #: services at one SAP come one after the other
+        self._lane = self.address | (0 if sap == SAP_MS1 else sap << 8)
+        self.stale = 0
+        self._octets = octets
+        self._handler = handler
+        self._ms1 = ms1
+        self._sap = sap
+        self._longest = longest
+        self._since = handler.since
+        self._sent = False
+        given = 0 if handler.setup.dpv1 is None else handler.setup.dpv1.c1_response_timeout_ns
+        self._limit_ns = given or RESPONSE_TIMEOUT
+        self._limit_of = "its C1_Response_Timeout" if given else "no C1_Response_Timeout is known of it"
 
     @property
-    def result(self) -> str:
-        """How many octets of which record."""
-        where = f"{self.title} of slot {self.slot}, index {self.index}"
-        return f"{where} done" if self.write else f"{where}, {len(self.outcome.data)} octets"
+    def lane(self) -> int:
+        return self._lane
+
+    def bar(self) -> str:
+        """See :meth:`Ms1.bar`."""
+        why = self._ms1.bar(self._handler, self._since)
+        return f"was given up: {why}" if why else ""
+
+    @property
+    def timeout_ns(self) -> int:
+        """The time for waiting and service together, where no program sets it."""
+        return service_timeout(self._limit_ns)
+
+    # --- requests and polls -------------------------------------------------------------------------------------
+
+    def steps(self) -> Steps[Outcome]:
+        """Fetch the answer that an earlier service left, send the request, then poll."""
+        yield from self._fetch_earlier_answer()
+        if self.settled:
+            return Outcome()
+        polling = Polling(self._srd, self._limit_ns)
+        attempts = ATTEMPTS if self.repeats else 1
+        self._sent = True
+        # until there is an answer, whatever ends this service
+        self._ms1.unfetched[self._lane] = Unfetched(self._since, self, Polling(self._srd, self._limit_ns))
+        reply = yield from polling.send(self._octets, attempts)
+        while True:
+            match reply:
+                case Reply.OLD:
+                    self.stale += 1
+                    reply = yield from polling.send(self._octets, attempts)
+                case Reply.WAIT:
+                    reply = yield from polling.poll(ATTEMPTS)
+                case Reply.DATA:
+                    outcome = self.outcome_of(polling.pdu)
+                    if outcome is not None:
+                        self._answered()
+                        return outcome
+                    self.stale += 1
+                    reply = yield from polling.poll(ATTEMPTS)
+                case _:
+                    return self._unserved(reply, polling)
+
+    def _fetch_earlier_answer(self) -> Steps[None]:
+        unfetched = self._ms1.unfetched  # it stays there if this service is cut short meanwhile
+        earlier = unfetched.get(self._lane)
+        if earlier is None or earlier.since != self._since:
+            return
+        reply = yield from earlier.polling.poll()
+        if reply is Reply.DATA and not earlier.job.accept_late(earlier.polling.pdu):
+            self.stale += 1
+        unfetched.pop(self._lane, None)
+
+    def _srd(self, octets: bytes) -> Request:
+        """High priority as all services of DP here; ``answer`` lets the budget of a fixed cycle know its length."""
+        return Request(self.address, Req.SRD_HIGH, octets, self._sap, SAP_MS1, patient=True, answer=self._longest)
+
+    # --- answers ------------------------------------------------------------------------------------------------
+
+    @property
+    def settled(self) -> bool:
+        """The late answer to an earlier request was the answer to this one: nothing is left to ask."""
+        return False
+
+    def accept_late(self, octets: bytes) -> bool:
+        """Take the slave's answer after the end of this service; True if it is still of use."""
+        return False
+
+    @abc.abstractmethod
+    def outcome_of(self, octets: bytes) -> Outcome | None:
+        """The outcome by the answer ``octets`` (not empty), None if they answer another request."""
+
+    def _unserved(self, reply: Reply, polling: Polling) -> Outcome:
+        """The outcome without an answer to the service."""
+        who = f"slave {self.address}"
+        match reply, polling.answer:
+            case Reply.GUARDED, _:
+                self._answered()
+                text = f"{who} was not sent {self.title}; this bus is read-only"
+                return Outcome(failure=ServiceFailure.GUARDED, text=text)
+            case Reply.NOTHING, Failure() as why:
+                what = "does not answer" if why is Failure.NO_ANSWER else "gives no readable answer to"
+                return Outcome(failure=NO_ANSWERS[why], text=f"{who} {what} {self.title}{self.hint}")
+            case Reply.CLOSED, Telegram() as answer:
+                self._answered()
+                status = refusal_text(answer)
+                text = f"{who} refuses {self.title} ({status}): SAP {self._sap} is closed; {self.why_closed}"
+                return Outcome(failure=ServiceFailure.REFUSED, text=text, status=status)
+        others = f", only {self.stale} to other requests" if self.stale else ""
+        why_late = (
+            "it was busy all the time" if polling.busy else "it exchanges data, but does not work at this service"
+        )
+        text = (
+            f"{self.title} to slave {self.address} had no answer{others} within {ns_to_s(self._limit_ns):g} s "
+            f"({self._limit_of}): {why_late}; try again, or give it longer (dpv1 = {{ response_timeout_ms = ... }})"
+        )
+        return Outcome(failure=ServiceFailure.LATE, text=text + (f"; {self.aftermath}" if self.aftermath else ""))
+
+    def _answered(self) -> None:
+        self._ms1.unfetched.pop(self._lane, None)
 
 
 class RecordJob(Ms1Job):
-    """One Read or Write, to the slave that ``handler`` handles."""
+    """One Read or Write, ordered by a program, or by a cyclic unit: then ``pending`` gets its outcome.
+
+    Raises PduError for a request that cannot be encoded.
+    """
 
     why_closed = (
         "it was switched off and on just now, has no Read and Write (C1_Read_Write_supp of its GSD file), "
         "or takes them only with other parameters"
     )
 
-    def __init__(self, request: RecordReq, octets: bytes, handler: SlaveHandler, ms1: Ms1Access) -> None:
-        super().__init__(handler, ms1, octets, _HEAD if isinstance(request, WriteReq) else _HEAD + request.length)
+    def __init__(
+        self, request: RecordReq, handler: SlaveHandler, ms1: Ms1, pending: PendingRecord | None = None
+    ) -> None:
+        longest = _HEAD if isinstance(request, WriteReq) else _HEAD + request.length
+        super().__init__(request.title, handler, ms1, request.build(), longest)
         self._request = request
-        self._write = isinstance(request, WriteReq)
-        self.repeats = not self._write
-        if self._write:
+        self._pending = pending
+        self.repeats = isinstance(request, ReadReq)
+        if not self.repeats:
             self.hint = f"; {_MAYBE}"
 
     @property
     def aftermath(self) -> str:
-        """A Write whose response is missing, whatever cut it short."""
-        return _MAYBE if self._write and self._sent else ""
-
-    @property
-    def title(self) -> str:
-        """With slot and index: they are what a reader looks for."""
-        return self._request.title
+        """A warning about a Write without a response, for whatever reason."""
+        return _MAYBE if self._sent and not self.repeats else ""
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
+        if self._pending is not None:
+            self._pending.outcome = outcome
+            return []
         return [RecordDone.of(self._request, token, self.address, outcome, self.stale, now)]
 
-    def judged(self, octets: bytes) -> Outcome | None:
-        """See :func:`~dpstack.dpv1.master.response_check.service_outcome`; a response to Alarm_Ack is one to an earlier
-        request."""
+    def outcome_of(self, octets: bytes) -> Outcome | None:
+        """A response to Alarm_Ack answers an earlier request."""
         if octets[0] == Function.ALARM_ACK:
             return None
         return service_outcome(self.address, self._request, octets)
 
 
 class Ms1(Provider):
-    """Read and Write of the slaves in ``ms1``, as programs order them."""
+    """MS1 between ``master`` and its slaves: Read and Write of programs and of cyclic units (drive plugins)."""
 
-    def __init__(self, ms1: Ms1Access) -> None:
-        self._ms1 = ms1
+    def __init__(self, master: Master | None) -> None:
+        self.master = master
+        #: by lane
+        self.unfetched: dict[int, Unfetched] = {}
+
+    # --- slaves -------------------------------------------------------------------------------------------------
+
+    def slave(self, address: int) -> SlaveHandler:
+        """The handler of a slave, with or without DP-V1. Raises UsageError."""
+        handlers = {} if self.master is None else self.master.handlers
+        if address not in handlers:
+            raise UsageError(f"station {address} is no slave of this master: MS1 is between a slave and its own master")
+        return handlers[address]
+
+    def dpv1_slave(self, address: int) -> SlaveHandler:
+        """The handler of a slave that is parameterised for DP-V1. Raises UsageError."""
+        handler = self.slave(address)
+        need_dpv1(handler.setup, read_only=self.master is not None and self.master.settings.read_only)
+        return handler
+
+    def bar(self, handler: SlaveHandler, since: int) -> str:
+        """The reason for which no service that began in the data exchange ``since`` can end any more; empty while it
+        can. MS1 closes when the slave leaves data exchange (docs/protocol.md#ms1), and in Stop the master sends
+        nothing to slaves.
+        """
+        master = self.master
+        if master is None or master.handlers.get(handler.setup.address) is not handler:
+            return "the slave was removed from this bus, or parameterised anew; repeat it afterwards"
+        if master.mode <= Mode.STOP:
+            mode = master.mode.name.capitalize()
+            return f"the master is in {mode}, where nothing is sent to slaves; repeat it in Clear or Operate"
+        state = handler.state
+        if state is SlaveState.DATA_EXCHANGE and handler.since == since:
+            return ""
+        why = "" if handler.fault is None else f" ({handler.fault.text})"
+        if state is SlaveState.DATA_EXCHANGE:
+            return f"the slave left data exchange{why} and came back; repeat it"
+        return f"the slave is not in data exchange but in {state.value}{why}; repeat it when it is"
+
+    # --- orders of programs -------------------------------------------------------------------------------------
 
     def job_of(self, order: object) -> tuple[int, Job, int] | None:
-        match order:
-            case ReadRecord(token, address, slot, index, length, timeout_ns):
-                request: RecordReq = ReadReq(slot, index, length)
-            case WriteRecord(token, address, slot, index, data, timeout_ns):
-                request = WriteReq(slot, index, data)
-            case _:
-                return None
+        if not isinstance(order, RecordOrder) or order.address is None:
+            return None
+        service = order.service
+        assert not isinstance(service, DataTransport)  # goes over class 2 connections only
         try:
-            octets = request.build()
+            job = RecordJob(service, self.dpv1_slave(order.address), self)
         except PduError as error:
             raise UsageError(str(error)) from None
-        return token, RecordJob(request, octets, self._ms1.handler(address), self._ms1), timeout_ns
+        return order.token, job, order.timeout_ns
 
-
-# No record is longer than C1_Max_Data_Len: a longer Write is refused here, less is read.
-
-
-class UnitJob(RecordJob):
-    """One that a cyclic unit waits for: its end is not an event."""
-
-    def __init__(
-        self, pending: PendingRecord, request: RecordReq, octets: bytes, handler: SlaveHandler, ms1: Ms1Access
-    ) -> None:
-        super().__init__(request, octets, handler, ms1)
-        self._pending = pending
-
-    def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
-        self._pending.outcome = outcome
-        return []
-
-
-class PluginJobs(Provider):
-    """Services that the cyclic units of the slaves in ``ms1`` want."""
-
-    def __init__(self, ms1: Ms1Access) -> None:
-        self._ms1 = ms1
+    # --- requests of cyclic units -------------------------------------------------------------------------------
 
     def ask(self, now: int) -> None:
-        """What a unit wants since the Data_Exchange of this hold goes out in the same one."""
-        master = self._ms1.master
+        """A request that a unit made since the Data_Exchange of this hold goes out in the same hold."""
+        master = self.master
         if master is None:
             return
         for handler in master.handlers.values():
@@ -190,8 +304,11 @@ class PluginJobs(Provider):
             if job is not None:
                 self.queue.put(job, job.timeout_ns, now)
 
-    def _next(self, handler: SlaveHandler, queue: RecordQueue) -> UnitJob | None:
-        """The next service of a unit; None where it cannot be, which the unit is told."""
+    def _next(self, handler: SlaveHandler, queue: RecordQueue) -> RecordJob | None:
+        """The next service of a unit; None for an impossible one, which ends at once.
+
+        No record is longer than C1_Max_Data_Len: a longer Write is refused here, a Read is shortened.
+        """
         pending = queue.take()
         if pending is None:
             return None
@@ -199,14 +316,14 @@ class PluginJobs(Provider):
         longest = MAX_RECORD if dpv1 is None else dpv1.c1_max_data_len
         request = pending.request
         if isinstance(request, WriteReq) and longest < len(request.data) <= MAX_RECORD:
-            # as the slave would, if it can answer what does not fit its buffer: whoever asks may do with less
+            # as the slave would, if it can answer a request longer than its buffer: the unit may do with less
             refusal = Negative(Function.WRITE, Code.WRITE_LENGTH_ERROR)
-            pending.outcome = negative_outcome(f"slave {handler.setup.address}", request.title, refusal)
+            pending.outcome = negative_outcome(handler.setup.address, request.title, refusal)
             return None
         if isinstance(request, ReadReq):
             request = dataclasses.replace(request, length=min(request.length, longest))
         try:
-            return UnitJob(pending, request, request.build(), handler, self._ms1)
+            return RecordJob(request, handler, self, pending)
         except PduError as error:
             pending.outcome = Outcome(failure=ServiceFailure.LENGTH, text=str(error))
             return None

@@ -3,7 +3,7 @@ SAP that it gives out, ended by Abort (docs/protocol.md#ms2).
 
 They take nothing away from the slave's own master, and need none. Every connection of a master asks from SSAP 50
 (Felser: its only SAP for MS2); the slave's server SAP tells several of them apart. What is to be asked when is
-:mod:`dpstack.dp.acyclic.queue`'s, the telegrams are :mod:`dpstack.dpv1.master.ms2_jobs`.
+:mod:`dpstack.dp.acyclic.queue`'s, the telegrams are :mod:`dpstack.dpv1.master.ms2_connection`'s.
 
 Decisions where the sources leave something open: docs/decisions/ms2.md#connections-at-the-master.
 """
@@ -12,33 +12,31 @@ from __future__ import annotations
 
 from typing import Final
 
+from dpstack.dp.acyclic.class2 import check_address
 from dpstack.dp.acyclic.job import Job
 from dpstack.dp.master.master import Master
-from dpstack.dpv1.master.ms2_commands import (
-    CloseConnection,
-    CloseConnections,
-    OpenConnection,
-    ReadOver,
-    TransportOver,
-    WriteOver,
+from dpstack.dpv1.master.ms2_connection import (
+    NOT_WANTED,
+    TIMED_OUT,
+    Connections,
+    IdleJob,
+    MasterConnection,
+    Phase,
+    ServiceJob,
 )
-from dpstack.dpv1.master.ms2_connection import NOT_WANTED, TIMED_OUT, MasterConnection, Phase
 from dpstack.dpv1.master.ms2_initiate import InitiateJob
-from dpstack.dpv1.master.ms2_jobs import Connections, IdleJob, ServiceJob
-from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
-from dpstack.dpv1.pdu.read_write import DataTransport, ReadReq, Service, WriteReq
+from dpstack.dpv1.master.orders import CloseConnection, CloseConnections, OpenConnection, RecordOrder
+from dpstack.dpv1.pdu.read_write import ReadReq
 from dpstack.dpv1.timeouts import QUIET_SHARE
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Telegram
-from dpstack.params import UNADDRESSED
 from dpstack.units import NEVER, ns_to_s
 
 #: how the refusal of a service over a connection that is over begins
 NO_CONNECTION: Final = "there is no open class 2 connection"
 #: connections at a time, to all slaves
 CAPACITY: Final = 64
-_ADDRESS: Final = 2
 
 
 class Ms2(Connections):
@@ -61,30 +59,25 @@ class Ms2(Connections):
                 self.closing = True
                 for connection in tuple(self.connections.values()):
                     self._close(connection, "the bus was closed here", now)
-                self.closed_all(now)
+                self.report_closed(now)
             case _:
                 return False
         return True
 
     def job_of(self, order: object) -> tuple[int, Job, int] | None:
         """OpenConnection, and services over one."""
-        match order:
-            case OpenConnection(token=token, timeout_ns=timeout_ns):
-                return token, self._opening(order), timeout_ns
-            case ReadOver(token, ref, slot, index, length, timeout_ns):
-                return token, self._service(ref, ReadReq(slot, index, length), length), timeout_ns
-            case WriteOver(token, ref, slot, index, data, timeout_ns):
-                return token, self._service(ref, WriteReq(slot, index, data), len(data)), timeout_ns
-            case TransportOver(token, ref, slot, index, data, timeout_ns):
-                return token, self._service(ref, DataTransport(slot, index, data), len(data)), timeout_ns
+        try:
+            match order:
+                case OpenConnection():
+                    return order.token, self._initiate(order), order.timeout_ns
+                case RecordOrder(connection=int(ref)):
+                    return order.token, self._service(order, ref), order.timeout_ns
+        except PduError as error:
+            raise UsageError(str(error)) from None
         return None
 
-    def _opening(self, order: OpenConnection) -> Job:
-        address = order.address
-        if not 0 <= address <= UNADDRESSED:
-            raise UsageError(f"{address} is no address of a slave: 0..{UNADDRESSED} ({UNADDRESSED}: as delivered)")
-        if address == self._own:
-            raise UsageError(f"{address} is the address of this master itself")
+    def _initiate(self, order: OpenConnection) -> Job:
+        check_address(order.address, self._own)
         if self._master is not None and self._master.settings.read_only:
             raise UsageError("this bus is read-only: no connection is opened; leave read_only out")
         if self.closing:
@@ -95,37 +88,25 @@ class Ms2(Connections):
             raise UsageError("a send time-out of 0 s or less ends a connection at once: 0.01 s is the least")
         if order.response_ns < 0:
             raise UsageError(f"{ns_to_s(order.response_ns):g} s is no time for an answer: 0 for as long as is usual")
-        request = InitiateReq(
-            order.send_timeout_ns,
-            features=order.features,
-            profile_features=order.profile_features,
-            profile_ident=order.profile_ident,
-            source=_address_of(order.source),
-            destination=_address_of(order.destination),
-        )
-        connection = MasterConnection(order.token, address, order.send_timeout_ns, order.response_ns)
-        try:
-            job = InitiateJob(connection, self, request, order.channels)
-        except PduError as error:
-            raise UsageError(str(error)) from None
+        connection = MasterConnection(order.token, order.address, order.send_timeout_ns, order.response_ns)
+        job = InitiateJob(connection, self, order)
         self.connections[order.token] = connection
         return job
 
-    def _service(self, ref: int, service: Service, length: int) -> Job:
+    def _service(self, order: RecordOrder, ref: int) -> Job:
         connection = self.connections.get(ref)
         if connection is None or connection.phase is not Phase.OPEN:
             why = f": {connection.reason}" if connection is not None and connection.reason else ""
             raise UsageError(f"{NO_CONNECTION} {ref}{why}; open a new one")
-        try:
-            octets = service.build()
-        except PduError as error:
-            raise UsageError(str(error)) from None
+        service = order.service
+        job = ServiceJob(connection, self, service)
+        length = service.length if isinstance(service, ReadReq) else len(service.data)
         if length > connection.max_len:
             raise UsageError(
                 f"slave {connection.address} takes up to {connection.max_len} octets of data in one service "
                 f"(Max_Len_Data_Unit of its Initiate), not {length}"
             )
-        return ServiceJob(connection, self, service, octets)
+        return job
 
     def _close(self, connection: MasterConnection, reason: str, now: int) -> None:
         connection.ordered |= connection.phase is Phase.OPEN
@@ -153,7 +134,7 @@ class Ms2(Connections):
     def heard(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request to any station."""
         if isinstance(request.tag, MasterConnection) and isinstance(outcome, Telegram):
-            request.tag.heard(request, outcome, now)
+            request.tag.answered(request, outcome, now)
 
     def may_be_taken(self, request: Request) -> bool:
         """Whether a request that was given up may have reached the slave: it is not to be sent again."""
@@ -179,11 +160,7 @@ class Ms2(Connections):
         open_ones = [c for c in self.connections.values() if c.phase is Phase.OPEN]
         silent = [c for c in open_ones if now >= c.heard_at + c.send_timeout_ns]
         for connection in silent:
-            self.end(connection, connection.silent_text, TIMED_OUT, now)
+            seconds = ns_to_s(connection.send_timeout_ns)
+            reason = f"nothing was heard of the slave for {seconds:g} s (the send time-out)"
+            self.end(connection, reason, TIMED_OUT, now)
         return bool(silent)
-
-
-def _address_of(octets: bytes) -> Address:
-    if len(octets) < _ADDRESS:
-        raise UsageError(f"an address in Initiate has API and access level, {len(octets)} octets are given")
-    return Address(octets[0], octets[1], octets[_ADDRESS:])

@@ -1,59 +1,58 @@
-"""One class 2 connection at the master: what is known of it, and the course of every service over it.
+"""Class 2 connections of a master: their state, and the jobs over them: services, Idle, and Abort at the end.
 
-How a slave is polled is :mod:`dpstack.dpv1.master.srd_polling`'s. Decisions where the sources leave something open:
+Each job is one entry of the acyclic queue. Initiate is in :mod:`dpstack.dpv1.master.ms2_initiate`, the polling in
+:mod:`dpstack.dpv1.master.srd_polling`. Decisions where the sources leave something open:
 docs/decisions/ms2.md#connections-at-the-master.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final
 
-from dpstack.dp.acyclic.job import Outcome, ServiceFailure, Steps
+from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, Provider, ServiceFailure, Steps
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text
-from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Course, Said, said
-from dpstack.dpv1.pdu.ms2 import HEAD, IDLE, Abort, AbortReason, Instance
-from dpstack.dpv1.pdu.read_write import Function
-from dpstack.dpv1.timeouts import RESPONSE_TIMEOUT
+from dpstack.dpv1.master.orders import ConnectionOver, ConnectionsClosed, RecordDone
+from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Polling, Reply, classify, service_outcome
+from dpstack.dpv1.pdu.ms2 import (
+    HEAD,
+    IDLE,
+    Abort,
+    AbortReason,
+    Instance,
+    ResourceManagerRes,
+)
+from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, Service
+from dpstack.dpv1.timeouts import RESPONSE_TIMEOUT, service_timeout
 from dpstack.errors import PduError
 from dpstack.fdl.interface import Failure, Request
-from dpstack.fdl.telegram import SSAP_MS2, Req, Telegram
+from dpstack.fdl.telegram import SAP_MS2_RM, SSAP_MS2, Req, Telegram
+from dpstack.trace import Event
 from dpstack.units import ns_to_s
 
-#: in place of a connection's token, which are not negative: what goes on at the resource manager of a slave
+#: the lane of all Initiates to one slave, in place of a connection's token, which is never negative
 RESOURCE_MANAGER: Final = -1
-#: what a slave is told that was not heard, or not in time
+#: Abort to a slave that did not answer, or not in time
 TIMED_OUT: Final = Abort(AbortReason.TIMEOUT)
-#: the program does not want the connection any more
+#: Abort of a connection that the program does not want any more
 NOT_WANTED: Final = Abort(0, Instance.USER)
 _SILENT: Final = {
-    Failure.NO_ANSWER: "does not answer",
-    Failure.GARBLED: "gives no readable answer to",
-    Failure.WRONG: "gives answers that are none to",
-}
-_CHECK: Final = {
-    Failure.NO_ANSWER: "check its power and the cable",
-    Failure.GARBLED: "look for a second station with its address, and at cable and termination",
-    Failure.WRONG: "look for a second station with its address",
+    Failure.NO_ANSWER: ("does not answer", "check its power and the cable"),
+    Failure.GARBLED: (
+        "gives no readable answer to",
+        "look for a second station with its address, and at cable and termination",
+    ),
+    Failure.WRONG: ("gives answers that are none to", "look for a second station with its address"),
 }
 
 
 class Phase(Enum):
     OPENING = "opening"
     OPEN = "open"
-    ENDING = "ending"  # over for whoever used it; the slave is still to be told
-
-
-class Ended(NamedTuple):
-    """Why a service has no answer: ``outcome``. ``reason``: the connection is over with it, and why; empty: it is not.
-
-    ``abort``: what the slave is to be told; None: it knows.
-    """
-
-    outcome: Outcome
-    reason: str = ""
-    abort: Abort | None = None
+    ENDING = "ending"  # over for its user; the slave does not know yet
 
 
 @dataclass(slots=True, eq=False)
@@ -67,41 +66,32 @@ class MasterConnection:
     server_sap: int | None = None
     max_len: int = 0
     phase: Phase = Phase.OPENING
-    #: the slave was heard last
+    #: time of the slave's last answer
     heard_at: int = 0
     #: the slave may hold a connection for this master
     taken: bool = False
     #: a request was sent and its answer has not come
     outstanding: bool = False
-    #: it was open once: its end is told
+    #: it was open once: its end is an event
     opened: bool = False
-    #: its end was ordered
+    #: the program ordered its end
     ordered: bool = False
     reason: str = ""
     abort: Abort | None = None
-    #: answers to requests that nobody waited for any more
+    #: answers to requests that were given up
     stale: int = 0
-    #: the last service: its slave's time is the same for whoever fetches the answer when it was given up
-    last: Course | None = None
-
-    @property
-    def who(self) -> str:
-        return f"slave {self.address}"
+    #: of the last service: its slave's time is the same for the job that fetches the answer when it was given up
+    last: Polling | None = None
 
     @property
     def lane(self) -> tuple[int, int]:
-        """Its services go one after the other; until it has its server SAP, all connections to the slave do: the
-        resource manager has one answer, and what it names goes to who polls."""
+        """Its services go one after the other. Until it has its server SAP, it shares the lane of all connections to
+        the slave: the resource manager has one answer, and the server SAP in it goes to the job that polls."""
         return self.address, RESOURCE_MANAGER if self.server_sap is None else self.ref
 
     @property
-    def silent_text(self) -> str:
-        """Why a silent one is over."""
-        return f"nothing was heard of the slave for {ns_to_s(self.send_timeout_ns):g} s (the send time-out)"
-
-    @property
     def limit_ns(self) -> int:
-        """How long the slave has for one service."""
+        """The time that the slave has for one service."""
         return self.response_ns or max(self.send_timeout_ns, RESPONSE_TIMEOUT)
 
     @property
@@ -114,126 +104,334 @@ class MasterConnection:
         if request.data:
             self.outstanding = request.data[0] != Function.ABORT
 
-    def heard(self, request: Request, answer: Telegram, now: int) -> None:
+    def answered(self, request: Request, answer: Telegram, now: int) -> None:
         """The slave answered one of its requests."""
         self.heard_at = now
-        if request.data and said(answer, requested=True) is Said.AGAIN:
+        if request.data and classify(answer, requested=True) is Reply.AGAIN:
             self.outstanding = False
 
-    # --- the course of a service ----------------------------------------------------------------------------------
 
-    def course(self, sap: int, answer: int = HEAD) -> Course:
-        """Of a service at ``sap`` with up to so many octets as its ``answer``."""
+class Connections(Provider):
+    """The class 2 connections of one station, by the token they were opened with."""
+
+    def __init__(self) -> None:
+        self.connections: dict[int, MasterConnection] = {}
+        #: all of them are being closed, and no other is opened
+        self.closing = False
+
+    def end(self, connection: MasterConnection, reason: str, abort: Abort | None, now: int) -> None:
+        """End it, from either side; where the slave may hold anything it gets ``abort``. More than once is no error,
+        the first reason stands."""
+        if connection.phase is Phase.ENDING:
+            return
+        connection.phase = Phase.ENDING
+        connection.reason = reason
+        if abort is not None and connection.taken:
+            connection.abort = abort
+            self.queue.put(AbortJob(connection, self, abort), connection.send_timeout_ns, now, first=True)
+        else:
+            self.forget(connection, now)
+
+    def forget(self, connection: MasterConnection, now: int) -> None:
+        """The slave holds nothing any more, or is out of reach."""
+        if self.connections.get(connection.ref) is not connection:
+            return
+        del self.connections[connection.ref]
+        if connection.opened:
+            self.queue.tell(
+                ConnectionOver(
+                    t_ns=now,
+                    connection=connection.ref,
+                    address=connection.address,
+                    server_sap=connection.server_sap or 0,
+                    reason=connection.reason,
+                    ordered=connection.ordered,
+                    abort=_codes(connection.abort),
+                )
+            )
+        self.report_closed(now)
+
+    def report_closed(self, now: int) -> None:
+        """Emit ConnectionsClosed after the last one, where all are being closed."""
+        if self.closing and not self.connections:
+            self.closing = False
+            self.queue.tell(ConnectionsClosed(t_ns=now))
+
+    def uses(self, address: int, server_sap: int) -> bool:
+        """Whether a connection to the slave has this server SAP."""
+        return any(c.address == address and c.server_sap == server_sap for c in self.connections.values())
+
+    def count(self, address: int) -> int:
+        """Connections to the slave, those that are being opened or ended included."""
+        return sum(c.address == address for c in self.connections.values())
+
+
+class ConnectionJob(Job):
+    """One job over ``connection``, of ``ms2``. The lane is the connection's: one at a time, others wait."""
+
+    def __init__(self, connection: MasterConnection, ms2: Connections) -> None:
+        self.connection = connection
+        self.address = connection.address
+        self.ms2 = ms2
+
+    @property
+    def lane(self) -> tuple[int, int]:
+        """Moves on from the resource manager to the connection's own."""
+        return self.connection.lane
+
+    def bar(self) -> str:
+        """Nothing goes over a connection that is over."""
+        if self.connection.phase is not Phase.ENDING:
+            return ""
+        return f"has no answer, the class 2 connection is over: {self.connection.reason}"
+
+    # --- requests and polls -------------------------------------------------------------------------------------
+
+    def polling(self, answer: int = HEAD, sap: int | None = None) -> Polling:
+        """Of a service at ``sap`` (None: the server SAP) with up to ``answer`` octets back."""
+        connection = self.connection
+        dsap = connection.server_sap if sap is None else sap
+        assert dsap is not None
 
         def srd(octets: bytes) -> Request:  # high priority as all services of DP here; slaves take both (VPC3+)
-            return Request(self.address, Req.SRD_HIGH, octets, sap, SSAP_MS2, answer=answer, tag=self)
+            return Request(self.address, Req.SRD_HIGH, octets, dsap, SSAP_MS2, answer=answer, tag=connection)
 
-        return Course(srd, self.limit_ns)
+        return Polling(srd, connection.limit_ns)
 
-    def asked(self, course: Course, octets: bytes, title: str) -> Steps[bytes | Ended]:
+    def exchange(self, polling: Polling, octets: bytes, title: str = "") -> Steps[bytes | Outcome]:
         """Send ``octets`` to the server SAP (empty: poll only) until a PDU is there: Idle only as the answer to Idle.
 
-        ``title``: for texts.
+        An Outcome is the end without an answer; the connection has ended with it, unless this bus is read-only.
+        ``title``: for texts, if not that of the job.
         """
-        idle = octets[:1] == bytes((Function.IDLE,))
-        self.last = course
-        found = yield from course.requested(octets) if octets else course.polled()
+        connection = self.connection
+        title = title or self.title
+        idle = octets[:1] == IDLE[:1]
+        connection.last = polling
+        reply = yield from polling.send(octets) if octets else polling.poll()
         while True:
-            match found:
-                case Said.CLOSED:
-                    return self._closed(title, course.answer)
-                case Said.GUARDED:
-                    return self._guarded(title)
-                case Said.LATE:
-                    return self._late(title, course.answer)
-                case Said.DATA | Said.OLD:
-                    pdu = self._read(course.pdu, title, idle=idle)
-                    self.outstanding &= pdu is None
-                    if found is Said.OLD and not isinstance(pdu, Ended):
-                        self.stale += 1
-                        found = yield from course.requested(octets)
+            match reply:
+                case Reply.CLOSED:
+                    return self._closed(title, polling)
+                case Reply.GUARDED:
+                    text = f"slave {self.address}: {title} was not sent; this bus is read-only"
+                    return Outcome(failure=ServiceFailure.GUARDED, text=text)
+                case Reply.LATE:
+                    return self._late(title, polling)
+                case Reply.DATA | Reply.OLD:
+                    pdu = polling.pdu
+                    working = pdu[0] == Function.IDLE and not idle
+                    connection.outstanding &= working
+                    if pdu[0] == Function.ABORT:
+                        return self.aborted(pdu, title, polling.now)
+                    if reply is Reply.OLD:
+                        connection.stale += 1
+                        reply = yield from polling.send(octets)
                         continue
-                    if pdu is not None:
+                    if not working:
                         return pdu
-                    course.anew()
+                    polling.restart_limit()
                 case _:  # taken, or maybe taken
                     pass
-            found = yield from self._idled(course) if idle else course.polled()
+            reply = yield from self._poll_idle(polling) if idle else polling.poll()
 
-    def _idled(self, course: Course) -> Steps[Said]:
-        """Polls for the answer to Idle. Where one of both may have been lost, and polls say for a third of the time
+    def _poll_idle(self, polling: Polling) -> Steps[Reply]:
+        """Poll for the answer to Idle. Where one of both may have been lost, and polls say for a third of the time
         that there is nothing, Idle is sent again: a slave that has it ignores the second (VPC3+)."""
-        lost = not isinstance(course.answer, Telegram)
+        connection = self.connection
+        lost = not isinstance(polling.answer, Telegram)
         octets = b""
         while True:
-            found = yield from course.requested(octets) if octets else course.ask(octets)
-            lost = lost or found is Said.NOTHING
-            if found not in (Said.WAIT, Said.AGAIN, Said.NOTHING):
-                return found
-            again = lost and found is Said.WAIT and course.worked_ns >= min(self.send_timeout_ns, self.limit_ns) // 3
+            reply = yield from polling.send(octets) if octets else polling.ask(octets)
+            lost = lost or reply is Reply.NOTHING
+            if reply not in (Reply.WAIT, Reply.AGAIN, Reply.NOTHING):
+                return reply
+            third = min(connection.send_timeout_ns, connection.limit_ns) // 3
+            again = lost and reply is Reply.WAIT and polling.worked_ns >= third
             octets = IDLE if again else b""
             if again:
                 lost = False
-                course.anew()
+                polling.restart_limit()
 
     @property
-    def owed(self) -> Course | None:
-        """The service that was given up without its answer, if any: before that is fetched the slave takes no other."""
-        return self.last if self.outstanding else None
+    def unfetched(self) -> Polling | None:
+        """The service that was given up without its answer, if any: before the master fetches that answer, the slave
+        takes no other service."""
+        return self.connection.last if self.connection.outstanding else None
 
-    def drained(self, owed: Course) -> Steps[Ended | None]:
-        """Fetch the answer that nobody waits for any more."""
-        found = yield from self.asked(owed, b"", "a service that was given up")
-        if isinstance(found, Ended):
+    def fetch_earlier_answer(self, earlier: Polling) -> Steps[Outcome | None]:
+        """Drop the answer to the service that was given up. An Outcome is the end of this job, too."""
+        found = yield from self.exchange(earlier, b"", "a service that was given up")
+        if isinstance(found, Outcome):
             return found
-        self.stale += 1
+        self.connection.stale += 1
         return None
 
-    def _read(self, octets: bytes, title: str, *, idle: bool) -> bytes | Ended | None:
-        """A PDU, the end that an Abort is, None for an Idle between."""
-        if octets[0] == Function.IDLE:
-            return octets if idle else None
-        return self.aborted(octets, title) if octets[0] == Function.ABORT else octets
+    # --- ends ---------------------------------------------------------------------------------------------------
 
-    def aborted(self, octets: bytes, title: str) -> Ended:
-        self.taken = False
+    def connection_over(self, title: str = "") -> Outcome:
+        """The outcome of a service over a connection that is over."""
+        text = f"{title or self.title} has no answer, the class 2 connection is over: {self.connection.reason}"
+        codes = _codes(self.connection.abort)
+        return Outcome(failure=ServiceFailure.ABORTED, text=f"slave {self.address}: {text}", codes=codes)
+
+    def aborted(self, octets: bytes, title: str, now: int) -> Outcome:
         try:
-            self.abort = Abort.parse(octets)
+            self.connection.abort = Abort.parse(octets)
+            reason = f"the slave aborted it: {self.connection.abort.text}"
         except PduError as error:
-            return self._over(title, f"the slave aborted it, but why cannot be read: {error}")
-        return self._over(title, f"the slave aborted it: {self.abort.text}")
+            reason = f"the slave aborted it, but why cannot be read: {error}"
+        return self._ended_by_slave(title, reason, now)
 
-    def unreadable(self, outcome: Outcome) -> Ended:
-        """An answer that cannot be read ends the connection, too."""
-        return Ended(outcome, "the slave answered what cannot be read", Abort(AbortReason.RESPONSE_PDU))
+    def _closed(self, title: str, polling: Polling) -> Outcome:
+        assert isinstance(polling.answer, Telegram)
+        sap = f"server SAP {self.connection.server_sap} ({refusal_text(polling.answer)})"
+        why = "it was restarted, or gave it up because it heard nothing for too long"
+        return self._ended_by_slave(title, f"the slave has closed {sap}: {why}", polling.now)
 
-    def ended(self, title: str) -> Outcome:
-        """The end of a service over a connection that is over."""
-        codes = None if self.abort is None else (self.abort.subnet, self.abort.instance, self.abort.reason)
-        text = f"{self.who}: {title} has no answer, the class 2 connection is over: {self.reason}"
-        return Outcome(failure=ServiceFailure.ABORTED, text=text, codes=codes)
+    def _ended_by_slave(self, title: str, reason: str, now: int) -> Outcome:
+        self.connection.taken = False
+        self.connection.reason = reason
+        outcome = self.connection_over(title)
+        self.ms2.end(self.connection, reason, None, now)
+        return outcome
 
-    def _closed(self, title: str, answer: Telegram | Failure) -> Ended:
-        self.taken = False
-        assert isinstance(answer, Telegram)
-        what = f"the slave has closed server SAP {self.server_sap} ({refusal_text(answer)})"
-        return self._over(title, f"{what}: it was restarted, or gave it up because it heard nothing for too long")
-
-    def _over(self, title: str, reason: str) -> Ended:
-        self.reason = reason
-        return Ended(self.ended(title), reason)
-
-    def _late(self, title: str, last: Telegram | Failure) -> Ended:
-        """``last``: what came of the last poll."""
-        if isinstance(last, Telegram):
+    def _late(self, title: str, polling: Polling) -> Outcome:
+        if isinstance(polling.answer, Telegram):
             failure, what = ServiceFailure.LATE, "has no answer to"
             todo = "open a new one, with a longer response_timeout where it needs that"
         else:
-            failure, what = NO_ANSWERS[last], _SILENT[last]
-            todo = f"{_CHECK[last]}, then open a new one"
-        text = f"{self.who} {what} {title} within {self.limit_text}; the connection was ended: {todo}"
-        return Ended(Outcome(failure=failure, text=text), f"{title} had no answer in time", TIMED_OUT)
+            failure, (what, check) = NO_ANSWERS[polling.answer], _SILENT[polling.answer]
+            todo = f"{check}, then open a new one"
+        limit = self.connection.limit_text
+        text = f"slave {self.address} {what} {title} within {limit}; the connection was ended: {todo}"
+        self.ms2.end(self.connection, f"{title} had no answer in time", TIMED_OUT, polling.now)
+        return Outcome(failure=failure, text=text)
 
-    def _guarded(self, title: str) -> Ended:
-        text = f"{self.who}: {title} was not sent; this bus is read-only"
-        return Ended(Outcome(failure=ServiceFailure.GUARDED, text=text))
+    def unreadable(self, outcome: Outcome, now: int) -> Outcome:
+        """End the connection by Abort, after an answer that cannot be read."""
+        self.ms2.end(self.connection, "the slave answered what cannot be read", Abort(AbortReason.RESPONSE_PDU), now)
+        return outcome
+
+
+class ServiceJob(ConnectionJob):
+    """Read, Write or Data_Transport over an open connection. Raises PduError for a request that cannot be encoded."""
+
+    def __init__(self, connection: MasterConnection, ms2: Connections, service: Service) -> None:
+        super().__init__(connection, ms2)
+        self.title = service.title
+        self._service = service
+        self._octets = service.build()
+        self._stale = 0
+        self._sent = False
+        match service:
+            case ReadReq(length=length):
+                self._answer = HEAD + length
+            case DataTransport():
+                self._answer = HEAD + (connection.max_len or MAX_RECORD)
+            case _:
+                self._answer = HEAD
+
+    @property
+    def aftermath(self) -> str:
+        """A warning about a Write or Data_Transport without an answer."""
+        return "it may have been carried out" if self._sent and not isinstance(self._service, ReadReq) else ""
+
+    def _with_aftermath(self, outcome: Outcome) -> Outcome:
+        after = self.aftermath
+        return dataclasses.replace(outcome, text=f"{outcome.text}; {after}") if after else outcome
+
+    def steps(self) -> Steps[Outcome]:
+        """Fetch the answer that an earlier service left, send the request, then poll."""
+        connection = self.connection
+        before = connection.stale
+        if self.unfetched is not None:
+            failed = yield from self.fetch_earlier_answer(self.unfetched)
+            if failed is not None:
+                return failed
+        polling = self.polling(self._answer)
+        octets = self._octets
+        self._sent = True
+        while True:
+            found = yield from self.exchange(polling, octets)
+            self._stale = connection.stale - before
+            if isinstance(found, Outcome):
+                return self._with_aftermath(found)
+            outcome = service_outcome(self.address, self._service, found)
+            if outcome is None:  # to another request
+                connection.stale += 1
+                octets = b""
+                continue
+            if outcome.failure is ServiceFailure.LENGTH:
+                return self._with_aftermath(self.unreadable(outcome, polling.now))
+            return outcome
+
+    def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
+        if outcome.failure is ServiceFailure.CLOSED:
+            outcome = self._with_aftermath(self.connection_over())
+        return [RecordDone.of(self._service, token, self.address, outcome, self._stale, now)]
+
+
+class IdleJob(ConnectionJob):
+    """A sign of life to the slave, and from it, over a connection without services."""
+
+    title = "Idle"
+
+    @property
+    def timeout_ns(self) -> int:
+        """The time for waiting and Idle together."""
+        return service_timeout(self.connection.limit_ns)
+
+    def steps(self) -> Steps[Outcome]:
+        """Idle, or the answer to a service that was given up."""
+        if self.unfetched is not None:
+            return (yield from self.fetch_earlier_answer(self.unfetched)) or Outcome()
+        found = yield from self.exchange(self.polling(), IDLE)
+        if isinstance(found, Outcome):
+            return found
+        if found[0] != Function.IDLE:
+            self.connection.stale += 1
+        return Outcome()
+
+
+class AbortJob(ConnectionJob):
+    """Abort, so that the slave keeps nothing: also for an Initiate whose server SAP is still to be fetched.
+
+    It has no answer (Balluff BTL7 p28), but is acknowledged: the server SAPs of slave chips take SRD only (VPC3+).
+    """
+
+    title = "Abort"
+
+    def __init__(self, connection: MasterConnection, ms2: Connections, abort: Abort) -> None:
+        super().__init__(connection, ms2)
+        self._abort = abort
+
+    def bar(self) -> str:
+        """It is sent over a connection that is over."""
+        return ""
+
+    def steps(self) -> Steps[Outcome]:
+        """Fetch the server SAP where it is not known yet, then send Abort until it is acknowledged."""
+        if self.connection.server_sap is None:
+            yield from self._fetch_sap()
+        if self.connection.server_sap is not None:
+            yield from self.polling().send(self._abort.build(), ATTEMPTS)
+        return Outcome()
+
+    def _fetch_sap(self) -> Steps[None]:
+        polling = self.polling(sap=SAP_MS2_RM)
+        if (yield from polling.poll(ATTEMPTS)) is Reply.DATA:
+            try:
+                sap = ResourceManagerRes.parse(polling.pdu).server_sap
+            except PduError:
+                return
+            if not self.ms2.uses(self.address, sap):
+                self.connection.server_sap = sap  # else that is another connection's, and stays
+
+    def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
+        self.ms2.forget(self.connection, now)
+        return []
+
+
+def _codes(abort: Abort | None) -> tuple[int, int, int] | None:
+    return None if abort is None else (abort.subnet, abort.instance, abort.reason)

@@ -1,10 +1,11 @@
-"""How a slave is asked for one service of DP-V1, at MS1 or over a class 2 connection: SRDs with the request until it
-takes it, then empty ones until its answer is there (docs/protocol.md#ms1, docs/protocol.md#ms2).
+"""Polling of a slave for one service of DP-V1, at MS1 or over a class 2 connection, and the check of its answer.
 
-Decisions where the sources leave something open: docs/decisions/services.md#polling.
+The master sends SRDs with the request until the slave takes it, then empty ones until the answer is there
+(docs/protocol.md#ms1, docs/protocol.md#ms2). Decisions where the sources leave something open:
+docs/decisions/services.md#polling.
 
-What a PDU means, and what silence does, is said by whoever asks: :mod:`dpstack.dpv1.master.ms1_job`,
-:mod:`dpstack.dpv1.master.ms2_connection`, :mod:`dpstack.dpv1.master.ms2_initiate`.
+The jobs decide what silence means: :mod:`dpstack.dpv1.master.ms1`, :mod:`dpstack.dpv1.master.ms2_connection`,
+:mod:`dpstack.dpv1.master.ms2_initiate`.
 """
 
 from __future__ import annotations
@@ -13,9 +14,21 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Final
 
-from dpstack.dp.acyclic.job import BUSY_PAUSE, ServiceFailure, Step, Steps, pause_after_silence
+from dpstack.dp.acyclic.job import BUSY_PAUSE, Outcome, ServiceFailure, Step, Steps, pause_after_silence
 from dpstack.dp.services import DATA_STATUS
+from dpstack.dpv1.pdu.error_codes import Decode, remedy
+from dpstack.dpv1.pdu.read_write import (
+    DataTransport,
+    Function,
+    Negative,
+    ReadReq,
+    ReadRes,
+    Service,
+    WriteReq,
+    parse_response,
+)
 from dpstack.dpv1.timeouts import pause_before
+from dpstack.errors import PduError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Kind, Resp, Telegram
 from dpstack.units import NEVER
@@ -29,7 +42,7 @@ _NOT_YET: Final = DATA_STATUS | {int(Resp.OK), int(Resp.NR)}
 #: "not now": the request was not taken
 _NOT_NOW: Final = _NOT_TAKEN | {int(Resp.RR), int(Resp.UE)}
 
-#: what a service without any answer that can be used is called
+#: failures of a service without any usable answer
 NO_ANSWERS: Final = {
     Failure.NO_ANSWER: ServiceFailure.SILENT,
     Failure.GARBLED: ServiceFailure.UNREADABLE,
@@ -38,35 +51,35 @@ NO_ANSWERS: Final = {
 }
 
 
-class Said(Enum):
-    """What became of a request or a poll."""
+class Reply(Enum):
+    """The result of one request or poll."""
 
     DATA = "data"  # a PDU
-    OLD = "old"  # a PDU, given away instead of taking the request
+    OLD = "old"  # a PDU of an earlier service; the slave did not take the request
     WAIT = "wait"  # acknowledged, or not yet
-    AGAIN = "again"  # not now: the request was not taken
+    AGAIN = "again"  # not now: the slave did not take the request
     CLOSED = "closed"  # the service access point is
-    NOTHING = "nothing"  # no answer that can be used
-    GUARDED = "guarded"  # it was not sent: this bus is read-only
-    LATE = "late"  # it was not sent: the slave has had its time
+    NOTHING = "nothing"  # no usable answer
+    GUARDED = "guarded"  # not sent: this bus is read-only
+    LATE = "late"  # not sent: the slave has had its time
 
 
-def said(answer: Telegram | Failure, *, requested: bool) -> Said:
-    """By its FC (docs/protocol.md#function-code). ``requested``: it answers a request, not a poll."""
+def classify(answer: Telegram | Failure, *, requested: bool) -> Reply:
+    """The kind of ``answer`` by its FC (docs/protocol.md#function-code). ``requested``: to a request, not a poll."""
     if not isinstance(answer, Telegram):
-        return Said.GUARDED if answer is Failure.REFUSED else Said.NOTHING
+        return Reply.GUARDED if answer is Failure.REFUSED else Reply.NOTHING
     if answer.kind is Kind.SC:
-        return Said.WAIT
+        return Reply.WAIT
     status = answer.function
     if answer.data and status in _WITH_PDU:
-        return Said.OLD if requested and status in _NOT_TAKEN else Said.DATA
+        return Reply.OLD if requested and status in _NOT_TAKEN else Reply.DATA
     if status in _NOT_YET:
-        return Said.WAIT
-    return Said.AGAIN if status in _NOT_NOW else Said.CLOSED
+        return Reply.WAIT
+    return Reply.AGAIN if status in _NOT_NOW else Reply.CLOSED
 
 
-class Course:
-    """One service as far as it has come. ``srd`` makes its requests, the slave has ``limit_ns`` for it."""
+class Polling:
+    """The requests and polls of one service. ``srd`` makes the requests; the slave has ``limit_ns`` to answer."""
 
     __slots__ = ("_begun", "_limit_ns", "_pause", "_polls", "_silent", "_srd", "answer", "busy", "now", "unanswered")
 
@@ -76,65 +89,102 @@ class Course:
         self._begun = NEVER
         self._pause = 0
         self._polls = 0
-        #: without an answer one after the other
+        #: number of requests and polls without an answer, one after the other
         self._silent = 0
         #: requests without an answer in all
         self.unanswered = 0
-        #: the last request was not taken: "not now"
+        #: the slave did not take the last request: "not now"
         self.busy = False
-        #: of the last request or poll, and when that was over
+        #: to the last request or poll, and the time of its end
         self.answer: Telegram | Failure = Failure.NO_ANSWER
         self.now = 0
 
     @property
     def pdu(self) -> bytes:
-        """What came, after DATA and OLD."""
+        """The PDU after DATA and OLD."""
         return self.answer.data if isinstance(self.answer, Telegram) else b""
 
     @property
     def worked_ns(self) -> int:
-        """How long the slave has had until now."""
+        """The time that the slave has had until now."""
         return self.now - self._begun
 
-    def anew(self) -> None:
-        """The slave says that it works at it: its time begins now."""
+    def restart_limit(self) -> None:
+        """The slave says that it works at the service: its time begins anew."""
         self._begun = self.now
 
-    def ask(self, octets: bytes) -> Steps[Said]:
+    def ask(self, octets: bytes) -> Steps[Reply]:
         """One request, or a poll (no octets), after the pause that is due."""
         if self.now - self._begun >= self._limit_ns:
-            return Said.LATE
+            return Reply.LATE
         heard = yield Step(self._srd(octets), self._pause)
         self.answer, self.now = heard.answer, heard.now
         self._begun = min(self._begun, heard.begun)
-        found = said(heard.answer, requested=bool(octets))
-        if found is Said.NOTHING:
+        reply = classify(heard.answer, requested=bool(octets))
+        if reply is Reply.NOTHING:
             self._silent += 1
             self.unanswered += bool(octets)
             self._pause = pause_after_silence(self._silent)
-            return found
+            return reply
         self._silent = 0
         if octets:
-            self.busy = found is Said.AGAIN
+            self.busy = reply is Reply.AGAIN
         else:
             self._polls += 1
-        self._pause = BUSY_PAUSE if found in (Said.AGAIN, Said.OLD) else pause_before(self._polls)
-        return found
+        self._pause = BUSY_PAUSE if reply in (Reply.AGAIN, Reply.OLD) else pause_before(self._polls)
+        return reply
 
-    def requested(self, octets: bytes, attempts: int = 1) -> Steps[Said]:
-        """``octets`` until the slave takes them (DATA, WAIT), or another end: not AGAIN; NOTHING once ``attempts``
-        requests of this service had no answer."""
+    def send(self, octets: bytes, attempts: int = 1) -> Steps[Reply]:
+        """Send the request ``octets`` until the slave takes it (DATA, WAIT) or another end: never AGAIN. NOTHING after
+        ``attempts`` requests of this service without an answer."""
         while True:
-            found = yield from self.ask(octets)
-            silent = found is Said.NOTHING and self.unanswered < attempts
-            if found is not Said.AGAIN and not silent:
-                return found
+            reply = yield from self.ask(octets)
+            silent = reply is Reply.NOTHING and self.unanswered < attempts
+            if reply is not Reply.AGAIN and not silent:
+                return reply
 
-    def polled(self, attempts: int = 0) -> Steps[Said]:
-        """Polls until the slave has more to say than "not yet": neither WAIT nor AGAIN; NOTHING after so many
-        ``attempts`` without an answer one after the other, 0: it has all its time."""
+    def poll(self, attempts: int = 0) -> Steps[Reply]:
+        """Poll until the slave has more to say than "not yet": never WAIT or AGAIN. NOTHING after ``attempts`` polls
+        without an answer one after the other, 0: polls go on for all its time."""
         while True:
-            found = yield from self.ask(b"")
-            silent = found is Said.NOTHING and self._silent != attempts
-            if found not in (Said.WAIT, Said.AGAIN) and not silent:
-                return found
+            reply = yield from self.ask(b"")
+            silent = reply is Reply.NOTHING and self._silent != attempts
+            if reply not in (Reply.WAIT, Reply.AGAIN) and not silent:
+                return reply
+
+
+def service_outcome(address: int, service: Service, octets: bytes) -> Outcome | None:
+    """The outcome of ``service`` by the answer ``octets`` of the slave at ``address``; None if they answer another."""
+    who = f"slave {address}"
+    title = service.title
+    try:
+        transports = isinstance(service, DataTransport) and octets[:1] == bytes((Function.DATA_TRANSPORT,))
+        response = DataTransport.parse(octets) if transports else parse_response(octets)
+    except PduError as error:
+        return Outcome(failure=ServiceFailure.LENGTH, text=f"{who} answers {title} with what cannot be read: {error}")
+    if isinstance(response, Negative):
+        return negative_outcome(address, title, response) if response.function == service.function else None
+    if (response.slot, response.index) != (service.slot, service.index):
+        return None
+    match service, response:
+        case ReadReq(length=asked), ReadRes(data=data):
+            if len(data) > asked:
+                text = f"{who} answers {title} with {len(data)} octets, {asked} were asked for"
+                return Outcome(failure=ServiceFailure.LENGTH, text=text)
+            return Outcome(data)
+        case DataTransport(), DataTransport(data=data):
+            return Outcome(data)
+        case WriteReq(data=given), taken if not isinstance(taken, (ReadRes, DataTransport)):
+            if taken.length != len(given):
+                text = f"{who} says it took {taken.length} octets by {title}, {len(given)} were given"
+                return Outcome(failure=ServiceFailure.LENGTH, text=text)
+            return Outcome()
+    return None
+
+
+def negative_outcome(address: int, title: str, response: Negative) -> Outcome:
+    """The outcome of the service ``title`` by a negative response of the slave at ``address``."""
+    codes = (response.decode, response.code_1, response.code_2)
+    todo = remedy(response.code_1) if response.decode == Decode.DPV1 else ""
+    text = f"slave {address} refuses {title}: {response.text}" + (f"; {todo}" if todo else "")
+    return Outcome(failure=ServiceFailure.NEGATIVE, text=text, codes=codes)

@@ -27,7 +27,7 @@ from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveStat
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.alarm_events import AlarmRaised, texts_beside
+from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
 from dpstack.drivers.futures import outlast
 from dpstack.drivers.process import channel
 from dpstack.drivers.process.messages import CloseBus, News, SetUp, TakeOutputs, checked_arguments, event_of, typed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,12 +12,10 @@ from gsd_kit import device
 import dpstack
 from dpstack.api.bus.events_json import AlarmRaised
 from dpstack.api.config.config import parse_config
-from dpstack.dp.master.fault_report import Findings
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.alarm_events import AlarmBook
-from dpstack.dpv1.master.alarm_handler import AlarmHandler
+from dpstack.dpv1.master.alarm_handler import AlarmBook, AlarmHandler
 from dpstack.drivers.process.client import worded
 from dpstack.errors import ConfigError
 from dpstack.gsd.diag_texts import DiagTexts as GsdTexts
@@ -33,9 +32,8 @@ def test_the_words_of_the_gsd_file_in_either_process(rest: str) -> None:
     diagnosis = Diagnosis(8, 0x0C, 0, 2, 1, bytes.fromhex("05 21 03 01 01" + rest))
     there: list[dpstack.Event] = []
     for of in (setup, dataclasses.replace(setup, texts=None)):  # the bus process has none
-        AlarmHandler(of, Findings(9, "rig", there.append), there.append, lambda now: None, AlarmBook()).take(
-            diagnosis, True, 1, 7
-        )
+        handler: Any = SimpleNamespace(setup=of, findings=None, emit=there.append, want_diagnosis=None)
+        AlarmHandler(handler, AlarmBook()).take(diagnosis, True, 1, 7)
     own, foreign = there
     assert isinstance(own, AlarmRaised)
     assert own.texts[0] == "fuse blown"

@@ -20,7 +20,7 @@ from dpstack.api.config.config import make_config
 from dpstack.api.config.dpv1 import Ms2Limits
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.acyclic.queue import Acyclic
-from dpstack.dpv1.master.ms2_commands import ConnectionOver
+from dpstack.dpv1.master.orders import ConnectionOver
 from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import BusError
 from dpstack.gsd.model import Device, DpV1

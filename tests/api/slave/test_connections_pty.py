@@ -9,7 +9,7 @@ from process_kit import ANSWER_S, DRIVERS, UNHURRIED, Driver, unhurried
 
 import dpstack
 from dpstack import AcyclicError, ConnectionEnded, DpSlave, Im0, RecordRefused, ServiceRefused, SlaveDescription
-from dpstack.dpv1.master.ms2_commands import ConnectionOver
+from dpstack.dpv1.master.orders import ConnectionOver
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
 

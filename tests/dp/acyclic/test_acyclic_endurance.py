@@ -19,20 +19,18 @@ from support import MS, S, WorldFactory
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.pdu.alarm_blocks import SEQUENCES, Alarm
 from dpstack.dp.pdu.dpv1_status import ALARMS, Dpv1
-from dpstack.dpv1.master.alarm_events import AlarmRaised
-from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dpv1.master.ms2_commands import (
+from dpstack.dpv1.master.orders import (
+    AlarmRaised,
     CloseConnection,
     CloseConnections,
     ConnectionOver,
     InitiateDone,
     OpenConnection,
-    ReadOver,
-    TransportDone,
-    TransportOver,
-    WriteOver,
+    RecordDone,
+    RecordOrder,
 )
 from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_requests import RecordRequest, TransportRequest
@@ -126,7 +124,7 @@ class Plant(SimBus):
     def on_events(self, events: list[Event]) -> None:
         for event in events:
             match event:
-                case RecordDone() | TransportDone() | InitiateDone():
+                case RecordDone() | InitiateDone():
                     what = self.owed.pop(event.token)  # a second end: KeyError
                     self.ended += 1
                     failure = event.outcome.failure
@@ -154,9 +152,9 @@ class Plant(SimBus):
         order: object
         match what:
             case "read":
-                order = ReadRecord(token, address, slot, index, 60)
+                order = RecordOrder(token, Function.READ, slot, index, 60, address=address)
             case "write":
-                order = WriteRecord(token, address, slot, index, bytes(r.randrange(1, 60)))
+                order = RecordOrder(token, Function.WRITE, slot, index, data=bytes(r.randrange(1, 60)), address=address)
             case "open" if len(self.open) < len(ADDRESSES) * CONNECTIONS:
                 order = OpenConnection(token, address, S, LIMIT)
             case "close" if self.open and r.random() < 0.05:
@@ -166,12 +164,12 @@ class Plant(SimBus):
                 ref = r.choice(self.open)
                 order = r.choice(
                     (
-                        ReadOver(token, ref, slot, index, 60),
-                        WriteOver(token, ref, slot, index, bytes(9)),
-                        TransportOver(token, ref, slot, index, bytes(60)),
+                        RecordOrder(token, Function.READ, slot, index, 60, connection=ref),
+                        RecordOrder(token, Function.WRITE, slot, index, data=bytes(9), connection=ref),
+                        RecordOrder(token, Function.DATA_TRANSPORT, slot, index, data=bytes(60), connection=ref),
                     )
                 )
-                what = "write" if isinstance(order, WriteOver) else "over"
+                what = "write" if order.function is Function.WRITE else "over"
             case _:
                 return
         self.owed[token] = what

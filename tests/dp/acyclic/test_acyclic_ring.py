@@ -30,7 +30,8 @@ from dpstack.dp.plan.cycle_check import Verdict, least_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, figures, rotation, t_tr_needed
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -112,7 +113,9 @@ class Loaded:
             for _ in range(WAITING - sum(address == setup.address for address in self.waiting.values())):
                 self.orders += 1
                 self.waiting[self.orders] = setup.address
-                write = WriteRecord(self.orders, setup.address, 1, 240, bytes(240), timeout_ns=60 * S)
+                write = RecordOrder(
+                    self.orders, Function.WRITE, 1, 240, data=bytes(240), address=setup.address, timeout_ns=60 * S
+                )
                 self.world.command(self.station, write)
 
     def longest_wait(self, since: int, until: int) -> int:
@@ -227,8 +230,12 @@ def planned(plant: Loaded) -> Figures:
     return figures(plant.params, plant.slaves, host_slack_ns=plant.patience.known_ns)
 
 
-def order(token: int, address: int, *, write: bool) -> ReadRecord | WriteRecord:
-    return WriteRecord(token, address, 1, 240, bytes(240)) if write else ReadRecord(token, address, 1, 240)
+def order(token: int, address: int, *, write: bool) -> RecordOrder:
+    return (
+        RecordOrder(token, Function.WRITE, 1, 240, data=bytes(240), address=address)
+        if write
+        else RecordOrder(token, Function.READ, 1, 240, address=address)
+    )
 
 
 @pytest.mark.parametrize("write", [False, True])

@@ -20,8 +20,7 @@ from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.ms1 import RecordDone
-from dpstack.dpv1.master.ms2_commands import InitiateDone, OpenConnection
+from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordDone
 
 LIMIT = 100 * MS
 RDL = 0x0C

@@ -13,8 +13,8 @@ from octet_slave import RR
 
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.ms1 import ReadRecord
-from dpstack.dpv1.master.ms2_commands import ConnectionOver
+from dpstack.dpv1.master.orders import ConnectionOver, RecordOrder
+from dpstack.dpv1.pdu.read_write import Function
 
 
 def test_services_with_less_time_than_the_slave_do_not_fetch_for_ever() -> None:
@@ -30,7 +30,7 @@ def test_services_with_less_time_than_the_slave_do_not_fetch_for_ever() -> None:
 
 def short_read(kit: Ms1Bus) -> ServiceFailure | None:
     kit.tokens += 1
-    kit.send(ReadRecord(kit.tokens, 4, 1, 2, 240, 300 * MS))
+    kit.send(RecordOrder(kit.tokens, Function.READ, 1, 2, 240, timeout_ns=300 * MS, address=4))
     return kit.end(kit.tokens).outcome.failure
 
 

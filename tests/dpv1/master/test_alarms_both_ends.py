@@ -13,7 +13,7 @@ from support import wire_log
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status
 from dpstack.dp.pdu.dpv1_status import ALARMS, Dpv1
-from dpstack.dpv1.master.alarm_events import AlarmRaised, StatusTold
+from dpstack.dpv1.master.orders import AlarmRaised, StatusTold
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import AlarmError

@@ -11,7 +11,8 @@ from dpstack.dp.acyclic.class2_services import Service, ServiceDone
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CAPACITY, CancelService
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError
 
 RDL = 0x0C
@@ -272,11 +273,11 @@ def test_data_exchange_goes_on_with_one_request_at_most_between() -> None:
 def test_misuse_raises_at_once() -> None:
     kit = Ms1Bus()
     for wrong, what in [
-        (ReadRecord(1, 4, 255, 0), "slot 255 does not exist"),
-        (ReadRecord(1, 4, 0, 256), "index 256 does not exist"),
-        (ReadRecord(1, 4, 0, 0, 241), "241 octets of data, 240 are possible"),
-        (WriteRecord(1, 4, 0, 0, bytes(241)), "241 octets of data, 240 are possible"),
-        (ReadRecord(1, 9, 0, 0), "station 9 is no slave of this master"),
+        (RecordOrder(1, Function.READ, 255, 0, address=4), "slot 255 does not exist"),
+        (RecordOrder(1, Function.READ, 0, 256, address=4), "index 256 does not exist"),
+        (RecordOrder(1, Function.READ, 0, 0, 241, address=4), "241 octets of data, 240 are possible"),
+        (RecordOrder(1, Function.WRITE, 0, 0, data=bytes(241), address=4), "241 octets of data, 240 are possible"),
+        (RecordOrder(1, Function.READ, 0, 0, address=9), "station 9 is no slave of this master"),
     ]:
         with pytest.raises(UsageError, match=what):
             kit.send(wrong)

@@ -21,7 +21,8 @@ from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
@@ -71,9 +72,9 @@ def test_a_slave_that_answers_anything(answers: list[bytes | None], steps: list[
             case "r" | "w":
                 taken += 1
                 kit.send(
-                    ReadRecord(taken, 4, 1, 2, 8, timeout_ns=S)
+                    RecordOrder(taken, Function.READ, 1, 2, 8, address=4, timeout_ns=S)
                     if step == "r"
-                    else WriteRecord(taken, 4, 1, 2, b"\1\2", timeout_ns=S)
+                    else RecordOrder(taken, Function.WRITE, 1, 2, data=b"\1\2", address=4, timeout_ns=S)
                 )
             case "c":
                 kit.send(CancelService(taken))
@@ -89,7 +90,9 @@ def test_a_slave_that_answers_anything(answers: list[bytes | None], steps: list[
     for done in kit.done:
         failure = done.outcome.failure
         assert failure is None or done.outcome.text.startswith(("slave 4 ", "Read of slot 1", "Write of slot 1"))
-        assert failure is not None or done.write or done.outcome.data in (b"\x55", b"\x77", b"\x66")
+        assert (
+            failure is not None or done.function is Function.WRITE or done.outcome.data in (b"\x55", b"\x77", b"\x66")
+        )
     kit.tokens = taken
     # the other slave noticed nothing, and the bus goes on
     assert kit.master.handlers[5].state is SlaveState.DATA_EXCHANGE
@@ -127,10 +130,10 @@ def test_both_ends_with_loss(steps: list[tuple[str, int, int, int]], seed: int) 
         match what:
             case "r":
                 taken += 1
-                bus.send(ReadRecord(taken, number, slot, index, 3, timeout_ns=S))
+                bus.send(RecordOrder(taken, Function.READ, slot, index, 3, address=number, timeout_ns=S))
             case "w":
                 taken += 1
-                bus.send(WriteRecord(taken, number, slot, index, b"\1", timeout_ns=S))
+                bus.send(RecordOrder(taken, Function.WRITE, slot, index, data=b"\1", address=number, timeout_ns=S))
             case "run":
                 world.run_for(number * MS // 4)
             case "cancel":
@@ -150,7 +153,7 @@ def test_both_ends_with_loss(steps: list[tuple[str, int, int, int]], seed: int) 
         given_out = []
         for one in sorted((one for one in done if one.address == address), key=lambda one: one.token):
             what, _, slot, index = orders[one.token - 1]
-            assert (one.write, one.slot, one.index) == (what == "w", slot, index)
+            assert (one.function is Function.WRITE, one.slot, one.index) == (what == "w", slot, index)
             outcome = one.outcome
             if outcome.failure is ServiceFailure.NEGATIVE:
                 assert index == 98
@@ -158,7 +161,7 @@ def test_both_ends_with_loss(steps: list[tuple[str, int, int, int]], seed: int) 
                 given_out.append(outcome.codes[2])
             elif outcome.failure is None:
                 assert index not in (98, 99)
-                if not one.write:
+                if one.function is Function.READ:
                     assert outcome.data[1:] == bytes((slot, index))
                     given_out.append(outcome.data[0])
         # no answer was taken for two services, or for one that was asked before it

@@ -9,7 +9,8 @@ from octet_slave import SC
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.commands import Mode, RemoveSlave, SetMode
-from dpstack.dpv1.master.ms1 import ReadRecord, WriteRecord
+from dpstack.dpv1.master.orders import RecordOrder
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.machine import LineDown
 
 
@@ -93,9 +94,9 @@ def test_a_write_that_is_cut_short_may_have_been_carried_out(cut: str) -> None:
     tokens = (1, 2, 3)
     kit.slave.ms1 = lambda data: SC  # taken, and never answered
     timeout = 200 * MS if cut == "its time" else 1_500 * MS
-    kit.send(WriteRecord(1, 4, 1, 2, b"\1", timeout))
-    kit.send(ReadRecord(2, 4, 1, 2, 240, timeout))
-    kit.send(WriteRecord(3, 4, 1, 3, b"\1", timeout))
+    kit.send(RecordOrder(1, Function.WRITE, 1, 2, data=b"\1", timeout_ns=timeout, address=4))
+    kit.send(RecordOrder(2, Function.READ, 1, 2, 240, timeout_ns=timeout, address=4))
+    kit.send(RecordOrder(3, Function.WRITE, 1, 3, data=b"\1", timeout_ns=timeout, address=4))
     kit.bus.run(20 * MS)
     match cut:
         case "data exchange":

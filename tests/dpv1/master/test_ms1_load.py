@@ -14,7 +14,8 @@ from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
-from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.drivers.stack import acyclic_services
@@ -80,7 +81,7 @@ class Loaded:
 
     def _ask(self, address: int) -> None:
         self._token += 1
-        self.world.command(self.station, ReadRecord(self._token, address, 1, 2, self.octets))
+        self.world.command(self.station, RecordOrder(self._token, Function.READ, 1, 2, self.octets, address=address))
 
 
 @pytest.mark.parametrize("baud", [500_000, 1_500_000])

@@ -10,15 +10,14 @@ from octet_slave import NR, RR, UE
 
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
-from dpstack.dpv1.master.ms1 import RecordDone
-from dpstack.dpv1.master.ms2_commands import (
+from dpstack.dpv1.master.orders import (
     ConnectionOver,
     InitiateDone,
     OpenConnection,
-    ReadOver,
-    TransportOver,
-    WriteOver,
+    RecordDone,
+    RecordOrder,
 )
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError
 
 RDL = 0x0C
@@ -366,13 +365,19 @@ def test_misuse_raises_at_once() -> None:
         (OpenConnection(9, 4, response_ns=-MS), "-0.001 s is no time for an answer"),
         (OpenConnection(9, 4, source=b"\0"), "an address in Initiate has API and access level"),
         (OpenConnection(9, 4, profile_ident=70_000), "profile_ident"),
-        (ReadOver(9, 7, 0, 0), "there is no open class 2 connection 7; open a new one"),
-        (ReadOver(9, 1, 255, 0, 8), "slot 255 does not exist"),
-        (ReadOver(9, 1, 0, 256, 8), "index 256 does not exist"),
-        (ReadOver(9, 1, 0, 0, 33), r"takes up to 32 octets of data in one service \(Max_Len_Data_Unit"),
-        (WriteOver(9, 1, 0, 0, bytes(33)), "takes up to 32"),
-        (WriteOver(9, 1, 0, 0, bytes(241)), "241 octets of data, 240 are possible"),
-        (TransportOver(9, 1, 0, 0, bytes(241)), "241 octets of data, 240 are possible"),
+        (RecordOrder(9, Function.READ, 0, 0, connection=7), "there is no open class 2 connection 7; open a new one"),
+        (RecordOrder(9, Function.READ, 255, 0, 8, connection=1), "slot 255 does not exist"),
+        (RecordOrder(9, Function.READ, 0, 256, 8, connection=1), "index 256 does not exist"),
+        (
+            RecordOrder(9, Function.READ, 0, 0, 33, connection=1),
+            r"takes up to 32 octets of data in one service \(Max_Len_Data_Unit",
+        ),
+        (RecordOrder(9, Function.WRITE, 0, 0, data=bytes(33), connection=1), "takes up to 32"),
+        (RecordOrder(9, Function.WRITE, 0, 0, data=bytes(241), connection=1), "241 octets of data, 240 are possible"),
+        (
+            RecordOrder(9, Function.DATA_TRANSPORT, 0, 0, data=bytes(241), connection=1),
+            "241 octets of data, 240 are possible",
+        ),
     ]:
         with pytest.raises(UsageError, match=what):
             kit.send(wrong)

@@ -14,17 +14,15 @@ from property_kit import examples
 
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
-from dpstack.dpv1.master.ms1 import RecordDone
-from dpstack.dpv1.master.ms2_commands import (
+from dpstack.dpv1.master.orders import (
     CloseConnection,
     ConnectionOver,
     InitiateDone,
     OpenConnection,
-    ReadOver,
-    TransportDone,
-    TransportOver,
-    WriteOver,
+    RecordDone,
+    RecordOrder,
 )
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.machine import LineDown, LineUp
@@ -117,11 +115,16 @@ def test_slaves_that_answer_anything(answers: list[bytes | None], steps: list[st
                 opened.append(token)
                 order(OpenConnection(token, 4, 200 * MS, LIMIT, timeout_ns=1_000 * MS), token)
             case "r":
-                order(ReadOver(token, ref, 1, 2, 8, timeout_ns=1_000 * MS), token)
+                order(RecordOrder(token, Function.READ, 1, 2, 8, connection=ref, timeout_ns=1_000 * MS), token)
             case "w":
-                order(WriteOver(token, ref, 1, 2, b"\1\2", timeout_ns=1_000 * MS), token)
+                order(
+                    RecordOrder(token, Function.WRITE, 1, 2, data=b"\1\2", connection=ref, timeout_ns=1_000 * MS), token
+                )
             case "t":
-                order(TransportOver(token, ref, 1, 2, b"\1", timeout_ns=100 * MS), token)
+                order(
+                    RecordOrder(token, Function.DATA_TRANSPORT, 1, 2, data=b"\1", connection=ref, timeout_ns=100 * MS),
+                    token,
+                )
             case "x":
                 kit.send(CloseConnection(ref))
             case "c":
@@ -145,14 +148,14 @@ def test_slaves_that_answer_anything(answers: list[bytes | None], steps: list[st
         kit.bus.run(10 * MS)
     note("\n".join(kit.bus.octets()[-60:]))
     assert kit.acyclic.waiting == connections_of(kit.acyclic) == 0
-    done = [event for event in kit.bus.events if isinstance(event, (InitiateDone, RecordDone, TransportDone))]
+    done = [event for event in kit.bus.events if isinstance(event, (InitiateDone, RecordDone))]
     assert Counter(event.token for event in done) == ordered
     were_open = [e.token for e in done if isinstance(e, InitiateDone) and e.outcome.failure is None]
     assert Counter(event.connection for event in kit.told(ConnectionOver)) == Counter(were_open)
     for event in done:
         outcome = event.outcome
         assert (outcome.failure is None) or "slave 4" in outcome.text
-        if isinstance(event, RecordDone) and outcome.failure is None and not event.write:
+        if isinstance(event, RecordDone) and outcome.failure is None and event.function is Function.READ:
             assert outcome.data in (b"\1\2", b"\x66")
         if outcome.failure is ServiceFailure.NEGATIVE:
             assert outcome.codes is not None

@@ -20,18 +20,16 @@ from support import wire_log
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dpv1.master.ms2_commands import (
+from dpstack.dpv1.master.orders import (
     CloseConnection,
     CloseConnections,
     ConnectionOver,
     InitiateDone,
     OpenConnection,
-    ReadOver,
-    TransportDone,
-    TransportOver,
-    WriteOver,
+    RecordDone,
+    RecordOrder,
 )
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOffline
@@ -69,15 +67,17 @@ class Both(SimBus):
             case "open":
                 order = OpenConnection(token, address, S, LIMIT, timeout_ns=S)
             case "read":
-                order = ReadRecord(token, address, slot, index, 3, timeout_ns=S)
+                order = RecordOrder(token, Function.READ, slot, index, 3, address=address, timeout_ns=S)
             case "write":
-                order = WriteRecord(token, address, slot, index, b"\1", timeout_ns=S)
+                order = RecordOrder(token, Function.WRITE, slot, index, data=b"\1", address=address, timeout_ns=S)
             case "read over":
-                order = ReadOver(token, connection, slot, index, 3, timeout_ns=S)
+                order = RecordOrder(token, Function.READ, slot, index, 3, connection=connection, timeout_ns=S)
             case "write over":
-                order = WriteOver(token, connection, slot, index, b"\1", timeout_ns=S)
+                order = RecordOrder(token, Function.WRITE, slot, index, data=b"\1", connection=connection, timeout_ns=S)
             case _:
-                order = TransportOver(token, connection, slot, index, b"\1\2", timeout_ns=S)
+                order = RecordOrder(
+                    token, Function.DATA_TRANSPORT, slot, index, data=b"\1\2", connection=connection, timeout_ns=S
+                )
         try:
             self.send(order)
         except UsageError:
@@ -87,8 +87,8 @@ class Both(SimBus):
         if what == "open":
             self.opened.append(token)
 
-    def done(self) -> list[RecordDone | TransportDone | InitiateDone]:
-        return [one for one in self.events if isinstance(one, RecordDone | TransportDone | InitiateDone)]
+    def done(self) -> list[RecordDone | InitiateDone]:
+        return [one for one in self.events if isinstance(one, RecordDone | InitiateDone)]
 
 
 SERVICES = ("open", "open", "read", "write", "read over", "read over", "write over", "carry over")

@@ -11,8 +11,8 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
-from dpstack.dpv1.master.ms1 import RecordDone
-from dpstack.dpv1.master.ms2_commands import InitiateDone, OpenConnection, ReadOver
+from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordDone, RecordOrder
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -62,7 +62,9 @@ class Loaded:
         for _ in range(reads):
             for address in SLAVES:
                 self.token += 1
-                self.world.command(self.station, ReadOver(self.token, address, 1, 2, self.octets))
+                self.world.command(
+                    self.station, RecordOrder(self.token, Function.READ, 1, 2, self.octets, connection=address)
+                )
         self.world.run_for(for_ns)
         return self.master.rotation
 

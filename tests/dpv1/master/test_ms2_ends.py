@@ -7,15 +7,16 @@ from ms2_kit import MS, Ms2Bus, connections_of, served
 from ring_bus import Sent
 
 from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dpv1.master.ms1 import RecordDone
-from dpstack.dpv1.master.ms2_commands import (
+from dpstack.dpv1.master.orders import (
     CloseConnection,
     CloseConnections,
     ConnectionOver,
     ConnectionsClosed,
     InitiateDone,
-    WriteOver,
+    RecordDone,
+    RecordOrder,
 )
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.machine import LineDown, LineUp
@@ -156,7 +157,7 @@ def test_a_write_without_an_answer_may_have_been_carried_out() -> None:
     kit.slave.serve = lambda pdu: None
     tokens = [kit.token(), kit.token()]
     for token in tokens:
-        kit.send(WriteOver(token, ref, 1, 2, b"\1"))
+        kit.send(RecordOrder(token, Function.WRITE, 1, 2, data=b"\1", connection=ref))
     kit.bus.run(5 * MS)
     kit.send(CloseConnection(ref))
     under_way, waiting = (kit.end(token, RecordDone).text for token in tokens)

@@ -9,7 +9,7 @@ from ring_bus import Sent
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.services import reading_only
-from dpstack.dpv1.master.ms2_commands import CloseConnection, ConnectionOver, InitiateDone
+from dpstack.dpv1.master.orders import CloseConnection, ConnectionOver, InitiateDone
 
 RDL = 0x0C
 

@@ -22,17 +22,17 @@ from dpstack.dp.acyclic.class2_services import Service, ServiceDone
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.events import SlaveRemark, SlaveState, SlaveStateChanged
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.alarm_events import AlarmDone, AlarmRaised
-from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dpv1.master.ms2_commands import (
+from dpstack.dpv1.master.orders import (
+    AlarmDone,
+    AlarmRaised,
     CloseConnection,
     ConnectionOver,
     InitiateDone,
     OpenConnection,
-    ReadOver,
-    TransportDone,
-    TransportOver,
+    RecordDone,
+    RecordOrder,
 )
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError
 from dpstack.fdl.codec import decode
 
@@ -55,7 +55,7 @@ STRANGE = [
         "00",
     )
 ]
-Done = (RecordDone, InitiateDone, TransportDone, ServiceDone)
+Done = (RecordDone, InitiateDone, ServiceDone)
 
 
 def record(data: bytes) -> bytes:
@@ -175,16 +175,24 @@ class Attack:
         ref = rnd.choice(self.opened[-6:]) if self.opened else 0
         match rnd.randrange(14):
             case 0 | 1:
-                self.order(ReadRecord(token, 4, 1, 2, 8), token)
+                self.order(RecordOrder(token, Function.READ, 1, 2, 8, address=4), token)
             case 2:
-                self.order(WriteRecord(token, 4, 1, 2, b"\1\2", timeout_ns=rnd.choice((5, 1000)) * MS), token)
+                self.order(
+                    RecordOrder(
+                        token, Function.WRITE, 1, 2, data=b"\1\2", address=4, timeout_ns=rnd.choice((5, 1000)) * MS
+                    ),
+                    token,
+                )
             case 3:
                 self.opened.append(token)
                 self.order(OpenConnection(token, 4, 200 * MS, 60 * MS, timeout_ns=500 * MS), token)
             case 4:
-                self.order(ReadOver(token, ref, 1, 2, 8, timeout_ns=500 * MS), token)
+                self.order(RecordOrder(token, Function.READ, 1, 2, 8, connection=ref, timeout_ns=500 * MS), token)
             case 5:
-                self.order(TransportOver(token, ref, 1, 2, b"\1", timeout_ns=500 * MS), token)
+                self.order(
+                    RecordOrder(token, Function.DATA_TRANSPORT, 1, 2, data=b"\1", connection=ref, timeout_ns=500 * MS),
+                    token,
+                )
             case 6:
                 kit.send(CloseConnection(ref))
             case 7:
@@ -203,7 +211,7 @@ class Attack:
                 kit.acknowledge(rnd.randrange(1, 40))
             case 11:
                 self.good.add(token)
-                self.order(ReadRecord(token, 5, 1, 2, 8), token)
+                self.order(RecordOrder(token, Function.READ, 1, 2, 8, address=5), token)
             case _:
                 kit.run(rnd.choice((1, 3, 10, 20)))
 

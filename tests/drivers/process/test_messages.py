@@ -22,19 +22,17 @@ from dpstack.dp.pdu.diag_texts import DiagTexts
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dpv1.master.ms2_commands import (
+from dpstack.dpv1.master.orders import (
     CloseConnection,
     CloseConnections,
     ConnectionOver,
     ConnectionsClosed,
     InitiateDone,
     OpenConnection,
-    ReadOver,
-    TransportDone,
-    TransportOver,
-    WriteOver,
+    RecordDone,
+    RecordOrder,
 )
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.drivers.process import messages as m
 from dpstack.drivers.snapshots import Counters
 from dpstack.drivers.stack import StackSpec
@@ -267,8 +265,12 @@ def test_a_slave_of_dp_v1_and_its_records_survive_the_way() -> None:
     dpv1 = Dpv1(alarms=("process",), blocks=(PrmBlock(0x81, 1, b"\x01"),), c1_response_timeout_ns=7)
     order = AddSlave(SlaveParams(address=3, name="v", ident=1, config=b"\x10", user_prm=bytes(3), dpv1=dpv1))
     outcome = Outcome(b"\xff\0", ServiceFailure.NEGATIVE, "no", "", (0x80, 0xB5, 0))
-    done = RecordDone(t_ns=1, token=2, address=3, write=False, slot=4, index=5, outcome=outcome)
-    for sent_order in (order, ReadRecord(1, 2, 3, 4), WriteRecord(1, 2, 3, 4, b"\xff")):
+    done = RecordDone(t_ns=1, token=2, address=3, function=Function.READ, slot=4, index=5, outcome=outcome)
+    for sent_order in (
+        order,
+        RecordOrder(1, Function.READ, 3, 4, address=2),
+        RecordOrder(1, Function.WRITE, 3, 4, data=b"\xff", address=2),
+    ):
         assert order_sent(sent_order) == sent_order
     assert events_sent(done) == [done]
 
@@ -277,16 +279,18 @@ def test_class_2_connections_survive_the_way() -> None:
     outcome = Outcome(failure=ServiceFailure.ABORTED, text="no", codes=(0, 1, 3))
     for order in (
         OpenConnection(1, 2, 3, 4, source=b"\1\2", destination=bytes(9)),
-        ReadOver(1, 2, 3, 4),
-        WriteOver(1, 2, 3, 4, b"\xff"),
-        TransportOver(1, 2, 3, 4, b"\xff"),
+        RecordOrder(1, Function.READ, 3, 4, connection=2),
+        RecordOrder(1, Function.WRITE, 3, 4, data=b"\xff", connection=2),
+        RecordOrder(1, Function.DATA_TRANSPORT, 3, 4, data=b"\xff", connection=2),
         CloseConnection(1),
         CloseConnections(),
     ):
         assert order_sent(order) == order
     events: tuple[Event, ...] = (
         InitiateDone(t_ns=1, token=2, address=3, outcome=outcome, server_sap=48),
-        TransportDone(t_ns=1, token=2, address=3, slot=4, index=5, outcome=Outcome(b"\xff")),
+        RecordDone(
+            t_ns=1, token=2, address=3, function=Function.DATA_TRANSPORT, slot=4, index=5, outcome=Outcome(b"\xff")
+        ),
         ConnectionOver(t_ns=1, connection=2, address=3, server_sap=48, reason="why", abort=(0, 1, 3)),
         ConnectionsClosed(t_ns=1),
     )

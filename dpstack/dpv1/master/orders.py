@@ -1,0 +1,280 @@
+"""Orders of programs to the DP-V1 services of a master, and the events that answer them. Plain data; times in ns.
+
+A class 2 connection is named by the token of the order that opened it. The machines that carry the orders out:
+:mod:`dpstack.dpv1.master.ms1`, :mod:`dpstack.dpv1.master.ms2`, :mod:`dpstack.dpv1.master.alarm_ack`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.dp.acyclic.job import Outcome, ServiceEnd
+from dpstack.dp.master.events import SlaveEvent
+from dpstack.dp.pdu.alarm_blocks import Alarm, Status
+from dpstack.dp.pdu.diag_texts import DiagTexts, texts_of
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.layouts import MAX_RECORD
+from dpstack.dpv1.pdu.ms2 import FEATURES, Address, InitiateReq
+from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, Service, WriteReq
+from dpstack.dpv1.timeouts import SERVICE_TIMEOUT, least_send_timeout
+from dpstack.errors import UsageError
+from dpstack.machine import Order
+from dpstack.trace import Event
+
+#: the send time-out to ask for by default
+SEND_TIMEOUT: Final = least_send_timeout(500_000)
+#: API and access level: the shortest address in Initiate
+_ADDRESS: Final = 2
+
+
+# --- Read, Write, Data_Transport ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class RecordOrder(Order):
+    """Read up to ``length`` octets of a record, or send ``data`` by Write or Data_Transport (``function``).
+
+    The order has either the ``address`` of a slave of this master (MS1, without Data_Transport) or the token of a class
+    2 ``connection``. Its end is the :class:`RecordDone` with ``token``. ``timeout_ns`` counts from the order; the
+    slave's own time-out counts from the request.
+    """
+
+    token: int
+    function: Function
+    slot: int
+    index: int
+    length: int = MAX_RECORD
+    data: bytes = b""
+    timeout_ns: int = SERVICE_TIMEOUT
+    address: int | None = None
+    connection: int | None = None
+
+    @property
+    def service(self) -> Service:
+        match self.function:
+            case Function.READ:
+                return ReadReq(self.slot, self.index, self.length)
+            case Function.WRITE:
+                return WriteReq(self.slot, self.index, self.data)
+            case _:
+                return DataTransport(self.slot, self.index, self.data)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordDone(ServiceEnd):
+    """The one end of a RecordOrder; the data that the slave sent are in ``outcome``.
+
+    ``stale``: number of answers to other requests that came before it.
+    """
+
+    function: Function
+    slot: int
+    index: int
+    stale: int = 0
+
+    @classmethod
+    def of(cls, service: Service, token: int, address: int, outcome: Outcome, stale: int, now: int) -> RecordDone:
+        return cls(
+            t_ns=now,
+            token=token,
+            address=address,
+            function=service.function,
+            slot=service.slot,
+            index=service.index,
+            outcome=outcome,
+            stale=stale,
+        )
+
+    @property
+    def title(self) -> str:
+        return self.function.title
+
+    @property
+    def result(self) -> str:
+        """The record, and the number of octets that came."""
+        where = f"{self.title} of slot {self.slot}, index {self.index}"
+        return f"{where} done" if self.function is Function.WRITE else f"{where}, {len(self.outcome.data)} octets"
+
+
+# --- class 2 connections -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class OpenConnection(Order):
+    """Open a connection to the slave at ``address`` (Initiate); its end is the InitiateDone with ``token``.
+
+    ``send_timeout_ns``: to ask for (the slave may have a longer one); ``response_ns``: the time in which the slave
+    answers a service (C2_Response_Timeout), 0: not known. ``profile_features``, ``profile_ident``, ``source`` and
+    ``destination`` (API, access level, then up to 6 octets of network address and the MAC address) as in Initiate.
+    ``channels``: number of connections that the slave has (C2_Max_Count_Channels), 0: not known.
+    """
+
+    token: int
+    address: int
+    send_timeout_ns: int = SEND_TIMEOUT
+    response_ns: int = 0
+    features: int = FEATURES
+    profile_features: int = 0
+    profile_ident: int = 0
+    source: bytes = bytes(2)
+    destination: bytes = bytes(2)
+    channels: int = 0
+    timeout_ns: int = SERVICE_TIMEOUT
+
+    @property
+    def request(self) -> InitiateReq:
+        """Raises UsageError for an address that is too short."""
+        return InitiateReq(
+            self.send_timeout_ns,
+            features=self.features,
+            profile_features=self.profile_features,
+            profile_ident=self.profile_ident,
+            source=_address_of(self.source),
+            destination=_address_of(self.destination),
+        )
+
+
+def _address_of(octets: bytes) -> Address:
+    if len(octets) < _ADDRESS:
+        raise UsageError(f"an address in Initiate has API and access level, {len(octets)} octets are given")
+    return Address(octets[0], octets[1], octets[_ADDRESS:])
+
+
+@dataclass(frozen=True, slots=True)
+class CloseConnection(Order):
+    """Abort ``connection``, also while it is being opened. Its services end. A connection that is over is no error."""
+
+    ENDS = True
+
+    connection: int
+
+
+@dataclass(frozen=True, slots=True)
+class CloseConnections(Order):
+    """Abort all connections, then emit ConnectionsClosed: for the end of a bus."""
+
+    ENDS = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InitiateDone(ServiceEnd):
+    """The one end of OpenConnection. Without a failure the connection is open: its server SAP in the slave, the send
+    time-out that counts, and the slave's answer to Initiate (``max_len``: octets of data in one service)."""
+
+    server_sap: int = 0
+    send_timeout_ns: int = 0
+    max_len: int = 0
+    features: int = 0
+    profile_features: int = 0
+    profile_ident: int = 0
+
+    @property
+    def title(self) -> str:
+        return Function.INITIATE.title
+
+    @property
+    def result(self) -> str:
+        return f"class 2 connection open, server SAP {self.server_sap}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectionOver(Event):
+    """The one end of a connection that was open, emitted when the slave has it back: ``reason`` says who ended it and
+    why.
+
+    ``abort``: subnet, instance and reason of the Abort that either end sent; None without any. ``ordered``: the program
+    that opened it ended it.
+    """
+
+    connection: int
+    address: int
+    server_sap: int
+    reason: str
+    abort: tuple[int, int, int] | None = None
+    ordered: bool = False
+
+    OWED = True
+
+    TEMPLATE = "slave {e.address}: class 2 connection (server SAP {e.server_sap}) is over: {e.reason}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectionsClosed(Event):
+    """The end of CloseConnections: no slave holds anything for this master any more, as far as could be done."""
+
+    OWED = True
+    TEMPLATE = "no class 2 connection is open any more"
+
+
+# --- alarms ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class HoldAlarms(Order):
+    """``on``: from now on only AcknowledgeAlarm acknowledges alarms of the slave at ``address``; otherwise the station
+    does it again, and begins with those that wait."""
+
+    address: int
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class AcknowledgeAlarm(Order):
+    """Acknowledge the alarm ``number`` (of AlarmRaised) of the slave at ``address``; its end is AlarmDone."""
+
+    address: int
+    number: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmRaised(SlaveEvent):
+    """The slave raised ``alarm``; ``number`` counts the alarms of this slave. ``diagnosis`` is the one with the alarm.
+
+    ``held``: it waits for AcknowledgeAlarm. ``texts``: the other blocks of that diagnosis (channels, modules), and the
+    texts of the GSD file for the alarm, one line each.
+    """
+
+    number: int
+    alarm: Alarm
+    diagnosis: Diagnosis
+    held: bool = False
+    texts: tuple[str, ...] = ()
+
+    @property
+    def owed(self) -> bool:
+        """The slave waits for its acknowledgement."""
+        return self.held
+
+    def _text(self) -> str:
+        return "; ".join((f"{self.who}: {self.alarm.told}", *self.texts))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmDone(SlaveEvent):
+    """The one end of the alarm ``number``: the slave took its acknowledgement, or why there is none."""
+
+    OWED = True
+
+    number: int
+    outcome: Outcome
+
+    def _text(self) -> str:
+        return f"{self.who}: " + (self.outcome.text or f"took the acknowledgement of alarm {self.number}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatusTold(SlaveEvent):
+    """The slave's diagnosis holds a new ``status``. Nobody acknowledges it."""
+
+    status: Status
+
+    TEMPLATE = "{e.who}: {e.status.told}"
+
+
+def texts_beside(diagnosis: Diagnosis, alarm: Alarm, texts: DiagTexts | None) -> tuple[str, ...]:
+    """The texts of the GSD file for ``alarm``, and the texts of the other blocks of ``diagnosis``."""
+    block = alarm.build()
+    own = () if texts is None else texts.unit_diag_texts(block[1:])
+    others = tuple(other for other in diagnosis.blocks if other.octets != block)
+    return own + texts_of(others, texts, dpv1=True)
