@@ -12,7 +12,6 @@ Requests of one connection are answered one after the other.
 - ``drive_orders``: Orders to a drive (``speed``, ``stop``, ``read`` ...): words, parser, execution, answers in JSON
 - ``errors``: Errors over the control socket: an error in the program raises the same error in its client
 - ``handlers``: The control servers of run, sim and segment, with a handler for each command
-- ``handlers_slaves``: Commands on simulated slaves: of a ``sim``, and of a ``run`` whose slaves are simulated in it
 - ``record_orders``: Orders to the records of a slave (``read``, ``write`` ...): words, parser, execution, answers
 - ``remote``: Orders to the ``run`` that holds the port: to a drive, or to the records of a slave
 - ``server``: The server's end of the control socket of a run, sim or segment

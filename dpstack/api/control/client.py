@@ -13,7 +13,7 @@ from typing import Any, Final, NotRequired, TypedDict, TypeVar
 
 from dpstack.api.config.bus import VIRTUAL
 from dpstack.api.control.errors import failure
-from dpstack.api.control.socket_path import Sockets, directory, names_of, own_name, socket_name
+from dpstack.api.control.socket_path import Sockets, directory, names_of, os_errors, own_name, socket_name
 from dpstack.errors import DpError, PortError, UsageError
 from dpstack.ports import posix
 from dpstack.units import s_to_ns
@@ -224,14 +224,9 @@ def running() -> list[dict[str, Any]]:
 @contextlib.contextmanager
 def _opened() -> Iterator[Sockets | None]:
     """The directory of the sockets; None where no program has created it. Raises PortError."""
-    try:
+    sockets = None
+    with os_errors(f"control sockets in {directory()} cannot be looked at"), contextlib.suppress(FileNotFoundError):
         sockets = Sockets() if posix.is_available() else None
-    except FileNotFoundError:
-        sockets = None
-    except PortError:
-        raise
-    except OSError as exc:
-        raise PortError(f"control sockets in {directory()} cannot be looked at ({exc.strerror or exc})") from None
     with sockets or contextlib.nullcontext():
         yield sockets
 
@@ -239,14 +234,11 @@ def _opened() -> Iterator[Sockets | None]:
 def _reach(sockets: Sockets, port: str, names: Iterable[str], timeout: float | None) -> ControlClient | None:
     """A connection to the first of ``names`` that exists. Raises PortError where its program cannot be reached."""
     for name in map(socket_name, names):
-        try:
+        with (
+            os_errors(f"{port}: its program cannot be reached"),
+            contextlib.suppress(FileNotFoundError, ConnectionRefusedError),
+        ):
             return ControlClient(port, _open(sockets, name, timeout))
-        except (FileNotFoundError, ConnectionRefusedError):
-            continue
-        except PortError:
-            raise
-        except OSError as exc:
-            raise PortError(f"{port}: its program cannot be reached ({exc.strerror or exc})") from None
     return None
 
 

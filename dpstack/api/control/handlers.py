@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from time import monotonic_ns
 from typing import Final
 
@@ -15,20 +15,23 @@ from dpstack.api.bus.statistics import diagnosis_dict, drive_dict, inputs_dict
 from dpstack.api.control import arguments
 from dpstack.api.control.commands import KINDS, SLAVES
 from dpstack.api.control.drive_orders import drive_order
-from dpstack.api.control.handlers_slaves import SlaveCommands, address_of
 from dpstack.api.control.record_orders import acyclic_order
 from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.server.simulation import Segment, Simulation
-from dpstack.api.server.virtual_bench import silence_text, station_status
+from dpstack.api.server.virtual_bench import Bench, silence_text, station_status
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.process_data import as_json
 from dpstack.errors import UsageError
+from dpstack.profile.simulator.device import DriveDevice
+from dpstack.sim.io_station import IoStation
 from dpstack.text import decimal, octets_text, shortened
 from dpstack.units import ns_to_s
 
 #: a pty that the program makes itself
 PTY: Final = "pty"
+#: a command on the simulated slave of a bench at an address, with its further arguments
+_Act = Callable[[Bench, int, list[str]], object]
 
 
 def control_run(bus: Bus, port: str) -> ControlServer:
@@ -47,32 +50,17 @@ def control_run(bus: Bus, port: str) -> ControlServer:
     }
     if not bus.searching and bus.bench is not None:
         specs = (*specs, *SLAVES)
-
-        def on_order(command: str, args: list[str], address: int, name: str) -> None:
-            now = bus.runtime.now()
-            bus.tell(Injected(t_ns=now, command=command, args=tuple(args), address=address, name=name))
-
-        handlers |= SlaveCommands(bus.bench, on_order).handlers()
-    if port == PTY:  # there may be several
-        return ControlServer("run", f"{PTY}:{os.getpid()}", specs, handlers, also=PTY, config=bus.config.file)
-    return ControlServer("run", port, specs, handlers, config=bus.config.file)
+        handlers |= slave_handlers(bus.bench, bus)
+    # there may be several runs with a pty
+    own, also = (f"{PTY}:{os.getpid()}", PTY) if port == PTY else (port, None)
+    return ControlServer("run", own, specs, handlers, also=also, config=bus.config.file)
 
 
 def control_sim(simulation: Simulation, port: str) -> ControlServer:
     """Talks to simulated slaves on ``port``; of a pty made here the path of it, too."""
-
-    def on_order(command: str, args: list[str], address: int, name: str) -> None:
-        now = simulation.runtime.now()
-        simulation.tell(Injected(t_ns=now, command=command, args=tuple(args), address=address, name=name))
-
-    handlers: dict[str, Handler] = {
-        "status": lambda _: simulation.status(),
-        **SlaveCommands(simulation, on_order).handlers(),
-    }
-    config = simulation.config.file
-    if port == PTY:
-        return ControlServer("sim", simulation.port_name, KINDS["sim"], handlers, also=PTY, config=config)
-    return ControlServer("sim", port, KINDS["sim"], handlers, config=config)
+    handlers = {"status": lambda _: simulation.status(), **slave_handlers(simulation, simulation)}
+    own, also = (simulation.port_name, PTY) if port == PTY else (port, None)
+    return ControlServer("sim", own, KINDS["sim"], handlers, also=also, config=simulation.config.file)
 
 
 def control_segment(segment: Segment, on_event: OnEvent | None = None) -> ControlServer:
@@ -92,7 +80,7 @@ def control_segment(segment: Segment, on_event: OnEvent | None = None) -> Contro
         segment.error_rate = rate
 
     def silence(args: list[str]) -> None:
-        segment.silence(_station(args[0]), arguments.time_ns(args[1]) if len(args) > 1 else None)
+        segment.silence(_station(args[0]), _time_ns(args[1:]))
 
     handlers: dict[str, Handler] = {
         "status": lambda _: segment_status(segment),
@@ -234,3 +222,92 @@ def _station(text: str) -> int:
     if number is None:
         raise UsageError(f"{shortened(text)!r} is no station of the segment; they are numbered from 0")
     return number
+
+
+def _time_ns(args: list[str]) -> int | None:
+    return arguments.time_ns(args[0]) if args else None
+
+
+def address_of(text: str, names: Mapping[int, str]) -> int:
+    """The address of a slave by its address or name. Raises UsageError with the known ones."""
+    for address, name in names.items():
+        if text in (name, str(address)):
+            return address
+    known = ", ".join(f"{address} ({name})" for address, name in sorted(names.items())) or "none"
+    raise UsageError(f"no slave {text!r} here; there are: {known}")
+
+
+# --- simulated slaves: of a sim, and of a run whose slaves are simulated in it ----------------------------------------
+
+
+def slave_handlers(bench: Bench, program: Bus | Simulation | None = None) -> dict[str, Handler]:
+    """The handlers of :data:`~dpstack.api.control.commands.SLAVES`; ``program`` gets an event for each command."""
+
+    def handler(command: str, act: _Act) -> Handler:
+        def carry_out(args: list[str]) -> object:
+            address = address_of(args[0], bench.names())
+            result = act(bench, address, args[1:])
+            if program is not None:
+                now, name = program.runtime.now(), bench.names()[address]
+                program.tell(Injected(t_ns=now, command=command, args=tuple(args), address=address, name=name))
+            return result
+
+        return carry_out
+
+    return {command: handler(command, act) for command, act in _ACTS.items()}
+
+
+def _of_drive(act: Callable[..., None]) -> _Act:
+    """``act`` is called with the drive and the arguments."""
+
+    def carry_out(bench: Bench, address: int, args: list[str]) -> None:
+        device = bench.device(address)
+        if not isinstance(device, DriveDevice):
+            what = "the I/O station" if isinstance(device, IoStation) else "it mirrors its outputs"
+            raise UsageError(f"slave {address} ({device.name}) is no simulated drive: {what}")
+        act(device, *args)
+
+    return carry_out
+
+
+def _of_station(act: Callable[[IoStation, int, list[str]], str | None]) -> _Act:
+    """``act`` is called with the I/O station, the slot and the arguments behind it."""
+
+    def carry_out(bench: Bench, address: int, args: list[str]) -> str | None:
+        device = bench.device(address)
+        if not isinstance(device, IoStation):
+            raise UsageError(f'slave {address} ({device.name}) is no I/O station; one has gsd = "io-station"')
+        left_out = act(device, arguments.whole(args[0]), args[1:])
+        return None if left_out is None else f"done, without an alarm: {left_out}"
+
+    return carry_out
+
+
+def _refuse(drive: DriveDevice, error: str, times: str = "1") -> None:
+    count = arguments.whole(times)
+    if not count:
+        raise UsageError("0 times: write 1 or more")
+    drive.refuse(error, count)
+
+
+_ACTS: Final[dict[str, _Act]] = {
+    "trip": _of_drive(lambda drive, code: drive.trip(code)),
+    "warn": _of_drive(lambda drive, text: drive.warn(arguments.mask(text))),
+    "load": _of_drive(lambda drive, text: drive.set_load(arguments.number(text, -10, 10, "0.6"))),
+    "release": _of_drive(lambda drive, text: drive.release(arguments.switch(text))),
+    "jog": _of_drive(lambda drive, text: drive.jog(arguments.direction(text))),
+    "mains": _of_drive(lambda drive, text: drive.mains(arguments.switch(text))),
+    "link": _of_drive(lambda drive, text: drive.link(arguments.switch(text))),
+    "parameter-error": _of_drive(_refuse),
+    "input": _of_station(lambda io, slot, args: io.set_input(slot, arguments.hex_octets(args[0], "01"))),
+    "wire-break": _of_station(
+        lambda io, slot, args: io.wire_break(slot, arguments.whole(args[0]), arguments.switch(args[1]))
+    ),
+    "pull": _of_station(lambda io, slot, args: io.pull(slot)),
+    "plug": _of_station(lambda io, slot, args: io.plug(slot, args[0] if args else "")),
+    "parameter": _of_station(lambda io, slot, args: io.set_parameter(slot, arguments.octet(args[0]))),
+    "silence": lambda bench, address, args: bench.silence(address, _time_ns(args)),
+    "resume": lambda bench, address, args: bench.resume(address),
+    "power-off": lambda bench, address, args: bench.power(address, False),
+    "power-on": lambda bench, address, args: bench.power(address, True),
+}

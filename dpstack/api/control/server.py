@@ -12,7 +12,7 @@ import itertools
 import json
 import os
 import socket
-from collections.abc import AsyncGenerator, Callable, Coroutine, Iterable, Mapping
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic_ns
@@ -27,12 +27,13 @@ from dpstack.api.control.socket_path import (
     directory,
     is_trusted,
     names_of,
+    os_errors,
     own_name,
     peer_uid,
     socket_name,
     virtual_name,
 )
-from dpstack.errors import DpError, OrderDropped, PortBusyError, PortError, UsageError
+from dpstack.errors import DpError, OrderDropped, PortBusyError, UsageError
 from dpstack.ports.runtime_dir import user_name
 from dpstack.text import json_text
 from dpstack.units import NEVER, ms_text
@@ -140,14 +141,11 @@ class ControlServer:
 
     async def __aenter__(self) -> ControlServer:
         try:
-            listening = self._take_names()
-        except PortError:
+            with os_errors(f"no control socket in {directory()}", ": is it writable?"):
+                self._listening = self._take_names()
+        except BaseException:
             self._release()
             raise
-        except OSError as exc:
-            self._release()
-            raise PortError(f"no control socket in {directory()} ({exc.strerror or exc}): is it writable?") from None
-        self._listening = listening
         self._listen()
         if self._also is not None:
             with contextlib.suppress(PortBusyError):
@@ -191,23 +189,23 @@ class ControlServer:
         """Bind under the first name; the others are links to it."""
         sockets = self._sockets = Sockets(make=True)
         with sockets.locked():
-            others: list[str]
-            shared: list[str]
+            own, shared = self._own(self.port), list(map(socket_name, names_of(self.port)))
             if self.port == VIRTUAL:
-                first, others, shared = self._name_on_virtual(sockets), [], []
-            else:
-                names = [socket_name(name) for name in names_of(self.port)]
-                own = self._own(self.port)
-                (first, *others), shared = (own, names) if own else (names, [])
-            for name in (first, *others):
+                own, shared = [self._name_on_virtual(sockets)], []
+            elif not own:
+                own, shared = shared, []
+            for name in own:
                 self._clear(sockets, name)
             listening = socket.socket(socket.AF_UNIX)
             try:
-                sockets.bind(listening, first)
-                self._names.append(first)
+                sockets.bind(listening, own[0])
+                self._names.append(own[0])
                 listening.listen(_BACKLOG)
-                self._point(sockets, others)
-                self._share(sockets, shared)
+                self._claim(sockets, own[1:])
+                try:
+                    self._claim(sockets, shared)
+                except PortBusyError as busy:
+                    self.remark = str(busy)
             except BaseException:
                 listening.close()
                 raise
@@ -231,50 +229,31 @@ class ControlServer:
             return
         names = [name for name in map(socket_name, names_of(port)) if name not in self._names]
         own = [name for name in self._own(port) if name not in self._names]
-        try:
-            with sockets.locked():
-                if own and all(self._is_free(sockets, name) for name in own):
-                    self._point(sockets, own)
-                for name in names:
-                    self._clear(sockets, name)
-                self._point(sockets, names)
-        except PortError:
-            raise
-        except OSError as exc:
-            raise PortError(f"not to be found by {port} ({exc.strerror or exc})") from None
+        with os_errors(f"not to be found by {port}"), sockets.locked():
+            with contextlib.suppress(PortBusyError):
+                self._claim(sockets, own)
+            self._claim(sockets, names)
 
     def _own(self, port: str) -> list[str]:
         """The names of a run as such: a sim behind the pty that it made has the plain name of the same path."""
         return [socket_name(own_name(self.kind, name)) for name in names_of(port)] if self.kind in OWN_NAMES else []
 
-    def _share(self, sockets: Sockets, names: Iterable[str]) -> None:
-        """Add the plain names, unless another program has them."""
-        try:
-            for name in names:
-                self._clear(sockets, name)
-            self._point(sockets, names)
-        except PortBusyError as busy:
-            self.remark = str(busy)
-
-    def _point(self, sockets: Sockets, names: Iterable[str]) -> None:
+    def _claim(self, sockets: Sockets, names: Sequence[str]) -> None:
+        """Make ``names`` links to the socket. Raises PortBusyError, and makes none, when another program has one."""
+        for name in names:
+            self._clear(sockets, name)
         for name in names:
             sockets.link(name, self._names[0])
             self._names.append(name)
 
-    def _is_free(self, sockets: Sockets, name: str) -> bool:
-        """Whether no other program has the name. Removes the socket or link of a killed program.
+    def _clear(self, sockets: Sockets, name: str) -> None:
+        """Remove the socket or link of a killed program. Raises PortBusyError when another program has the name.
 
         Such a link may lead to a socket that this program has bound meanwhile.
         """
         if sockets.link_target(name) not in self._names and sockets.answers(name):
-            return False
-        sockets.remove(name)
-        return True
-
-    def _clear(self, sockets: Sockets, name: str) -> None:
-        """Make ``name`` free. Raises PortBusyError when another program has it."""
-        if not self._is_free(sockets, name):
             raise PortBusyError(f"another program answers `dpstack ctl {self.port}` already; this one will not")
+        sockets.remove(name)
 
     # --- one client ---------------------------------------------------------------------------------------------------
 

@@ -49,6 +49,17 @@ def directory() -> Path:
     return runtime_path("dpstack")
 
 
+@contextlib.contextmanager
+def os_errors(what: str, advice: str = "") -> Iterator[None]:
+    """Within, an OSError is raised as PortError with its reason behind ``what``."""
+    try:
+        yield
+    except PortError:
+        raise
+    except OSError as exc:
+        raise PortError(f"{what} ({exc.strerror or exc}){advice}") from None
+
+
 def names_of(port: str) -> tuple[str, ...]:
     """The names of a port: as written (absolute), and the device behind links where that is another one."""
     if "://" in port or ("/" not in port and not os.path.exists(port)):

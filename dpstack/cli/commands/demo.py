@@ -17,7 +17,7 @@ from dpstack.api.bus.compose import Case
 from dpstack.api.bus.open_bus import open_bus
 from dpstack.api.bus.virtual import run_virtual
 from dpstack.api.config.config import Config, make_config
-from dpstack.api.control.handlers_slaves import SlaveCommands
+from dpstack.api.control.handlers import slave_handlers
 from dpstack.api.slave.drive import Drive
 from dpstack.cli import options
 from dpstack.cli.commands.demo_stories import OTHERS, STORIES
@@ -106,7 +106,7 @@ class _Stage:
     def trip(self, drive: Drive, code: str) -> None:
         """Inject a fault into the simulated drive, as ``dpstack ctl PORT trip`` does."""
         assert self.bus.bench is not None
-        SlaveCommands(self.bus.bench).handlers()["trip"]([str(drive.slave.address), code])
+        slave_handlers(self.bus.bench)["trip"]([str(drive.slave.address), code])
 
     def tell(self, drive: Drive, text: str) -> None:
         address, t = drive.slave.address, self.bus.seconds

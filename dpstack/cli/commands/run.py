@@ -9,8 +9,7 @@ from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.open_bus import open_bus
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.control import arguments
-from dpstack.api.control.handlers import PTY, clear_since, control_run
-from dpstack.api.control.handlers_slaves import address_of
+from dpstack.api.control.handlers import PTY, address_of, clear_since, control_run
 from dpstack.api.control.server import ControlServer
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable, refuse_application_watchdog

@@ -12,8 +12,7 @@ import dpstack
 from dpstack import Im0
 from dpstack.api.config.config import slave_config
 from dpstack.api.control.commands import KINDS, find
-from dpstack.api.control.handlers import run_status
-from dpstack.api.control.handlers_slaves import SlaveCommands
+from dpstack.api.control.handlers import run_status, slave_handlers
 from dpstack.api.control.server import Handler
 from dpstack.api.server.simulation import SimulatedSlave
 from dpstack.api.server.virtual_bench import Unit
@@ -38,7 +37,7 @@ def plant(program: Program) -> None:
             await bus.operate()
             await bus.ready()
             assert bus.bench is not None
-            await program(bus, SlaveCommands(bus.bench).handlers())
+            await program(bus, slave_handlers(bus.bench))
 
     virtual(main())
 
@@ -95,7 +94,7 @@ def test_its_alarms_reach_the_program_in_order_and_are_acknowledged(mode: int) -
             await bus.operate()
             await bus.ready()
             assert bus.bench is not None
-            handlers = SlaveCommands(bus.bench).handlers()
+            handlers = slave_handlers(bus.bench)
             stream, messages = bus.slave("io").alarms(), bus.slave("io").status_messages()
             for order in (
                 "input io 1 05",

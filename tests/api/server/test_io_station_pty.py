@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dpstack
 from dpstack.api.config.config import make_config
-from dpstack.api.control.handlers_slaves import SlaveCommands
+from dpstack.api.control.handlers import slave_handlers
 from dpstack.api.server.simulation import Simulation, sim_event_json
 
 
@@ -20,7 +20,7 @@ async def test_the_simulation_of_a_station() -> None:
     told: list[dict[str, object]] = []
     async with Simulation(config, "pty", 500_000) as simulation:
         simulation.on_event = lambda event: told.append(sim_event_json(event, 0.0))
-        handlers = SlaveCommands(simulation).handlers()
+        handlers = slave_handlers(simulation)
         async with dpstack.open_bus(config.with_bus(port=simulation.port_name)) as bus:
             await bus.operate()
             await bus.ready(20)

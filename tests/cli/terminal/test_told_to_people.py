@@ -14,8 +14,7 @@ from api_kit import bus_of, virtual
 import dpstack
 from dpstack.api.bus.events_json import DriveEvent, SlaveDiagnosis, SlaveStateChanged
 from dpstack.api.config.config import slave_config
-from dpstack.api.control.handlers import run_status
-from dpstack.api.control.handlers_slaves import SlaveCommands
+from dpstack.api.control.handlers import run_status, slave_handlers
 from dpstack.cli.commands import ctl
 from dpstack.cli.terminal.report import Reporter
 from dpstack.dp.pdu.diag_texts import conspicuous_text
@@ -42,7 +41,7 @@ def told_of(story: Story, *slaves: dict[str, object], capsys: Out) -> tuple[list
             await bus.ready()
             await asyncio.sleep(0.5)
             capsys.readouterr()
-            await story(bus, SlaveCommands(bus.bench).handlers())
+            await story(bus, slave_handlers(bus.bench))
             await bus.rotated(bus.stats.rotations + 10)
             lines = [
                 line[13:] for line in capsys.readouterr().out.splitlines() if line[13:].startswith(("slave ", "drive "))
