@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from dpstack import __version__
-from dpstack.cli.terminal import lost_stdout
+from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError, DpError, UsageError
 from dpstack.text import printable
 
@@ -81,7 +81,7 @@ def build_parser() -> Parser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command. Returns the exit code."""
-    lost_stdout.fill()
+    output.fill()
     try:
         args = build_parser().parse_args(argv)
         return _execute(args)
@@ -96,15 +96,15 @@ def _execute(args: argparse.Namespace) -> int:
         code = _say(error, 2)
     except DpError as error:
         code = _say(error, 1)
-    with lost_stdout.guarded():
+    with output.guarded():
         sys.stdout.flush()
-    return code or int(lost_stdout.lost.error is not None)
+    return code or int(output.lost.error is not None)
 
 
 def _say(error: Exception, code: int) -> int:
     if os.environ.get(_DEBUG):
-        lost_stdout.print_traceback(error)
-    lost_stdout.warn(str(error))
+        output.print_traceback(error)
+    output.warn(str(error))
     return code
 
 

@@ -8,7 +8,6 @@
 - ``demo_stories``: The programs that ``dpstack demo`` runs, one for each known drive
 - ``doctor``: ``dpstack doctor``: checks of adapters, permissions, latency and real-time rights
 - ``drive``: ``dpstack drive``: manual control of one drive, through a running master or as master in the foreground
-- ``drive_run``: Check, execution and output of the orders of ``dpstack drive``
 - ``gsd``: ``dpstack gsd``: shows, checks, configures and copies GSD files
 - ``gsd_configure``: ``dpstack gsd configure``: a dialogue that makes a [[slave]] table from a GSD file
 - ``lists``: Output of parameter lists, dumps and comparisons, as text and JSON

@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager
 from typing import Any, Final, NamedTuple
 
 from dpstack.api.bus.bus import Bus
-from dpstack.api.bus.events_json import AddressCollision, Event, FaultKind, Notice, Severity, SlaveFaulted, severity_of
+from dpstack.api.bus.events_json import AddressCollision, Event, FaultKind, SlaveFaulted
 from dpstack.api.bus.open_bus import open_bus
 from dpstack.api.bus.temporary_master import joined
 from dpstack.api.bus.virtual import World, simulate
@@ -36,7 +36,6 @@ from dpstack.cli.commands import on_bus
 from dpstack.cli.commands.lists import FILES, show_comparison, show_dump, show_list
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.drawing import progress_bar
-from dpstack.cli.terminal.lost_stdout import warn
 from dpstack.cli.terminal.signals import StopSignal
 from dpstack.errors import BusError, SlaveFault, UsageError
 from dpstack.text import octets_text
@@ -147,7 +146,7 @@ class _Request(NamedTuple):
                 case SlaveFaulted(fault=fault) if not up:
                     foreign = foreign or fault.kind is FaultKind.LOCKED
                 case _:
-                    _event(event)
+                    on_bus.warn_of(event)
 
         try:
             async with open_bus(self.config.only(self.slave), on_event=on_event) as bus:
@@ -176,16 +175,11 @@ class _Request(NamedTuple):
         def make_bus(address: int) -> Bus:
             settings = dataclasses.replace(config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=())
             without_slaves = dataclasses.replace(config, bus=settings, slaves=())
-            return open_bus(without_slaves, on_event=on_bus.once(_event), world=world)
+            return open_bus(without_slaves, on_event=on_bus.once(on_bus.warn_of), world=world)
 
         taken = {config.bus.address, *(one.address for one in config.slaves)}
         async with joined(make_bus, self.own, avoid=taken) as bus, bus.class2.connect(self.slave) as connection:
             yield connection
-
-
-def _event(event: Event) -> None:
-    if severity_of(event) is not Severity.INFO and not (isinstance(event, Notice) and event.source == "plan"):
-        warn(event.text)
 
 
 def _show(told: Mapping[str, Any]) -> None:

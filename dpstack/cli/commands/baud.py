@@ -8,7 +8,6 @@ import asyncio
 from dpstack.api.bus.find_baud import SILENCE_S, find_baud
 from dpstack.cli import options
 from dpstack.cli.terminal import output
-from dpstack.cli.terminal.lost_stdout import warn
 from dpstack.cli.terminal.signals import StopSignal
 
 
@@ -38,5 +37,5 @@ async def _run(args: argparse.Namespace) -> int:
     elif report.baud is not None:
         output.line(f"{report.text} ({report.telegrams} in a row, after {report.seconds:.1f} s)")
     else:
-        warn(f"{args.port}: {report.text}")
+        output.warn(f"{args.port}: {report.text}")
     return 0 if report.baud is not None else 1

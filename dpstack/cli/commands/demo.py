@@ -22,7 +22,6 @@ from dpstack.api.slave.drive import Drive
 from dpstack.cli import options
 from dpstack.cli.commands.demo_stories import OTHERS, STORIES
 from dpstack.cli.terminal import drawing, output
-from dpstack.cli.terminal.lost_stdout import guarded, warn
 from dpstack.cli.terminal.report import Reporter, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import ConfigError, DpError
@@ -173,7 +172,7 @@ async def _demo(config: Config, args: argparse.Namespace) -> int:
     if not problems and abs(off) > _TOLERANCE:
         problems.append(f"the rotation is {off:+.1%} off the plan")
     for problem in problems:
-        warn(problem)
+        output.warn(problem)
     return 1 if problems else 0
 
 
@@ -193,7 +192,7 @@ async def _play(stage: _Stage, seconds: float | None) -> None:
 
 async def _watched(stage: _Stage, stories: Sequence[asyncio.Future[None]]) -> None:
     """Redraw the live table every :data:`_REFRESH_S` until all stories have ended."""
-    with guarded(), Live(stage.picture(), auto_refresh=False) as live:
+    with output.guarded(), Live(stage.picture(), auto_refresh=False) as live:
         pending = set(stories)
         while pending:
             _, pending = await asyncio.wait(pending, timeout=_REFRESH_S)

@@ -3,45 +3,48 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import contextlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+import dataclasses
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
-from dpstack.api.bus.events_json import DriveEvent, Event, Notice, Severity, severity_of
+from dpstack.api.bus.events_json import DriveEvent, Event, Severity, severity_of
 from dpstack.api.bus.open_bus import open_bus
+from dpstack.api.bus.remote_plugins import core_of
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.control.commands import Order, find_word
-from dpstack.api.control.drive_orders import (
-    ARGUMENTS,
-    HALTS,
-    LASTING,
-    OPTIONS,
-    PARAMETERS,
-    READ_MANY,
-    START,
-    WORDS,
-    carry_out,
-)
+from dpstack.api.control import drive_orders as words
+from dpstack.api.control.commands import Order, Spec, find_word
 from dpstack.api.control.remote import RemoteDrive, find_drive
-from dpstack.api.slave.drive import Drive
+from dpstack.api.lists.dump_compare import OnParameter, Readable, check_compare, check_dump, compare, dump
+from dpstack.api.lists.parameter_list import SavedParam, label, value_text
+from dpstack.api.slave.drive import Drive, declared_parameters
 from dpstack.cli import options
-from dpstack.cli.commands.drive_run import DUMP_AND_COMPARE, Orders, check_orders, status_text
-from dpstack.cli.commands.on_bus import READY_S, refuse_application_watchdog, tell_simulated
+from dpstack.cli.commands import on_bus
+from dpstack.cli.commands.lists import tell_comparison, tell_dump
 from dpstack.cli.terminal import output
-from dpstack.cli.terminal.lost_stdout import warn
-from dpstack.cli.terminal.nonblocking_stdout import unhurried
+from dpstack.cli.terminal.drawing import progress_bar
+from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import DpError, DriveError, DriveFault, SlaveFault, UsageError
-from dpstack.profile import MOVING
+from dpstack.profile import MOVING, DriveCore, ListedParam
 
-_WORDS: Final = (*(spec for spec in WORDS if spec.name not in (PARAMETERS, READ_MANY)), *DUMP_AND_COMPARE)
+DUMP_AND_COMPARE: Final = (
+    Spec("dump", "FILE", "all declared parameters into a file", "hoist.toml"),
+    Spec("compare", "FILE", "where the drive differs from such a file", "hoist.toml"),
+)
+_WORDS: Final = (
+    *(spec for spec in words.WORDS if spec.name not in (words.PARAMETERS, words.READ_MANY)),
+    *DUMP_AND_COMPARE,
+)
 _FOR_FILES: Final = frozenset(spec.name for spec in DUMP_AND_COMPARE)
 #: by option: the words that it is for
-_FOR: Final = {**OPTIONS, "data_set": OPTIONS["data_set"] | _FOR_FILES, "all": frozenset({"compare"})}
+_FOR: Final = {
+    **words.OPTIONS,
+    "data_set": words.OPTIONS["data_set"] | _FOR_FILES,
+    "read_only": frozenset({"compare"}),
+}
 #: time-out in s of the first status of the drive
 _STATUS_S: Final = 2.0
 
@@ -61,7 +64,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--index", metavar="N", type=options.whole, help="of read and write: the element of an array")
     parser.add_argument("--ram", action="store_true", help="write: do not store it in the EEPROM")
     parser.add_argument("--timeout", metavar="S", type=options.seconds, help="for each order that takes its time")
-    parser.add_argument("--all", action="store_true", help="compare: what is read only, too")
+    parser.add_argument("--all", dest="read_only", action="store_true", help="compare: what is read only, too")
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="in the foreground: end after so long")
     options.run_by(parser, execute)
 
@@ -70,12 +73,11 @@ def execute(args: argparse.Namespace) -> int:
     """Exit code 1 where an order fails or a compare finds a difference."""
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
     command = _Command(args, config, _slave_of(config, args.name), _orders(args))
-    check_orders(command.slave, command.orders, simulated=config.virtual)
-    with unhurried(output.missing(args.json)):
-        return asyncio.run(command.run())
+    _check_orders(command.slave, command.orders, simulated=config.virtual)
+    return run_unhurried(command.run(), json=args.json)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclasses.dataclass(frozen=True, slots=True)
 class _Command:
     """``orders`` to the drive of ``slave``."""
 
@@ -104,8 +106,8 @@ class _Command:
             )
         if any(order.word in _FOR_FILES for order in self.orders):
             drive = await drive.listed()
-        work = Orders(drive, drive.carry_out, through="run", json=args.json)
-        if await work.are_done(self.orders, stop) and _last_motion(self.orders) == START and not args.json:
+        work = _Orders(drive, drive.carry_out, through="run", json=args.json)
+        if await work.are_done(self.orders, stop) and _last_motion(self.orders) == words.START and not args.json:
             output.line(
                 f"it keeps running under {run}: "
                 f"`dpstack drive {args.config} {args.name} stop` stops it, and so does the end of that run"
@@ -116,19 +118,19 @@ class _Command:
         config, args = self.config, self.args
         if config.bus.read_only:
             raise UsageError("the configuration is read only: no drive can be given an order; leave read_only out")
-        refuse_application_watchdog(config, "drive")
-        tell_simulated(config)
+        on_bus.refuse_application_watchdog(config, "drive")
+        on_bus.tell_simulated(config)
         async with OneDrive(config, self.slave, json=args.json) as master:
             if not await stop.or_done(master.come_up()):
-                warn("ended before the drive was in data exchange")
+                output.warn("ended before the drive was in data exchange")
                 return 1
-            work = Orders(master.drive, partial(carry_out, master.drive), through="master", json=args.json)
+            work = _Orders(master.drive, partial(words.carry_out, master.drive), through="master", json=args.json)
             if not await work.are_done(self.orders, stop):
                 return work.code
-            if _last_motion(self.orders) in LASTING:
+            if _last_motion(self.orders) in words.LASTING:
                 await stop.or_done(master.held(args.seconds))
         if master.unstopped is not None and not stop.hurried:
-            warn(f"{master.unstopped}; its outputs went to their safe values")
+            output.warn(f"{master.unstopped}; its outputs went to their safe values")
         return work.code or int(master.unstopped is not None)
 
 
@@ -165,7 +167,7 @@ class OneDrive:
         """Into the ring, in data exchange, its first status. Raises PortError, BusError, SlaveFault, SlaveTimeout."""
         await self._bus.open()
         await self._bus.operate()
-        await self.drive.slave.ready(READY_S)
+        await self.drive.slave.ready(on_bus.READY_S)
         with contextlib.suppress(DriveError):  # a drive without a status can still get commands
             await self.drive.settled(_STATUS_S)
 
@@ -177,7 +179,7 @@ class OneDrive:
         name, running = self._slave.name, self.drive.status.running
         self._holding = True
         if not running:
-            warn(f"{name} does not run: `start` starts it, for instance: {name} start speed 0.5")
+            output.warn(f"{name} does not run: `start` starts it, for instance: {name} start speed 0.5")
         if not self._json:
             does = "stops the drive by its ramp and ends" if running else "ends"
             output.line(f"master in the foreground until Ctrl-C, which {does}", "bold")
@@ -209,27 +211,25 @@ class OneDrive:
 
     def _on_event(self, event: Event) -> None:
         name = self._slave.name
-        if isinstance(event, Notice) and event.source == "plan":
-            return  # `dpstack run` and `dpstack plan` show the findings of the plan
-        if severity_of(event) is not Severity.INFO:
-            warn(event.text)
-        elif isinstance(event, DriveEvent):
+        on_bus.warn_of(event)
+        if isinstance(event, DriveEvent) and severity_of(event) is Severity.INFO:
             payload = event.payload
             if payload.get("type") == "notice":
-                warn(f"drive {name}: {payload.get('text')}")
+                output.warn(f"drive {name}: {payload.get('text')}")
             elif payload.get("type") == "status" and self._holding and payload.get("state") != "offline":
                 status = {key: value for key, value in payload.items() if key != "type"}
                 if self._json:
                     output.json_line({"event": "status", "drive": name, "status": status})
                 else:
-                    output.line(f"{name}: {status_text(status)}")
+                    output.line(f"{name}: {_status_text(status)}")
 
 
 def _last_motion(orders: Sequence[Order]) -> str:
     """The last order that starts, holds or stops the drive; a set point after a start leaves it started."""
     last = ""
     for order in orders:
-        if order.word in HALTS or order.word == START or (order.word in LASTING and last != START):
+        is_kept = last == words.START and order.word in words.LASTING
+        if order.word in words.HALTS | words.LASTING and not is_kept:
             last = order.word
     return last
 
@@ -256,9 +256,204 @@ def _orders(args: argparse.Namespace) -> list[Order]:
         spec = find_word(rest.pop(0), _WORDS)
         count = len(spec.usage.split())
         own = {key: value for key, value in given.items() if spec.name in _FOR[key]}
-        orders.append(spec.order(rest[:count], ARGUMENTS, own))
+        orders.append(spec.order(rest[:count], words.ARGUMENTS, own))
         del rest[:count]
     for key in given:
         if not _FOR[key] & {order.word for order in orders}:
-            raise UsageError(f"--{key.replace('_', '-')} is for {', '.join(sorted(_FOR[key]))}: leave it out")
+            option = "all" if key == "read_only" else key.replace("_", "-")
+            raise UsageError(f"--{option} is for {', '.join(sorted(_FOR[key]))}: leave it out")
     return orders
+
+
+# --- the orders -------------------------------------------------------------------------------------------------------
+
+
+def _check_orders(slave: SlaveConfig, orders: Sequence[Order], *, simulated: bool) -> None:
+    """Check all ``orders`` before the first one moves the drive of ``slave``. Raises UsageError, ConfigError."""
+    core = core_of(slave, simulated=simulated)
+    assert core is not None
+    drive = _Plugin(core)
+    made = {order.texts[0] for order in orders if order.word == "dump"}
+    for order in orders:
+        match order.word:
+            case "dump":
+                check_dump(drive, order.texts[0], **order.values)
+            case "compare":
+                if order.texts[0] not in made:
+                    check_compare(drive, order.texts[0], **order.values)
+            case "status":
+                pass
+            case _:
+                drive.check(order)
+
+
+class _Plugin:
+    """A drive as far as its plugin knows it without a bus: numbers, ranges, names and steps of parameters.
+
+    The plugin is the one that would carry the orders out, so there is no second copy of its rules.
+    """
+
+    def __init__(self, core: DriveCore) -> None:
+        self._core = core
+        self.name = core.name
+        self.kind = core.drive
+
+    @property
+    def parameters(self) -> tuple[ListedParam, ...]:
+        return declared_parameters(self._core)
+
+    def check(self, order: Order) -> None:
+        """Raises UsageError where the plugin refuses the order before it sends anything."""
+        core = self._core
+        events: list[dict[str, object]] = []
+        with contextlib.suppress(Exception):  # a defect of the plugin is raised where the order is carried out
+            given = {key: value for key, value in order.values.items() if key != "timeout"}
+            core.command(order.word, given, 1, 0)
+            events = core.take_events()
+            core.lost(0)  # the order ends, the next one begins with a drive that does nothing
+            core.take_events()
+        for event in events:
+            if event.get("error") == "usage":
+                raise UsageError(f"drive {self.name}: {event.get('text')}")
+
+
+class _Orders:
+    """Carries orders to ``drive`` out and prints the answers; ``through``: a run, or a master of this command."""
+
+    def __init__(
+        self, drive: Readable, carry_out: Callable[[Order], Awaitable[dict[str, Any]]], *, through: str, json: bool
+    ) -> None:
+        self._drive = drive
+        self._carry_out = carry_out
+        self._through = through
+        self._json = json
+        self._word = ""  # being carried out
+        #: the exit code so far
+        self.code = 0
+
+    async def are_done(self, orders: Sequence[Order], stop: StopSignal) -> bool:
+        """Carry out all orders; False, after a warning, where a signal ended that. The first failure is raised."""
+        if await stop.or_done(self._all(orders)):
+            return True
+        output.warn(f"ended before {self._word} was done" if self._word else "ended before the first order")
+        self.code = 1
+        return False
+
+    async def _all(self, orders: Sequence[Order]) -> None:
+        for order in orders:
+            self._word = order.word
+            match order.word:
+                case "dump":
+                    await self._dump(order)
+                case "compare":
+                    await self._compare(order)
+                case _:
+                    self._tell(order, await self._carry_out(order))
+
+    def _tell(self, order: Order, told: Mapping[str, Any]) -> None:
+        if self._json:
+            output.json_line({**told, "through": self._through})
+        elif order.word == "status":
+            _show_status(told)
+        elif "parameter" in told:
+            found = told["parameter"]
+            name = found["name"]
+            more = f" ({name})" if name is not None and name.lower() != order.texts[0].lower() else ""
+            place = label(order.texts[0] + more, found["data_set"], None)
+            output.line(f"{self._drive.name}: {place} = {value_text(found['value'], found['unit'])}")
+        else:
+            output.line(f"{self._drive.name}: {_status_text(told['status'])}")
+
+    async def _dump(self, order: Order) -> None:
+        path = order.texts[0]
+        with self._progress() as progress:
+            found = await dump(self._drive, path, **order.values, on_parameter=progress)
+        if self._json:
+            unreadable = [_plain(one) for one in found.unreadable]
+            self._json_line("dump", path, parameters=len(found.parameters), unreadable=unreadable)
+            return
+        tell_dump(self._drive.name, found, path)
+
+    async def _compare(self, order: Order) -> None:
+        path = order.texts[0]
+        with self._progress() as progress:
+            found = await compare(self._drive, path, **order.values, on_parameter=progress)
+        self.code = self.code or int(bool(found.differences))
+        if self._json:
+            differences = [{"file": _plain(one.saved), "drive": _plain(one.found)} for one in found.differences]
+            skipped = [{**_where(one), "reason": why} for one, why in found.skipped]
+            self._json_line("compare", path, same=found.same, differences=differences, skipped=skipped)
+            return
+        tell_comparison(self._drive.name, found, path)
+
+    def _json_line(self, word: str, path: str, **more: object) -> None:
+        drive = self._drive
+        head = {"order": word, "drive": drive.name, "address": drive.address, "type": drive.kind, "file": path}
+        output.json_line({**head, **more, "through": self._through})
+
+    @contextlib.contextmanager
+    def _progress(self) -> Iterator[OnParameter]:
+        """A progress bar on a terminal; a warning with the notes of the exception when it is cut short."""
+        title = f"parameters of {self._drive.name}"
+        try:
+            with progress_bar(title) as tell:
+
+                def on_parameter(number: int, count: int, _one: SavedParam) -> None:
+                    tell(title, number, count)
+
+                yield on_parameter
+        except BaseException as error:
+            for note in getattr(error, "__notes__", ()):
+                output.warn(note)
+            raise
+
+
+def _show_status(told: Mapping[str, Any]) -> None:
+    status = told["status"]
+    rows: list[tuple[str, object]] = [
+        ("state", status["state"]),
+        ("reached", "yes" if status["reached"] else "no"),
+        ("set point", f"{status['setpoint']:.2%}"),
+    ]
+    if status["speed"] is not None:
+        rows.append(("speed", _speed_text(status, 2)))
+    rows += [
+        (name, f"{status[name]:.2%} of the rated one") for name in ("current", "torque") if status[name] is not None
+    ]
+    rows += [
+        ("the bus has the control", "yes" if status["remote"] else "no"),
+        ("faults", ", ".join(status["faults"]) or "none"),
+        ("warnings", ", ".join(status["warnings"]) or "none"),
+        ("status bits", ", ".join(status["bits"]) or "none"),
+        ("settings", _settings_text(status)),
+        ("words", " ".join(status["words"])),
+    ]
+    output.table(f"{told['drive']}: {told['type']} at address {told['address']}", ("what", "value"), rows)
+
+
+def _settings_text(status: Mapping[str, Any]) -> str:
+    """A run of an earlier version sends no ``settings``."""
+    state = str(status.get("settings", "not told")).replace("_", " ")
+    return "; ".join([state, *status.get("settings_texts", ())])
+
+
+def _status_text(status: Mapping[str, Any]) -> str:
+    """One line: state, speed, set point, faults and warnings."""
+    speed = "" if status["speed"] is None else f" at {_speed_text(status, 1)}"
+    wrong = [f"fault {name}" for name in status["faults"]] + [f"warning {name}" for name in status["warnings"]]
+    if status.get("settings") == "different":
+        wrong.append("its settings are not the expected ones (see status)")
+    return ", ".join([f"{status['state']}{speed}", f"set point {status['setpoint']:.1%}", *wrong])
+
+
+def _speed_text(status: Mapping[str, Any], digits: int) -> str:
+    hz = status["frequency_hz"]
+    return f"{status['speed']:.{digits}%}" + ("" if hz is None else f" ({hz:.{digits}f} Hz)")
+
+
+def _plain(one: SavedParam) -> dict[str, object]:
+    return {key: value for key, value in dataclasses.asdict(one).items() if value is not None and value is not False}
+
+
+def _where(one: SavedParam) -> dict[str, object]:
+    return {key: value for key, value in _plain(one).items() if key in ("name", "number", "data_set", "index")}

@@ -19,7 +19,6 @@ from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.gsd_choice import Choice, as_toml, module_key
 from dpstack.cli import options
 from dpstack.cli.terminal import output
-from dpstack.cli.terminal.lost_stdout import guarded, warn
 from dpstack.errors import GsdError, UsageError
 from dpstack.gsd.configuration import default_modules, find_module, first_slot, fixed_modules, is_fixed, plug
 from dpstack.gsd.model import Device, GsdFile, Module, folded, ranges_text
@@ -40,7 +39,7 @@ def run(file: GsdFile, path: str, beside: str | None = None) -> int:
 
 def say(text: str) -> None:
     """One line for the person at the keyboard."""
-    with guarded():
+    with output.guarded():
         sys.stderr.write(printable(text) + "\n")
         sys.stderr.flush()
 
@@ -91,11 +90,11 @@ class _Dialogue:
             except GsdError as error:
                 if self._ended:
                     raise UsageError(f"gsd configure: {error}; nothing was written") from None
-                warn(str(error))
+                output.warn(str(error))
 
     def _line(self, prompt: str) -> str:
         """One line of input with its line end; empty at the end of input."""
-        with guarded():
+        with output.guarded():
             sys.stderr.write(printable(prompt))
             sys.stderr.flush()
         line = sys.stdin.readline()

@@ -8,13 +8,13 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Final
 
 from dpstack.api.bus.bus import Bus, BusFailed
-from dpstack.api.bus.events_json import AddressCollision, Event, MasterSeen, RingJoined, Severity, severity_of
+from dpstack.api.bus.events_json import AddressCollision, Event, MasterSeen, Notice, RingJoined, Severity, severity_of
 from dpstack.api.bus.find_baud import find_baud
 from dpstack.api.bus.temporary_master import MakeBus
 from dpstack.api.config.config import AUTO, Config, make_config
 from dpstack.api.control.server import ControlServer
 from dpstack.cli import options
-from dpstack.cli.terminal.lost_stdout import warn
+from dpstack.cli.terminal import output
 from dpstack.errors import BusError, PortError, UsageError
 from dpstack.units import baud_text
 
@@ -52,7 +52,7 @@ async def rate_of(args: argparse.Namespace) -> int:
             f"{args.port}: {report.text}; on a bus without a master give the rate, for instance --baud 500000"
         )
     if not args.json:
-        warn(report.text)
+        output.warn(report.text)
     return report.baud
 
 
@@ -64,12 +64,17 @@ def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
         return Bus(config, on_event=once(tell), watched=False)
 
     def tell(event: Event) -> None:
-        if severity_of(event) is not Severity.INFO:
-            warn(event.text)
-        elif isinstance(event, MasterSeen) and event.present and not args.json:
-            warn(f"master {event.address} is on this bus: {args.command} waits until it is let into the ring")
+        warn_of(event)
+        if isinstance(event, MasterSeen) and event.present and not args.json:
+            output.warn(f"master {event.address} is on this bus: {args.command} waits until it is let into the ring")
 
     return make_bus
+
+
+def warn_of(event: Event) -> None:
+    """Warn of what is wrong; `dpstack run` and `dpstack plan` show the findings of the plan."""
+    if severity_of(event) is not Severity.INFO and not (isinstance(event, Notice) and event.source == "plan"):
+        output.warn(event.text)
 
 
 def once(tell: Callable[[Event], None]) -> Callable[[Event], None]:
@@ -94,7 +99,7 @@ def nobody_text(baud: int) -> str:
 def tell_simulated(config: Config) -> None:
     """Warn that the slaves of the port "virtual" are simulated for this one command."""
     if config.virtual:
-        warn(
+        output.warn(
             'no run holds the port "virtual": its slaves are simulated for this command only; '
             "`dpstack run` with this configuration keeps them, and is asked then"
         )
@@ -124,5 +129,5 @@ async def reachable(server: ControlServer, *, quiet: bool = False) -> AsyncItera
         except PortError as error:
             why = str(error)
         if why is not None and not quiet:
-            warn(why)
+            output.warn(why)
         yield why

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.open_bus import open_bus
@@ -14,8 +13,7 @@ from dpstack.api.control.server import ControlServer
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable, refuse_application_watchdog
 from dpstack.cli.terminal import output
-from dpstack.cli.terminal.lost_stdout import warn
-from dpstack.cli.terminal.nonblocking_stdout import unhurried
+from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.report import Reporter, clear_text, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import UsageError
@@ -69,8 +67,7 @@ def execute(args: argparse.Namespace) -> int:
         raise UsageError("--outputs on a read-only bus: nothing is written there; leave one of the two out")
     names = {slave.address: slave.name for slave in config.slaves}
     outputs = {address_of(slave, names): octets for slave, octets in map(arguments.octets, given)}
-    with unhurried(output.missing(args.json)):
-        return asyncio.run(_run(config.with_outputs(outputs), args))
+    return run_unhurried(_run(config.with_outputs(outputs), args), json=args.json)
 
 
 def _config_and_outputs(args: argparse.Namespace) -> tuple[str, list[str]]:
@@ -97,9 +94,9 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         async with reachable(control, quiet=True) as unreachable:
             await stop.or_done(_open(bus, control))
             if unreachable is not None:
-                warn(unreachable)
+                output.warn(unreachable)
             if not bus.is_open:
-                warn(f"ended before the {'baud rate was found' if bus.searching else 'token ring was joined'}")
+                output.warn(f"ended before the {'baud rate was found' if bus.searching else 'token ring was joined'}")
                 return 1
             try:
                 reporter.start()
@@ -115,7 +112,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
     if held:
         missing = [clear_text(held), *missing]
     for text in missing:
-        warn(text)
+        output.warn(text)
     return 1 if missing or reporter.stalled or bus.end_failed else 0
 
 

@@ -11,7 +11,6 @@ from dpstack.api.bus.temporary_master import LiveListResult, scan_port
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
 from dpstack.cli.terminal import output
-from dpstack.cli.terminal.lost_stdout import warn
 from dpstack.cli.terminal.signals import StopSignal
 from dpstack.units import baud_text
 
@@ -39,7 +38,7 @@ async def _run(args: argparse.Namespace) -> int:
     _show(result, args)
     if result.stations:
         return 0
-    warn(on_bus.nobody_text(result.baud))
+    output.warn(on_bus.nobody_text(result.baud))
     return 1
 
 
@@ -55,7 +54,7 @@ def _show(result: LiveListResult, args: argparse.Namespace) -> None:
         columns = ("address", "type", "ident", "state", "master", "device")
         output.table(title, columns, [_row(found) for found in result.stations])
     for note in result.notes:
-        warn(note)
+        output.warn(note)
 
 
 def _row(found: Found) -> tuple[object, ...]:

@@ -13,8 +13,7 @@ from dpstack.api.server.simulation import DEFAULT_BAUD, Segment
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable
 from dpstack.cli.terminal import output
-from dpstack.cli.terminal.lost_stdout import warn
-from dpstack.cli.terminal.nonblocking_stdout import unhurried
+from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.signals import StopSignal
 from dpstack.units import ns_to_s
 
@@ -47,8 +46,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    with unhurried(output.missing(args.json)):
-        return asyncio.run(_run(args))
+    return run_unhurried(_run(args), json=args.json)
 
 
 async def _run(args: argparse.Namespace) -> int:
@@ -60,7 +58,7 @@ async def _run(args: argparse.Namespace) -> int:
         echo=args.echo,
         error_rate=args.error_rate,
         seed=args.seed,
-        on_notice=warn,
+        on_notice=output.warn,
     )
     with StopSignal() as stop:
         started_ns = monotonic_ns()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
@@ -15,8 +14,7 @@ from dpstack.api.server.simulation import DEFAULT_BAUD, Simulation, sim_event_js
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable
 from dpstack.cli.terminal import output
-from dpstack.cli.terminal.lost_stdout import warn
-from dpstack.cli.terminal.nonblocking_stdout import unhurried
+from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.signals import StopSignal
 from dpstack.errors import UsageError
 from dpstack.text import number_or_name
@@ -54,8 +52,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def execute(args: argparse.Namespace) -> int:
     config = _config(args)
     baud = args.baud or config.bus.baud or DEFAULT_BAUD
-    with unhurried(output.missing(args.json)):
-        return asyncio.run(_run(config, baud, args))
+    return run_unhurried(_run(config, baud, args), json=args.json)
 
 
 def _config(args: argparse.Namespace) -> Config:
@@ -91,11 +88,13 @@ async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Names
                 for slave in simulation.slaves:
                     output.line(f"  {slave.address:3}  {slave.name}  ({slave.kind})")
             if simulation.t_sl:
-                warn(f"a master needs t_sl = {simulation.t_sl} or more for these slaves: the adapter answers late")
+                output.warn(
+                    f"a master needs t_sl = {simulation.t_sl} or more for these slaves: the adapter answers late"
+                )
             simulation.on_event = _printer(simulation, args.json)
             await stop.or_done(simulation.failed(args.seconds))
             if simulation.never_found is not None:
-                warn(f"{args.port}: the baud rate was not found: {simulation.never_found}; or give the rate")
+                output.warn(f"{args.port}: the baud rate was not found: {simulation.never_found}; or give the rate")
                 return 0 if stop.received else 1
             print_summary(simulation, args.json)
     return 0

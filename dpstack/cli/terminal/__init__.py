@@ -1,11 +1,8 @@
 """What commands share of the terminal: output, reports, signals.
 
 - ``drawing``: Lines, tables and bars of progress as rich draws them on a terminal
-- ``lost_stdout``: Standard streams that are closed, lost or full: the program ends in order when nobody reads its
-  output
 - ``nonblocking_stdout``: Standard streams that never block the program: a thread writes the queued output
-- ``output``: Words, tables and JSON lines: drawn by :mod:`dpstack.cli.terminal.drawing` on a terminal, plain lines
-  elsewhere
+- ``output``: Words, tables, JSON lines, warnings; standard streams that are closed, lost or full
 - ``report``: Reports of a running bus: events as JSON lines or lines for people, and the summary at the end
 - ``signals``: Signals that end a command: SIGINT, SIGTERM, SIGHUP; and the loss of standard output
 """

@@ -6,17 +6,19 @@ is bounded; output beyond it is dropped and counted, and a notice with the count
 
 from __future__ import annotations
 
+import asyncio
 import io
 import os
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
 from time import monotonic
 from typing import TYPE_CHECKING, Final, TextIO
 
-from dpstack.cli.terminal import lost_stdout
+from dpstack.cli.terminal import output
+from dpstack.text import json_text
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -121,22 +123,32 @@ class _Raw(io.RawIOBase):
         return self._fd
 
 
+def run_unhurried(work: Coroutine[object, object, int], *, json: bool) -> int:
+    """Run ``work``; no output of it waits for a reader."""
+    with _unhurried(json=json):
+        return asyncio.run(work)
+
+
 @contextmanager
-def unhurried(notice: Callable[[int], str]) -> Iterator[None]:
+def _unhurried(*, json: bool) -> Iterator[None]:
     """Within, no write to standard output or standard error waits for a reader.
 
     At the end it waits as long as somebody reads; else the rest is thrown away, and standard output counts as lost (see
-    :mod:`dpstack.cli.terminal.lost_stdout`). Output to one and the same file keeps its order.
+    :mod:`dpstack.cli.terminal.output`). Output to one and the same file keeps its order.
     """
     old = sys.stdout, sys.stderr
     out, err = map(_descriptor, old)
     queues: dict[int, Queue] = {}
     if out is not None:
-        queues[out] = Queue(notice, lost_stdout.lose)
+        queues[out] = Queue(_missing_json if json else _missing, output.lose)
         sys.stdout = _text(queues[out], out, old[0])
     if err is not None:
         same = out is not None and os.path.sameopenfile(out, err)
-        queues[err] = queues[out] if out is not None and same else Queue(_plain, lambda _error: None)
+        queues[err] = (
+            queues[out]
+            if out is not None and same
+            else Queue(lambda lines: f"dpstack: {_missing(lines)}", lambda _error: None)
+        )
         sys.stderr = _text(queues[err], err, old[1])
     try:
         yield
@@ -147,13 +159,17 @@ def unhurried(notice: Callable[[int], str]) -> Iterator[None]:
         unread = [fd for fd, queue in queues.items() if not drained[queue]]
         sys.stdout, sys.stderr = old
         for fd in unread:  # later output must not wait either
-            lost_stdout.nowhere(fd)
+            output.nowhere(fd)
         if out in unread:
-            lost_stdout.lose(TimeoutError(0, f"nobody has read it for {PATIENCE_S:g} s"))
+            output.lose(TimeoutError(0, f"nobody has read it for {PATIENCE_S:g} s"))
 
 
-def _plain(lines: int) -> str:
-    return f"dpstack: {lines} lines are missing here: nobody was reading"
+def _missing(lines: int) -> str:
+    return f"{lines} lines are missing here: nobody was reading"
+
+
+def _missing_json(lines: int) -> str:
+    return json_text({"event": "notice", "text": _missing(lines), "missing": lines})
 
 
 def _descriptor(stream: TextIO) -> int | None:

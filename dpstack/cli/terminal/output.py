@@ -1,12 +1,121 @@
-"""Words, tables and JSON lines: drawn by :mod:`dpstack.cli.terminal.drawing` on a terminal, plain lines elsewhere."""
+"""Output of the program: words, tables, JSON lines, warnings; and the standard streams that it goes to.
+
+On a terminal words and tables are drawn by :mod:`dpstack.cli.terminal.drawing`, elsewhere they are plain lines.
+
+When standard output is lost (its reader has gone, the disk is full) a command has to end, but to leave its bus in
+order. :data:`lost` keeps the error and calls its ``on_lost``; further output is thrown away.
+"""
 
 from __future__ import annotations
 
+import codecs
+import contextlib
+import io
+import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Final
 
-from dpstack.cli.terminal.lost_stdout import guarded
-from dpstack.text import json_text, long_escape, printable
+from dpstack.text import escape, json_text, long_escape, printable, traceback_text
+
+#: replacements of characters that the encoding of a terminal or file does not have
+_PLAIN: Final = {
+    **dict.fromkeys("\u2010\u2011\u2012\u2013\u2014\u2212", "-"),
+    **dict.fromkeys("\u2018\u2019", "'"),
+    **dict.fromkeys("\u201c\u201d", '"'),
+    "\u2026": "...",
+    "\u2588": "#",
+    "\xa0": " ",
+    "\xb5": "u",
+    "\u03bc": "u",
+}
+_DEGRADE: Final = "dpstack-degrade"
+
+
+@dataclass(slots=True)
+class Lost:
+    """Why nothing can be written any more; ``on_lost`` is called at that moment."""
+
+    error: OSError | None = None
+    on_lost: Callable[[], None] | None = None
+
+
+lost: Final = Lost()
+
+
+@contextlib.contextmanager
+def guarded() -> Iterator[None]:
+    """Around a write to standard output: after the first failure all output is thrown away."""
+    try:
+        yield
+    except OSError as error:
+        nowhere(sys.stdout.fileno())
+        lose(error)
+
+
+def nowhere(fd: int) -> None:
+    """Throw away everything written to ``fd`` from now on."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, fd)
+    os.close(null)
+
+
+def lose(error: OSError) -> None:
+    """Record that nothing can be written to standard output any more."""
+    lost.error = error
+    if not isinstance(error, BrokenPipeError):  # a reader may end at any time
+        warn(f"standard output cannot be written ({error.strerror}): give it another place")
+    if lost.on_lost is not None:
+        lost.on_lost()
+
+
+def warn(text: str) -> None:
+    """Write one line to standard error, after all earlier output."""
+    with guarded():
+        sys.stdout.flush()
+    with contextlib.suppress(OSError):
+        print(f"dpstack: {printable(' '.join(text.split()))}", file=sys.stderr, flush=True)
+
+
+def print_traceback(error: BaseException) -> None:
+    """Write the traceback of ``error`` to standard error."""
+    with contextlib.suppress(OSError):
+        print(traceback_text(error), file=sys.stderr, flush=True)
+
+
+def fill() -> None:
+    """Make the standard streams usable for every text.
+
+    A stream that was closed at the start of the program becomes /dev/null, so that no port gets its number. Characters
+    that the encoding of an output does not have are written in ASCII; undecodable input is kept (surrogateescape).
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
+        elif isinstance(stream, io.TextIOWrapper):
+            with contextlib.suppress(OSError):
+                stream.reconfigure(errors="surrogateescape" if mode == "r" else _DEGRADE)
+    sys.excepthook = _defect
+
+
+def _defect(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    print_traceback(error.with_traceback(trace))
+
+
+def _degrade(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    letters = error.object[error.start : error.end]
+    return "".join(_PLAIN.get(letter) or escape(letter) for letter in letters), error.end
+
+
+codecs.register_error(_DEGRADE, _degrade)
+
+
+# --- words, tables, JSON ----------------------------------------------------------------------------------------------
 
 
 def on_terminal() -> bool:
@@ -27,16 +136,6 @@ def toml(text: str) -> None:
     except UnicodeEncodeError:
         text = "".join(letter if letter.isascii() else long_escape(letter) for letter in text)
     _write(text.removesuffix("\n"))
-
-
-def missing(json: bool) -> Callable[[int], str]:
-    """The function for the notice on dropped lines, see :func:`dpstack.cli.terminal.nonblocking_stdout.unhurried`."""
-
-    def notice(lines: int) -> str:
-        text = f"{lines} lines are missing here: nobody was reading"
-        return json_text({"event": "notice", "text": text, "missing": lines}) if json else text
-
-    return notice
 
 
 def line(text: str, style: str = "") -> None:

@@ -19,7 +19,7 @@ from types import FrameType
 from typing import Final, TypeVar
 
 from dpstack.api.bus.shutdown import hurry_all
-from dpstack.cli.terminal import lost_stdout
+from dpstack.cli.terminal import output
 from dpstack.errors import BusError
 
 _T = TypeVar("_T")
@@ -55,13 +55,13 @@ class StopSignal:
     def __enter__(self) -> StopSignal:
         for number in (signal.SIGINT, signal.SIGTERM, *_hangup()):
             self._old[number] = signal.signal(number, self._caught)
-        lost_stdout.lost.on_lost = self._stop
+        output.lost.on_lost = self._stop
         self._within = True
         return self
 
     def __exit__(self, *_: object) -> None:
         self._within = False
-        lost_stdout.lost.on_lost = None
+        output.lost.on_lost = None
         if self.hurried:
             _alarm(0.0, signal.SIG_DFL)
         if not (self.received and self._clock() - self._at < _SAME_S):
