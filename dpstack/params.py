@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 from dpstack.errors import ParamError
 from dpstack.units import BAUD_RATES, baud_text, bits_to_ns
@@ -41,30 +41,20 @@ LIMITS: Final = {
 }
 
 
-class _Row(NamedTuple):
-    t_sl: int
-    min_tsdr: int
-    max_tsdr: int
-    t_set: int
-    t_qui: int
-    gap: int
-    max_retry: int
-    t_tr: int
-
-
 # Columns as in Felser's table; gap, retry and T_TR by the Softing table (docs/protocol.md#bus-parameters).
-_PRESETS: Final[dict[int, _Row]] = {
-    9_600: _Row(100, 11, 60, 1, 0, 1, 1, 50_000),
-    19_200: _Row(100, 11, 60, 1, 0, 1, 1, 50_000),
-    31_250: _Row(100, 11, 60, 1, 0, 1, 1, 50_000),  # PA's rate: the row of its neighbours, unconfirmed
-    45_450: _Row(640, 11, 400, 95, 0, 10, 1, 50_000),
-    93_750: _Row(100, 11, 60, 1, 0, 1, 1, 50_000),
-    187_500: _Row(100, 11, 60, 1, 0, 1, 1, 50_000),
-    500_000: _Row(200, 11, 100, 1, 0, 1, 1, 100_000),
-    1_500_000: _Row(300, 11, 150, 1, 0, 10, 1, 300_000),
-    3_000_000: _Row(400, 11, 250, 4, 3, 10, 2, 600_000),
-    6_000_000: _Row(600, 11, 450, 8, 6, 10, 3, 1_200_000),
-    12_000_000: _Row(1000, 11, 800, 16, 9, 10, 4, 2_400_000),
+_COLUMNS: Final = ("t_sl", "min_tsdr", "max_tsdr", "t_set", "t_qui", "gap", "max_retry", "t_tr")
+_PRESETS: Final = {
+    9_600: (100, 11, 60, 1, 0, 1, 1, 50_000),
+    19_200: (100, 11, 60, 1, 0, 1, 1, 50_000),
+    31_250: (100, 11, 60, 1, 0, 1, 1, 50_000),  # PA's rate: the row of its neighbours, unconfirmed
+    45_450: (640, 11, 400, 95, 0, 10, 1, 50_000),
+    93_750: (100, 11, 60, 1, 0, 1, 1, 50_000),
+    187_500: (100, 11, 60, 1, 0, 1, 1, 50_000),
+    500_000: (200, 11, 100, 1, 0, 1, 1, 100_000),
+    1_500_000: (300, 11, 150, 1, 0, 10, 1, 300_000),
+    3_000_000: (400, 11, 250, 4, 3, 10, 2, 600_000),
+    6_000_000: (600, 11, 450, 8, 6, 10, 3, 1_200_000),
+    12_000_000: (1000, 11, 800, 16, 9, 10, 4, 2_400_000),
 }
 
 
@@ -97,7 +87,7 @@ class BusParams:
 
     def _problems(self) -> Iterable[str]:
         if self.baud not in BAUD_RATES:
-            yield f"baud {self.baud} is no PROFIBUS rate (known: {', '.join(map(str, BAUD_RATES))})"
+            yield _unknown_rate(self.baud)
         for name, (low, high, what) in LIMITS.items():
             value = getattr(self, name)
             if not low <= value <= high:
@@ -115,42 +105,20 @@ class BusParams:
             yield f"min_tsdr = {self.min_tsdr} is more than min(max_tsdr - 1, 34 + 2 t_set + t_qui) = {upper}"
 
     @classmethod
-    def preset(
-        cls,
-        baud: int,
-        *,
-        address: int = 2,
-        slave_max_tsdr: Iterable[int] = (),
-        t_tr: int | None = None,
-        t_sl: int | None = None,
-        gap: int | None = None,
-        hsa: int = 126,
-        max_retry: int | None = None,
-        extra_idle: int = 0,
-    ) -> BusParams:
-        """The standard's parameters at ``baud``, widened to the attached slaves.
+    def preset(cls, baud: int, *, slave_max_tsdr: Iterable[int] = (), **given: int | None) -> BusParams:
+        """The standard's parameters at ``baud``, widened to the attached slaves; address 2.
 
         ``slave_max_tsdr`` are the MaxTsdr of the attached slaves in bit times at this rate;
-        T_SL = max(table, largest + 15). An explicit argument replaces the preset; all are checked.
+        T_SL = max(table, largest + 15). A parameter ``given`` by its name, unless None, replaces the preset one; all
+        are checked.
         """
-        row = _PRESETS.get(baud)
-        if row is None:
-            raise ParamError(f"baud {baud} is no PROFIBUS rate (known: {', '.join(map(str, BAUD_RATES))})")
-        max_tsdr = max((row.max_tsdr, *slave_max_tsdr))
-        return cls(
-            baud=baud,
-            address=address,
-            t_sl=max(row.t_sl, max_tsdr + 15) if t_sl is None else t_sl,
-            min_tsdr=row.min_tsdr,
-            max_tsdr=max_tsdr,
-            t_set=row.t_set,
-            t_qui=row.t_qui,
-            t_tr=row.t_tr if t_tr is None else t_tr,
-            gap=row.gap if gap is None else gap,
-            hsa=hsa,
-            max_retry=row.max_retry if max_retry is None else max_retry,
-            extra_idle=extra_idle,
-        )
+        if baud not in _PRESETS:
+            raise ParamError(_unknown_rate(baud))
+        preset = dict(zip(_COLUMNS, _PRESETS[baud], strict=True))
+        preset["max_tsdr"] = max((preset["max_tsdr"], *slave_max_tsdr))
+        preset["t_sl"] = max(preset["t_sl"], preset["max_tsdr"] + 15)
+        preset |= {name: value for name, value in given.items() if value is not None}
+        return cls(baud=baud, **{"address": 2, **preset})
 
     def replace(self, **changes: int) -> BusParams:
         """A checked copy with some parameters changed."""
@@ -184,3 +152,7 @@ class BusParams:
     def t_to(self) -> int:
         """Time-out T_TO in bit times after which this station considers the token lost: 6 T_SL + 2 TS T_SL."""
         return (6 + 2 * self.address) * self.t_sl
+
+
+def _unknown_rate(baud: int) -> str:
+    return f"baud {baud} is no PROFIBUS rate (known: {', '.join(map(str, BAUD_RATES))})"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
-from dpstack.api.config.table import Key, Table, keys_of
+from dpstack.api.config.table import Key, Table, is_integer, keys_of
 from dpstack.params import LIMITS, MAX_STATION
 from dpstack.units import BAUD_RATES, NS_PER_MS
 
@@ -30,7 +30,7 @@ def _baud(table: Table, name: str, key: Key) -> object:
     if table.raw(name) == AUTO:
         return AUTO
     baud = table.integer(name)
-    if baud is not None and baud not in BAUD_RATES:
+    if baud not in BAUD_RATES:
         near = min(BAUD_RATES, key=lambda rate: abs(rate - baud))
         known = ", ".join(map(str, BAUD_RATES))
         table.fail(name, f"{baud} is no PROFIBUS rate", f"nearest is {near}; known: {known}")
@@ -40,7 +40,7 @@ def _baud(table: Table, name: str, key: Key) -> object:
 def _cycle_ms(table: Table, name: str, key: Key) -> object:
     """More than 0: what is too short for the slaves depends on them and on the rate."""
     cycle = table.number(name, key.low, key.high)
-    if cycle is not None and round(cycle * NS_PER_MS) < 1:
+    if round(cycle * NS_PER_MS) < 1:
         table.fail(name, f"{name} = {cycle:g} is no time", "give milliseconds, or leave it out")
     return cycle
 
@@ -52,7 +52,7 @@ def _other_masters(table: Table, name: str, key: Key) -> object:
     if len(value) > MAX_STATION:
         table.fail(name, f"{name} holds {len(value)} times", f"at most {MAX_STATION} can be on a bus")
     for member in value:
-        number = isinstance(member, (int, float)) and not isinstance(member, bool)
+        number = isinstance(member, float) or is_integer(member)
         if not number or not 0 <= member <= _MAX_CYCLE_MS:
             table.fail(
                 name,
@@ -64,7 +64,7 @@ def _other_masters(table: Table, name: str, key: Key) -> object:
 
 def _application_watchdog(table: Table, name: str, key: Key) -> object:
     limit = table.integer(name, key.low, key.high, "0 switches it off")
-    if limit is not None and 0 < limit < _LEAST_APPLICATION_MS:
+    if 0 < limit < _LEAST_APPLICATION_MS:
         table.fail(name, f"{name} = {limit} is too short", f"give {_LEAST_APPLICATION_MS} or more, or 0 for none")
     return limit
 

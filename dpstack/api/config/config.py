@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 from dpstack.api.config.bus import AUTO, VIRTUAL, BusConfig, read_bus
 from dpstack.api.config.slave import SlaveConfig, read_slave
@@ -24,6 +24,9 @@ from dpstack.errors import ConfigError, ParamError
 from dpstack.params import BusParams
 from dpstack.text import octets_text
 from dpstack.units import baud_text
+
+#: keys of [bus] that are bus parameters
+_PARAMETERS: Final = ("t_sl", "t_tr", "gap", "hsa", "max_retry", "address")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,23 +123,12 @@ class Config:
     def params(self, baud: int | None = None) -> BusParams:
         """Bus parameters for these slaves at ``baud``, T_TR as the table or the file says. Raises ConfigError."""
         rate = self.baud if baud is None else baud
-        bus = self.bus
         tsdr = [slave.max_tsdr[rate] for slave in self.slave_params if rate in slave.max_tsdr]
+        given = {key: getattr(self.bus, key) for key in _PARAMETERS}
         try:
-            return BusParams.preset(
-                rate,
-                address=bus.address,
-                slave_max_tsdr=tsdr,
-                t_sl=bus.t_sl,
-                t_tr=bus.t_tr,
-                gap=bus.gap,
-                hsa=bus.hsa,
-                max_retry=bus.max_retry,
-                extra_idle=bus.extra_idle_bits,
-            )
+            return BusParams.preset(rate, slave_max_tsdr=tsdr, extra_idle=self.bus.extra_idle_bits, **given)
         except ParamError as error:
-            keys = [key for key in ("t_sl", "t_tr", "gap", "hsa", "max_retry", "address") if key in str(error)]
-            path = ("bus", keys[0]) if keys else ("bus",)
+            path = ("bus", *[key for key in _PARAMETERS if key in str(error)][:1])
             raise self.source.error(path, f"[bus]: {error}", "correct the value or leave it out") from None
 
 

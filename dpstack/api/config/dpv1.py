@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
 from typing import Annotated, Any, Final, TypedDict
 
-from dpstack.api.config.table import Gsd, Key, Table, keys_of
+from dpstack.api.config.table import Gsd, Key, Table, as_given, keys_of
 from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS, ALARM_LIMITS, ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1
-from dpstack.dp.pdu.layouts import MAX_RECORD
+from dpstack.dp.pdu.layouts import MAX_RECORD, Layout
 from dpstack.dp.pdu.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock
-from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
 from dpstack.gsd.model import Device
 from dpstack.units import NS_PER_MS
-
-_BLOCK_KEYS: Final = ("type", "slot", "specifier", "data")
-#: of a table of links or subscriptions
-_ENTRIES: Final = "entries"
 
 
 def _alarms(table: Table, key: str, _: Key) -> tuple[str, ...]:
@@ -108,17 +102,16 @@ def _with_keys(base: Dpv1, table: Table, device: Device | None) -> Dpv1:
     keys = keys_of(Dpv1Keys)
     given = table.read(keys)
     if device is not None:
-        _held_against(device, table, given)
-        for name, key in keys.items():
-            if name in given and key.gsd is not None:
-                table.against_gsd(name, given[name], key.gsd, device)
+        _check_limits(device, table, given)
+        table.check_against_gsd(keys, given, device)
     timeout = given.pop("response_timeout_ms", None)
     if timeout is not None:
         given["c1_response_timeout_ns"] = timeout * NS_PER_MS
     return dataclasses.replace(base, **given)
 
 
-def _held_against(device: Device, table: Table, given: Mapping[str, Any]) -> None:
+def _check_limits(device: Device, table: Table, given: Mapping[str, Any]) -> None:
+    """Raises ConfigError for keys beyond what the GSD file allows."""
     for name in given.get("alarms", ()):
         if ALARM_KEYWORDS[name] not in (*device.dpv1.alarms, *device.dpv1.required):
             problem = f"alarms holds {name}, but its GSD file says {ALARM_KEYWORDS[name]}_supp = 0"
@@ -141,91 +134,58 @@ def _required(device: Device) -> tuple[str, ...]:
 
 
 def _block(table: Table) -> PrmBlock:
-    kind = _type(table)
-    slot, specifier = table.integer("slot", 0, 254) or 0, table.integer("specifier", 0, 255) or 0
-    fields = tuple(_fields(kind))
-    table.check_keys((*_BLOCK_KEYS, *fields))
-    if "data" in table or not fields:
-        for key in fields:
+    if table.raw("type") is None:
+        table.fail(None, "no type", '"user_prm" (0x81), "prm_cmd" (2) ...; its manual knows the others')
+    kind = _type(table, "type", _BLOCK_KEYS["type"])
+    record = RECORDS.get(kind)
+    keys = _TABLE_KEYS if kind in TABLES else {} if record is None else dict.fromkeys(record.fields, Key(0, kind=int))
+    given = table.read(_BLOCK_KEYS | keys)
+    slot, specifier = given.get("slot", 0), given.get("specifier", 0)
+    if "data" in table or not keys:
+        for key in keys:
             if key in table:
                 table.fail(key, f"{key} beside data", f"leave {key} out, or data")
-        octets = table.octets("data") or b""
         with table.blaming("data"):
-            block = PrmBlock(kind, slot, octets, specifier)
+            block = PrmBlock(kind, slot, given.get("data", b""), specifier)
             _ = block.content
         return block
-    content = _content(table, kind)
+    if record is not None:
+        content: Content = record.make(**{name: given[name] for name in record.fields if name in given})
+    else:
+        content = DxbTable(given.get("version", 1), tuple(_entries(table, TABLES[kind])))
     with table.blaming():
         return PrmBlock.of(content, slot, kind=kind, specifier=specifier)
 
 
-def _type(table: Table) -> int:
-    given = table.raw("type")
-    if isinstance(given, str):
-        numbers = {name: number for number, name in NAMES.items()}
-        if given not in numbers:
-            table.fail("type", f"there is no type {given!r}", f"a number, or one of these: {', '.join(numbers)}")
-        return numbers[given]
-    kind = table.integer("type", 0, 255)
-    if kind is None:
-        table.fail(None, "no type", '"user_prm" (0x81), "prm_cmd" (2) ...; its manual knows the others')
-    return kind
+def _type(table: Table, name: str, key: Key) -> int:
+    given = table.raw(name)
+    if not isinstance(given, str):
+        return table.integer(name, key.low, key.high)
+    numbers = {text: number for number, text in NAMES.items()}
+    if given not in numbers:
+        table.fail(name, f"there is no type {given!r}", f"a number, or one of these: {', '.join(numbers)}")
+    return numbers[given]
 
 
-def _fields(kind: int) -> Iterable[str]:
-    """The keys of a block of this type beside ``data``."""
-    if kind in TABLES:
-        return ("version", _ENTRIES)
-    return RECORDS[kind].fields if kind in RECORDS else ()
+_BLOCK_KEYS: Final = {
+    "type": Key(0, 255, read=_type),
+    "slot": Key(0, 254, kind=int),
+    "specifier": Key(0, 255, kind=int),
+    "data": Key(kind=bytes),
+}
+#: of a table of links or subscriptions
+_TABLE_KEYS: Final = {"version": Key(0, 255, kind=int), "entries": Key(read=as_given)}
 
 
-def _content(table: Table, kind: int) -> Content:
-    """What a block of this type consists of."""
-    if kind in RECORDS:
-        given = {key: table.integer(key, 0) for key in RECORDS[kind].fields if key in table}
-        content: Content = RECORDS[kind].make(**given)
-        return content
-    version = table.integer("version", 0, 255)
-    return DxbTable(1 if version is None else version, tuple(_entries(table, kind)))
-
-
-def _entries(table: Table, kind: int) -> Iterator[Any]:
-    given = table.raw(_ENTRIES)
-    layout = TABLES[kind]
+def _entries(table: Table, layout: Layout[Any]) -> Iterator[Any]:
+    given = table.raw("entries")
     example = ", ".join(f"{key} = 0" for key in layout.fields)
     if not isinstance(given, (list, tuple)) or not all(isinstance(one, Mapping) for one in given):
-        table.fail(_ENTRIES, f"{_ENTRIES} is no list of tables", f"write [{{ {example} }}]")
+        table.fail("entries", "entries is no list of tables", f"write [{{ {example} }}]")
     for number, one in enumerate(given, 1):
-        entry = table.inner(_ENTRIES, number, one)
-        entry.check_keys(layout.fields)
+        entry = table.inner("entries", number, one)
+        values = entry.read(dict.fromkeys(layout.fields, Key(0, 255, kind=int)))
         for key in layout.fields:
-            if key not in entry:
+            if key not in values:
                 entry.fail(None, f"no {key}", f"write {{ {example} }}")
-        yield layout.make(**{key: entry.integer(key, 0, 255) for key in layout.fields})
-
-
-@dataclass(frozen=True, slots=True)
-class Ms2Limits:
-    """``supported``: C2_Read_Write_supp. ``response_ns`` (C2_Response_Timeout), ``channels`` (C2_Max_Count_Channels)
-    and ``max_initiate_len`` (Max_Initiate_PDU_Length, octets) are 0 where they are not known; ``max_data_len``:
-    C2_Max_Data_Len, 1..240."""
-
-    supported: bool = True
-    response_ns: int = 0
-    max_data_len: int = MAX_RECORD
-    channels: int = 0
-    max_initiate_len: int = 0
-
-    @classmethod
-    def of(cls, device: Device | None) -> Ms2Limits:
-        """Of the device's GSD file; without one nothing is known, and it may have them."""
-        if device is None:
-            return cls()
-        dpv1, longest = device.dpv1, device.dpv1.max_initiate_pdu_length
-        return cls(
-            supported=dpv1.c2_read_write,
-            response_ns=dpv1.c2_response_ns,
-            max_data_len=min(dpv1.c2_max_data_len or MAX_RECORD, MAX_RECORD),
-            channels=dpv1.c2_max_count_channels,
-            max_initiate_len=max(LEAST_INITIATE, longest) if longest else 0,
-        )
+        yield layout.make(**values)

@@ -10,18 +10,17 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import Annotated, Any, Final, TypedDict
+from typing import Annotated, Any, Final, Literal, TypedDict
 
-from dpstack.api.config.dpv1 import Ms2Limits, read_dpv1
-from dpstack.api.config.gsd_slave import Who, modules_of, reading_of, remarks
-from dpstack.api.config.slave_source import basis_of
-from dpstack.api.config.table import Gsd, Key, Octets, Source, Table, keys_of
+from dpstack.api.config.dpv1 import read_dpv1
+from dpstack.api.config.slave_source import Who, basis_of, modules_of, remarks
+from dpstack.api.config.table import Gsd, Key, Octets, Source, Table, as_given, keys_of
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap
 from dpstack.dp.slave_params import INTERVAL_UNIT, LIMITS, SlaveParams
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.errors import ConfigError, UsageError
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import Device
+from dpstack.gsd.model import Device, DpV1
 from dpstack.params import MAX_STATION, UNADDRESSED
 from dpstack.profile import DriveProfile
 from dpstack.units import ms_text
@@ -50,14 +49,14 @@ def read_fields(table: Table, input_len: int, output_len: int) -> tuple[FieldMap
 
 
 def _fields(table: Table, key: str, length: int) -> dict[str, Field]:
-    inside = table.table(key)
-    return {} if inside is None else {name: _field(inside, name, length, key) for name in inside}
-
-
-def _field(inside: Table, name: str, length: int, key: str) -> Field:
-    text = inside.text(name) or ""
-    with inside.blaming(name):
-        return field_of(name, text, length, key)
+    found: dict[str, Field] = {}
+    if table.raw(key) is not None:
+        inside = table.table(key)
+        for name in inside:
+            text = inside.text(name)
+            with inside.blaming(name):
+                found[name] = field_of(name, text, length, key)
+    return found
 
 
 #: commands take a name or an address: a name that is a number could mean another slave
@@ -77,7 +76,7 @@ def _ident(table: Table, name: str, key: Key) -> object:
 
 def _interval(table: Table, name: str, key: Key) -> object:
     """In ns."""
-    return (table.integer(name, key.low, key.high) or 0) * INTERVAL_UNIT
+    return table.integer(name, key.low, key.high) * INTERVAL_UNIT
 
 
 class SlaveKeys(TypedDict, total=False):
@@ -111,7 +110,7 @@ class SlaveKeys(TypedDict, total=False):
     gsd: Annotated[str, Key()]
     modules: Annotated[Sequence[int | str], Key(read=modules_of)]
     parameters: Annotated[Mapping[str, object], Key()]
-    defaults: Annotated[str, Key(read=reading_of)]
+    defaults: Annotated[Literal["refs", "const"], Key()]
     inputs: Annotated[Mapping[str, object], Key()]
     outputs: Annotated[Mapping[str, object], Key()]
     reference_hz: Annotated[float, _PERCENT]
@@ -160,11 +159,15 @@ class Changes(TypedDict, total=False):
     every: Annotated[int | None, Key(*LIMITS["every"])]
     safe: Annotated[Octets | None, Key()]
     min_slave_interval: Annotated[int | None, Key(0, 0xFFFF, "x 100 us", read=_interval)]
-    dpv1: Annotated[bool | Mapping[str, object] | None, Key(read=lambda table, name, _: table.raw(name))]
+    dpv1: Annotated[bool | Mapping[str, object] | None, Key(read=as_given)]
     ignore_auto_clear: Annotated[bool | None, Key()]
     fail_safe: Annotated[
         bool | None, Key(gsd=Gsd("Fail_Safe_required", attrgetter("dpv1.fail_safe_required"), required=True))
     ]
+
+
+#: the DP-V1 keywords of a slave without a GSD file: it may have class 2 connections, and nothing else is known
+NO_GSD: Final = DpV1(c2_read_write=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,8 +182,6 @@ class SlaveConfig:
     options: Mapping[str, object] = field(default_factory=dict)
     #: what only its simulated drive has: options and parameters by name
     simulated: Mapping[str, object] = field(default_factory=dict)
-    #: what its GSD file says about class 2 connections
-    ms2: Ms2Limits = field(default_factory=Ms2Limits)
     #: as a slave, where its GSD file describes it
     description: SlaveDescription | None = field(default=None, compare=False, repr=False)
     #: what its GSD file says
@@ -202,6 +203,11 @@ class SlaveConfig:
     def name(self) -> str:
         return self.params.name
 
+    @property
+    def gsd_dpv1(self) -> DpV1:
+        """The DP-V1 keywords of its GSD file."""
+        return NO_GSD if self.device is None else self.device.dpv1
+
 
 def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     """Check one table. ``unaddressed``: 126, a slave as delivered, is an address too. Raises ConfigError, one line."""
@@ -219,7 +225,7 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     if _NUMERIC.fullmatch(name.strip()):
         table.fail("name", f"name = {name!r} looks like an address", f'write a word: name = "slave{address}"')
     known, rest = basis_of(table, given, Who(address=address, name=name))
-    slave = SlaveConfig(params=known, known=known, ms2=Ms2Limits.of(rest.get("device")), **rest)
+    slave = SlaveConfig(params=known, known=known, **rest)
     changes = _changes(slave, table, given)
     with table.blaming():
         params = dataclasses.replace(known, **changes)
@@ -234,14 +240,14 @@ def _changes(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -> dict
     file. Raises ConfigError.
     """
     changes: dict[str, Any] = {}
-    for name, key in keys_of(Changes).items():
+    keys = keys_of(Changes)
+    for name in keys:
         to = "min_slave_interval_ns" if name == "min_slave_interval" else name
         if name in given:
             changes[to] = given[name]
-            if key.gsd is not None:
-                table.against_gsd(name, given[name], key.gsd, slave.device)
         elif name in table:
             changes[to] = getattr(slave.known, to)
+    table.check_against_gsd(keys, given, slave.device)
     safe, outputs = changes.get("safe"), io_lengths(changes.get("config", slave.params.config))[1]
     if safe and len(safe) != outputs:
         table.fail("safe", f"safe has {len(safe)} octets", f"the configuration has {outputs} octets of outputs")

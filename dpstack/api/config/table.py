@@ -11,7 +11,7 @@ import dataclasses
 import difflib
 import functools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
@@ -38,8 +38,9 @@ class Gsd:
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """What a key takes beside its type. ``unit`` of its limits, where its name does not say it. ``hint``: what to do
-    about a value outside them. ``read`` takes the place of the reader of its type.
+    """The values that a key takes beside its type. ``unit`` of its limits, where its name does not say it. ``hint``:
+    what to do about a value outside them. ``read`` takes the place of the reader of its type; it is called for a key
+    that has a value.
     """
 
     low: float = -math.inf
@@ -116,24 +117,26 @@ class Table:
             what, _, todo = str(error).partition("; ")
             raise self.error(key, prefix + what, todo or "correct it") from None
 
-    def against_gsd(self, name: str, value: object, gsd: Gsd, device: Device | None) -> None:
-        """Raises ConfigError for a flag that the device's GSD file does not allow."""
-        if device is not None and gsd.says(device) is gsd.required is not value:
-            what = f"{name} = {str(value).lower()}, but its GSD file says {gsd.keyword} = {int(gsd.required)}"
-            self.fail(name, what, f"leave {name} out")
-
-    def check_keys(self, known: Iterable[str]) -> None:
-        """Raises ConfigError for the first unknown key, with the nearest known one."""
-        names = list(known)
-        for key in self._data:
-            if key not in names:
-                near = difflib.get_close_matches(key.lower(), names, n=1, cutoff=0.5)
-                todo = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(names)}"
-                self.fail(key, f"unknown key {key!r}", todo)
+    def check_against_gsd(self, keys: Mapping[str, Key], given: Mapping[str, object], device: Device | None) -> None:
+        """Raises ConfigError for a flag ``given`` that the GSD file of ``device`` does not allow."""
+        for name, key in keys.items():
+            gsd = key.gsd
+            if device is None or gsd is None or name not in given:
+                continue
+            if gsd.says(device) is gsd.required is not given[name]:
+                what = f"{name} = {str(given[name]).lower()}, but its GSD file says {gsd.keyword} = {int(gsd.required)}"
+                self.fail(name, what, f"leave {name} out")
 
     def read(self, keys: Mapping[str, Key]) -> dict[str, Any]:
-        """The values of ``keys`` in the table; None counts as left out. Raises ConfigError for unknown keys."""
-        self.check_keys(keys)
+        """The values of ``keys`` in the table; None counts as left out. Raises ConfigError for the first unknown key,
+        with the nearest known one.
+        """
+        names = list(keys)
+        for name in self._data:
+            if name not in names:
+                near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.5)
+                todo = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(names)}"
+                self.fail(name, f"unknown key {name!r}", todo)
         return {name: self._value(name, key) for name, key in keys.items() if self.raw(name) is not None}
 
     def _value(self, name: str, key: Key) -> object:
@@ -141,13 +144,13 @@ class Table:
         if key.read is not None:
             return key.read(self, name, key)
         if kind is Literal:
-            return self.choice(name, get_args(key.kind))
+            return self._choice(name, get_args(key.kind))
         if kind is int:
             return self.integer(name, key.low, key.high, key.hint)
         if kind is float:
             return self.number(name, key.low, key.high)
         if kind in (tuple, Sequence):
-            return self.integers(name, key.low, key.high)
+            return self._integers(name, key.low, key.high)
         return _READERS[kind](self, name)
 
     @property
@@ -165,117 +168,109 @@ class Table:
         """The value as it stands, None when absent."""
         return self._data.get(key)
 
-    def text(self, key: str) -> str | None:
-        """A text that is not empty and stays on its line."""
+    # the readers: of a key that has a value
+
+    def _typed(self, key: str, kinds: type | tuple[type, ...], wanted: str) -> Any:
+        """The value where it is one of ``kinds``; ``wanted``: what it must be, for people. A bool is no number."""
         value = self._data.get(key)
-        if value is None:
-            return None
-        if not isinstance(value, str):
-            self._wrong(key, "a text in quotes")
+        if not isinstance(value, kinds) or (isinstance(value, bool) and kinds is not bool):
+            self._wrong(key, wanted)
+        return value
+
+    def _wrong(self, key: str, wanted: str) -> NoReturn:
+        value = self._data.get(key)
+        kind = _KINDS.get(type(value), type(value).__name__)
+        self.fail(key, f"{key} = {value!r} is {kind}", f"it must be {wanted}")
+
+    def text(self, key: str) -> str:
+        """A text that is not empty and stays on its line."""
+        value: str = self._typed(key, str, "a text in quotes")
         if not value.strip():
             self.fail(key, f"{key} is empty", "give it a value or leave it out")
         if not value.isprintable():
             self.fail(key, f"{key} = {value!r} holds a control character", "take it out")
         return value
 
-    def flag(self, key: str, default: bool = False) -> bool:
-        value = self._data.get(key, default)
-        if not isinstance(value, bool):
-            self._wrong(key, "true or false")
-        return value
+    def _flag(self, key: str) -> bool:
+        return bool(self._typed(key, bool, "true or false"))
 
-    def integer(self, key: str, low: float = -math.inf, high: float = math.inf, hint: str = "") -> int | None:
+    def integer(self, key: str, low: float = -math.inf, high: float = math.inf, hint: str = "") -> int:
         """An integer within limits (both included)."""
-        value = self._data.get(key)
-        if value is None:
-            return None
-        if isinstance(value, bool) or not isinstance(value, int):
-            self._wrong(key, "an integer")
+        value: int = self._typed(key, int, "an integer")
         if not low <= value <= high:
-            self.fail(key, f"{key} = {value} is outside {low}..{high}", hint or "correct it or leave it out")
+            self.fail(key, f"{key} = {value} is outside {low}..{high}", hint or _CORRECT)
         return value
 
-    def number(self, key: str, low: float, high: float) -> float | None:
+    def number(self, key: str, low: float, high: float) -> float:
         """An integer or a float within limits (both included)."""
-        value = self._data.get(key)
-        if value is None:
-            return None
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            self._wrong(key, "a number")
+        value = self._typed(key, (int, float), "a number")
         if not (math.isfinite(value) and low <= value <= high):
-            self.fail(key, f"{key} = {value:g} is outside {low:g}..{high:g}", "correct it or leave it out")
+            self.fail(key, f"{key} = {value:g} is outside {low:g}..{high:g}", _CORRECT)
         return float(value)
 
-    def choice(self, key: str, known: Sequence[str]) -> str:
-        """One of the texts ``known``."""
+    def _choice(self, key: str, known: Sequence[str]) -> str:
         value = self.text(key)
-        if value is None or value not in known:
+        if value not in known:
             *others, last = map(quoted, known)
             self.fail(key, f"unknown {key} {value!r}", f"it must be {', '.join(others)} or {last}")
         return value
 
-    def integers(self, key: str, low: float, high: float) -> tuple[int, ...]:
+    def _integers(self, key: str, low: float, high: float) -> tuple[int, ...]:
         """A list of integers within limits, each once."""
-        value = self._data.get(key, [])
-        if not isinstance(value, (list, tuple)) or any(isinstance(v, bool) or not isinstance(v, int) for v in value):
-            self._wrong(key, "a list of integers, for instance [1, 2]")
+        wanted = "a list of integers, for instance [1, 2]"
+        value = self._typed(key, (list, tuple), wanted)
+        if not all(map(is_integer, value)):
+            self._wrong(key, wanted)
         for member in value:
             if not low <= member <= high:
-                self.fail(key, f"{key} holds {member}, outside {low}..{high}", "correct it or leave it out")
+                self.fail(key, f"{key} holds {member}, outside {low}..{high}", _CORRECT)
         return tuple(sorted(set(value)))
 
-    def table(self, key: str, wanted: str = "a table, for instance { name = value }") -> Table | None:
+    def table(self, key: str, wanted: str = "a table, for instance { name = value }") -> Table:
         """A table inside this one, inline or with a header of its own; ``wanted``: what it must be, for people."""
-        value = self._data.get(key)
-        if value is None:
-            return None
-        if not isinstance(value, Mapping):
-            self._wrong(key, wanted)
+        value = self._typed(key, Mapping, wanted)
         return Table(self._source, (*self._path, key), value, f"{self.title}: {key}")
 
-    def inside(self, key: str) -> dict[str, object]:
-        """What stands in a table inside this one, empty where it is left out."""
+    def _inside(self, key: str) -> dict[str, object]:
         inside = self.table(key)
-        return {} if inside is None else {name: inside.raw(name) for name in inside}
+        return {name: inside.raw(name) for name in inside}
 
     def inner(self, key: str, number: int, value: object) -> Table:
         """The table ``value`` that stands at place ``number``, from 1, of the list ``key``."""
         return Table(self._source, (*self._path, key), value, f"{self.title}: {key} {number}")
 
-    def octets(self, key: str) -> bytes | None:
+    def octets(self, key: str) -> bytes:
         """Octets as a text of hex digits, or as a list of integers 0..255."""
         value = self._data.get(key)
-        if value is None:
-            return None
         if isinstance(value, (bytes, bytearray)):
             return bytes(value)
-        if isinstance(value, list) and all(isinstance(v, int) and not isinstance(v, bool) for v in value):
-            return bytes(self.integers_as_octets(key, value))
-        if not isinstance(value, str):
-            self._wrong(key, 'octets in hex, for instance "20 10"')
+        if isinstance(value, list) and all(map(is_integer, value)):
+            for member in value:
+                if not 0 <= member <= 255:
+                    self.fail(key, f"{key} holds {member}, which is no octet", "octets are 0..255")
+            return bytes(value)
+        text = self._typed(key, str, 'octets in hex, for instance "20 10"')
         try:
-            return parse_hex(value)
+            return parse_hex(text)
         except ValueError as error:
-            raise self.error(key, f"{key} = {value!r} is no hex ({error})", 'write octets like "20 10"') from None
-
-    def integers_as_octets(self, key: str, value: list[int]) -> list[int]:
-        """Check a list of octets."""
-        for member in value:
-            if not 0 <= member <= 255:
-                self.fail(key, f"{key} holds {member}, which is no octet", "octets are 0..255")
-        return value
-
-    def _wrong(self, key: str, wanted: str) -> NoReturn:
-        value = self._data[key]
-        kind = _KINDS.get(type(value), type(value).__name__)
-        self.fail(key, f"{key} = {value!r} is {kind}", f"it must be {wanted}")
+            raise self.error(key, f"{key} = {text!r} is no hex ({error})", 'write octets like "20 10"') from None
 
 
+def is_integer(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def as_given(table: Table, name: str, _: Key) -> object:
+    """Reader of a key whose value is checked later."""
+    return table.raw(name)
+
+
+_CORRECT: Final = "correct it or leave it out"
 _READERS: Final[dict[type, Callable[[Table, str], object]]] = {
     str: Table.text,
-    bool: Table.flag,
+    bool: Table._flag,
     bytes: Table.octets,
-    Mapping: Table.inside,
+    Mapping: Table._inside,
 }
 _KINDS: Final[dict[type, str]] = {
     bool: "true/false",

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 
-from dpstack.api.config.dpv1 import Ms2Limits
-from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.config.slave import NO_GSD, SlaveConfig
 from dpstack.api.slave.host import Host
 from dpstack.api.slave.ms2_connection import Connecting
 from dpstack.api.slave.records import usual_timeout
@@ -152,10 +151,10 @@ class Class2(Sealed):
         address = slave.address if isinstance(slave, SlaveConfig) else self._address(slave)
         on_bus = self._slaves.get(address)
         known = slave if isinstance(slave, SlaveConfig) else None if on_bus is None else on_bus.config
-        limits = Ms2Limits() if known is None else known.ms2
+        limits = NO_GSD if known is None else known.gsd_dpv1
         usual = least_send_timeout(self._bus.params.baud)
         silence = usual if send_timeout is None else time_of(send_timeout, "send_timeout")
-        response = limits.response_ns if response_timeout is None else time_of(response_timeout, "response_timeout")
+        response = limits.c2_response_ns if response_timeout is None else time_of(response_timeout, "response_timeout")
         order = OpenConnection(
             self._bus.services.token(),
             address,
@@ -165,7 +164,7 @@ class Class2(Sealed):
             profile_ident=profile_ident,
             source=octets("source", source),
             destination=octets("destination", destination),
-            channels=limits.channels,
+            channels=limits.c2_max_count_channels,
             timeout_ns=time_of(usual_timeout(response) if timeout is None else timeout),
         )
         return Connecting(

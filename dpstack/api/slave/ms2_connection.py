@@ -9,15 +9,17 @@ from collections.abc import Awaitable, Callable, Generator
 from dataclasses import dataclass, field
 from types import TracebackType
 
-from dpstack.api.config.dpv1 import Ms2Limits
 from dpstack.api.slave.records import RecordAccess, RecordWay
 from dpstack.api.slave.services import ConnectionEnd, Services
 from dpstack.argcheck import Sealed
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.master.ms2 import NO_CONNECTION
 from dpstack.dpv1.master.orders import CloseConnection, InitiateDone, OpenConnection, RecordDone, RecordOrder
+from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import ConnectionEnded, PduError, UsageError
+from dpstack.gsd.model import DpV1
 from dpstack.units import ns_to_s
 
 #: Slave_Diag of the slave at an address
@@ -39,7 +41,7 @@ class Connection(Sealed, RecordAccess):
         self._diagnosis = made.diagnosis
         self._done = done
         self._ending = ending
-        longest = min(made.limits.max_data_len, done.max_len)
+        longest = min(made.limits.c2_max_data_len or MAX_RECORD, MAX_RECORD, done.max_len)
         self._route = RecordWay(
             services,
             done.address,
@@ -158,7 +160,7 @@ class Connecting:
     services: Services
     order: OpenConnection
     name: str
-    limits: Ms2Limits
+    limits: DpV1
     diagnosis: ReadsDiagnosis
     _begun: bool = field(default=False, init=False)
     _opened: Connection | None = field(default=None, init=False)
@@ -193,14 +195,15 @@ class Connecting:
     def _check(self) -> None:
         """Raises UsageError for what the GSD file of the slave excludes."""
         who = f"slave {self.order.address} ({self.name})"
-        if not self.limits.supported:
+        if not self.limits.c2_read_write:
             raise UsageError(f"{who}: its GSD file says C2_Read_Write_supp = 0: it has no class 2 connections")
         try:
             pdu = self.order.request.build()
         except (PduError, UsageError):
             return  # the machine refuses it with the reason
-        if 0 < self.limits.max_initiate_len < len(pdu):
+        longest = max(LEAST_INITIATE, self.limits.max_initiate_pdu_length)
+        if self.limits.max_initiate_pdu_length and longest < len(pdu):
             raise UsageError(
                 f"{who}: Initiate has {len(pdu)} octets with these addresses, its GSD file says "
-                f"Max_Initiate_PDU_Length = {self.limits.max_initiate_len}: leave network addresses out"
+                f"Max_Initiate_PDU_Length = {longest}: leave network addresses out"
             )

@@ -149,7 +149,7 @@ LISTS = {
     "slave_params": "their limits",
     "services.set_prm": "from the parameters to the octets",
     "slave.Changes": "the keys of the configuration",
-    "gsd_slave.read_gsd_slave": "from what a GSD file says to the parameters",
+    "slave_source.read_gsd_slave": "from what a GSD file says to the parameters",
     "slave_source._drive": "from what a drive plugin says to the parameters",
     "drive_profile.DriveProfile": "what a drive plugin says",
     "drive_profile.DriveProfile.described": "a drive plugin as a GSD file has it",

@@ -99,7 +99,10 @@ def test_an_absolute_path(tmp_path: Path) -> None:
             'gsd = "prm.gsd"\nmodules = [1]\nuser_prm = "01 02"\n',
             "9: [[slave]] io: user_prm has 2 octets; with these modules 11 are wanted; correct it",
         ),
-        ('gsd = "prm.gsd"\nmodules = [1]\ndefaults = "both"\n', "9: [[slave]] io: defaults = 'both'; it is \"refs\""),
+        (
+            'gsd = "prm.gsd"\nmodules = [1]\ndefaults = "both"\n',
+            '9: [[slave]] io: unknown defaults \'both\'; it must be "refs" or "const"',
+        ),
         ('gsd = "whole.gsd"\nconfig = "10"\n', "8: [[slave]] io: config beside gsd; leave config out, or gsd"),
         ('gsd = "whole.gsd"\noptions = { a = 1 }\n', "8: [[slave]] io: options without drive; add drive, or leave "),
         (

@@ -17,7 +17,6 @@ import dpstack
 from dpstack import AcyclicError, Connection, ConnectionEnded, Im0, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
 from dpstack.api.bus.events_json import Severity, event_json, severity_of
 from dpstack.api.config.config import make_config
-from dpstack.api.config.dpv1 import Ms2Limits
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dpv1.master.orders import ConnectionOver
@@ -360,7 +359,7 @@ def test_what_the_gsd_file_says() -> None:
 
 
 def _with(config: SlaveConfig, device: Device) -> SlaveConfig:
-    return dataclasses.replace(config, ms2=Ms2Limits.of(device))
+    return dataclasses.replace(config, device=device)
 
 
 def test_send_timeouts_by_rate() -> None:
