@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from dpstack.dpv1.master.plugin_queue import Outcome, ServiceFailure
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
-from dpstack.profile.record47.server import RecordServer
+from dpstack.profile.record47.server import ParameterServer
 from dpstack.profile.record47.transport import Answer, Pause, Refused, Service, Silent, Transport
 
 T = TypeVar("T")
@@ -62,7 +62,7 @@ class Script:
 class Wire:
     """Both ends joined: ``server`` answers; ``service_ns`` a service. ``seen`` are the services in octets."""
 
-    def __init__(self, server: RecordServer, service_ns: int = MS) -> None:
+    def __init__(self, server: ParameterServer, service_ns: int = MS) -> None:
         self.server = server
         self.now = 0
         self.service_ns = service_ns

@@ -43,7 +43,6 @@ from dpstack.profile.record47.pdu import (
 from dpstack.profile.record47.server import (
     ParameterModel,
     ParameterServer,
-    RecordServer,
     Rules,
     StoreParameters,
     TimedRecords,
@@ -83,7 +82,6 @@ __all__ = [
     "ReadParameter",
     "ReadReq",
     "RecordQueue",
-    "RecordServer",
     "Refused",
     "Request",
     "RequestId",

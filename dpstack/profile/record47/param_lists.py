@@ -14,20 +14,9 @@ from typing import Final, NamedTuple
 from dpstack.errors import PduError
 from dpstack.profile.model.jobs import CommandError
 from dpstack.profile.model.param_errors import BAD_ADDRESS, BAD_SUBINDEX, ILLEGAL_NUMBER, NO_ARRAY, TOO_LONG, error_text
+from dpstack.profile.record47 import formats
 from dpstack.profile.record47.client import ParameterClient, Progress
-from dpstack.profile.record47.formats import (
-    BYTE,
-    DOUBLE_WORD,
-    FLOAT,
-    FORMATS,
-    OCTET_STRING,
-    UNSIGNED16,
-    VISIBLE_STRING,
-    WORD,
-    Format,
-    Value,
-    format_of,
-)
+from dpstack.profile.record47.formats import FORMATS, UNSIGNED16, Format, Value, format_of
 from dpstack.profile.record47.pdu import Address, Attribute, ErrorValue, Result, Values
 from dpstack.profile.record47.split import Item, Limits
 from dpstack.profile.record47.transport import Transport
@@ -49,19 +38,19 @@ DESCRIPTION_LEN: Final = _DESCRIPTION.size
 _ELEMENTS: Final = (
     (UNSIGNED16, 2),  # identifier
     (UNSIGNED16, 2),  # number of array elements
-    (FLOAT, 4),  # standardisation factor
-    (OCTET_STRING, 2),  # variable attribute
-    (OCTET_STRING, 4),
-    (VISIBLE_STRING, TEXT_LEN),  # name
-    (OCTET_STRING, 4),  # low limit
-    (OCTET_STRING, 4),  # high limit
-    (OCTET_STRING, 2),
+    (formats.FLOAT, 4),  # standardisation factor
+    (formats.OCTET_STRING, 2),  # variable attribute
+    (formats.OCTET_STRING, 4),
+    (formats.VISIBLE_STRING, TEXT_LEN),  # name
+    (formats.OCTET_STRING, 4),  # low limit
+    (formats.OCTET_STRING, 4),  # high limit
+    (formats.OCTET_STRING, 2),
     (UNSIGNED16, 2),  # ID extension
     (UNSIGNED16, 2),  # reference parameter of the normalisation
     (UNSIGNED16, 2),  # its bit
 )
 #: substitute formats, which do not define the meaning of a value
-_PLAIN: Final = frozenset({BYTE, WORD, DOUBLE_WORD})
+_PLAIN: Final = frozenset({formats.BYTE, formats.WORD, formats.DOUBLE_WORD})
 
 READ_ONLY_BIT, TEXT_BIT, ARRAY_BIT = 9, 10, 14
 

@@ -14,44 +14,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.dpv1.slave.record_requests import Asker, RecordRequest
 from dpstack.errors import PduError
-from dpstack.profile.model.param_errors import (
-    BAD_ADDRESS,
-    BAD_COUNT,
-    BAD_FORMAT,
-    BAD_SUBINDEX,
-    BAD_TYPE,
-    ILLEGAL_NUMBER,
-    LIMITS,
-    NO_ARRAY,
-    NO_DESCRIPTION,
-    NO_OBJECT,
-    NO_TEXT,
-    OPERATING_STATE,
-    READ_ONLY,
-    TOO_LONG,
-)
+from dpstack.profile.model import param_errors as errors
 from dpstack.profile.model.param_store import ParamStore
 from dpstack.profile.model.params import ParamSpec
-from dpstack.profile.record47.formats import (
-    DOUBLE_WORD,
-    INTEGER16,
-    INTEGER32,
-    OCTET_STRING,
-    UNSIGNED16,
-    UNSIGNED32,
-    VISIBLE_STRING,
-    WORD,
-    ZERO,
-    Raw,
-    UnknownFormatError,
-    format_of,
-)
+from dpstack.profile.record47 import formats
+from dpstack.profile.record47.formats import Raw, UnknownFormatError, format_of
 from dpstack.profile.record47.param_lists import FIRST_LIST, LAST_LIST, PNU_LIMITS, Description
 from dpstack.profile.record47.pdu import (
     HEADER_LEN,
@@ -74,69 +47,23 @@ _BUSY: Final = Refused(Code.STATE_CONFLICT)
 _HELD_NS: Final = 2_000_000_000
 
 
-class RecordServer(Protocol):
-    """The drive's end of Read and Write, called by the slave's side of the bus. ``now`` in ns."""
-
-    def write_record(self, slot: int, index: int, data: bytes, now: int) -> Refused | None:
-        """None when the request was accepted."""
-
-    def read_record(self, slot: int, index: int, length: int, now: int) -> bytes | Refused:
-        """The response, at most ``length`` octets."""
-
-
-class TimedRecords:
-    """Records of a slave application (:class:`~dpstack.dpv1.slave.record_requests.Records`) over a server, for several
-    askers.
-
-    ``clock``: from the bus's time of a request to the drive's, both in ns; default the bus's. The drive carries out one
-    request of record 47 at a time. While it does, or its response waits for the asker (as long as that one can fetch
-    it, for 2 s at most), a Write of another asker is answered 0xC2, a Read 0xB5 as before any request (readings).
-    """
-
-    def __init__(self, server: RecordServer, clock: Callable[[int], int] = lambda bus: bus) -> None:
-        self._server = server
-        self._clock = clock
-        self._holder: Asker | None = None
-        self._held_until = 0
-
-    def ask(self, ticket: RecordRequest) -> None:
-        """Answer at once. A response that is not ready is refused; the master asks again."""
-        request, asker, now = ticket.request, ticket.asker, self._clock(ticket.at)
-        if request.index == INDEX and self._holder not in (None, asker):
-            if isinstance(request, ReadReq):
-                ticket.refuse(Code.STATE_CONFLICT)
-                return
-            if self._is_kept(now):
-                ticket.refuse(Code.RESOURCE_BUSY)
-                return
-        if isinstance(request, WriteReq):
-            answer = self._server.write_record(request.slot, request.index, request.data, now) or b""
-        else:
-            answer = self._server.read_record(request.slot, request.index, request.length, now)
-        if isinstance(answer, Refused):
-            ticket.refuse(answer.code)
-            return
-        self._holder = asker if isinstance(request, WriteReq) else None
-        self._held_until = now + _HELD_NS
-        ticket.answer(answer)
-
-    def _is_kept(self, now: int) -> bool:
-        return self._holder is not None and self._holder.open and now < self._held_until
-
-
-class ParameterModel(Protocol):
+class ParameterModel:
     """The parameters of a drive: one call for each parameter of a request."""
 
-    def read(self, address: Address) -> Result: ...
+    def read(self, address: Address) -> Result:
+        raise NotImplementedError
 
     def change(self, address: Address, values: Values) -> ErrorValue | None:
         """None when all values are written; else none is."""
+        raise NotImplementedError
 
     def describe(self, address: Address) -> Result:
-        """The description, or one element of it."""
+        """The description, or one element of it; without an own method: there is none."""
+        return ErrorValue(errors.NO_DESCRIPTION)
 
     def text(self, address: Address) -> Result:
-        """Texts of 16 characters."""
+        """Texts of 16 characters; without an own method: there are none."""
+        return ErrorValue(errors.NO_TEXT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,9 +81,7 @@ class Rules:
 
 
 class ParameterServer:
-    """A :class:`RecordServer` for record 47 over the parameters of ``model``."""
-
-    __slots__ = ("_model", "_ready_at", "_response", "rules")
+    """The drive's end of Read and Write for record 47 over the parameters of ``model``. Times (``now``) in ns."""
 
     def __init__(self, model: ParameterModel, rules: Rules | None = None) -> None:
         self.rules = Rules() if rules is None else rules
@@ -169,6 +94,7 @@ class ParameterServer:
         self._response = None
 
     def write_record(self, slot: int, index: int, data: bytes, now: int) -> Refused | None:
+        """None when the request was accepted."""
         wrong = self._elsewhere(slot, index)
         if wrong is not None:
             return wrong
@@ -185,13 +111,13 @@ class ParameterServer:
             return Refused(Code.INVALID_RANGE)
         if not request.reference or not request.addresses or len(request.addresses) > self.rules.limits.parameters:
             return Refused(Code.INVALID_RANGE)
-        response = self._carried_out(request) if formats_known else _failed(request, BAD_FORMAT)
+        response = self._carried_out(request) if formats_known else _failed(request, errors.BAD_FORMAT)
         self._response = response.build()
         self._ready_at = now + self.rules.busy_ns
         return None
 
     def read_record(self, slot: int, index: int, length: int, now: int) -> bytes | Refused:
-        """The response once it is ready."""
+        """The response once it is ready, at most ``length`` octets."""
         wrong = self._elsewhere(slot, index)
         if wrong is not None:
             return wrong
@@ -211,7 +137,7 @@ class ParameterServer:
     def _carried_out(self, request: Request) -> Response:
         results: Sequence[Result]
         if request.object not in self.rules.objects:
-            return _failed(request, NO_OBJECT)
+            return _failed(request, errors.NO_OBJECT)
         if request.id == RequestId.READ:
             results = self._fitting([self._read(one) for one in request.addresses])
         else:
@@ -224,7 +150,7 @@ class ParameterServer:
 
     def _fitting(self, results: list[Result]) -> list[Result]:
         """Replace results beyond the longest block by an error; each other result keeps room for its own error."""
-        short = ErrorValue(TOO_LONG)
+        short = ErrorValue(errors.TOO_LONG)
         error = len(short.build())
         room = self.rules.limits.octets - HEADER_LEN - error * len(results)
         fitting: list[Result] = []
@@ -239,7 +165,7 @@ class ParameterServer:
 
     def _read(self, address: Address) -> Result:
         if not self._permitted(address):
-            return ErrorValue(BAD_ADDRESS)
+            return ErrorValue(errors.BAD_ADDRESS)
         if address.attribute == Attribute.VALUE:
             return self._model.read(address)
         return (
@@ -248,10 +174,10 @@ class ParameterServer:
 
     def _change(self, address: Address, values: Values) -> Result:
         if not self._permitted(address) or address.attribute != Attribute.VALUE:
-            return ErrorValue(BAD_ADDRESS)
+            return ErrorValue(errors.BAD_ADDRESS)
         if len(values.raws) != max(address.elements, 1):
-            return ErrorValue(BAD_COUNT)
-        return self._model.change(address, values) or Values(ZERO)
+            return ErrorValue(errors.BAD_COUNT)
+        return self._model.change(address, values) or Values(formats.ZERO)
 
     def _permitted(self, address: Address) -> bool:
         return address.attribute in self.rules.attributes and address.elements <= self.rules.limits.elements
@@ -265,23 +191,31 @@ def _failed(request: Request, error: int) -> Response:
 
 _LIST_LEN: Final = 300
 #: substitutes for a format of the same size (Siemens SINAMICS manual p97)
-_SUBSTITUTES: Final = {INTEGER16: WORD, UNSIGNED16: WORD, INTEGER32: DOUBLE_WORD, UNSIGNED32: DOUBLE_WORD}
+_SUBSTITUTES: Final = {
+    formats.INTEGER16: formats.WORD,
+    formats.UNSIGNED16: formats.WORD,
+    formats.INTEGER32: formats.DOUBLE_WORD,
+    formats.UNSIGNED32: formats.DOUBLE_WORD,
+}
 
 
 class _Place(NamedTuple):
+    """One element of a parameter. ``fixed``: its value, for one that is not in the store."""
+
     spec: ParamSpec
-    data_set: int
+    data_set: int = 1
+    fixed: int | None = None
 
 
-def format_number(spec: ParamSpec) -> int:
+def _format_number(spec: ParamSpec) -> int:
     """The format of a parameter: 16 or 32 bits, signed where it can be negative."""
     if spec.long:
-        return INTEGER32 if spec.low < 0 else UNSIGNED32
-    return INTEGER16 if spec.low < 0 else UNSIGNED16
+        return formats.INTEGER32 if spec.low < 0 else formats.UNSIGNED32
+    return formats.INTEGER16 if spec.low < 0 else formats.UNSIGNED16
 
 
-class StoreParameters:
-    """A :class:`ParameterModel`.
+class StoreParameters(ParameterModel):
+    """The parameters of ``store``, with the drive's ``limits`` (974) and the lists of its parameters (980 to 989).
 
     ``live``: the actual integer where it is not stored; ``locked``: error 11 hex now; ``changed``: called after a
     write; ``texts``: names of the values of a parameter from 0 on, by its number.
@@ -310,31 +244,26 @@ class StoreParameters:
             if spec.per_set and store.sets > 1:
                 places.update((at, _Place(spec, at + 1)) for at in range(store.sets))
             else:
-                places[spec.index] = _Place(spec, 1)
+                places[spec.index] = _Place(spec)
         limits = Limits() if limits is None else limits
-        self._own: dict[int, tuple[int, ...]] = {
-            PNU_LIMITS: (limits.octets, limits.parameters, -(-limits.latency_ns // (10 * NS_PER_MS))),
-            **_lists(sorted(self._places)),
-        }
+        lists = _lists(sorted(self._places))
+        lists[PNU_LIMITS] = (limits.octets, limits.parameters, -(-limits.latency_ns // (10 * NS_PER_MS)))
+        for pnu, words in lists.items():
+            spec = ParamSpec(number=pnu, name=str(pnu), title="", read_only=True)
+            self._places[pnu] = {at: _Place(spec, fixed=word) for at, word in enumerate(words)}
 
     def read(self, address: Address) -> Result:
-        own = self._own.get(address.pnu)
-        if own is not None:
-            end = address.subindex + max(address.elements, 1)
-            if end > len(own):
-                return ErrorValue(BAD_SUBINDEX, max(address.subindex, len(own)))
-            return Values(UNSIGNED16, own[address.subindex : end])
         places = self._wanted(address)
         if isinstance(places, ErrorValue):
             return places
-        return Values(format_number(places[0].spec), tuple(map(self._raw, places)))
+        return Values(_format_number(places[0].spec), tuple(map(self._raw, places)))
 
     def change(self, address: Address, values: Values) -> ErrorValue | None:
-        if address.pnu in self._own:
-            return ErrorValue(READ_ONLY, address.subindex)
         places = self._wanted(address)
         if isinstance(places, ErrorValue):
             return places
+        if places[0].fixed is not None:
+            return ErrorValue(errors.READ_ONLY, address.subindex)
         raws: list[int] = []
         for at, (place, raw) in enumerate(zip(places, values.raws, strict=True), address.subindex):
             checked = self._checked(place.spec, values.format, raw, at)
@@ -347,59 +276,59 @@ class StoreParameters:
         return None
 
     def _checked(self, spec: ParamSpec, number: int, raw: Raw, subindex: int) -> int | ErrorValue:
-        form = format_number(spec)
+        form = _format_number(spec)
         if number not in (form, _SUBSTITUTES[form]) or not isinstance(raw, int):
-            return ErrorValue(BAD_TYPE)
-        if spec.read_only:
-            return ErrorValue(READ_ONLY, subindex)
+            return ErrorValue(errors.BAD_TYPE)
         checked = spec.from_pwe(raw)
-        if not spec.low <= spec.to_value(checked) <= spec.high:
-            return ErrorValue(LIMITS, subindex)
-        return ErrorValue(OPERATING_STATE) if self._locked(spec) else checked
+        if (error := spec.write_error(checked)) is not None:
+            return ErrorValue(error, subindex)
+        return ErrorValue(errors.OPERATING_STATE) if self._locked(spec) else checked
 
     def describe(self, address: Address) -> Result:
         """The whole description (subindex 0), or one element of it."""
         places = self._places.get(address.pnu)
-        if places is None and address.pnu not in self._own:
-            return ErrorValue(ILLEGAL_NUMBER)
+        if places is None:
+            return ErrorValue(errors.ILLEGAL_NUMBER)
         if address.elements > 1:
-            return ErrorValue(BAD_ADDRESS)
-        described = self._description(address.pnu)
-        if not address.subindex:
-            return Values(OCTET_STRING, (described.build(),))
-        return described.element(address.subindex) or ErrorValue(NO_DESCRIPTION)
-
-    def _description(self, pnu: int) -> Description:
-        if pnu in self._own:
-            own = self._own[pnu]
-            return Description(UNSIGNED16, len(own), "", True, True, False, 1.0, 0, bytes(4), b"\0\0\xff\xff")
-        places = self._places[pnu]
+            return ErrorValue(errors.BAD_ADDRESS)
         spec = next(iter(places.values())).spec
-        form = format_number(spec)
         array = _is_array(places)
+        limit = format_of(formats.INTEGER32 if spec.low < 0 else formats.UNSIGNED32)
+        # as near as four octets can hold the limits
         low, high = (
-            format_of(INTEGER32 if spec.low < 0 else UNSIGNED32).pack((_scaled(spec, limit),))
-            for limit in (spec.low, spec.high)
+            limit.pack((min(max(round(value * spec.counts), limit.low), limit.high),))
+            for value in (spec.low, spec.high)
         )
-        factor = 1 / (spec.per_unit or 10**spec.decimals)
-        text = pnu in self._texts
-        return Description(
-            form, max(places) + 1 if array else 1, spec.title, spec.read_only, array, text, factor, 0, low, high
+        described = Description(
+            _format_number(spec),
+            max(places) + 1 if array else 1,
+            spec.title,
+            spec.read_only,
+            array,
+            address.pnu in self._texts,
+            1 / spec.counts,
+            0,
+            low,
+            high,
         )
+        if not address.subindex:
+            return Values(formats.OCTET_STRING, (described.build(),))
+        return described.element(address.subindex) or ErrorValue(errors.NO_DESCRIPTION)
 
     def text(self, address: Address) -> Result:
         """Texts of 16 characters, from ``address.subindex`` on."""
         found = self._texts.get(address.pnu)
         if found is None:
-            known = address.pnu in self._places or address.pnu in self._own
-            return ErrorValue(NO_TEXT if known else ILLEGAL_NUMBER)
+            return ErrorValue(errors.NO_TEXT if address.pnu in self._places else errors.ILLEGAL_NUMBER)
         end = address.subindex + max(address.elements, 1)
         if end > len(found):
-            return ErrorValue(BAD_SUBINDEX, max(address.subindex, len(found)))
+            return ErrorValue(errors.BAD_SUBINDEX, max(address.subindex, len(found)))
         octets = "".join(f"{one:16.16}" for one in found[address.subindex : end]).encode("latin-1", "replace")
-        return Values(VISIBLE_STRING, (octets,))
+        return Values(formats.VISIBLE_STRING, (octets,))
 
     def _raw(self, place: _Place) -> int:
+        if place.fixed is not None:
+            return place.fixed
         live = self._live(place.spec)
         raw = self._store.raw(place.spec, place.data_set) if live is None else live
         return place.spec.from_pwe(place.spec.pwe(raw))
@@ -407,29 +336,22 @@ class StoreParameters:
     def _wanted(self, address: Address) -> list[_Place] | ErrorValue:
         places = self._places.get(address.pnu)
         if places is None:
-            return ErrorValue(ILLEGAL_NUMBER)
+            return ErrorValue(errors.ILLEGAL_NUMBER)
         if not _is_array(places):
             if address.elements > 1:
-                return ErrorValue(BAD_ADDRESS)
+                return ErrorValue(errors.BAD_ADDRESS)
             if address.subindex:
-                return ErrorValue(NO_ARRAY)
+                return ErrorValue(errors.NO_ARRAY)
         wanted: list[_Place] = []
         for at in range(address.subindex, address.subindex + max(address.elements, 1)):
             if at not in places:
-                return ErrorValue(BAD_SUBINDEX, at)
+                return ErrorValue(errors.BAD_SUBINDEX, at)
             wanted.append(places[at])
         return wanted
 
 
 def _is_array(places: dict[int, _Place]) -> bool:
     return len(places) > 1 or 0 not in places
-
-
-def _scaled(spec: ParamSpec, limit: float) -> int:
-    """A limit as an integer on the wire, as near as four octets can hold it."""
-    raw = round(limit * (spec.per_unit or 10**spec.decimals))
-    form = format_of(INTEGER32 if spec.low < 0 else UNSIGNED32)
-    return min(max(raw, form.low), form.high)
 
 
 def _lists(numbers: Sequence[int]) -> dict[int, tuple[int, ...]]:
@@ -442,3 +364,43 @@ def _lists(numbers: Sequence[int]) -> dict[int, tuple[int, ...]]:
         if not following:
             break
     return found
+
+
+class TimedRecords:
+    """Records of a slave application (:class:`~dpstack.dpv1.slave.record_requests.Records`) with record 47 alone, for
+    several askers.
+
+    ``clock``: from the bus's time of a request to the drive's, both in ns; default the bus's. The drive carries out one
+    request of record 47 at a time. While it does, or its response waits for the asker (as long as that one can fetch
+    it, for 2 s at most), a Write of another asker is answered 0xC2, a Read 0xB5 as before any request (readings).
+    """
+
+    def __init__(self, server: ParameterServer, clock: Callable[[int], int] = lambda bus: bus) -> None:
+        self._server = server
+        self._clock = clock
+        self._holder: Asker | None = None
+        self._held_until = 0
+
+    def ask(self, ticket: RecordRequest) -> None:
+        """Answer at once. A response that is not ready is refused; the master asks again."""
+        request, asker, now = ticket.request, ticket.asker, self._clock(ticket.at)
+        if request.index == INDEX and self._holder not in (None, asker):
+            if isinstance(request, ReadReq):
+                ticket.refuse(Code.STATE_CONFLICT)
+                return
+            if self._is_kept(now):
+                ticket.refuse(Code.RESOURCE_BUSY)
+                return
+        if isinstance(request, WriteReq):
+            answer = self._server.write_record(request.slot, request.index, request.data, now) or b""
+        else:
+            answer = self._server.read_record(request.slot, request.index, request.length, now)
+        if isinstance(answer, Refused):
+            ticket.refuse(answer.code)
+            return
+        self._holder = asker if isinstance(request, WriteReq) else None
+        self._held_until = now + _HELD_NS
+        ticket.answer(answer)
+
+    def _is_kept(self, now: int) -> bool:
+        return self._holder is not None and self._holder.open and now < self._held_until

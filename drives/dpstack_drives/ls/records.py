@@ -27,7 +27,7 @@ RULES: Final = record47.Rules(
 )
 
 
-class LsParameters:
+class LsParameters(record47.ParameterModel):
     """What the module has, as record 47 asks for it.
 
     ``refusal``: the error that an access (``write`` or not) ends with by an order from outside.
@@ -59,14 +59,6 @@ class LsParameters:
             return record47.ErrorValue(0x05)
         error = self._module.write(spec, raw)
         return None if error is None else record47.ErrorValue(error)
-
-    def describe(self, address: record47.Address) -> record47.Result:
-        """None has one."""
-        return record47.ErrorValue(0x09)
-
-    def text(self, address: record47.Address) -> record47.Result:
-        """None has one."""
-        return record47.ErrorValue(0x0F)
 
     def _wanted(self, address: record47.Address) -> ParamSpec | record47.ErrorValue:
         spec = t.PARAMETERS.get(address.pnu) if address.pnu > 0xFF else None

@@ -20,7 +20,16 @@ from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import through_run
 from dpstack.cli.commands import acyclic
 from dpstack.cli.main import main
-from dpstack.profile.record47 import Address, Description, ErrorValue, ParameterServer, Result, TimedRecords, Values
+from dpstack.profile.record47 import (
+    Address,
+    Description,
+    ErrorValue,
+    ParameterModel,
+    ParameterServer,
+    Result,
+    TimedRecords,
+    Values,
+)
 
 Out = pytest.CaptureFixture[str]
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="pump", dpv1=True)
@@ -39,7 +48,7 @@ dpv1 = true
 """
 
 
-class Device:
+class Device(ParameterModel):
     """Parameters of many formats; what a format is called and what its octets mean is written down in the tests."""
 
     def __init__(self) -> None:

@@ -13,14 +13,14 @@ from dpstack.profile.record47.client import ParameterClient
 from dpstack.profile.record47.formats import FORMATS
 from dpstack.profile.record47.param_lists import Description, ReadParameter, read_limits, read_out
 from dpstack.profile.record47.pdu import Address, ErrorValue, Request, Response, Result, Values
-from dpstack.profile.record47.server import ParameterServer, Rules
+from dpstack.profile.record47.server import ParameterModel, ParameterServer, Rules
 from dpstack.profile.record47.split import Item, Limits
 from dpstack.profile.record47.transport import Refused
 
 # -- both ends ---------------------------------------------------------------------------------------------------------
 
 
-class Model:
+class Model(ParameterModel):
     """Parameters of any format; arrays by number."""
 
     def __init__(self, parameters: dict[int, Values]) -> None:
@@ -50,9 +50,6 @@ class Model:
         here = self.parameters[address.pnu]
         told = Description(here.format, len(here.raws), "", False, len(here.raws) > 1, False, 1, 0, bytes(4), bytes(4))
         return Values(10, (told.build(),))
-
-    def text(self, address: Address) -> Result:
-        return ErrorValue(15)
 
 
 NUMBERS = [form for form in FORMATS.values() if form.code and form.octets and form.name != "Error"]

@@ -12,6 +12,7 @@ from dpstack.profile.record47 import (
     Answer,
     ErrorValue,
     ParameterClient,
+    ParameterModel,
     ParameterServer,
     Refused,
     Rules,
@@ -114,7 +115,7 @@ def test_a_drive_that_says_no_latency_has_its_2_s_and_one_that_says_5_s_has_10()
             talk(master.read([Address(1)]), drive(limits, busy_ns))
 
 
-class Bare:
+class Bare(ParameterModel):
     """A drive without descriptions: arrays by number; ``sloppy`` numbers answer to any subindex."""
 
     def __init__(self, sloppy: frozenset[int] = frozenset()) -> None:
@@ -131,12 +132,6 @@ class Bare:
         if len(found) == 1 and address.subindex:
             return ErrorValue(4)
         return Values(6, found[address.subindex : end]) if end <= len(found) else ErrorValue(3, address.subindex)
-
-    def describe(self, address: Address) -> Values | ErrorValue:
-        return ErrorValue(9)
-
-    def text(self, address: Address) -> Values | ErrorValue:
-        return ErrorValue(15)
 
     def change(self, address: Address, values: Values) -> ErrorValue | None:
         return ErrorValue(1)
