@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Final
 
 from dpstack.profile.model.param_errors import LIMITS, READ_ONLY
@@ -41,7 +41,7 @@ def _shown(value: float) -> str:
     return short if math.isclose(float(short), value, rel_tol=1e-15) else repr(value)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ParamSpec:
     """One parameter. ``low``, ``high`` and ``factory`` are in ``unit``; on the wire stands value x 10^decimals.
 
@@ -53,14 +53,15 @@ class ParamSpec:
     number: int
     name: str
     title: str
+    low: float = 0
+    high: float = 0xFFFF
+    factory: float = 0
+    _: KW_ONLY
     index: int = 0
     long: bool = False
     decimals: int = 0
     per_unit: float = 0
     unit: str = ""
-    low: float = 0
-    high: float = 0xFFFF
-    factory: float = 0
     per_set: bool = False
     read_only: bool = False
     text: bool = False

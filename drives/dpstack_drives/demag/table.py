@@ -5,6 +5,7 @@ Source: Demag, Operating instructions CM-PDP-24, supplement; chapter numbers in 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 from dpstack.profile import ParamSpec, ParamTable, PkwDialect, TelegramSpec
@@ -77,171 +78,54 @@ RAM_ONLY: Final = 5
 #: fault acknowledgement is locked for this long (11.2.1), in s
 FAULT_LOCK_S: Final = 15
 
+
 # Types of 400 and 480 as in 11.1.6; the others by their range (a reading: the list of types is an extra file).
 # Data sets: those the manual names so, 424 and 425 a reading. made_up: factory values and limits not in the manual.
+_frequency = partial(ParamSpec, decimals=2, unit="Hz", long=True)
+
 PARAMETERS: Final = ParamTable(
     (
+        _frequency(228, "internal_reference_frequency", "Internal reference frequency", -1000, 1000, read_only=True),
+        ParamSpec(249, "active_data_set", "Active data set", 1, 4, 1, read_only=True),
+        ParamSpec(250, "digital_inputs", "Digital inputs", 0, 255, read_only=True),
+        ParamSpec(270, "warnings", "Warnings", 0, 0xFFFF, read_only=True),
+        ParamSpec(281, "dp_master_out", "DP-Master OUT", text=True, read_only=True),
+        _frequency(282, "reference_bus_frequency", "Reference bus frequency", -1000, 1000, read_only=True),
+        _frequency(283, "reference_ramp_frequency", "Reference ramp frequency", -1000, 1000, read_only=True),
+        ParamSpec(284, "dp_master_in", "DP-Master IN", text=True, read_only=True),
         ParamSpec(
-            number=228,
-            name="internal_reference_frequency",
-            title="Internal reference frequency",
-            long=True,
-            decimals=2,
-            unit="Hz",
-            low=-1000,
-            high=1000,
-            read_only=True,
+            371, "rated_current", "Rated current", 0.1, 1000, 4, unit="A", decimals=1, per_set=True, made_up=True
         ),
-        ParamSpec(
-            number=249, name="active_data_set", title="Active data set", low=1, high=4, factory=1, read_only=True
+        _frequency(375, "rated_frequency", "Rated frequency", 10, 1000, 50, per_set=True),
+        _frequency(390, "profibus_reference", "Profibus Reference", 0, 999.99, per_set=True),
+        ParamSpec(391, "node_id", "Profibus Node-ID", 0, 126, 126),
+        ParamSpec(392, "state_transition_5", "State transition 5", 0, 2, 2),
+        ParamSpec(400, "switching_frequency", "Switching frequency", 1, 8, 2, unit="kHz"),
+        ParamSpec(412, "local_remote", "Local/Remote", 0, 44, 44, per_set=True),
+        ParamSpec(414, "data_set_selection", "Data set selection", 0, 4),
+        _frequency(
+            424, "emergency_stop_clockwise", "Emergency stop clockwise", 0.01, 9999.99, 100, unit="Hz/s", made_up=True
         ),
-        ParamSpec(number=250, name="digital_inputs", title="Digital inputs", high=255, read_only=True),
-        ParamSpec(number=270, name="warnings", title="Warnings", high=0xFFFF, read_only=True),
-        ParamSpec(number=281, name="dp_master_out", title="DP-Master OUT", text=True, read_only=True),
-        ParamSpec(
-            number=282,
-            name="reference_bus_frequency",
-            title="Reference bus frequency",
-            long=True,
-            decimals=2,
-            unit="Hz",
-            low=-1000,
-            high=1000,
-            read_only=True,
-        ),
-        ParamSpec(
-            number=283,
-            name="reference_ramp_frequency",
-            title="Reference ramp frequency",
-            long=True,
-            decimals=2,
-            unit="Hz",
-            low=-1000,
-            high=1000,
-            read_only=True,
-        ),
-        ParamSpec(number=284, name="dp_master_in", title="DP-Master IN", text=True, read_only=True),
-        ParamSpec(
-            number=371,
-            name="rated_current",
-            title="Rated current",
-            decimals=1,
-            unit="A",
-            low=0.1,
-            high=1000,
-            factory=4,
-            per_set=True,
-            made_up=True,
-        ),
-        ParamSpec(
-            number=375,
-            name="rated_frequency",
-            title="Rated frequency",
-            long=True,
-            decimals=2,
-            unit="Hz",
-            low=10,
-            high=1000,
-            factory=50,
-            per_set=True,
-        ),
-        ParamSpec(
-            number=390,
-            name="profibus_reference",
-            title="Profibus Reference",
-            long=True,
-            decimals=2,
-            unit="Hz",
-            high=999.99,
-            per_set=True,
-        ),
-        ParamSpec(number=391, name="node_id", title="Profibus Node-ID", high=126, factory=126),
-        ParamSpec(number=392, name="state_transition_5", title="State transition 5", high=2, factory=2),
-        ParamSpec(
-            number=400, name="switching_frequency", title="Switching frequency", unit="kHz", low=1, high=8, factory=2
-        ),
-        ParamSpec(number=412, name="local_remote", title="Local/Remote", high=44, factory=44, per_set=True),
-        ParamSpec(number=414, name="data_set_selection", title="Data set selection", high=4),
-        ParamSpec(
-            number=424,
-            name="emergency_stop_clockwise",
-            title="Emergency stop clockwise",
-            long=True,
-            decimals=2,
+        _frequency(
+            425,
+            "emergency_stop_anticlockwise",
+            "Emergency stop anticlockwise",
+            0.01,
+            9999.99,
+            100,
             unit="Hz/s",
-            low=0.01,
-            high=9999.99,
-            factory=100,
             made_up=True,
         ),
+        ParamSpec(434, "ramp_set_point", "Ramp set point", 1, 3, 3, per_set=True),
+        _frequency(480, "fixed_frequency_1", "Fixed frequency 1", -999, 999, 5, per_set=True),
         ParamSpec(
-            number=425,
-            name="emergency_stop_anticlockwise",
-            title="Emergency stop anticlockwise",
-            long=True,
-            decimals=2,
-            unit="Hz/s",
-            low=0.01,
-            high=9999.99,
-            factory=100,
-            made_up=True,
+            549, "max_control_deviation", "max. Control deviation", 0.01, 20, 1, unit="%", decimals=2, made_up=True
         ),
-        ParamSpec(number=434, name="ramp_set_point", title="Ramp set point", low=1, high=3, factory=3, per_set=True),
-        ParamSpec(
-            number=480,
-            name="fixed_frequency_1",
-            title="Fixed frequency 1",
-            long=True,
-            decimals=2,
-            unit="Hz",
-            low=-999,
-            high=999,
-            factory=5,
-            per_set=True,
-        ),
-        ParamSpec(
-            number=549,
-            name="max_control_deviation",
-            title="max. Control deviation",
-            decimals=2,
-            unit="%",
-            low=0.01,
-            high=20,
-            factory=1,
-            made_up=True,
-        ),
-        ParamSpec(
-            number=632,
-            name="braking_time",
-            title="Braking time",
-            decimals=1,
-            unit="s",
-            high=200,
-            factory=1,
-            made_up=True,
-        ),
-        ParamSpec(
-            number=637,
-            name="switch_off_threshold",
-            title="Switch-off threshold",
-            decimals=1,
-            unit="%",
-            high=100,
-            factory=1,
-            made_up=True,
-        ),
-        ParamSpec(
-            number=638,
-            name="holding_time",
-            title="Holding time",
-            decimals=1,
-            unit="s",
-            high=200,
-            factory=0.1,
-            made_up=True,
-        ),
-        ParamSpec(number=880, name="toggle_bit_reaction", title="Toggle bit disturbance behaviour", high=3),
-        ParamSpec(number=881, name="toggle_bit_time", title="Toggle bit time", unit="ms", high=5000, factory=500),
+        ParamSpec(632, "braking_time", "Braking time", 0, 200, 1, unit="s", decimals=1, made_up=True),
+        ParamSpec(637, "switch_off_threshold", "Switch-off threshold", 0, 100, 1, unit="%", decimals=1, made_up=True),
+        ParamSpec(638, "holding_time", "Holding time", 0, 200, 0.1, unit="s", decimals=1, made_up=True),
+        ParamSpec(880, "toggle_bit_reaction", "Toggle bit disturbance behaviour", 0, 3),
+        ParamSpec(881, "toggle_bit_time", "Toggle bit time", 0, 5000, 500, unit="ms"),
     )
 )
 

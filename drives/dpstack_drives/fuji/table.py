@@ -7,7 +7,6 @@ The manual has no GSD file: ident number and identifier octets are made up until
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from dpstack.profile import ParamSpec, ParamTable, PkwDialect, TelegramSpec, Word, profidrive_states
@@ -193,73 +192,50 @@ OPTION_OFF_S: Final = 1.0
 ALARM_INDEXES: Final = (1, 9, 17, 25)
 
 
-class _Code(NamedTuple):
-    code: str
-    title: str
-    decimals: int
-    unit: str
-    low: float
-    high: float
-    factory: float
-    made_up: bool = False
-    read_only: bool = False
+def _row(
+    code: str, title: str, decimals: int, unit: str, low: float, high: float, factory: float, **more: bool
+) -> ParamSpec:
+    found = address(code)
+    assert found is not None
+    number, index = found
+    return ParamSpec(number, code, title, low, high, factory, index=index, decimals=decimals, unit=unit, **more)
 
 
 # Formats of the function codes are in MEH448, which we do not have: decimals of F03, F07, F08, E31, H56 are made up.
-_CODES: Final = (
-    _Code("S01", "Frequency reference, per unit", 0, "", -32_768, 32_767, 0, True, True),
-    _Code("S05", "Frequency reference", 2, "Hz", 0, 655.35, 0, True, True),
-    _Code("S06", "Operation command", 0, "", 0, 0xFFFF, 0, True),
-    *(_Code(f"M{16 + n}", f"Alarm code, {n} before the latest", 0, "", 0, 254, 0, False, True) for n in range(4)),
-    _Code("F01", "Frequency command source", 0, "", 0, 10, 0, True),
-    _Code("F03", "Maximum frequency", 1, "Hz", 25, 400, 60, True),
-    _Code("F07", "Acceleration time", 1, "s", 0, 3600, 1, True),
-    _Code("F08", "Deceleration time", 1, "s", 0, 3600, 1, True),
-    _Code("F26", "Motor sound", 0, "", 0, 15, 2, True),
-    _Code("E31", "Frequency detection level, 0: never", 1, "Hz", 0, 400, 0, True),
-    _Code("H03", "Data initialisation", 0, "", 0, 1, 0, True),
-    _Code("H56", "Deceleration time for a forced stop", 1, "s", 0, 3600, 0.5, True),
-    _Code("o27", "Reaction to a communications error", 0, "", 0, 15, 0),
-    _Code("o28", "Timer for communications errors", 1, "s", 0, 60, 0),
-    _Code("o30", "PPO type", 0, "", 0, 255, 0),
-    _Code("o31", "Station address", 0, "", 0, 255, 0),
-    *(_Code(f"o{40 + n}", f"Write assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0) for n in range(4)),
-    *(_Code(f"o{48 + n}", f"Read assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0) for n in range(4)),
-    _Code("W90", "Software version of the option", 0, "", 0, 9999, 123, True, True),
-    _Code("y98", "Run and frequency command source", 0, "", 0, 3, 0),
+PARAMETERS: Final = ParamTable(
+    (
+        _row("S01", "Frequency reference, per unit", 0, "", -32_768, 32_767, 0, made_up=True, read_only=True),
+        _row("S05", "Frequency reference", 2, "Hz", 0, 655.35, 0, made_up=True, read_only=True),
+        _row("S06", "Operation command", 0, "", 0, 0xFFFF, 0, made_up=True),
+        *(_row(f"M{16 + n}", f"Alarm code, {n} before the latest", 0, "", 0, 254, 0, read_only=True) for n in range(4)),
+        _row("F01", "Frequency command source", 0, "", 0, 10, 0, made_up=True),
+        _row("F03", "Maximum frequency", 1, "Hz", 25, 400, 60, made_up=True),
+        _row("F07", "Acceleration time", 1, "s", 0, 3600, 1, made_up=True),
+        _row("F08", "Deceleration time", 1, "s", 0, 3600, 1, made_up=True),
+        _row("F26", "Motor sound", 0, "", 0, 15, 2, made_up=True),
+        _row("E31", "Frequency detection level, 0: never", 1, "Hz", 0, 400, 0, made_up=True),
+        _row("H03", "Data initialisation", 0, "", 0, 1, 0, made_up=True),
+        _row("H56", "Deceleration time for a forced stop", 1, "s", 0, 3600, 0.5, made_up=True),
+        _row("o27", "Reaction to a communications error", 0, "", 0, 15, 0),
+        _row("o28", "Timer for communications errors", 1, "s", 0, 60, 0),
+        _row("o30", "PPO type", 0, "", 0, 255, 0),
+        _row("o31", "Station address", 0, "", 0, 255, 0),
+        *(_row(f"o{40 + n}", f"Write assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0) for n in range(4)),
+        *(_row(f"o{48 + n}", f"Read assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0) for n in range(4)),
+        _row("W90", "Software version of the option", 0, "", 0, 9999, 123, made_up=True, read_only=True),
+        _row("y98", "Run and frequency command source", 0, "", 0, 3, 0),
+        ParamSpec(number=PNU_PCD_WRITE, name="pcd_write", title="Write assignments of PCD1 to PCD4"),
+        ParamSpec(number=PNU_PCD_READ, name="pcd_read", title="Read assignments of PCD1 to PCD4"),
+        ParamSpec(number=PNU_ADDRESS, name="node_address", title="Node address", high=MOST_ADDRESS, read_only=True),
+        ParamSpec(number=PNU_BAUD, name="baud_rate", title="Baud rate by its index", high=10, read_only=True),
+        ParamSpec(number=PNU_INITIALISE, name="initialise", title="Initialise the inverter, 1 to 0", high=1),
+        ParamSpec(number=PNU_ACCESS, name="access_permission", title="Write access over PCV", high=1, factory=1),
+        ParamSpec(number=PNU_ALARMS, name="malfunctions", title="Malfunction history", read_only=True),
+        ParamSpec(number=PNU_PROFILE, name="profile_version", title="PROFIdrive version", factory=2, read_only=True),
+        ParamSpec(number=PNU_CTW, name="last_ctw", title="Last CTW", read_only=True),
+        ParamSpec(number=PNU_STW, name="last_stw", title="Latest STW", read_only=True),
+    )
 )
-
-
-def _specs() -> Iterator[ParamSpec]:
-    for code, title, decimals, unit, low, high, factory, made_up, read_only in _CODES:
-        found = address(code)
-        assert found is not None
-        yield ParamSpec(
-            number=found[0],
-            index=found[1],
-            name=code,
-            title=title,
-            decimals=decimals,
-            unit=unit,
-            low=low,
-            high=high,
-            factory=factory,
-            made_up=made_up,
-            read_only=read_only,
-        )
-    yield ParamSpec(number=PNU_PCD_WRITE, name="pcd_write", title="Write assignments of PCD1 to PCD4")
-    yield ParamSpec(number=PNU_PCD_READ, name="pcd_read", title="Read assignments of PCD1 to PCD4")
-    yield ParamSpec(number=PNU_ADDRESS, name="node_address", title="Node address", high=MOST_ADDRESS, read_only=True)
-    yield ParamSpec(number=PNU_BAUD, name="baud_rate", title="Baud rate by its index", high=10, read_only=True)
-    yield ParamSpec(number=PNU_INITIALISE, name="initialise", title="Initialise the inverter, 1 to 0", high=1)
-    yield ParamSpec(number=PNU_ACCESS, name="access_permission", title="Write access over PCV", high=1, factory=1)
-    yield ParamSpec(number=PNU_ALARMS, name="malfunctions", title="Malfunction history", read_only=True)
-    yield ParamSpec(number=PNU_PROFILE, name="profile_version", title="PROFIdrive version", factory=2, read_only=True)
-    yield ParamSpec(number=PNU_CTW, name="last_ctw", title="Last CTW", read_only=True)
-    yield ParamSpec(number=PNU_STW, name="last_stw", title="Latest STW", read_only=True)
-
-
-PARAMETERS: Final = ParamTable(_specs())
 
 
 def spec_at(assignment: int) -> ParamSpec | None:

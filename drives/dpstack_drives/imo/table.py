@@ -8,7 +8,7 @@ its fault codes and what it does without a master are in the inverter's manual, 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
@@ -248,38 +248,31 @@ PER_HZ: Final = 100
 STANDSTILL_ONLY: Final = frozenset({ADDRESS, 0x0003})
 
 
-def _spec(number: int, title: str, high: float, factory: float, **more: object) -> ParamSpec:
-    return ParamSpec(
-        number=number,
-        name=name_of(number),
-        title=title,
-        by_name=True,
-        high=high,
-        factory=factory,
-        decimals=int(str(more.get("decimals", 0))),
-        unit=str(more.get("unit", "")),
-        read_only=bool(more.get("read_only")),
-        made_up=bool(more.get("made_up")),
-    )
-
-
-def _specs() -> Iterator[ParamSpec]:
-    yield _spec(0x0001, "Run command channel", 2, Source.COMMUNICATION, made_up=True)
-    yield _spec(0x0003, "Maximum frequency", 400, 50, decimals=2, unit="Hz", made_up=True)
-    yield _spec(0x0006, "Source of the set frequency", 15, FROM_PROFIBUS, made_up=True)
-    yield _spec(KEYPAD_FREQUENCY, "Frequency set by keypad", 400, 50, decimals=2, unit="Hz")
-    yield _spec(0x000B, "Acceleration time", 3600, 1, decimals=1, unit="s", made_up=True)
-    yield _spec(0x000C, "Deceleration time", 3600, 1, decimals=1, unit="s", made_up=True)
-    yield _spec(0x0F00, "Module type", 0xFFFF, 0, read_only=True)
-    yield _spec(ADDRESS, "Node address", 125, 2)
-    for at, number in enumerate(RECEIVED, FIRST_PZD):
-        yield _spec(number, f"Received PZD{at}", MOST_RECEIVED, 0)
-    for at, number in enumerate(TRANSMITTED, FIRST_PZD):
-        yield _spec(number, f"Transmitted PZD{at}", MOST_TRANSMITTED, 0)
+def _row(
+    number: int, title: str, high: float, factory: float, decimals: int = 0, unit: str = "", **more: bool
+) -> ParamSpec:
+    name = name_of(number)
+    return ParamSpec(number, name, title, 0, high, factory, by_name=True, decimals=decimals, unit=unit, **more)
 
 
 #: the simulated drive's; the plugin knows those that are not made up
-PARAMETERS: Final = ParamTable(_specs())
+PARAMETERS: Final = ParamTable(
+    (
+        _row(0x0001, "Run command channel", 2, Source.COMMUNICATION, made_up=True),
+        _row(0x0003, "Maximum frequency", 400, 50, 2, "Hz", made_up=True),
+        _row(0x0006, "Source of the set frequency", 15, FROM_PROFIBUS, made_up=True),
+        _row(KEYPAD_FREQUENCY, "Frequency set by keypad", 400, 50, 2, "Hz"),
+        _row(0x000B, "Acceleration time", 3600, 1, 1, "s", made_up=True),
+        _row(0x000C, "Deceleration time", 3600, 1, 1, "s", made_up=True),
+        _row(0x0F00, "Module type", 0xFFFF, 0, read_only=True),
+        _row(ADDRESS, "Node address", 125, 2),
+        *(_row(number, f"Received PZD{at}", MOST_RECEIVED, 0) for at, number in enumerate(RECEIVED, FIRST_PZD)),
+        *(
+            _row(number, f"Transmitted PZD{at}", MOST_TRANSMITTED, 0)
+            for at, number in enumerate(TRANSMITTED, FIRST_PZD)
+        ),
+    )
+)
 
 
 def known(number: int) -> ParamSpec | None:

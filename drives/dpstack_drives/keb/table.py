@@ -8,7 +8,6 @@ have. What is made up here for the simulated drive is marked so and never used t
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from dpstack.profile import ParamSpec, ParamTable
@@ -175,99 +174,79 @@ def bits(text: str, made_up: str, what: str) -> dict[str, int]:
     return found
 
 
-class _P(NamedTuple):
+def _row(
+    name: str,
+    title: str,
+    low: float = 0,
+    high: float = 0xFFFF,
+    factory: float = 0,
+    per_unit: float = 1,
+    unit: str = "",
+    **more: bool,
+) -> ParamSpec:
     """80 per Hz of oP.3 by arithmetic (docs/drives/keb-f5.md#example-of-the-parameter-channel). Limits and factory
     values are not in the manual."""
-
-    name: str
-    title: str
-    low: float = 0
-    high: float = 0xFFFF
-    factory: float = 0
-    per_unit: float = 1
-    unit: str = ""
-    read_only: bool = False
-    per_set: bool = False
-    long: bool = False
-    made_up: bool = True
+    index = _index(name, {**GROUPS, **GROUPS_MADE_UP})
+    number = _FB + int(name[3:]) if index is None else index
+    flags = {"made_up": True, "by_name": True, **more}
+    return ParamSpec(number, name, title, low, high, factory, per_unit=per_unit, unit=unit, **flags)
 
 
 _ANY: Final = 0x7FFF_FFFF
-_PARAMETERS: Final = (
-    _P("sy.06", "PROFIBUS address", high=126, factory=126),
-    _P("sy.09", "HSP5 watchdog time", high=10, per_unit=100, unit="s"),
-    *(
-        _P(
-            f"sy.{first + 2 * n + more:02}",
-            f"process {way} data {at + n} {what}",
-            low,
-            high,
-            factory=low,
-            read_only=True,
-            made_up=False,
-        )
-        for first, way, at in ((16, "read", 1), (24, "write", 1), (58, "read", 5), (66, "write", 5))
-        for n in range(BLOCK_VALUES)
-        for more, what, low, high in ((0, "definition", -1, 0x7FFF), (1, "set", 1, 0xFF))
-    ),
-    _P("sy.43", "control word (long)", -_ANY, _ANY, long=True),
-    _P("sy.44", "status word (long)", -_ANY, _ANY, long=True, read_only=True),
-    _P("sy.50", "control word (low)"),
-    _P("sy.51", "status word (low)", read_only=True),
-    _P("sy.52", "set speed value", -0x8000, 0x7FFF),
-    _P("sy.53", "actual speed value", -0x8000, 0x7FFF, read_only=True),
-    _P("ru.00", "inverter state", read_only=True),
-    _P("ru.12", "actual torque display", -_ANY, _ANY, long=True, read_only=True),
-    _P("ru.39", "OL counter display", read_only=True),
-    _P("oP.00", "reference source", high=10, factory=5),
-    _P("oP.01", "rotation source", high=10, factory=9),
-    _P("oP.03", "digital setpoint setting", -400, 400, per_unit=80, unit="Hz", per_set=True),
-    _P("oP.10", "max reference forward", 0, 400, 70, per_unit=80, unit="Hz", per_set=True),
-    _P("oP.28", "acceleration time", 0, 300, 1, per_unit=100, unit="s", per_set=True),
-    _P("oP.30", "deceleration time", 0, 300, 1, per_unit=100, unit="s", per_set=True),
-    _P("oP.59", "motorpoti ramp time", 0, 50_000, 66, long=True, per_set=True),
-    _P("LE.00", "switching level", -30_000, 30_000, long=True, per_set=True),
-    _P("cS.19", "abs. torque reference", -32_000, 32_000, long=True, per_set=True),
-    # at indexes that are made up
-    _P("Pn.05", "E.buS stopping mode", high=6, factory=6),
-    _P("Pn.06", "watchdog time", high=40, per_unit=100, unit="s"),
-    _P("ud.01", "password", -32_767, 32_767, 440),
-    _P("ud.05", "auto store", high=2, factory=2),
-    _P("Fr.01", "copy parameter set", -9, 7, -4),
-    _P("Fr.02", "parameter set source", high=5, factory=5),
-    _P("di.01", "select signal source", high=4095, factory=1),
-    _P("di.02", "digital input setting", high=4095, factory=1),
-    _P("Fb.09", "PD_In_Cycle", high=10_000, factory=25, unit="ms", made_up=False),
-    _P("Fb.23", "Take Stored PD-Map", high=ENABLED, factory=ENABLED, made_up=False),
-    _P("Fb.37", "Master_PDIN_Len", read_only=True),
-    _P("Fb.38", "Master_PDOUT_Len", read_only=True),
-    _P("Fb.39", "watchdog activation", high=3, made_up=False),
-    _P("Fb.40", "watchdog inhibit", high=7, factory=7, made_up=False),
-)
-
-
-def _specs() -> Iterator[ParamSpec]:
-    for p in _PARAMETERS:
-        index = _index(p.name, {**GROUPS, **GROUPS_MADE_UP})
-        yield ParamSpec(
-            number=_FB + int(p.name[3:]) if index is None else index,
-            name=p.name,
-            title=p.title,
-            by_name=True,
-            long=p.long,
-            per_unit=p.per_unit,
-            unit=p.unit,
-            low=p.low,
-            high=p.high,
-            factory=p.factory,
-            per_set=p.per_set,
-            read_only=p.read_only,
-            made_up=p.made_up,
-        )
-
-
 #: of the simulated drive; the plugin takes only the titles from it
-PARAMETERS: Final = ParamTable(_specs())
+PARAMETERS: Final = ParamTable(
+    (
+        _row("sy.06", "PROFIBUS address", high=126, factory=126),
+        _row("sy.09", "HSP5 watchdog time", high=10, per_unit=100, unit="s"),
+        *(
+            _row(
+                f"sy.{first + 2 * n + more:02}",
+                f"process {way} data {at + n} {what}",
+                low,
+                high,
+                factory=low,
+                read_only=True,
+                made_up=False,
+            )
+            for first, way, at in ((16, "read", 1), (24, "write", 1), (58, "read", 5), (66, "write", 5))
+            for n in range(BLOCK_VALUES)
+            for more, what, low, high in ((0, "definition", -1, 0x7FFF), (1, "set", 1, 0xFF))
+        ),
+        _row("sy.43", "control word (long)", -_ANY, _ANY, long=True),
+        _row("sy.44", "status word (long)", -_ANY, _ANY, long=True, read_only=True),
+        _row("sy.50", "control word (low)"),
+        _row("sy.51", "status word (low)", read_only=True),
+        _row("sy.52", "set speed value", -0x8000, 0x7FFF),
+        _row("sy.53", "actual speed value", -0x8000, 0x7FFF, read_only=True),
+        _row("ru.00", "inverter state", read_only=True),
+        _row("ru.12", "actual torque display", -_ANY, _ANY, long=True, read_only=True),
+        _row("ru.39", "OL counter display", read_only=True),
+        _row("oP.00", "reference source", high=10, factory=5),
+        _row("oP.01", "rotation source", high=10, factory=9),
+        _row("oP.03", "digital setpoint setting", -400, 400, per_unit=80, unit="Hz", per_set=True),
+        _row("oP.10", "max reference forward", 0, 400, 70, per_unit=80, unit="Hz", per_set=True),
+        _row("oP.28", "acceleration time", 0, 300, 1, per_unit=100, unit="s", per_set=True),
+        _row("oP.30", "deceleration time", 0, 300, 1, per_unit=100, unit="s", per_set=True),
+        _row("oP.59", "motorpoti ramp time", 0, 50_000, 66, long=True, per_set=True),
+        _row("LE.00", "switching level", -30_000, 30_000, long=True, per_set=True),
+        _row("cS.19", "abs. torque reference", -32_000, 32_000, long=True, per_set=True),
+        # at indexes that are made up
+        _row("Pn.05", "E.buS stopping mode", high=6, factory=6),
+        _row("Pn.06", "watchdog time", high=40, per_unit=100, unit="s"),
+        _row("ud.01", "password", -32_767, 32_767, 440),
+        _row("ud.05", "auto store", high=2, factory=2),
+        _row("Fr.01", "copy parameter set", -9, 7, -4),
+        _row("Fr.02", "parameter set source", high=5, factory=5),
+        _row("di.01", "select signal source", high=4095, factory=1),
+        _row("di.02", "digital input setting", high=4095, factory=1),
+        _row("Fb.09", "PD_In_Cycle", high=10_000, factory=25, unit="ms", made_up=False),
+        _row("Fb.23", "Take Stored PD-Map", high=ENABLED, factory=ENABLED, made_up=False),
+        _row("Fb.37", "Master_PDIN_Len", read_only=True),
+        _row("Fb.38", "Master_PDOUT_Len", read_only=True),
+        _row("Fb.39", "watchdog activation", high=3, made_up=False),
+        _row("Fb.40", "watchdog inhibit", high=7, factory=7, made_up=False),
+    )
+)
 #: counts per unit that the manual shows (oP.3: 0640h is 20 Hz); everything else goes as the integer on the wire
 SCALES: Final = {0x2303: (80, "Hz")}
 

@@ -7,9 +7,9 @@ belongs to the inverter's own manual (dr-06, dr-07, Ad-08, PRT-12 to PRT-14, the
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final
 
 from dpstack.profile import (
     PARAMETER_ERRORS,
@@ -255,66 +255,6 @@ def trip_text(number: int) -> str:
 # -- parameters ----------------------------------------------------------------------------------------------------
 
 
-class _Row(NamedTuple):
-    where: str
-    title: str
-    low: float
-    high: float
-    factory: float
-    decimals: int = 0
-    unit: str = ""
-    read_only: bool = False
-    made_up: bool = False
-
-
-_ROWS: Final = (
-    _Row("0x0005", "Frequency command", 0, 400, 0, 2, "Hz"),
-    _Row("0x0006", "Operation command", 0, 0xFFFF, 0),
-    _Row("0x000A", "Output frequency", 0, 400, 0, 2, "Hz", True),
-    _Row("0x000B", "Output voltage", 0, 0xFFFF, 0, 0, "", True, True),
-    _Row("0x000E", "Operating status", 0, 0xFFFF, 0, 0, "", True),
-    _Row("0x000F", "Trip information", 0, 0xFFFF, 0, 0, "", True),
-    _Row("0x0316", "Output power", 0, 0xFFFF, 0, 0, "", True, True),
-    _Row("0x0334", "Warning information", 0, 0xFFFF, 0, 0, "", True),
-    _Row("dr-01", "Command frequency", 0, 40_000, 0, 0, "", False, True),
-    _Row("dr-03", "Acceleration time", 0, 600, 1, 1, "s", False, True),
-    _Row("dr-04", "Deceleration time", 0, 600, 1, 1, "s", False, True),
-    _Row("dr-06", "Command source, 4: field bus", 0, 5, 4, 0, "", False, True),
-    _Row("dr-07", "Frequency source, 8: field bus", 0, 12, 8, 0, "", False, True),
-    _Row("dr-20", "Maximum frequency", 40, 400, 60, 2, "Hz"),
-    _Row("dr-11", "Jog frequency", 0, 400, 10, 2, "Hz", False, True),
-    _Row("Ad-08", "Stop mode: 0 ramp, 1 DC brake, 2 coast", 0, 4, 0, 0, "", False, True),
-    _Row("Ad-15", "DC brake time", 0, 60, 1, 2, "s", False, True),
-    _Row("Ad-17", "DC brake frequency", 0, 60, 5, 2, "Hz", False, True),
-    _Row("Ad-44", "Brake opens from this frequency", 0, 400, 1, 2, "Hz", False, True),
-    _Row("OU-31", "Relay 1, 35: brake control", 0, 43, 29, 0, "", False, True),
-    _Row("In-90", "DI status", 0, 0xFFFF, 0, 0, "", True),
-    _Row("COM-06", "FBus software version", 0, 0xFFFF, 0x0300, 0, "", True),
-    _Row("COM-07", "FBus ID", 1, 125, 1),
-    _Row("COM-09", "FBus LED", 0, 0xFFFF, 0, 0, "", True),
-    _Row("COM-10", "Telegram type", 1, 106, 1, 0, "", True),
-    _Row("COM-11", "Profile", 0, 2, 1),
-    _Row("COM-12", "Baud rate", 0, INVALID_BAUD, INVALID_BAUD, 0, "", True),
-    _Row("COM-13", "Module reset", 0, 1, 0),
-    _Row("COM-14", "PROFIdrive value: 0 standard, 1 rpm", 0, 1, 0),
-    _Row("COM-30", "Para Status number", 1, 8, 3),
-    *(
-        _Row(f"COM-{31 + n}", f"Para Status-{1 + n}", 0, 0xFFFF, (0x000A, 0x000E, 0x000F, 0, 0, 0, 0, 0)[n])
-        for n in range(8)
-    ),
-    _Row("COM-50", "Para Control number", 1, 8, 2),
-    *(
-        _Row(f"COM-{51 + n}", f"Para Control-{1 + n}", 0, 0xFFFF, (0x0005, 0x0006, 0, 0, 0, 0, 0, 0)[n])
-        for n in range(8)
-    ),
-    _Row("COM-68", "FBus swap", 0, 1, 0),
-    _Row("COM-94", "Comm update", 0, 1, 0),
-    _Row(
-        "PRT-12", "Lost command: 0 none, 1 coast, 2 ramp, 3 hold input, 4 hold output, 5 preset", 0, 5, 0, made_up=True
-    ),
-    _Row("PRT-13", "Lost command time", 0.1, 120, 1, 1, "s", made_up=True),
-    _Row("PRT-14", "Lost command frequency", 0, 400, 0, 2, "Hz", made_up=True),
-)
 #: command and frequency source: the field bus has them (inverter's manual)
 FIELD_BUS: Final = {"dr-06": 4, "dr-07": 8}
 #: COM-31 and COM-51, COM-30 and COM-50
@@ -337,29 +277,72 @@ _PNUS: Final = (
 )
 
 
-def _specs() -> Iterator[ParamSpec]:
-    for row in _ROWS:
-        where = address(row.where)
-        assert where is not None
-        yield ParamSpec(
-            number=where >> 8,
-            index=where & 0xFF,
-            name=code_of(where),
-            title=row.title,
-            low=row.low,
-            high=row.high,
-            factory=row.factory,
-            decimals=row.decimals,
-            unit=row.unit,
-            read_only=row.read_only,
-            made_up=row.made_up,
-        )
-    for number, name, title in _PNUS:
-        yield ParamSpec(number=number, name=name, title=title, read_only=True)
-    yield ParamSpec(number=PNU_RESET, name="module_reset", title="Reset of 944, 947 and 953", high=1)
+def _row(
+    code: str, title: str, low: float, high: float, factory: float, decimals: int = 0, unit: str = "", **more: bool
+) -> ParamSpec:
+    where = address(code)
+    assert where is not None
+    name, index = code_of(where), where & 0xFF
+    return ParamSpec(where >> 8, name, title, low, high, factory, index=index, decimals=decimals, unit=unit, **more)
 
 
-PARAMETERS: Final = ParamTable(_specs())
+PARAMETERS: Final = ParamTable(
+    (
+        _row("0x0005", "Frequency command", 0, 400, 0, 2, "Hz"),
+        _row("0x0006", "Operation command", 0, 0xFFFF, 0),
+        _row("0x000A", "Output frequency", 0, 400, 0, 2, "Hz", read_only=True),
+        _row("0x000B", "Output voltage", 0, 0xFFFF, 0, read_only=True, made_up=True),
+        _row("0x000E", "Operating status", 0, 0xFFFF, 0, read_only=True),
+        _row("0x000F", "Trip information", 0, 0xFFFF, 0, read_only=True),
+        _row("0x0316", "Output power", 0, 0xFFFF, 0, read_only=True, made_up=True),
+        _row("0x0334", "Warning information", 0, 0xFFFF, 0, read_only=True),
+        _row("dr-01", "Command frequency", 0, 40_000, 0, made_up=True),
+        _row("dr-03", "Acceleration time", 0, 600, 1, 1, "s", made_up=True),
+        _row("dr-04", "Deceleration time", 0, 600, 1, 1, "s", made_up=True),
+        _row("dr-06", "Command source, 4: field bus", 0, 5, 4, made_up=True),
+        _row("dr-07", "Frequency source, 8: field bus", 0, 12, 8, made_up=True),
+        _row("dr-20", "Maximum frequency", 40, 400, 60, 2, "Hz"),
+        _row("dr-11", "Jog frequency", 0, 400, 10, 2, "Hz", made_up=True),
+        _row("Ad-08", "Stop mode: 0 ramp, 1 DC brake, 2 coast", 0, 4, 0, made_up=True),
+        _row("Ad-15", "DC brake time", 0, 60, 1, 2, "s", made_up=True),
+        _row("Ad-17", "DC brake frequency", 0, 60, 5, 2, "Hz", made_up=True),
+        _row("Ad-44", "Brake opens from this frequency", 0, 400, 1, 2, "Hz", made_up=True),
+        _row("OU-31", "Relay 1, 35: brake control", 0, 43, 29, made_up=True),
+        _row("In-90", "DI status", 0, 0xFFFF, 0, read_only=True),
+        _row("COM-06", "FBus software version", 0, 0xFFFF, 0x0300, read_only=True),
+        _row("COM-07", "FBus ID", 1, 125, 1),
+        _row("COM-09", "FBus LED", 0, 0xFFFF, 0, read_only=True),
+        _row("COM-10", "Telegram type", 1, 106, 1, read_only=True),
+        _row("COM-11", "Profile", 0, 2, 1),
+        _row("COM-12", "Baud rate", 0, INVALID_BAUD, INVALID_BAUD, read_only=True),
+        _row("COM-13", "Module reset", 0, 1, 0),
+        _row("COM-14", "PROFIdrive value: 0 standard, 1 rpm", 0, 1, 0),
+        _row("COM-30", "Para Status number", 1, 8, 3),
+        *(
+            _row(f"COM-{31 + n}", f"Para Status-{1 + n}", 0, 0xFFFF, (0x000A, 0x000E, 0x000F, 0, 0, 0, 0, 0)[n])
+            for n in range(8)
+        ),
+        _row("COM-50", "Para Control number", 1, 8, 2),
+        *(
+            _row(f"COM-{51 + n}", f"Para Control-{1 + n}", 0, 0xFFFF, (0x0005, 0x0006, 0, 0, 0, 0, 0, 0)[n])
+            for n in range(8)
+        ),
+        _row("COM-68", "FBus swap", 0, 1, 0),
+        _row("COM-94", "Comm update", 0, 1, 0),
+        _row(
+            "PRT-12",
+            "Lost command: 0 none, 1 coast, 2 ramp, 3 hold input, 4 hold output, 5 preset",
+            0,
+            5,
+            0,
+            made_up=True,
+        ),
+        _row("PRT-13", "Lost command time", 0.1, 120, 1, 1, "s", made_up=True),
+        _row("PRT-14", "Lost command frequency", 0, 400, 0, 2, "Hz", made_up=True),
+        *(ParamSpec(number=number, name=name, title=title, read_only=True) for number, name, title in _PNUS),
+        ParamSpec(number=PNU_RESET, name="module_reset", title="Reset of 944, 947 and 953", high=1),
+    )
+)
 
 
 def spec_at(where: int) -> ParamSpec | None:
