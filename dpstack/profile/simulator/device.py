@@ -21,8 +21,9 @@ from dpstack.dpv1.slave.device import Device
 from dpstack.errors import AlarmError
 from dpstack.profile.channel.base import ChannelServer
 from dpstack.profile.channel.pkw import READS, Pkw, ReplyId
-from dpstack.profile.model.drive_type import CHANNEL_LEN, DriveType, TelegramSpec
+from dpstack.profile.model.drive_type import CHANNEL_LEN, DriveType, Options, TelegramSpec
 from dpstack.profile.model.param_store import ParamStore
+from dpstack.profile.model.params import ParamTable
 from dpstack.profile.record47.server import ParameterServer
 from dpstack.profile.simulator.motor import Motor
 from dpstack.units import NEVER, NS_PER_MS
@@ -34,7 +35,7 @@ _MOST_SCANS = 20_000
 
 
 class DriveDevice(Device):
-    """Subclass it: :meth:`scan` (or :meth:`refresh`) and :meth:`master_lost`.
+    """Subclass it: :meth:`scan` (or :meth:`refresh`) and :meth:`master_lost`. Raises ConfigError for wrong ``presets``.
 
     ``telegram`` is the one in use, at first the drive's own.
 
@@ -44,13 +45,25 @@ class DriveDevice(Device):
     those of reads only, of writes only.
     """
 
+    #: the parameters, and the number of data sets
+    parameter_table: ParamTable = ParamTable(())
+    data_sets: int = 1
+    #: names of the faults of :meth:`trip` by number, and what an unknown one is, for people
+    trips: Mapping[int, str] = {}
+    unknown_trip: str = "no fault of this drive"
+    #: the internal scan time
+    scan_ns: int = 4 * NS_PER_MS
     address_parameter: str = ""
     parameter_errors: Mapping[int, str] = {}
     read_errors: frozenset[int] = frozenset()
     write_errors: frozenset[int] = frozenset()
-    store: ParamStore
 
-    def __init__(self, profile: DriveType, telegram: TelegramSpec, motor: Motor) -> None:
+    def __init__(
+        self, profile: DriveType, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
+    ) -> None:
+        #: for messages about its configuration
+        self.title = f"simulated {profile.name}"
+        self.store = ParamStore(self.parameter_table, presets, sets=self.data_sets, where=self.title)
         self.profile = profile
         self.ident = profile.ident
         self.name = profile.name
@@ -58,7 +71,7 @@ class DriveDevice(Device):
         configs = [telegram.config, *(spec.config for spec in profile.telegrams.values())]
         self.configs = tuple(dict.fromkeys(configs))
         self.telegram = telegram
-        self.motor = motor
+        self.motor = Motor(load=float(options["load"]))
         self.channel: ChannelServer | None = None
         #: record 47, for a subclass that has it among its ``records``
         self.record47: ParameterServer | None = None
@@ -179,6 +192,7 @@ class DriveDevice(Device):
 
     def inherit(self, before: DriveDevice) -> None:
         """Take over the EEPROM of ``before``, the same drive before it was switched off and on."""
+        self.store.inherit(before.store)
 
     def installed(self, address: int, baud: int | None) -> None:
         """Set its address and the baud rate in bit/s, None while it is not known."""
@@ -281,14 +295,13 @@ class DriveDevice(Device):
 
     # -- what a drive adds ----------------------------------------------------------------------------------------
 
-    @property
-    def scan_ns(self) -> int:
-        """The internal scan time with the telegram in use."""
-        return 4_000_000
-
     def fault_code(self, code: str) -> int:
-        """The number of a fault from its code or name. Raises ValueError."""
-        raise ValueError(f"{self.name} knows no fault {code!r}")
+        """The number of a fault from its number or name. Raises ValueError."""
+        wanted = code.strip().lower()
+        for number, name in self.trips.items():
+            if wanted in (str(number), name.lower()):
+                return number
+        raise ValueError(f"{code!r} is {self.unknown_trip}")
 
     def refresh(self, process: bytes | None, now: int) -> bytes:
         """One internal scan over octets, with words to and from :meth:`scan`; ``process`` None: invalid."""

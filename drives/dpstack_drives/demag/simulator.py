@@ -13,9 +13,7 @@ from dpstack.profile import (
     DriveDevice,
     DriveProfile,
     Leave,
-    Motor,
     Options,
-    ParamStore,
     Pkw,
     PkwServer,
     ReplyId,
@@ -66,6 +64,8 @@ class DemagDevice(DriveDevice):
     and the parameter channel is silent.
     """
 
+    parameter_table = t.PARAMETERS
+    data_sets = t.SETS
     parameter_errors: Mapping[int, str] = {number: t.PKW.errors[number] for number in t.STATE_ERRORS}
     read_errors = t.READ_ERRORS
     write_errors = t.WRITE_ERRORS
@@ -74,19 +74,13 @@ class DemagDevice(DriveDevice):
     set_slave_add = True
 
     def __init__(
-        self,
-        profile: DriveProfile,
-        telegram: TelegramSpec,
-        options: Options,
-        presets: Mapping[str, object],
+        self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
     ) -> None:
-        super().__init__(profile, telegram, Motor(load=float(options["load"])))
-        where = f"simulated {profile.name}"
         self._vf = options["application"] == "vf"
         factory = {"392": 0} if options["application"] == "torque" else {}
-        self.store = ParamStore(t.PARAMETERS, {**factory, **presets}, sets=t.SETS, where=where)
+        super().__init__(profile, telegram, options, {**factory, **presets})
         if not self._vf and self.store.value("state_transition_5") == _DC_BRAKE:
-            raise ConfigError(f"{where}: 392 = 1 (DC brake) needs application = 'vf'")
+            raise ConfigError(f"{self.title}: 392 = 1 (DC brake) needs application = 'vf'")
         self.channel = PkwServer(t.PKW, self._order, refuse=self.refuse_order)
         self.machine = drivecom_states.DrivecomMachine()
         self.f_max = float(options["f_max"])
@@ -111,10 +105,9 @@ class DemagDevice(DriveDevice):
 
     # -- conditions -----------------------------------------------------------------------------------------------
 
-    @property
-    def scan_ns(self) -> int:
-        """By the telegram in use."""
-        return t.scan_ms(self.telegram) * NS_PER_MS
+    def enter(self, config: bytes, now: int) -> None:
+        self.scan_ns = t.scan_ms(self.profile.telegrams_of(config)[0]) * NS_PER_MS
+        super().enter(config, now)
 
     @property
     def active_set(self) -> int:
@@ -148,8 +141,8 @@ class DemagDevice(DriveDevice):
 
     def inherit(self, before: DriveDevice) -> None:
         """The parameters; with a supply of its own the module was off under a live inverter: F2061 (13.2)."""
+        super().inherit(before)
         if isinstance(before, DemagDevice):
-            self.store.inherit(before.store)
             self.unpowered = before.unpowered
             if self._own_supply and not self.unpowered:
                 self._trip = t.FAULT_MODULE

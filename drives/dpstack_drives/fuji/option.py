@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from dpstack.profile import ParamSpec, ParamStore, Pkw, ReplyId, TaskId
+from dpstack.profile import DriveDevice, ParamSpec, Pkw, ReplyId, TaskId
 from dpstack_drives.fuji import table as t
 
 #: the switches stand as the station address asks for
@@ -15,29 +15,18 @@ AUTO: Final = -1
 class OptionCard:
     """``live``: what shows at a PNU or an assignment at this moment, None for what the store holds.
 
-    ``initialise`` is told when 970 falls; ``running``: the motor is on; ``powered``: the inverter has power.
-    Readings: the channel answers error 17 without the inverter; a write of a function code that is out of its range, or
-    that can only be read, is ignored when it comes by PCD.
+    Readings: the channel answers error 17 without the inverter's power; a write of a function code that is out of its
+    range, or that can only be read, is ignored when it comes by PCD.
     """
 
-    def __init__(
-        self,
-        store: ParamStore,
-        switches: int,
-        live: Callable[[int], int | None],
-        initialise: Callable[[], None],
-        running: Callable[[], bool],
-        powered: Callable[[], bool],
-    ) -> None:
-        self.store = store
+    def __init__(self, device: DriveDevice, switches: int, live: Callable[[int], int | None]) -> None:
+        self._device = device
+        self.store = device.store
         #: SW1 and SW2, 00..99; AUTO until it is installed
         self.switches = switches
         self.address = 0
         self.baud = 0  # PNU 963
         self._live = live
-        self._initialise = initialise
-        self._running = running
-        self._powered = powered
         self._flag = 0  # 970
         self.writes: tuple[int, ...] = ()
         self.reads: tuple[int, ...] = ()
@@ -80,7 +69,7 @@ class OptionCard:
             self._cyclic[place] = raw
             spec = t.spec_at(place)
             value = raw & ~t.S06_IGNORED if place == t.S06 else raw
-            if spec is not None and not spec.read_only and spec.low <= spec.to_value(value) <= spec.high:
+            if spec is not None and spec.write_error(value) is None:
                 self.store.write(spec, value, ram_only=True)
 
     def show(self) -> tuple[int, ...]:
@@ -98,7 +87,7 @@ class OptionCard:
         spec = t.PARAMETERS.get(order.pnu, order.ind) or (t.PARAMETERS.get(order.pnu) if indexes else None)
         if order.id not in t.PKW.answers or spec is None:
             return ReplyId.ERROR, 0
-        if not self._powered():
+        if not self._device.released:
             return ReplyId.ERROR, 17
         if order.id == TaskId.ELEMENTS:
             return (ReplyId.ELEMENTS, len(indexes)) if indexes else (ReplyId.ERROR, 4)
@@ -120,10 +109,10 @@ class OptionCard:
         if not spec.low <= spec.to_value(raw) <= spec.high:
             return ReplyId.ERROR, 2
         if spec.number == t.PNU_INITIALISE or spec.name == "H03":
-            if self._running():
+            if self._device.motor.on:
                 return ReplyId.ERROR, 11
             if (self._flag and not raw) if spec.number == t.PNU_INITIALISE else raw:
-                self._initialise()
+                self.store.initialise()
                 self.power_on()
             self._flag = raw if spec.number == t.PNU_INITIALISE else 0
         else:

@@ -15,9 +15,7 @@ from dpstack.profile import (
     DriveDevice,
     DriveProfile,
     Leave,
-    Motor,
     Options,
-    ParamStore,
     PkwServer,
     State,
     TelegramSpec,
@@ -43,33 +41,23 @@ class FujiDevice(DriveDevice):
     inverter all words are 0; with o31 beyond 125 it trips Er5 and stays at the address it has. F01 has no effect.
     """
 
+    parameter_table = t.PARAMETERS
+    trips: Mapping[int, str] = {alarm.code: alarm.keypad for alarm in t.ALARMS}
+    unknown_trip = f"no alarm; known: {', '.join(trips.values())}"
+    scan_ns = t.SCAN_MS * NS_PER_MS  # a reading: the manual gives none
     parameter_errors: Mapping[int, str] = {number: t.PKW.errors[number] for number in t.STATE_ERRORS}
     read_errors = t.READ_ERRORS
     write_errors = t.WRITE_ERRORS
 
     def __init__(
-        self,
-        profile: DriveProfile,
-        telegram: TelegramSpec,
-        options: Options,
-        presets: Mapping[str, object],
+        self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
     ) -> None:
-        where = f"simulated {profile.name}"
-        given = {"y98": 3, "o30": t.O30[telegram.name], **presets}
-        self.store = ParamStore(t.PARAMETERS, given, where=where)
-        self.own = profile.telegram(t.telegram_of(int(self.store.value("o30"))))
-        super().__init__(profile, self.own, Motor(load=float(options["load"])))
+        super().__init__(profile, telegram, options, {"y98": 3, "o30": t.O30[telegram.name], **presets})
+        self._take_own_telegram()
         self._own_supply = options["supply"] == OWN_SUPPLY
         if float(options["switches"]) != int(float(options["switches"])):
-            raise ConfigError(f"{where}: switches must be a whole number, -1 or 00..99")
-        self.option = OptionCard(
-            self.store,
-            int(float(options["switches"])),
-            self._live,
-            self._initialise,
-            lambda: self.motor.on,
-            lambda: self.released,
-        )
+            raise ConfigError(f"{self.title}: switches must be a whole number, -1 or 00..99")
+        self.option = OptionCard(self, int(float(options["switches"])), self._live)
         self.channel = PkwServer(t.PKW, self.option.order, refuse=self.refuse_order)
         self.machine = profidrive_states.ProfidriveMachine()
         #: alarm codes (M16 to M19), latest first
@@ -83,10 +71,10 @@ class FujiDevice(DriveDevice):
         self._forced = False  # decelerates to a stop, then trips
         self._off_since: int | None = None  # the option lost its own supply under a live inverter
 
-    @property
-    def scan_ns(self) -> int:
-        """A reading: the manual gives none."""
-        return t.SCAN_MS * NS_PER_MS
+    def _take_own_telegram(self) -> None:
+        """The PPO type of o30 counts from power-on."""
+        self.own = self.telegram = self.profile.telegram(t.telegram_of(int(self.store.value("o30"))))
+        self.configs = tuple(dict.fromkeys((self.own.config, *self.configs)))
 
     def check_cfg(self, config: bytes) -> str | None:
         """Only the drive's own PPO type; no Er5."""
@@ -103,21 +91,11 @@ class FujiDevice(DriveDevice):
         """Of the inverter, as :meth:`release`: the option stays on the bus."""
         self.release(on)
 
-    def fault_code(self, code: str) -> int:
-        """Keypad text (``Er5``) or alarm code. Raises ValueError."""
-        wanted = code.strip().lower()
-        for alarm in t.ALARMS:
-            if wanted in (alarm.keypad.lower(), str(alarm.code)):
-                return alarm.code
-        raise ValueError(f"{code!r} is no alarm; known: {', '.join(alarm.keypad for alarm in t.ALARMS)}")
-
     def inherit(self, before: DriveDevice) -> None:
         """The function codes; o30 counts from power-on."""
+        super().inherit(before)
         if isinstance(before, FujiDevice):
-            self.store.inherit(before.store)
-            self.own = self.profile.telegram(t.telegram_of(int(self.store.value("o30"))))
-            self.telegram = self.own
-            self.configs = tuple(dict.fromkeys((self.own.config, *self.configs)))
+            self._take_own_telegram()
             self.option.switches, self.option.address = before.option.switches, before.option.address
             self.option.power_on()
             self._off_since = before.seen_until if self._own_supply and before.released else None
@@ -256,10 +234,6 @@ class FujiDevice(DriveDevice):
             self.alarms = [code, *self.alarms][: len(t.ALARM_INDEXES)]
             self.machine.state = State.FAULT
             self._forced = False
-
-    def _initialise(self) -> None:
-        """970 or H03: factory values."""
-        self.store.initialise()
 
     def _live(self, where: int) -> int | None:
         """By PNU << 8 | index; function codes by their PNU and number."""

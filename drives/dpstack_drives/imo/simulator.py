@@ -12,9 +12,7 @@ from dpstack.profile import (
     DriveDevice,
     DriveProfile,
     Leave,
-    Motor,
     Options,
-    ParamStore,
     Pkw,
     PkwServer,
     TelegramSpec,
@@ -58,24 +56,25 @@ class ImoDevice(DriveDevice):
     its mains: POFF.
     """
 
+    parameter_table = t.PARAMETERS
+    trips = t.faults(t.FAULTS_MADE_UP)
+    unknown_trip = (
+        "no fault of the simulated HD2; known (made up): "
+        f"{', '.join(f'{name} ({number})' for number, name in trips.items())}"
+    )
+    scan_ns = _SCAN_NS
     address_parameter = "P15.01"
     parameter_errors: Mapping[int, str] = t.ERRORS
     write_errors = t.WRITE_ERRORS
 
     def __init__(
-        self,
-        profile: DriveProfile,
-        telegram: TelegramSpec,
-        options: Options,
-        presets: Mapping[str, object],
+        self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
     ) -> None:
-        where = f"simulated {profile.name}"
-        super().__init__(profile, telegram, Motor(load=float(options["load"])))
+        super().__init__(profile, telegram, options, presets)
         try:
             t.check_rate(float(options["baud_index"]))
         except ValueError as error:
-            raise ConfigError(f"{where}: {error}") from None
-        self.store = ParamStore(t.PARAMETERS, presets, where=where)
+            raise ConfigError(f"{self.title}: {error}") from None
         self.channel = PkwServer(PKW, self._request, reads=frozenset({int(Request.READ)}), refuse=self._refuse_request)
         self._rated_current = float(options["rated_current"])
         self._on_loss = str(options["on_loss"])
@@ -96,27 +95,12 @@ class ImoDevice(DriveDevice):
     # -- conditions -----------------------------------------------------------------------------------------------
 
     @property
-    def scan_ns(self) -> int:
-        """A reading: the manual gives none."""
-        return _SCAN_NS
-
-    @property
     def faulted(self) -> bool:
         return bool(self.fault)
 
     def mains(self, on: bool) -> None:
         """As :meth:`release`: the card stays on the bus."""
         self.release(on)
-
-    def fault_code(self, code: str) -> int:
-        """Name or number. Raises ValueError."""
-        known = t.faults(t.FAULTS_MADE_UP)
-        wanted = code.strip().lower()
-        for number, name in known.items():
-            if wanted in (name.lower(), str(number)):
-                return number
-        listed = ", ".join(f"{name} ({number})" for number, name in known.items())
-        raise ValueError(f"{code!r} is no fault of the simulated HD2; known (made up): {listed}")
 
     def warn(self, mask: int) -> None:
         """1: the overload pre-alarm, SW bit 12. Raises ValueError on any other."""
@@ -126,9 +110,8 @@ class ImoDevice(DriveDevice):
 
     def inherit(self, before: DriveDevice) -> None:
         """What P15 and the others hold."""
-        if isinstance(before, ImoDevice):
-            self.store.inherit(before.store)
-            self._load_maps()
+        super().inherit(before)
+        self._load_maps()
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
         """A command stands until the next one, even when it was there for less than a scan."""

@@ -5,12 +5,12 @@ Passages: docs/drives/keb-f5.md#process-data-map, docs/drives/keb-f5.md#when-dat
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Final
 
 from dpstack.profile import NS_PER_MS, NS_PER_US
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb.channel import RefusedError
+from dpstack_drives.keb.parameters import Parameters
 from dpstack_drives.keb.pdmap import BLOCK, DEFAULT_INPUTS, DEFAULT_OUTPUTS, SUBINDEXES, Entry, PdMap, check
 
 #: one telegram to the inverter; how long it takes is made up
@@ -19,19 +19,6 @@ LINK_NS: Final = NS_PER_MS
 _SMALLEST_CYCLE_NS: Final = 2000 * NS_PER_US
 _MAX_PROCESS: Final = 2 * BLOCK
 _LENGTH: Final = 1
-
-
-class Inverter(Protocol):
-    """What the operator does with the inverter behind it."""
-
-    def provides(self, entry: Entry) -> bool:
-        """There is such a parameter, as long as the map says."""
-
-    def fetch(self, entry: Entry) -> int:
-        """Its value for the inputs, unsigned."""
-
-    def store_output(self, entry: Entry, raw: int) -> None:
-        """Write it; what it refuses stays as it is."""
 
 
 class Direction:
@@ -93,20 +80,15 @@ class Direction:
 class Operator:
     """``second``: indexes of record and enable of block 2, inputs then outputs (no manual gives them).
 
-    ``cycle``: PD_In_Cycle (Fb09) in ns. ``com_cycle_us``: SelComCycle of the cyclic mode, 0 = off.
+    ``com_cycle_us``: SelComCycle of the cyclic mode, 0 = off.
     Readings: inputs of a block that is not enabled are 0; in the cyclic mode all process data go with every grid; an
     enable is answered with 8/0/0034 whether it is confirmed or not.
     """
 
     def __init__(
-        self,
-        inverter: Inverter,
-        cycle: Callable[[], int],
-        second: tuple[tuple[int, int], tuple[int, int]],
-        com_cycle_us: float,
+        self, inverter: Parameters, second: tuple[tuple[int, int], tuple[int, int]], com_cycle_us: float
     ) -> None:
         self._inverter = inverter
-        self._cycle = cycle
         self._com_cycle_ns = round(com_cycle_us * NS_PER_US)
         self.into, self.out = Direction(DEFAULT_INPUTS), Direction(DEFAULT_OUTPUTS)
         (in_record, in_enable), (out_record, out_enable) = second
@@ -226,7 +208,9 @@ class Operator:
                 self._due = now + max(_SMALLEST_CYCLE_NS, self._com_cycle_ns)
             else:
                 self._second_next = bool(self.into.active[1])
-                self._due = now + max(self._cycle(), LINK_NS * (2 if self._second_next else 1))
+                self._due = now + max(
+                    int(self._inverter.store.value("Fb.09")) * NS_PER_MS, LINK_NS * (2 if self._second_next else 1)
+                )
         return self.held(length)
 
     def held(self, length: int) -> bytes:

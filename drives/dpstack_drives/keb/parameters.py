@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Final
 
 from dpstack.profile import ParamSpec, ParamStore
@@ -16,20 +16,16 @@ _PASSWORD, _PASSWORD_INDEX = 440, 0x2801
 
 
 class Parameters:
-    """``presets`` by name; ``live`` gives actual values, None for what is stored; ``refusal``: the error
-    that an access (``write`` or not) ends with by an order from outside. Raises ConfigError.
+    """``live`` gives actual values, None for what is stored; ``refusal``: the error that an access (``write`` or not)
+    ends with by an order from outside.
 
     Readings: writes need the password of the recipe; a parameter that exists once is in set 0; subindex 0 is set 0.
     """
 
     def __init__(
-        self,
-        presets: Mapping[str, object],
-        live: Callable[[int], int | None],
-        refusal: Callable[..., int | None],
-        where: str,
+        self, store: ParamStore, live: Callable[[int], int | None], refusal: Callable[..., int | None]
     ) -> None:
-        self.store = ParamStore(t.PARAMETERS, presets, sets=t.SETS, where=where)
+        self.store = store
         self._live = live
         #: the link to the inverter (HSP5) stands
         self.linked = True
@@ -55,10 +51,8 @@ class Parameters:
 
     def store_output(self, entry: Entry, raw: int) -> None:
         spec = t.PARAMETERS.get(entry.index)
-        if spec is not None and not spec.read_only:
-            value = spec.from_pwe(raw)
-            if spec.low <= spec.to_value(value) <= spec.high:
-                self._write(spec, value, entry.sets, ram_only=True)
+        if spec is not None and spec.write_error(value := spec.from_pwe(raw)) is None:
+            self._write(spec, value, entry.sets, ram_only=True)
 
     def _write(self, spec: ParamSpec, raw: int, sets: int, *, ram_only: bool) -> None:
         if spec.number == t.CONTROL_LONG:
@@ -103,9 +97,8 @@ class Parameters:
             raise RefusedError(t.WRITE_PROTECTED)
         if self.store.value("ud.01") != _PASSWORD and spec.number in t.INVERTER and spec.number != _PASSWORD_INDEX:
             raise RefusedError(t.PASSWORD)
-        half = 1 << 8 * octets - 1
-        value = (raw ^ half) - half if spec.low < 0 else raw
-        if not spec.low <= spec.to_value(value) <= spec.high:
+        value = spec.from_wire(raw, 8 * octets)
+        if spec.write_error(value) is not None:
             raise RefusedError(t.BAD_VALUE)
         self._write(spec, value, sets, ram_only=spec.number in _VOLATILE)
 

@@ -5,18 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from dpstack.profile import (
-    NS_PER_MS,
-    NS_PER_S,
-    ConfigError,
-    DriveDevice,
-    DriveProfile,
-    Leave,
-    Motor,
-    Options,
-    TelegramSpec,
-    ramp,
-)
+from dpstack.profile import NS_PER_S, ConfigError, DriveDevice, DriveProfile, Leave, Options, TelegramSpec, ramp
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb import telegrams
 from dpstack_drives.keb.channel import KebServer
@@ -43,31 +32,33 @@ class KebDevice(DriveDevice):
     writes zeros; after the end of data exchange the last outputs stand until the watchdog acts.
     """
 
+    parameter_table = t.PARAMETERS
+    data_sets = t.SETS
+    trips: Mapping[int, str] = {number: name for name, number in t.TRIPS.items()}
+    unknown_trip = (
+        "no trip of the simulated F5; known (made up): "
+        f"{', '.join(f'{name} ({number})' for name, number in t.TRIPS.items())}"
+    )
+    scan_ns = LINK_NS  # one telegram between operator and inverter
     address_parameter = "sy.06"
     parameter_errors: Mapping[int, str] = {code.number: f"{code} {text}" for code, text in t.ERRORS.items()}
 
     def __init__(
-        self,
-        profile: DriveProfile,
-        telegram: TelegramSpec,
-        options: Options,
-        presets: Mapping[str, object],
+        self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
     ) -> None:
-        super().__init__(profile, telegram, Motor(load=float(options["load"])))
-        where = f"simulated {profile.name}"
-        self.parameters = Parameters(presets, self._live, self.refusal, where)
-        self.store = self.parameters.store
+        super().__init__(profile, telegram, options, presets)
+        self.parameters = Parameters(self.store, self._live, self.refusal)
         try:
-            self._control = t.bits(str(options["control_bits"]), t.CONTROL_BITS, f"{where}: control_bits")
-            self._status = t.bits(str(options["status_bits"]), t.STATUS_BITS, f"{where}: status_bits")
+            self._control = t.bits(str(options["control_bits"]), t.CONTROL_BITS, f"{self.title}: control_bits")
+            self._status = t.bits(str(options["status_bits"]), t.STATUS_BITS, f"{self.title}: status_bits")
             into, out = (t.record_and_enable(str(options[f"block2_{way}"])) for way in ("inputs", "outputs"))
         except ValueError as error:
             raise ConfigError(str(error)) from None
         if into is None or out is None:
-            raise ConfigError(f"{where}: block2_inputs and block2_outputs must name record and enable")
+            raise ConfigError(f"{self.title}: block2_inputs and block2_outputs must name record and enable")
         self._rpm_per_count = float(options["rpm_per_count"])
         self._reference_rpm = float(options["reference_rpm"])
-        self.operator = Operator(self.parameters, self._in_cycle, (into, out), float(options["com_cycle_us"]))
+        self.operator = Operator(self.parameters, (into, out), float(options["com_cycle_us"]))
         self.server = KebServer(self._request)
         self.channel = self.server
         self.watchdog = Watchdog()
@@ -76,7 +67,7 @@ class KebDevice(DriveDevice):
         #: switched by Pn.05 = 6
         self.digital_output = False
         self._link_seen = 0
-        self._link_told = False
+        self._link_reported = False
         self._own = telegram
         self._exchanging = False
         self._clear = False
@@ -86,11 +77,6 @@ class KebDevice(DriveDevice):
         self._setpoint = 0.0
 
     # -- conditions -----------------------------------------------------------------------------------------------
-
-    @property
-    def scan_ns(self) -> int:
-        """One telegram between operator and inverter."""
-        return LINK_NS
 
     def link(self, on: bool) -> None:
         """HSP5, between operator and inverter."""
@@ -104,23 +90,14 @@ class KebDevice(DriveDevice):
     def faulted(self) -> bool:
         return bool(self.fault)
 
-    def fault_code(self, code: str) -> int:
-        """``E.buS`` or the number that ru.00 shows. Raises ValueError."""
-        wanted = code.strip().lower()
-        for name, number in t.TRIPS.items():
-            if wanted in (name.lower(), str(number)):
-                return number
-        known = ", ".join(f"{name} ({number})" for name, number in t.TRIPS.items())
-        raise ValueError(f"{code!r} is no trip of the simulated F5; known (made up): {known}")
-
     def warn(self, mask: int) -> None:
         """There is none: raises ValueError."""
         raise ValueError("the F5 shows no warning on the bus, only at a digital output (Pn.05 = 6)")
 
     def inherit(self, before: DriveDevice) -> None:
         """Parameters and enabled maps; Fb23 = 0 restores the default maps."""
+        super().inherit(before)
         if isinstance(before, KebDevice):
-            self.store.inherit(before.store)
             self.operator.inherit(before.operator, default=not self.store.value("Fb.23"))
 
     def check_cfg(self, config: bytes) -> str | None:
@@ -187,9 +164,9 @@ class KebDevice(DriveDevice):
             self._react()
         limit = self._seconds("sy.09")
         if self.parameters.linked:
-            self._link_seen, self._link_told = now, False
-        elif limit and not self._link_told and now - self._link_seen >= limit:
-            self._link_told = True
+            self._link_seen, self._link_reported = now, False
+        elif limit and not self._link_reported and now - self._link_seen >= limit:
+            self._link_reported = True
             self._react()
 
     def _react(self) -> None:
@@ -205,20 +182,20 @@ class KebDevice(DriveDevice):
     def _drive(self) -> None:
         motor = self.motor
         control = self.parameters.raw(t.CONTROL_WORD) if self.store.value("oP.01") == 9 else 0
-        reset = self._told(control, "reset")
+        reset = self._is_set(control, "reset")
         if reset and not self._reset and self.fault:
             self.fault = 0
             self.digital_output = False
         self._reset = reset
         if self._stopping_for is not None and not motor.frequency:
             self.fault, self._stopping_for = self._stopping_for, None
-        enabled = self.released and (self._told(control, "enable") or "enable" not in self._control)
-        run = enabled and self._told(control, "run") and not self.fault
-        quick = self._told(control, "quick_stop") or self._stopping_for is not None
+        enabled = self.released and (self._is_set(control, "enable") or "enable" not in self._control)
+        run = enabled and self._is_set(control, "run") and not self.fault
+        quick = self._is_set(control, "quick_stop") or self._stopping_for is not None
         counts = self.parameters.raw(t.SET_SPEED) if self.store.value("oP.00") == 5 else 0
         wanted = abs(counts) * self._rpm_per_count / self._reference_rpm
         wanted = min(wanted, self.store.value("oP.10") / _RATED_HZ)
-        self._setpoint = -wanted if self._told(control, "reverse") else wanted
+        self._setpoint = -wanted if self._is_set(control, "reverse") else wanted
         motor.setpoint = self._setpoint if run and not quick else 0.0
         if self.fault or not enabled:
             motor.switch(False)
@@ -229,7 +206,7 @@ class KebDevice(DriveDevice):
         motor.accel = self._rate("oP.28")
         motor.decel = _QUICK if quick else self._rate("oP.30")
 
-    def _told(self, control: int, name: str) -> bool:
+    def _is_set(self, control: int, name: str) -> bool:
         bit = self._control.get(name)
         return bit is not None and bool(control >> bit & 1)
 
@@ -238,9 +215,6 @@ class KebDevice(DriveDevice):
 
     def _seconds(self, name: str) -> int:
         return round(self.store.value(name) * NS_PER_S)
-
-    def _in_cycle(self) -> int:
-        return int(self.store.value("Fb.09")) * NS_PER_MS
 
     # -- parameters -----------------------------------------------------------------------------------------------
 
@@ -253,14 +227,14 @@ class KebDevice(DriveDevice):
 
     def _status_word(self) -> int:
         motor = self.motor
-        told = {
+        bits = {
             "ready": not self.fault and self.released,
             "fault": bool(self.fault),
             "run": motor.on,
             "reverse": motor.frequency < 0,
             "reached": motor.on and motor.reached(self._setpoint),
         }
-        return sum(1 << bit for name, bit in self._status.items() if told.get(name))
+        return sum(1 << bit for name, bit in self._status.items() if bits.get(name))
 
     def _state(self) -> int:
         if self.fault or not self.motor.on:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from dpstack.profile import ParamSpec, ParamStore, Pkw, ReplyId, TaskId
+from dpstack.profile import DriveDevice, ParamSpec, Pkw, ReplyId, TaskId
 from dpstack_drives.ls import table as t
 
 _READS: Final = frozenset({TaskId.READ, TaskId.READ_ARRAY})
@@ -21,20 +21,16 @@ _TRIP_COUNTER_END: Final = 0x10000
 class Module:
     """Answers orders. ``live``: what shows at a PNU or an address at this moment, None for what the store holds.
 
-    ``changed`` is told the address of every parameter written. ``running`` tells whether the motor turns.
+    ``changed`` is called with the address of every parameter written.
     """
 
     def __init__(
-        self,
-        store: ParamStore,
-        live: Callable[[int, int], int | None],
-        changed: Callable[[int], None],
-        running: Callable[[], bool],
+        self, device: DriveDevice, live: Callable[[int, int], int | None], changed: Callable[[int], None]
     ) -> None:
-        self.store = store
+        self._device = device
+        self.store = device.store
         self._live = live
         self._changed = changed
-        self._running = running
         self.counter = 0
         #: 947: eight situations of messages in their order, the present one first
         self.situations: list[list[int]] = [[] for _ in range(t.SITUATIONS)]
@@ -94,11 +90,9 @@ class Module:
     def write(self, spec: ParamSpec, raw: int) -> int | None:
         """Over PKW or record 47: the error number, None where it was written."""
         where = spec.number << 8 | spec.index if spec.index else spec.number
-        if spec.read_only:
-            return 0x01
-        if not spec.low <= spec.to_value(raw) <= spec.high:
-            return 0x02
-        if where in _STOPPED_ONLY and self._running():
+        if (error := spec.write_error(raw)) is not None:
+            return error
+        if where in _STOPPED_ONLY and self._device.motor.frequency:
             return 0x11
         if spec.number == t.PNU_RESET or where in _RESETS:
             if raw and not self._reset:

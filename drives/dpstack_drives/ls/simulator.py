@@ -12,9 +12,7 @@ from dpstack.profile import (
     DriveDevice,
     DriveProfile,
     Leave,
-    Motor,
     Options,
-    ParamStore,
     PkwServer,
     State,
     TelegramSpec,
@@ -48,22 +46,22 @@ class LsDevice(DriveDevice):
     LED that flashes as on; COM-94 = 1 takes a new COM-07 over (4.2.2): the module restarts at that address.
     """
 
+    parameter_table = t.PARAMETERS
+    trips = t.TRIPS
+    unknown_trip = f"no trip; known: {', '.join(map(t.trip_text, trips))}"
+    scan_ns = t.SCAN_MS * NS_PER_MS  # a reading: the manual gives none
     address_parameter = "COM-07"
     parameter_errors: Mapping[int, str] = t.PKW.errors
     write_errors = t.WRITE_ERRORS
     max_diag_len = t.MAX_DIAG
 
     def __init__(
-        self,
-        profile: DriveProfile,
-        telegram: TelegramSpec,
-        options: Options,
-        given: Mapping[str, object],
+        self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
     ) -> None:
-        where = f"simulated {profile.name}"
         self.legacy = options["version"] == "2.01"
         profile_of(telegram, str(options["profile"]))
-        self.store = ParamStore(t.PARAMETERS, settings.presets(options, given, where), where=where)
+        own = settings.presets(options, presets, f"simulated {profile.name}")
+        super().__init__(profile, telegram, options, own)
         self.machine = profidrive_states.ProfidriveMachine()
         self.runner = LsMachine()
         self._reference_rpm = float(options["reference_rpm"])
@@ -78,8 +76,7 @@ class LsDevice(DriveDevice):
         self._received = False
         self._loss = LostCommand(self.store)
         self._rest = Rest(self.store)
-        super().__init__(profile, telegram, Motor(load=float(options["load"])))
-        self.module = Module(self.store, self._live, self._changed, lambda: bool(self.motor.frequency))
+        self.module = Module(self, self._live, self._changed)
         self.channel = PkwServer(t.PKW, self.module.order, refuse=self.refuse_order)
         self._online = self._config_refused = self._command_lost = False  # for the LEDs
         if not self.legacy:
@@ -92,11 +89,6 @@ class LsDevice(DriveDevice):
         """The time of its last scan: a master of class 2 asks also while nobody exchanges data with it."""
         self.advance(now)
         return self.seen_until or 0
-
-    @property
-    def scan_ns(self) -> int:
-        """A reading: the manual gives none."""
-        return t.SCAN_MS * NS_PER_MS
 
     @property
     def kind(self) -> int:
@@ -119,23 +111,14 @@ class LsDevice(DriveDevice):
     def faulted(self) -> bool:
         return self.runner.fault
 
-    def fault_code(self, code: str) -> int:
-        """Number or name of a trip (7.2). Raises ValueError."""
-        wanted = code.strip().lower()
-        for number, name in t.TRIPS.items():
-            if wanted in (str(number), name.lower()):
-                return number
-        raise ValueError(f"{code!r} is no trip; known: {', '.join(map(t.trip_text, t.TRIPS))}")
-
     def jog(self, direction: int) -> None:
         """Its terminals: 1 forward, -1 reverse, 0 off."""
         self._jog = direction
 
     def inherit(self, before: DriveDevice) -> None:
         """The parameters; what waited for COM-94 counts from power-on."""
-        if isinstance(before, LsDevice):
-            self.store.inherit(before.store)
-            self._apply()
+        super().inherit(before)
+        self._apply()
 
     def installed(self, address: int, baud: int | None) -> None:
         """COM-07 and COM-12; a search for the rate leaves that at 255, invalid."""
@@ -349,7 +332,7 @@ class LsDevice(DriveDevice):
                 continue
             self._cyclic[where] = raw
             spec = t.spec_at(where)
-            if spec is not None and not spec.read_only and spec.low <= spec.to_value(raw) <= spec.high:
+            if spec is not None and spec.write_error(raw) is None:
                 self.store.write(spec, raw, ram_only=True)
 
     def _shown(self, where: int) -> int:

@@ -5,58 +5,30 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from acme_drive import table as t
-from dpstack.profile import (
-    DriveDevice,
-    DriveProfile,
-    Motor,
-    Options,
-    ParamSpec,
-    ParamStore,
-    State,
-    TelegramSpec,
-    plain_server,
-    ramp,
-)
+from dpstack.profile import DriveDevice, DriveProfile, Options, ParamSpec, State, TelegramSpec, plain_server, ramp
 
 
 class AcmeDevice(DriveDevice):
     """Options: ``load``, and the parameters by name or number."""
 
+    parameter_table = t.PARAMETERS
+    trips: Mapping[int, str] = {number: text.split()[0] for number, text in t.FAULTS.items()}
+    unknown_trip = f"no fault; known: {', '.join(t.FAULTS.values())}"
+    scan_ns = t.SCAN_NS
+
     def __init__(
-        self,
-        profile: DriveProfile,
-        telegram: TelegramSpec,
-        options: Options,
-        presets: Mapping[str, object],
+        self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
     ) -> None:
-        super().__init__(profile, telegram, Motor(load=float(options["load"])))
-        self.store = ParamStore(t.PARAMETERS, presets, where=f"simulated {profile.name}")
+        super().__init__(profile, telegram, options, presets)
         self.channel = plain_server(self.store, live=self._live, locked=self._locked)
         self.state = State.NOT_READY
         self.fault = 0
         self.starts = 0
 
     @property
-    def scan_ns(self) -> int:
-        """Of the table."""
-        return t.SCAN_NS
-
-    @property
     def faulted(self) -> bool:
         """Until it is acknowledged."""
         return bool(self.fault)
-
-    def fault_code(self, code: str) -> int:
-        """``E07`` or ``7``. Raises ValueError."""
-        for number, text in t.FAULTS.items():
-            if code.upper() in (str(number), text.split()[0]):
-                return number
-        raise ValueError(f"{code!r} is no fault; known: {', '.join(t.FAULTS.values())}")
-
-    def inherit(self, before: DriveDevice) -> None:
-        """The parameters outlive its power-off."""
-        if isinstance(before, AcmeDevice):
-            self.store.inherit(before.store)
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
         """Every 10 ms: obey the control word, move the motor, report."""
