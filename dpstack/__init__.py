@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from dpstack.api.bus.open_bus import open_bus
     from dpstack.api.bus.virtual import IoStation, World, run_virtual, simulate
     from dpstack.api.config.config import Config, load_config
-    from dpstack.api.lists.dump_compare import ParameterPlace
+    from dpstack.api.lists.parameter_list import ParameterPlace
     from dpstack.api.server.server import SlaveServer, serve_slave, serve_slaves
     from dpstack.api.server.slave_from_gsd import slave_from_gsd
     from dpstack.api.slave.alarms import SlaveAlarm
@@ -156,7 +156,7 @@ _PLACES: Final = {
     "api.bus.open_bus": "open_bus",
     "api.bus.virtual": "run_virtual simulate World IoStation",
     "api.config.config": "Config load_config",
-    "api.lists.dump_compare": "ParameterPlace",
+    "api.lists.parameter_list": "ParameterPlace",
     "api.server.server": "SlaveServer serve_slave serve_slaves",
     "api.server.slave_from_gsd": "slave_from_gsd",
     "api.slave.alarms": "SlaveAlarm",

@@ -29,9 +29,10 @@ _FLAP_REPORT_S: Final = 1.0
 
 
 class Stream(AsyncIterator[T]):
-    """An async iterator over what happens; bounded by ``depth``: the oldest are dropped and counted in ``dropped``."""
+    """An async iterator over what happens, of at most ``depth`` items (None: any number): the oldest are dropped and
+    counted in ``dropped``."""
 
-    def __init__(self, depth: int, backlog: Iterable[T] = ()) -> None:
+    def __init__(self, depth: int | None, backlog: Iterable[T] = ()) -> None:
         self.dropped = 0
         self._waiting: deque[T] = deque(backlog, depth)
         self._more = asyncio.Event()

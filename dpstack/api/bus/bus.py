@@ -353,7 +353,7 @@ class Bus(Sealed, BusBase):
                     if drive is not None:
                         drive.on_payload(payload, event.t_ns)
                 case SlaveStateChanged(address=address) if address in self._drives:
-                    self._drives[address].on_state()
+                    self._drives[address].publish_status()
                 case AddressCollision():
                     self.collision = event.text
                 case ForcedClear():

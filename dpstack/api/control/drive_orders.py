@@ -13,7 +13,7 @@ from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.control import errors
 from dpstack.api.control.commands import Arguments, Order, Spec, find_word
 from dpstack.api.control.server import kept_alive
-from dpstack.api.lists.dump_compare import ParameterPlace, ParameterValue
+from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue
 from dpstack.api.slave.drive import Drive
 from dpstack.errors import BusError, ParameterError, UsageError
 from dpstack.text import number_or_name, shortened

@@ -16,7 +16,7 @@ from dpstack.api.control.commands import Order
 from dpstack.api.control.drive_orders import PARAMETERS, READ_MANY
 from dpstack.api.control.errors import failure
 from dpstack.api.control.record_orders import COMMANDS, OnProgress
-from dpstack.api.lists.dump_compare import ParameterPlace, ParameterValue
+from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue, Readable
 from dpstack.api.lists.record_list import ListedValues
 from dpstack.errors import ParameterError, PortError
 from dpstack.profile import ListedParam
@@ -168,7 +168,7 @@ async def through_run(
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class RemoteDrive:
+class RemoteDrive(Readable):
     """A drive of the run on a port. Made by :func:`find_drive`; ``kind`` is the name of its plugin."""
 
     client: ControlClient

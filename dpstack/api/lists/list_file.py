@@ -5,6 +5,7 @@ Its two kinds are in :mod:`dpstack.api.lists.parameter_list` and :mod:`dpstack.a
 
 from __future__ import annotations
 
+import abc
 import math
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,109 +25,37 @@ Element = int | float | bool | str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ListFile:
-    """The layout of one kind of file.
+class ListEntry(abc.ABC):
+    """One parameter of a list; without values and with the reason in ``unreadable`` where it could not be read.
 
-    ``program`` makes them, ``comment`` is their first line; ``kind`` stands in the head and tells what such a file is
-    (None: it has none); ``head``: the other keys of the head, ``entry``: those of an entry, with the types they may
-    have; ``value``: the key that holds what was read, without which an entry is ``unreadable``.
+    ``read_only``: an actual value or a property of the drive. ``KEYS``: those of its line in a file, with the types
+    that they may have; ``VALUES``: the keys of the values; ``OMITTED``: keys that the line leaves out at this value.
     """
 
-    program: str
-    comment: str
-    kind: str | None = None
-    head: Mapping[str, type]
-    entry: Mapping[str, tuple[type, ...]]
-    value: str
+    KEYS: ClassVar[Mapping[str, tuple[type, ...]]]
+    VALUES: ClassVar[tuple[str, ...]]
+    OMITTED: ClassVar[Mapping[str, object]]
 
-    def text(self, head: Iterable[str], entries: Iterable[str]) -> str:
-        marks = [_FORMAT] if self.kind is None else [_FORMAT, f"kind = {quoted(self.kind)}"]
-        return "\n".join([f"# {self.comment}", *marks, *head, f"{_ENTRIES} = [", *entries, "]", ""])
-
-    def load(self, path: str | Path) -> str:
-        """The text of a file. Raises ConfigError."""
-        try:
-            return read_file(path, MAX_OCTETS).decode("utf-8")
-        except UnicodeDecodeError:
-            raise ConfigError(f"{path}: not UTF-8 text; {self._make}") from None
-        except (OSError, ValueError) as error:
-            why = error.strerror if isinstance(error, OSError) else None
-            raise ConfigError(f"{path}: {why or error}; {self._make}") from None
-
-    def parse(self, text: str, where: str) -> tuple[dict[str, Any], list[object]]:
-        """Head and entries of a file. Raises ConfigError naming ``where``."""
-        try:
-            table, _ = read_toml(text)
-        except TomlError as error:
-            raise ConfigError(f"{where}: no TOML: {error}; {self._make}") from None
-        stranger = f"is missing: this is no list of parameters of `{self.program}`"
-        if (made := table.pop("format", None)) != 1 or type(made) is not int:
-            self.refuse(where, f"{_FORMAT} {stranger}")
-        if self.kind is not None and table.pop("kind", None) != self.kind:
-            self.refuse(where, f"kind = {quoted(self.kind)} {stranger}")
-        kinds = {**self.head, _ENTRIES: list}
-        for key, kind in kinds.items():
-            if type(table.get(key)) is not kind:
-                self.refuse(where, f"{key} is missing or of the wrong type")
-        if unknown := [key for key in table if key not in kinds]:
-            self.refuse(where, f"there is no key {unknown[0]!r}")
-        entries = table.pop(_ENTRIES)
-        return table, entries
-
-    def check(self, entry: object, where: str, needs: Sequence[str]) -> Mapping[str, Any]:
-        """``entry``, checked: it has all keys of ``needs`` and no unknown ones. Raises ConfigError naming ``where``."""
-        if not isinstance(entry, Mapping):
-            self.refuse(where, "is no table")
-        for key, value in entry.items():
-            kinds = self.entry.get(key)
-            if kinds is None:
-                self.refuse(where, f"there is no key {key!r}; there are {', '.join(self.entry)}")
-            if type(value) not in kinds:
-                self.refuse(where, f"{key} = {value!r} is of the wrong type")
-        if not all(key in entry for key in needs):
-            self.refuse(where, f"needs {' and '.join(needs)}")
-        if (self.value in entry) == ("unreadable" in entry):
-            self.refuse(where, f"needs either {self.value} or unreadable")
-        return entry
-
-    def once(self, where: str, entries: Iterable[tuple[object, str]]) -> None:
-        """Raises ConfigError where two entries (place, label) have the same place."""
-        seen: set[object] = set()
-        for place, label in entries:
-            if place in seen:
-                self.refuse(where, f"{label} is there twice")
-            seen.add(place)
-
-    def refuse(self, where: str, what: str) -> NoReturn:
-        """Raises ConfigError."""
-        raise ConfigError(f"{where}: {what}; correct the line, or make the file anew by `{self.program} ... dump`")
+    number: int
+    name: str = ""
+    read_only: bool = False
+    unreadable: str | None = None
 
     @property
-    def _make(self) -> str:
-        return f"make the file by `{self.program} ... dump`"
-
-
-class Entry(Protocol):
-    """One parameter of a list."""
-
-    @property
+    @abc.abstractmethod
     def place(self) -> Hashable:
         """The key under which an entry is compared."""
 
     @property
+    @abc.abstractmethod
     def label(self) -> str:
         """Name or number for messages."""
 
-    @property
-    def read_only(self) -> bool:
-        """True for actual values and properties of the drive."""
-
-    @property
-    def unreadable(self) -> str | None:
-        """Why it could not be read."""
-
     def as_dict(self) -> dict[str, Any]:
-        """Plain data, without what is not there: its line of the file."""
+        """Plain data, without absent keys: its line of the file."""
+        absent = ("unreadable",) if self.unreadable is None else self.VALUES
+        plain = {key: getattr(self, key) for key in self.KEYS if key not in absent}
+        return {key: value for key, value in plain.items() if key not in self.OMITTED or value != self.OMITTED[key]}
 
 
 class ReadOnly(Protocol):
@@ -136,17 +65,25 @@ class ReadOnly(Protocol):
     def read_only(self) -> bool: ...
 
 
-E = TypeVar("E", bound=Entry)
+E = TypeVar("E", bound=ListEntry)
 T = TypeVar("T", bound=ReadOnly)
-D = TypeVar("D")
+D = TypeVar("D", bound="Difference[Any]")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SavedList(Generic[E]):
-    """The parameters of one drive or device, as a file of the kind ``FILE`` holds them."""
+class SavedList(abc.ABC, Generic[E]):
+    """The parameters of one drive or device, and the layout of their file.
 
-    FILE: ClassVar[ListFile]
-    #: an entry in the text of an error, before its number
+    ``PROGRAM`` makes such files, ``COMMENT`` is their first line; ``KIND`` stands in the head (None: it has none);
+    ``HEAD``: the other keys of the head, with their types; ``ENTRY``: the class of the entries; ``LINE``: an entry in
+    messages, before its number.
+    """
+
+    PROGRAM: ClassVar[str]
+    COMMENT: ClassVar[str]
+    KIND: ClassVar[str | None] = None
+    HEAD: ClassVar[Mapping[str, type]]
+    ENTRY: ClassVar[type[ListEntry]]
     LINE: ClassVar[str] = "parameter"
 
     name: str
@@ -156,9 +93,9 @@ class SavedList(Generic[E]):
     complete: bool = True
 
     @classmethod
+    @abc.abstractmethod
     def entry(cls, plain: object, where: str) -> E:
         """One parameter from its line. Raises ConfigError naming ``where``."""
-        raise NotImplementedError
 
     @property
     def who(self) -> tuple[str, ...]:
@@ -170,25 +107,82 @@ class SavedList(Generic[E]):
         """The entries that could not be read."""
         return tuple(one for one in self.parameters if one.unreadable is not None)
 
+    # --- the file -----------------------------------------------------------------------------------------------
+
     def text(self) -> str:
-        head = (f"{key} = {_toml(getattr(self, key), key)}" for key in self.FILE.head)
+        marks = [_FORMAT] if self.KIND is None else [_FORMAT, f"kind = {quoted(self.KIND)}"]
+        head = (f"{key} = {_toml(getattr(self, key), key)}" for key in self.HEAD)
         lines = (
             ", ".join(f"{key} = {_toml(value)}" for key, value in one.as_dict().items()) for one in self.parameters
         )
-        return self.FILE.text(head, (f"  {{ {line} }}," for line in lines))
-
-    @classmethod
-    def parse(cls, text: str, where: str = "parameters") -> Self:
-        """From a file's text. Raises ConfigError naming ``where`` and the entry."""
-        head, entries = cls.FILE.parse(text, where)
-        found = tuple(cls.entry(entry, f"{where}: {cls.LINE} {n}") for n, entry in enumerate(entries, 1))
-        cls.FILE.once(where, ((one.place, one.label) for one in found))
-        return cls(**head, parameters=found)
+        entries = (f"  {{ {line} }}," for line in lines)
+        return "\n".join([f"# {self.COMMENT}", *marks, *head, f"{_ENTRIES} = [", *entries, "]", ""])
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """From a file. Raises ConfigError."""
-        return cls.parse(cls.FILE.load(path), str(path))
+        try:
+            text = read_file(path, MAX_OCTETS).decode("utf-8")
+        except UnicodeDecodeError:
+            raise ConfigError(f"{path}: not UTF-8 text; {cls._make()}") from None
+        except (OSError, ValueError) as error:
+            why = error.strerror if isinstance(error, OSError) else None
+            raise ConfigError(f"{path}: {why or error}; {cls._make()}") from None
+        return cls.parse(text, str(path))
+
+    @classmethod
+    def parse(cls, text: str, where: str = "parameters") -> Self:
+        """From a file's text. Raises ConfigError naming ``where`` and the entry."""
+        try:
+            head, _ = read_toml(text)
+        except TomlError as error:
+            raise ConfigError(f"{where}: no TOML: {error}; {cls._make()}") from None
+        stranger = f"is missing: this is no list of parameters of `{cls.PROGRAM}`"
+        if (made := head.pop("format", None)) != 1 or type(made) is not int:
+            cls.refuse(where, f"{_FORMAT} {stranger}")
+        if cls.KIND is not None and head.pop("kind", None) != cls.KIND:
+            cls.refuse(where, f"kind = {quoted(cls.KIND)} {stranger}")
+        types = {**cls.HEAD, _ENTRIES: list}
+        for key, wanted in types.items():
+            if type(head.get(key)) is not wanted:
+                cls.refuse(where, f"{key} is missing or of the wrong type")
+        if unknown := [key for key in head if key not in types]:
+            cls.refuse(where, f"there is no key {unknown[0]!r}")
+        lines = enumerate(head.pop(_ENTRIES), 1)
+        entries = tuple(cls.entry(line, f"{where}: {cls.LINE} {number}") for number, line in lines)
+        seen: set[Hashable] = set()
+        for one in entries:
+            if one.place in seen:
+                cls.refuse(where, f"{one.label} is there twice")
+            seen.add(one.place)
+        return cls(**head, parameters=entries)
+
+    @classmethod
+    def check(cls, entry: object, where: str, needs: Sequence[str]) -> Mapping[str, Any]:
+        """``entry``, checked: it has all keys of ``needs`` and no unknown ones. Raises ConfigError naming ``where``."""
+        if not isinstance(entry, Mapping):
+            cls.refuse(where, "is no table")
+        for key, value in entry.items():
+            types = cls.ENTRY.KEYS.get(key)
+            if types is None:
+                cls.refuse(where, f"there is no key {key!r}; there are {', '.join(cls.ENTRY.KEYS)}")
+            if type(value) not in types:
+                cls.refuse(where, f"{key} = {value!r} is of the wrong type")
+        if not all(key in entry for key in needs):
+            cls.refuse(where, f"needs {' and '.join(needs)}")
+        value = cls.ENTRY.VALUES[0]
+        if (value in entry) == ("unreadable" in entry):
+            cls.refuse(where, f"needs either {value} or unreadable")
+        return entry
+
+    @classmethod
+    def refuse(cls, where: str, what: str) -> NoReturn:
+        """Raises ConfigError."""
+        raise ConfigError(f"{where}: {what}; correct the line, or make the file anew by `{cls.PROGRAM} ... dump`")
+
+    @classmethod
+    def _make(cls) -> str:
+        return f"make the file by `{cls.PROGRAM} ... dump`"
 
     @classmethod
     def file(cls, path: str | Path, *who: str) -> FileToBe:
@@ -208,12 +202,36 @@ class SavedList(Generic[E]):
 
 
 @dataclass(frozen=True, slots=True)
+class Difference(abc.ABC, Generic[E]):
+    """A parameter in a file, ``saved``, and as the drive or device has it, ``found``: its value, or why it cannot be
+    read."""
+
+    saved: E
+    found: E
+
+    @property
+    @abc.abstractmethod
+    def is_none(self) -> bool:
+        """Both can be read and are the same."""
+
+    @property
+    @abc.abstractmethod
+    def text(self) -> str:
+        """One line for people: both values."""
+
+
+@dataclass(frozen=True, slots=True)
 class ListComparison(Generic[D, E]):
     """Result of a comparison. ``same``: number of equal entries; ``skipped``: entries not compared, with the reason."""
 
     differences: tuple[D, ...]
     same: int
     skipped: tuple[tuple[E, str], ...]
+
+    @classmethod
+    def of(cls, pairs: Sequence[D], skipped: Iterable[tuple[E, str]]) -> ListComparison[D, E]:
+        differences = tuple(pair for pair in pairs if not pair.is_none)
+        return cls(differences, len(pairs) - len(differences), tuple(skipped))
 
 
 def pairs_of(

@@ -1,20 +1,36 @@
-"""``ParameterList``: the parameters of a drive in a file: TOML, one line a parameter, fit for `diff`."""
+"""``ParameterList``: the parameters of a drive, dumped into a file and compared with it, beside the cyclic data.
+
+The file is TOML, one line a parameter, fit for `diff`.
+"""
 
 from __future__ import annotations
 
+import abc
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import ClassVar, Final, Protocol
 
-from dpstack.api.lists.list_file import ListFile, SavedList
+from dpstack.api.files import FileToBe
+from dpstack.api.lists.list_file import Difference, ListComparison, ListEntry, SavedList, is_same, pairs_of, time_now
+from dpstack.errors import ConfigError, DriveError, DriveTimeout, ParameterError, UsageError
+from dpstack.profile import ListedParam, count_of
 
-_FILE: Final = ListFile(
-    program="dpstack drive",
-    comment="Parameters of a drive; `dpstack drive CONFIG NAME compare FILE` tells where a drive differs.",
-    head={"drive": str, "name": str, "address": int, "time": str, "complete": bool},
-    entry={
+#: after so many unanswered parameters in a row, the others will not be answered either
+_SILENT: Final = 3
+
+#: called after each parameter: how many are read, of how many, the last one
+OnParameter = Callable[[int, int, "SavedParam"], None]
+#: the key of a parameter: its name in lower case, and the data set or the element where there are several
+Place = tuple[str, int | None, int | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SavedParam(ListEntry):
+    """One parameter of a drive: ``value`` in ``unit``, or None."""
+
+    KEYS: ClassVar = {
         "name": (str,),
         "number": (int,),
         "subindex": (int,),
@@ -25,29 +41,32 @@ _FILE: Final = ListFile(
         "unreadable": (str,),
         "read_only": (bool,),
         "title": (str,),
-    },
-    value="value",
-)
+    }
+    VALUES = "value", "unit"
+    OMITTED: ClassVar = {"subindex": 0, "data_set": None, "index": None, "read_only": False}
 
-
-#: the key of a parameter: its name in lower case, and the data set or the element where there are several
-Place = tuple[str, int | None, int | None]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SavedParam:
-    """One parameter as it was read: ``value`` in ``unit``, or None with the reason in ``unreadable``."""
-
-    name: str
-    number: int
     title: str = ""
     subindex: int = 0
     data_set: int | None = None
     index: int | None = None
     value: float | int | None = None
     unit: str = ""
-    read_only: bool = False
-    unreadable: str | None = None
+
+    @classmethod
+    def of(cls, listed: ListedParam, found: ParameterValue | None = None, why: str | None = None) -> SavedParam:
+        """``found`` or the reason ``why`` not, of a parameter that the drive's plugin declares."""
+        return cls(
+            name=listed.name,
+            number=listed.number,
+            title=listed.title,
+            subindex=listed.subindex,
+            data_set=listed.data_set,
+            index=listed.index,
+            value=None if found is None else found.value,
+            unit="" if found is None else found.unit,
+            read_only=listed.read_only,
+            unreadable=(why or listed.why_not or "it was not read") if found is None else None,
+        )
 
     @property
     def place(self) -> Place:
@@ -65,22 +84,15 @@ class SavedParam:
     def text(self) -> str:
         return value_text(self.value, self.unit)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Its line of the file."""
-        plain: dict[str, Any] = {"name": self.name, "number": self.number}
-        plain |= {"subindex": self.subindex} if self.subindex else {}
-        plain |= {} if self.data_set is None else {"data_set": self.data_set}
-        plain |= {} if self.index is None else {"index": self.index}
-        read = {"value": self.value, "unit": self.unit}
-        plain |= read if self.unreadable is None else {"unreadable": self.unreadable}
-        return plain | ({"read_only": True} if self.read_only else {}) | {"title": self.title}
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterList(SavedList[SavedParam]):
     """The parameters of one drive. ``drive`` is its type; ``complete``: False where the dump was cut short."""
 
-    FILE = _FILE
+    PROGRAM = "dpstack drive"
+    COMMENT = "Parameters of a drive; `dpstack drive CONFIG NAME compare FILE` tells where a drive differs."
+    HEAD: ClassVar = {"drive": str, "name": str, "address": int, "time": str, "complete": bool}
+    ENTRY = SavedParam
 
     drive: str
 
@@ -93,10 +105,10 @@ class ParameterList(SavedList[SavedParam]):
         """A line with a name and a number, and a value or the reason why there is none."""
         if isinstance(plain, Mapping) and type(plain.get("name")) is str:
             where = f"{where} ({plain['name']})"
-        told = _FILE.check(plain, where, ("name", "number"))
-        if not math.isfinite(told.get("value", 0)):
-            _FILE.refuse(where, f"value = {told['value']!r} is of the wrong type")
-        return SavedParam(**told)
+        found = cls.check(plain, where, ("name", "number"))
+        if not math.isfinite(found.get("value", 0)):
+            cls.refuse(where, f"value = {found['value']!r} is of the wrong type")
+        return SavedParam(**found)
 
     def save(self, path: str | Path) -> None:
         """Into a file, whole or not at all; a file that is there must be an earlier list of the same drive.
@@ -116,3 +128,248 @@ def label(name: str, data_set: int | None, index: int | None) -> str:
 def value_text(value: float | int | None, unit: str) -> str:
     """A value with its unit, as many digits as it has."""
     return f"{value!r} {unit}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterValue:
+    """One parameter as the drive tells it: ``value`` in ``unit``, ``raw`` the integer on the wire."""
+
+    number: int
+    name: str | None
+    value: float | int
+    raw: int
+    unit: str = ""
+    data_set: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterPlace:
+    """A parameter by number or name, in a data set, or an element by index."""
+
+    number: int | str
+    data_set: int | None = None
+    index: int | None = None
+
+    def as_dict(self) -> dict[str, int | str]:
+        """What is given of it."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
+
+
+class Listing(Protocol):
+    """A drive with known parameters."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def kind(self) -> str:
+        """The name of its plugin, e.g. ``fuji-frenic``."""
+
+    @property
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """All that is to be read. Raises UsageError where the telegram has no parameter channel."""
+
+
+class ParameterDifference(Difference[SavedParam]):
+    """A parameter of a drive that differs from the file."""
+
+    __slots__ = ()
+
+    @property
+    def is_none(self) -> bool:
+        saved, found = self.saved, self.found
+        if saved.value is None or found.value is None or saved.unit != found.unit:
+            return False
+        return is_same(saved.value, found.value)
+
+    @property
+    def text(self) -> str:
+        now = self.found.text if self.found.unreadable is None else f"cannot be read: {self.found.unreadable}"
+        return f"{self.saved.title_label}: file {self.saved.text}, drive {now}"
+
+
+Comparison = ListComparison[ParameterDifference, SavedParam]
+
+
+class Readable(Listing, Protocol):
+    """A drive whose parameters can be read: of this bus, or of another program's. Base class of both."""
+
+    @property
+    def address(self) -> int: ...
+
+    @property
+    def per_request(self) -> int:
+        """The number of parameters that one request to the drive carries: several over record 47, else 1."""
+
+    @abc.abstractmethod
+    async def read_many(
+        self, parameters: Sequence[ParameterPlace], *, timeout: float = 5.0
+    ) -> list[ParameterValue | ParameterError]:
+        """Some parameters; one that the drive refuses is the error in its place. Raises DriveTimeout, DriveError."""
+
+    async def dump(
+        self,
+        path: str | Path | None = None,
+        *,
+        data_set: int | None = None,
+        on_parameter: OnParameter | None = None,
+    ) -> ParameterList:
+        """Read all declared parameters, as many by a request as it carries; ``data_set`` None: of all data sets.
+
+        With ``path`` into that file, whole or not at all; cut short (cancelled, the drive lost), the parameters read so
+        far are kept in a file of that name with ``.part`` behind it, which the error has as a note. A parameter that
+        cannot be read is in it with the reason. An earlier dump of the same drive is replaced, no other file is. Raises
+        UsageError, DriveError.
+        """
+        wanted = _chosen(self, data_set)
+        found: list[SavedParam] = []
+        reading = _Reading(self, wanted, found, on_parameter)
+        if path is None:
+            await reading.read_all()
+            return _list_of(self, found, complete=True)
+        with ParameterList.file(path, self.kind, self.name) as file:
+            try:
+                await reading.read_all()
+            except BaseException as error:
+                if found:
+                    error.add_note(_kept(file, _list_of(self, found, complete=False)))
+                raise
+            whole = _list_of(self, found, complete=True)
+            whole.keep(file)
+            return whole
+
+    async def compare(
+        self,
+        saved: ParameterList | str | Path,
+        *,
+        data_set: int | None = None,
+        read_only: bool = False,
+        on_parameter: OnParameter | None = None,
+    ) -> Comparison:
+        """Read the drive's parameters that are in ``saved`` (a list, or a file) and return where they differ.
+
+        Read-only parameters (actual values, properties) are compared only with ``read_only``. Raises ConfigError
+        for a file of another type of drive and for a value between two steps of its parameter, UsageError, DriveError.
+        """
+        listed = saved if isinstance(saved, ParameterList) else ParameterList.load(saved)
+        wanted, skipped = _compared(self, listed, "the list" if listed is saved else str(saved), data_set, read_only)
+        found: list[SavedParam] = []
+        await _Reading(self, [there for _, there in wanted], found, on_parameter).read_all()
+        pairs = [ParameterDifference(old, new) for (old, _), new in zip(wanted, found, strict=True)]
+        return ListComparison.of(pairs, skipped)
+
+
+def _kept(file: FileToBe, part: ParameterList) -> str:
+    """Where the ``part`` is of a list that was cut short. What cut it short is told, not that there is no room, too."""
+    read = f"cut short: the {len(part.parameters)} parameters read so far are"
+    try:
+        return f"{read} in {part.keep(file)}"
+    except UsageError as failed:
+        return f"{read} lost: {failed}"
+
+
+def check_dump(drive: Listing, path: str | Path, *, data_set: int | None = None) -> None:
+    """Raises the errors of :meth:`Readable.dump` before it reads anything."""
+    _chosen(drive, data_set)
+    with ParameterList.file(path, drive.kind, drive.name):
+        pass
+
+
+def check_compare(drive: Listing, path: str | Path, *, data_set: int | None = None, read_only: bool = False) -> None:
+    """Raises the errors of :meth:`Readable.compare` before it reads anything."""
+    _compared(drive, ParameterList.load(path), str(path), data_set, read_only)
+
+
+def _compared(
+    drive: Listing, listed: ParameterList, where: str, data_set: int | None, read_only: bool
+) -> tuple[list[tuple[SavedParam, ListedParam]], list[tuple[SavedParam, str]]]:
+    """The pairs to be compared, and the others with the reason. Raises as :meth:`Readable.compare`."""
+    if listed.drive != drive.kind:
+        raise ConfigError(
+            f"{where} holds the parameters of a {listed.drive} ({listed.name}), {drive.name} is a {drive.kind}: "
+            f"take a file of such a drive"
+        )
+    there = {SavedParam.of(one).place: one for one in _chosen(drive, data_set)}
+    meant = (one for one in listed.parameters if data_set is None or one.data_set in (None, data_set))
+    wanted, skipped = pairs_of(meant, there, SavedParam.of, missing="the plugin does not know it", read_only=read_only)
+    for one, listed_there in wanted:
+        _check_step(one, listed_there, where)
+    return wanted, skipped
+
+
+def _chosen(drive: Listing, data_set: int | None) -> list[ListedParam]:
+    """What is to be read. Raises UsageError for a data set that the drive does not have."""
+    listed = drive.parameters
+    sets = sorted({one.data_set for one in listed if one.data_set is not None})
+    if data_set is not None and data_set not in sets:
+        there = f"{sets[0]}..{sets[-1]}" if sets else "none"
+        raise UsageError(f"drive {drive.name}: a {drive.kind} has no data set {data_set}; it has {there}")
+    if not listed:
+        raise UsageError(f"drive {drive.name}: the plugin {drive.kind} declares no parameters; read them by number")
+    return [one for one in listed if data_set is None or one.data_set in (None, data_set)]
+
+
+@dataclass(slots=True)
+class _Reading:
+    """Reads ``wanted`` parameters into ``found``, in their order. A parameter that the drive refuses goes in with the
+    reason; a lost drive raises."""
+
+    drive: Readable
+    wanted: Sequence[ListedParam]
+    found: list[SavedParam]
+    on_parameter: OnParameter | None
+    #: parameters without an answer, one after the other
+    silent: int = 0
+
+    async def read_all(self) -> None:
+        size = max(self.drive.per_request, 1)
+        for at in range(0, len(self.wanted), size):
+            await self._read(self.wanted[at : at + size])
+
+    async def _read(self, some: Sequence[ListedParam]) -> None:
+        """By one request; after a time-out by one each: one parameter may be the reason."""
+        places = [ParameterPlace(one.name, one.data_set, one.index) for one in some if one.why_not is None]
+        answers: list[ParameterValue | DriveError] = []
+        try:
+            answers += await self.drive.read_many(places) if places else ()
+        except DriveTimeout as error:
+            if len(places) > 1:
+                for one in some:
+                    await self._read([one])
+                return
+            answers.append(error)
+        remaining = iter(answers)
+        for one in some:
+            self._keep(one, None if one.why_not is not None else next(remaining))
+
+    def _keep(self, one: ListedParam, answer: ParameterValue | DriveError | None) -> None:
+        self.silent = self.silent + 1 if isinstance(answer, DriveTimeout) else 0
+        if isinstance(answer, DriveTimeout) and self.silent == _SILENT:
+            raise answer
+        if isinstance(answer, DriveError):
+            self.found.append(SavedParam.of(one, why=str(answer).removeprefix(f"drive {self.drive.name}: ")))
+        else:
+            self.found.append(SavedParam.of(one, answer))
+        if self.on_parameter is not None:
+            self.on_parameter(len(self.found), len(self.wanted), self.found[-1])
+
+
+def _check_step(saved: SavedParam, there: ListedParam, where: str) -> None:
+    """Raises ConfigError where the value lies between two that the drive can hold: no drive is ever equal to it."""
+    if saved.value is None or saved.unit != there.unit or not there.per_unit:
+        return
+    try:
+        count_of(saved.label, saved.value, there.per_unit, there.unit)
+    except ValueError as error:
+        raise ConfigError(f"{where}: {error}; correct the line") from None
+
+
+def _list_of(drive: Readable, found: Sequence[SavedParam], *, complete: bool) -> ParameterList:
+    return ParameterList(
+        drive=drive.kind,
+        name=drive.name,
+        address=drive.address,
+        time=time_now(),
+        parameters=tuple(found),
+        complete=complete,
+    )

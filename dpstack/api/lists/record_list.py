@@ -5,49 +5,50 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar
 
-from dpstack.api.lists.list_file import Element, ListComparison, ListFile, SavedList, is_same, pairs_of, shown, time_now
+from dpstack.api.lists.list_file import (
+    Difference,
+    Element,
+    ListComparison,
+    ListEntry,
+    SavedList,
+    is_same,
+    pairs_of,
+    shown,
+    time_now,
+)
 from dpstack.errors import ConfigError
 from dpstack.profile.record47 import ReadParameter
 
-_FILE: Final = ListFile(
-    program="dpstack acyclic",
-    comment="Parameters of a device; `dpstack acyclic CONFIG ADDRESS compare FILE` tells where a device differs.",
-    kind="record 47",
-    head={"name": str, "address": int, "ident": int, "slot": int, "object": int, "time": str},
-    entry={
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ListedValues(ListEntry):
+    """One parameter of a device with all its ``values`` in ``format``, or without any."""
+
+    KEYS: ClassVar = {
         "number": (int,),
         "name": (str,),
         "format": (str,),
         "values": (list,),
         "unreadable": (str,),
         "read_only": (bool,),
-    },
-    value="values",
-)
+    }
+    VALUES = "values", "format"
+    OMITTED: ClassVar = {"name": "", "read_only": False}
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ListedValues:
-    """One parameter with all its ``values`` in ``format``, or without any and the reason in ``unreadable``."""
-
-    number: int
-    name: str = ""
     format: str = ""
     values: tuple[Element, ...] = ()
-    read_only: bool = False
-    unreadable: str | None = None
 
     @classmethod
     def of(cls, found: ReadParameter) -> ListedValues:
-        told, form = found.description, found.format
+        description, form = found.description, found.format
         return cls(
             number=found.pnu,
-            name="" if told is None else told.name,
+            name="" if description is None else description.name,
             format="" if form is None else form.name,
             values=tuple(one.hex(" ") if isinstance(one, bytes) else one for one in found.values),
-            read_only=told is not None and told.read_only,
+            read_only=description is not None and description.read_only,
             unreadable=found.why_not,
         )
 
@@ -72,31 +73,21 @@ class ListedValues:
             return f"cannot be read: {self.unreadable}"
         return ", ".join(map(shown, self.values)) or "no value"
 
-    def as_dict(self) -> dict[str, object]:
-        """Plain data, without what is not there."""
-        plain: dict[str, object] = {"number": self.number}
-        plain |= {"name": self.name} if self.name else {}
-        plain |= {"unreadable": self.unreadable} if self.unreadable is not None else {}
-        plain |= {"format": self.format, "values": list(self.values)} if self.unreadable is None else {}
-        return plain | ({"read_only": True} if self.read_only else {})
-
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> ListedValues:
-        known = {name: plain[name] for name in _FILE.entry if name in plain}
+        known = {key: plain[key] for key in cls.KEYS if key in plain}
         return cls(**{**known, "values": tuple(plain.get("values", ()))})
-
-    def differences(self, other: ListedValues) -> tuple[int, ...]:
-        """Indexes, from 0, of the elements that differ or that one of the two does not have."""
-        count = max(len(self.values), len(other.values))
-        both = min(len(self.values), len(other.values))
-        return tuple(at for at in range(count) if at >= both or not is_same(self.values[at], other.values[at]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordList(SavedList[ListedValues]):
     """The parameters of one device, in the order of its list, read as a whole. ``ident``: its ident number."""
 
-    FILE = _FILE
+    PROGRAM = "dpstack acyclic"
+    COMMENT = "Parameters of a device; `dpstack acyclic CONFIG ADDRESS compare FILE` tells where a device differs."
+    KIND = "record 47"
+    HEAD: ClassVar = {"name": str, "address": int, "ident": int, "slot": int, "object": int, "time": str}
+    ENTRY = ListedValues
     LINE = "entry"
 
     ident: int
@@ -108,20 +99,24 @@ class RecordList(SavedList[ListedValues]):
         """A line with a number, and values or the reason why there are none."""
         if isinstance(plain, Mapping) and type(plain.get("number")) is int:
             where = f"{where} (parameter {plain['number']})"
-        told = _FILE.check(plain, where, ("number",))
-        for at, value in enumerate(told.get("values", ())):
+        found = cls.check(plain, where, ("number",))
+        for at, value in enumerate(found.get("values", ())):
             if type(value) not in (int, float, bool, str):
-                _FILE.refuse(where, f"element {at} of its values, {value!r}, is neither a number nor a text")
-        return ListedValues.from_dict(told)
+                cls.refuse(where, f"element {at} of its values, {value!r}, is neither a number nor a text")
+        return ListedValues.from_dict(found)
 
 
-@dataclass(frozen=True, slots=True)
-class RecordDifference:
-    """A parameter that differs from the file; ``elements``: indexes, from 0, of the differing ones."""
+class RecordDifference(Difference[ListedValues]):
+    """A parameter of a device that differs from the file."""
 
-    saved: ListedValues
-    found: ListedValues
-    elements: tuple[int, ...]
+    __slots__ = ()
+
+    @property
+    def elements(self) -> tuple[int, ...]:
+        """Indexes, from 0, of the elements that differ or that one of the two does not have."""
+        saved, found = self.saved.values, self.found.values
+        count, both = max(len(saved), len(found)), min(len(saved), len(found))
+        return tuple(at for at in range(count) if at >= both or not is_same(saved[at], found[at]))
 
     @property
     def is_none(self) -> bool:
@@ -176,9 +171,7 @@ def compared(
         missing="the device does not have it",
         read_only=read_only,
     )
-    judged = [RecordDifference(one, now, one.differences(now)) for one, now in pairs]
-    differences = tuple(one for one in judged if not one.is_none)
-    return ListComparison(differences, len(judged) - len(differences), tuple(skipped))
+    return ListComparison.of([RecordDifference(one, now) for one, now in pairs], skipped)
 
 
 def _element(one: ListedValues, at: int) -> str:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import weakref
-from collections import deque
-from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass, field
-from typing import Final
+from collections.abc import AsyncIterator, Callable, Iterable
+from typing import Any, Final
 
 from dpstack.api.slave.service_errors import error_of
 from dpstack.api.streams import Stream
@@ -29,20 +28,6 @@ from dpstack.trace import Event
 _STATUSES: Final = 64
 
 
-@dataclass(eq=False)
-class _Held:
-    """An alarm that is not acknowledged yet: the listeners that have not read it (``keepers``), and its end."""
-
-    raised: AlarmRaised
-    keepers: set[_Listener]
-    end: Outcome | None = None
-    ended: asyncio.Event = field(default_factory=asyncio.Event)
-
-    @property
-    def key(self) -> tuple[int, int]:
-        return self.raised.address, self.raised.number
-
-
 class SlaveAlarm:
     """One alarm of a slave, as ``slave.alarms()`` gives it.
 
@@ -52,8 +37,7 @@ class SlaveAlarm:
     ``diagnosis``: the telegram with the alarm, ``texts``: its other blocks. ``t_ns``: bus time.
     """
 
-    def __init__(self, held: _Held, desk: AlarmListeners) -> None:
-        raised = held.raised
+    def __init__(self, raised: AlarmRaised, desk: AlarmListeners, keepers: set[_Listener]) -> None:
         self.address = raised.address
         self.name = raised.name
         self.type = raised.alarm.type
@@ -68,15 +52,19 @@ class SlaveAlarm:
         self.t_ns = raised.t_ns
         #: all of it in one line, with the slave
         self.text = raised.text
-        self._held = held
+        self._raised = raised
         self._desk = desk
+        #: listeners that have not read it
+        self._keepers = keepers
+        self._end: Outcome | None = None
+        self._ended = asyncio.Event()
 
     def __repr__(self) -> str:
         return f"<SlaveAlarm {self.text}>"
 
     @property
     def alarm(self) -> Alarm:
-        return self._held.raised.alarm
+        return self._raised.alarm
 
     @property
     def appears(self) -> bool:
@@ -100,21 +88,15 @@ class SlaveAlarm:
         May be repeated. Raises AcyclicError and ServiceRefused where the slave refuses, SlaveFault when it left data
         exchange before (its alarms are void then), UsageError, BusError.
         """
-        await self._desk.acknowledge(self._held)
+        await self._desk.acknowledge(self)
 
 
-@dataclass(eq=False)
-class _Listener:
-    """The unread alarms of one ``alarms()``."""
+class _Listener(Stream[SlaveAlarm]):
+    """The unread alarms of one ``alarms()``. ``error``: why it ended, where the bus did not."""
 
-    waiting: deque[SlaveAlarm] = field(default_factory=deque)
-    more: asyncio.Event = field(default_factory=asyncio.Event)
-    ended: bool = False
-    error: DpError | None = None  # why
-
-    def end(self) -> None:
-        self.ended = True
-        self.more.set()
+    def __init__(self) -> None:
+        super().__init__(None)
+        self.error: DpError | None = None
 
 
 class AlarmStream(AsyncIterator[SlaveAlarm]):
@@ -140,14 +122,12 @@ class AlarmStream(AsyncIterator[SlaveAlarm]):
 
     async def __anext__(self) -> SlaveAlarm:
         listener = self._listener
-        while not listener.waiting:
-            if listener.ended:
-                raise listener.error or StopAsyncIteration
-            listener.more.clear()
-            await listener.more.wait()
-        alarm = listener.waiting.popleft()
+        try:
+            alarm = await anext(listener)
+        except StopAsyncIteration:
+            raise listener.error or StopAsyncIteration from None
         if self._acknowledge:
-            self._desk.taken(alarm, listener)
+            self._desk.release(alarm, listener)
         return alarm
 
 
@@ -165,7 +145,8 @@ class AlarmListeners:
         self._command = command
         self._listeners: dict[int, list[_Listener]] = {}
         self._statuses: dict[int, weakref.WeakSet[StatusStream]] = {}
-        self._held: dict[tuple[int, int], _Held] = {}
+        #: alarms that are not acknowledged yet, by address and number
+        self._held: dict[tuple[int, int], SlaveAlarm] = {}
         self._over: DpError | None = None
 
     def alarms(self, address: int, *, acknowledge: bool) -> AlarmStream:
@@ -194,8 +175,8 @@ class AlarmListeners:
             return
         listeners.remove(listener)
         listener.end()
-        for held in tuple(self._held.values()):
-            self._let_go(held, listener)
+        for alarm in tuple(self._held.values()):
+            self.release(alarm, listener)
         if not listeners:
             self._order(HoldAlarms(address, False))
 
@@ -204,31 +185,26 @@ class AlarmListeners:
         with contextlib.suppress(RuntimeError):  # the loop is over, and the bus with it
             loop.call_soon_threadsafe(self.leave, address, listener)
 
-    def taken(self, alarm: SlaveAlarm, listener: _Listener) -> None:
-        """``listener`` has given ``alarm`` to the application."""
-        self._let_go(alarm._held, listener)
+    def release(self, alarm: SlaveAlarm, listener: _Listener) -> None:
+        """``listener`` has given ``alarm`` to the application, or is gone."""
+        if listener in alarm._keepers:
+            alarm._keepers.remove(listener)
+            if not alarm._keepers:
+                self._order(AcknowledgeAlarm(alarm.address, alarm._raised.number))
+                self._drop_over(alarm)
 
-    async def acknowledge(self, held: _Held) -> None:
+    async def acknowledge(self, alarm: SlaveAlarm) -> None:
         """Acknowledge for all listeners; returns when the slave has confirmed."""
-        for listener in tuple(held.keepers):
-            self._let_go(held, listener)
-        await held.ended.wait()
-        assert held.end is not None
-        if held.end.failure is not None:
-            alarm = held.raised.alarm
-            where = (alarm.slot, alarm.type)
-            raise error_of(held.raised.address, Function.ALARM_ACK.title, held.end, where)
+        for listener in tuple(alarm._keepers):
+            self.release(alarm, listener)
+        await alarm._ended.wait()
+        assert alarm._end is not None
+        if alarm._end.failure is not None:
+            raise error_of(alarm.address, Function.ALARM_ACK.title, alarm._end, (alarm.slot, alarm.type))
 
-    def _let_go(self, held: _Held, listener: _Listener) -> None:
-        if listener in held.keepers:
-            held.keepers.remove(listener)
-            if not held.keepers:
-                self._order(AcknowledgeAlarm(*held.key))
-                self._drop_over(held)
-
-    def _drop_over(self, held: _Held) -> None:
-        if held.end is not None and not held.keepers:
-            self._held.pop(held.key, None)
+    def _drop_over(self, alarm: SlaveAlarm) -> None:
+        if alarm._end is not None and not alarm._keepers:
+            self._held.pop((alarm.address, alarm._raised.number), None)
 
     def _order(self, command: object) -> None:
         with contextlib.suppress(DpError):  # the bus has ended, or the slave was removed
@@ -245,9 +221,7 @@ class AlarmListeners:
                 for stream in tuple(self._statuses.get(address, ())):
                     stream.put(status)
             case AlarmDone(address=address, number=number, outcome=outcome):
-                held = self._held.get((address, number))
-                if held is not None:
-                    self._done(held, outcome)
+                self._done(address, number, outcome)
                 return True
         return False
 
@@ -255,15 +229,16 @@ class AlarmListeners:
         listeners = self._listeners.get(event.address, [])
         if not listeners:
             return  # the last listener left just now: the station acknowledges
-        held = self._held[event.address, event.number] = _Held(event, set(listeners))
+        alarm = self._held[event.address, event.number] = SlaveAlarm(event, self, set(listeners))
         for listener in listeners:
-            listener.waiting.append(SlaveAlarm(held, self))
-            listener.more.set()
+            listener.put(alarm)
 
-    def _done(self, held: _Held, outcome: Outcome) -> None:
-        held.end = outcome
-        held.ended.set()
-        self._drop_over(held)
+    def _done(self, address: int, number: int, outcome: Outcome) -> None:
+        alarm = self._held.get((address, number))
+        if alarm is not None:
+            alarm._end = outcome
+            alarm._ended.set()
+            self._drop_over(alarm)
 
     def on_refused(self, order: HoldAlarms | AcknowledgeAlarm, error: DpError) -> None:
         """The bus process did not carry out ``order``."""
@@ -273,35 +248,28 @@ class AlarmListeners:
                     listener.error = error
                     listener.end()
             case AcknowledgeAlarm(address, number):
-                held = self._held.get((address, number))
-                if held is not None:
-                    self._done(held, Outcome(failure=ServiceFailure.LINE, text=str(error)))
+                self._done(address, number, Outcome(failure=ServiceFailure.LINE, text=str(error)))
 
     def forget(self, address: int) -> None:
         """The slave was removed from the bus."""
-        for listener in self._listeners.pop(address, []):
-            listener.end()
-        for stream in self._statuses.pop(address, ()):
-            stream.end()
+        for reader in (*self._listeners.pop(address, ()), *self._statuses.pop(address, ())):
+            reader.end()
         self._end_held("was removed from the bus", address)
 
     def end(self, error: DpError) -> None:
         """The bus has ended; unread alarms can still be read."""
         self._over = error
-        for listeners in self._listeners.values():
-            for listener in listeners:
-                listener.end()
-        for streams in self._statuses.values():
-            for stream in streams:
-                stream.end()
+        readers: Iterable[Iterable[Stream[Any]]] = (*self._listeners.values(), *self._statuses.values())
+        for reader in itertools.chain(*readers):
+            reader.end()
         self._end_held(str(error))
 
     def _end_held(self, why: str, address: int | None = None) -> None:
-        for held in tuple(self._held.values()):
-            if address in (None, held.raised.address):
-                held.keepers.clear()  # its number may be used again
-                text = f"an alarm of slave {held.raised.address} was not acknowledged: {why}"
-                self._done(held, held.end or Outcome(failure=ServiceFailure.LINE, text=text))
+        for key, alarm in tuple(self._held.items()):
+            if address in (None, alarm.address):
+                alarm._keepers.clear()  # its number may be used again
+                text = f"an alarm of slave {alarm.address} was not acknowledged: {why}"
+                self._done(*key, alarm._end or Outcome(failure=ServiceFailure.LINE, text=text))
 
 
 __all__ = ["AlarmListeners", "AlarmStream", "SlaveAlarm", "StatusStream"]

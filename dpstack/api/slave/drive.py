@@ -9,11 +9,9 @@ import itertools
 import math
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Final, NamedTuple
 
-from dpstack.api.lists.dump_compare import Comparison, OnParameter, ParameterPlace, ParameterValue, compare, dump
-from dpstack.api.lists.parameter_list import ParameterList
+from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue, Readable
 from dpstack.api.slave.host import Host
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Latest
@@ -62,7 +60,7 @@ class DrivePlugin(NamedTuple):
     status: Callable[[], DriveStatus]
 
 
-class Drive(Sealed):
+class Drive(Sealed, Readable):
     """A drive by its name in the configuration. Orders are awaitable and raise DriveFault or DriveTimeout."""
 
     def __init__(self, bus: Host, slave: Slave, plugin: DrivePlugin) -> None:
@@ -233,31 +231,6 @@ class Drive(Sealed):
         """
         return declared_parameters(self._core)
 
-    async def dump(
-        self,
-        path: str | Path | None = None,
-        *,
-        data_set: int | None = None,
-        on_parameter: OnParameter | None = None,
-    ) -> ParameterList:
-        """All declared parameters, as many by a request as it carries; with ``path`` into a file, whole or not at all.
-
-        What cannot be read is in it with the reason. Cut short, what was read is kept in ``path`` + ``.part``.
-        Raises UsageError, DriveError.
-        """
-        return await dump(self, path, data_set=data_set, on_parameter=on_parameter)
-
-    async def compare(
-        self,
-        saved: ParameterList | str | Path,
-        *,
-        data_set: int | None = None,
-        read_only: bool = False,
-        on_parameter: OnParameter | None = None,
-    ) -> Comparison:
-        """Where the drive differs from a list or a file. Raises ConfigError for a file of another type of drive."""
-        return await compare(self, saved, data_set=data_set, read_only=read_only, on_parameter=on_parameter)
-
     async def write(
         self,
         number: int | str,
@@ -315,11 +288,7 @@ class Drive(Sealed):
         inputs = self.slave.inputs
         if inputs is not self._seen and inputs != self._seen:
             self._seen = inputs
-            self._hand_on()
-
-    def on_state(self) -> None:
-        """The slave reached another state."""
-        self._hand_on()
+            self.publish_status()
 
     def on_payload(self, payload: Mapping[str, object], t_ns: int) -> None:
         """``payload`` of the plugin at ``t_ns``."""
@@ -335,7 +304,7 @@ class Drive(Sealed):
                 else:
                     future.set_exception(self._error(payload))
         elif kind == "status":
-            self._hand_on()
+            self.publish_status()
         elif kind == "notice":
             text = str(payload.get("text"))
             before = next((one for one in self._notices if one.text == text), None)
@@ -367,7 +336,8 @@ class Drive(Sealed):
             if not future.done():
                 future.set_exception(error)
 
-    def _hand_on(self) -> None:
+    def publish_status(self) -> None:
+        """Hand the status to its readers: something has changed."""
         if self._readers:
             status = self.status
             for reader in self._readers:

@@ -356,11 +356,7 @@ class Slave(Sealed, RecordAccess):
         Raises UsageError for a slave without DP-V1 and a bus that is not open.
         """
         self._bus.check_open()
-        if self.setup.dpv1 is None:
-            raise UsageError(
-                f"{self.who} is not parameterised for DP-V1: no status messages; "
-                f"if it has them put dpv1 = true into its [[slave]] table"
-            )
+        need_dpv1(self.setup, "no status messages")
         return self._bus.services.alarms.statuses(self.address)
 
     @property

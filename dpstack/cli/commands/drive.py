@@ -17,8 +17,15 @@ from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control import drive_orders as words
 from dpstack.api.control.commands import Order, Spec, find_word
 from dpstack.api.control.remote import RemoteDrive, find_drive
-from dpstack.api.lists.dump_compare import OnParameter, Readable, check_compare, check_dump, compare, dump
-from dpstack.api.lists.parameter_list import SavedParam, label, value_text
+from dpstack.api.lists.parameter_list import (
+    OnParameter,
+    Readable,
+    SavedParam,
+    check_compare,
+    check_dump,
+    label,
+    value_text,
+)
 from dpstack.api.slave.drive import Drive, declared_parameters
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
@@ -367,7 +374,7 @@ class _Orders:
     async def _dump(self, order: Order) -> None:
         path = order.texts[0]
         with self._progress() as progress:
-            found = await dump(self._drive, path, **order.values, on_parameter=progress)
+            found = await self._drive.dump(path, **order.values, on_parameter=progress)
         if self._json:
             unreadable = [_plain(one) for one in found.unreadable]
             self._json_line("dump", path, parameters=len(found.parameters), unreadable=unreadable)
@@ -377,7 +384,7 @@ class _Orders:
     async def _compare(self, order: Order) -> None:
         path = order.texts[0]
         with self._progress() as progress:
-            found = await compare(self._drive, path, **order.values, on_parameter=progress)
+            found = await self._drive.compare(path, **order.values, on_parameter=progress)
         self.code = self.code or int(bool(found.differences))
         if self._json:
             differences = [{"file": _plain(one.saved), "drive": _plain(one.found)} for one in found.differences]

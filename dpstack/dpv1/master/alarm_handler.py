@@ -93,6 +93,7 @@ class AlarmHandler:
         self._enabled = sent[1]
         #: in all; 0: one of each type
         self._limit = ALARM_LIMITS[sent[2] & ALARM_MODE]
+        self._has_extra_sap = setup.dpv1 is not None and setup.dpv1.extra_alarm_sap
         #: they are acknowledged at SAP 50
         self.extra_sap = self._has_extra_sap
         self._extra_sap_took = False
@@ -330,10 +331,6 @@ class AlarmHandler:
             self._want_diagnosis(now)
 
     # --- the end ------------------------------------------------------------------------------------------------
-
-    @property
-    def _has_extra_sap(self) -> bool:
-        return self._setup.dpv1 is not None and self._setup.dpv1.extra_alarm_sap
 
     def closed(self, now: int) -> None:
         """Data exchange is over, and with it all that is open."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, Provider, ServiceFailure, Steps
@@ -39,27 +38,15 @@ _HEAD: Final = 4
 _MAYBE: Final = "it may have been carried out: read it back"
 
 
-def need_dpv1(setup: SlaveParams, *, read_only: bool) -> None:
-    """Raises UsageError for a slave that has no Read, Write and alarms of this master."""
+def need_dpv1(setup: SlaveParams, lacks: str = "no Read, Write, alarms", *, read_only: bool = False) -> None:
+    """Raises UsageError for a slave that this master has not parameterised for DP-V1; ``lacks``: for the message."""
     if read_only:
         raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
     if setup.dpv1 is None:
         raise UsageError(
-            f"slave {setup.address} ({setup.name}) is not parameterised for DP-V1: no Read, Write, alarms; "
+            f"slave {setup.address} ({setup.name}) is not parameterised for DP-V1: {lacks}; "
             f"if it has them put dpv1 = true into its [[slave]] table"
         )
-
-
-@dataclass(frozen=True, slots=True)
-class Unfetched:
-    """A service that ended without the slave's answer. The next service fetches that answer by ``polling``.
-
-    ``since``: the data exchange in which the service ran, by its beginning.
-    """
-
-    since: int
-    job: Ms1Job
-    polling: Polling
 
 
 class Ms1Job(Job):
@@ -85,10 +72,13 @@ class Ms1Job(Job):
         self._ms1 = ms1
         self._sap = sap
         self._longest = longest
-        self._since = handler.since
         self._sent = False
+        #: beginning of the data exchange in which the service runs
+        self._since = handler.since
         given = 0 if handler.setup.dpv1 is None else handler.setup.dpv1.c1_response_timeout_ns
         self._limit_ns = given or RESPONSE_TIMEOUT
+        #: of the service that fetches the answer after the end of this one
+        self._late_polling = Polling(self._srd, self._limit_ns)
         self._limit_of = "its C1_Response_Timeout" if given else "no C1_Response_Timeout is known of it"
 
     @property
@@ -115,8 +105,7 @@ class Ms1Job(Job):
         polling = Polling(self._srd, self._limit_ns)
         attempts = ATTEMPTS if self.repeats else 1
         self._sent = True
-        # until there is an answer, whatever ends this service
-        self._ms1.unfetched[self._lane] = Unfetched(self._since, self, Polling(self._srd, self._limit_ns))
+        self._ms1.unfetched[self._lane] = self  # until there is an answer, whatever ends this service
         reply = yield from polling.send(self._octets, attempts)
         while True:
             match reply:
@@ -138,10 +127,10 @@ class Ms1Job(Job):
     def _fetch_earlier_answer(self) -> Steps[None]:
         unfetched = self._ms1.unfetched  # it stays there if this service is cut short meanwhile
         earlier = unfetched.get(self._lane)
-        if earlier is None or earlier.since != self._since:
+        if earlier is None or earlier._since != self._since:
             return
-        reply = yield from earlier.polling.poll()
-        if reply is Reply.DATA and not earlier.job.accept_late(earlier.polling.pdu):
+        polling = earlier._late_polling
+        if (yield from polling.poll()) is Reply.DATA and not earlier.accept_late(polling.pdu):
             self.stale += 1
         unfetched.pop(self._lane, None)
 
@@ -239,8 +228,8 @@ class Ms1(Provider):
 
     def __init__(self, master: Master | None) -> None:
         self.master = master
-        #: by lane
-        self.unfetched: dict[int, Unfetched] = {}
+        #: services that ended without the slave's answer, by lane; the next service fetches that answer
+        self.unfetched: dict[int, Ms1Job] = {}
 
     # --- slaves -------------------------------------------------------------------------------------------------
 

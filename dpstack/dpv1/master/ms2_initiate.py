@@ -190,18 +190,16 @@ class InitiateJob(ConnectionJob):
         ):
             least = connection.send_timeout_ns // NS_PER_MS
             outcome = dataclasses.replace(outcome, text=f"{outcome.text}; ask for {least} ms or more")
+        done = InitiateDone(t_ns=now, token=token, address=self.address, outcome=outcome)
         if outcome.failure is not None:
             self.ms2.end(connection, outcome.text, NOT_WANTED if outcome.failure in _GIVEN_UP else TIMED_OUT, now)
-            return [InitiateDone(t_ns=now, token=token, address=self.address, outcome=outcome)]
+            return [done]
         response = self._response
         assert response is not None
         assert connection.server_sap is not None
         return [
-            InitiateDone(
-                t_ns=now,
-                token=token,
-                address=self.address,
-                outcome=outcome,
+            dataclasses.replace(
+                done,
                 server_sap=connection.server_sap,
                 send_timeout_ns=connection.send_timeout_ns,
                 max_len=connection.max_len,

@@ -15,7 +15,7 @@ from dpstack.dp.pdu.alarm_blocks import Alarm, Status
 from dpstack.dp.pdu.diag_texts import DiagTexts, texts_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.layouts import MAX_RECORD
-from dpstack.dpv1.pdu.ms2 import FEATURES, Address, InitiateReq
+from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
 from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, Service, WriteReq
 from dpstack.dpv1.timeouts import SERVICE_TIMEOUT, least_send_timeout
 from dpstack.errors import UsageError
@@ -114,7 +114,6 @@ class OpenConnection(Order):
     address: int
     send_timeout_ns: int = SEND_TIMEOUT
     response_ns: int = 0
-    features: int = FEATURES
     profile_features: int = 0
     profile_ident: int = 0
     source: bytes = bytes(2)
@@ -127,7 +126,6 @@ class OpenConnection(Order):
         """Raises UsageError for an address that is too short."""
         return InitiateReq(
             self.send_timeout_ns,
-            features=self.features,
             profile_features=self.profile_features,
             profile_ident=self.profile_ident,
             source=_address_of(self.source),

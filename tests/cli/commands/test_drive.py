@@ -21,8 +21,7 @@ from dpstack.api.control.client import connect
 from dpstack.api.control.commands import Order
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import RemoteDrive, find_drive
-from dpstack.api.lists.dump_compare import ParameterPlace, ParameterValue, dump
-from dpstack.api.lists.parameter_list import ParameterList
+from dpstack.api.lists.parameter_list import ParameterList, ParameterPlace, ParameterValue
 from dpstack.cli.commands.drive import OneDrive
 from dpstack.cli.main import main
 from dpstack.cli.terminal.signals import StopSignal
@@ -362,7 +361,7 @@ async def through(plant: Path, bus: Bus) -> None:
     told = await order(found, "write", "480", "0x7", "data_set=2", "ram=true", "timeout=3")
     assert told["parameter"]["value"] == 7
     await order(found, "write", "412", "1")
-    listed = await dump(await found.listed(), plant.with_name("remote.toml"), data_set=2)
+    listed = await (await found.listed()).dump(plant.with_name("remote.toml"), data_set=2)
     assert listed == ParameterList.load(plant.with_name("remote.toml"))
     assert [one.value for one in listed.parameters if one.number == 480] == [7.0]
     # it starts, and goes on when the connection is gone
