@@ -188,9 +188,9 @@ def token_ring() -> str:
         parts.append(f"## {_title(state.name.lower())}\n\n{_RING_COLUMNS}")
         for row in ring_states.TABLE:
             if row.state is state:
-                module, handler = row.handler.split(".")
+                owner, handler = row.handler.split(".")
                 targets = ", ".join(dict.fromkeys(_title(s.name.lower()) for s in row.next))
-                where = f"`{_RING_MODULES[module]}.{handler}`"
+                where = f"`{_RING_CLASSES[owner]}.{handler}`"
                 parts.append(f"| {row.input.name.lower()} | {row.does} | {targets} | {where} | {_source(row.source)} |")
         parts.append("")
     return "\n".join(parts)
@@ -248,11 +248,12 @@ does not list is ignored and counted. A handler may pass an input on to the stat
 state's row. The documents named as sources: [protocol.md](protocol.md#sources).
 """
 _RING_COLUMNS: Final = "| input | what is done | next | handler | source |\n|---|---|---|---|---|"
-_RING_MODULES: Final = {
-    "idle": "listen_idle_claim",
-    "hold": "use_token",
-    "exchange": "exchange",
-    "passing": "pass_token",
+_RING_CLASSES: Final = {
+    "idle": "listen_idle_claim.Waiting",
+    "hold": "use_token.TokenHold",
+    "poll": "use_token.GapPoll",
+    "exchange": "exchange.Exchange",
+    "passing": "pass_token.TokenPass",
 }
 _HANDLER: Final = """## A slave at its master
 

@@ -20,12 +20,6 @@ from dpstack.units import NS_PER_S
 LONG_NS: Final = NS_PER_S
 
 
-class Expect(Enum):
-    NOTHING = "nothing"  # SDN, broadcast: T_ID2 follows
-    ANSWER = "answer"  # SC or a response telegram
-    STATUS = "status"  # FDL status: no FCB, no FCV
-
-
 class Request(NamedTuple):
     """One request a link user wants to have sent. ``data`` is the data unit without SAP octets (0..244 octets).
 
@@ -52,27 +46,6 @@ class Request(NamedTuple):
     cyclic: bool = False
     still: Callable[[int], bool] | None = None
 
-    @property
-    def expect(self) -> Expect:
-        """What answers it, from its function."""
-        return _EXPECT[self.function]
-
-
-_EXPECT = {
-    Req.TIME_EVENT: Expect.NOTHING,
-    Req.CLOCK_VALUE: Expect.NOTHING,
-    Req.SDN_LOW: Expect.NOTHING,
-    Req.SDN_HIGH: Expect.NOTHING,
-    Req.SDA_LOW: Expect.ANSWER,
-    Req.SDA_HIGH: Expect.ANSWER,
-    Req.MSRD: Expect.ANSWER,
-    Req.SRD_LOW: Expect.ANSWER,
-    Req.SRD_HIGH: Expect.ANSWER,
-    Req.IDENT: Expect.ANSWER,
-    Req.LSAP_STATUS: Expect.ANSWER,
-    Req.FDL_STATUS: Expect.STATUS,
-}
-
 
 class Failure(Enum):
     """Why a request has no answer."""
@@ -81,7 +54,7 @@ class Failure(Enum):
     GARBLED = "garbled answer"  # octets came, no telegram
     WRONG = "wrong answer"  # a telegram that does not answer this request: other SAPs, another station
     ABANDONED = "abandoned"  # the station left the ring or went offline meanwhile, or Request.still said no
-    REFUSED = "refused by this station's guard"  # never sent: this station may not (dpstack.fdl.active.request_filter)
+    REFUSED = "refused by this station's guard"  # never sent: this station may not (Guard)
     HELD_BACK = (
         "held back"  # not sent now: it might run into the next cycle (dpstack.fdl.active.cycle_window); ask again
     )
@@ -144,12 +117,16 @@ RS_REPLY = Reply(Resp.RS)
 class StationControl(Protocol):
     """What a passive station lets its application change."""
 
-    #: the station address; an answer under way still goes out under the old one
-    address: int
+    @property
+    def address(self) -> int:
+        """The station address."""
 
     @property
     def baud(self) -> int:
         """The rate it listens at, in bit/s."""
+
+    def set_address(self, address: int) -> None:
+        """Change the address; an answer under way still goes out under the old one."""
 
     def set_min_tsdr(self, bits: int) -> None:
         """Set_Prm's min T_SDR in bit times: no answer earlier than this; 0 keeps, 1..10 count as 11."""

@@ -48,6 +48,12 @@ class Req(IntEnum):
     CLOCK_VALUE = 0x80
 
 
+#: requests that carry a frame count; SC can answer them
+COUNTED: Final = frozenset((Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD))
+#: requests that nobody answers: SDN, time event, clock value
+UNANSWERED: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH, Req.TIME_EVENT, Req.CLOCK_VALUE))
+
+
 class Resp(IntEnum):
     """Status of a response (FC bits 3..0 with bit 6 = 0)."""
 

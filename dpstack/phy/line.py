@@ -37,12 +37,3 @@ class Line:
         """Octets or an edge were on the line until ``now``."""
         if now > self.idle_since:
             self.idle_since = now
-
-    def sending_until(self, at: int) -> None:
-        """This station's own transmission leaves the line at ``at``."""
-        self.idle_since = at
-
-    def cut(self, now: int) -> None:
-        """Octets arrived before the estimated end of this station's transmission: so it has ended."""
-        if now < self.idle_since:
-            self.idle_since = now

@@ -10,8 +10,8 @@ from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
 from dpstack.dp.acyclic.job import Outcome
 from dpstack.drivers.stack import acyclic_services
-from dpstack.fdl.active.request_filter import Guard
 from dpstack.fdl.active.station import ActiveStation
+from dpstack.fdl.active.use_token import Guard
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 

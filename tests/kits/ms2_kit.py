@@ -27,8 +27,8 @@ from dpstack.dpv1.master.orders import (
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.drivers.stack import acyclic_services
-from dpstack.fdl.active.request_filter import Guard
 from dpstack.fdl.active.station import ActiveStation
+from dpstack.fdl.active.use_token import Guard
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
 from dpstack.fdl.passive.station import PassiveStation

@@ -49,7 +49,7 @@ class Application:
     def serve(self, request: Telegram, now: int) -> Reply | None:
         self.served.append(request)
         if self.move_to is not None and self.station is not None:
-            self.station.address = self.move_to
+            self.station.set_address(self.move_to)
         return self.replies.pop(0) if self.replies else Reply(Resp.DL, b"\x99")
 
     def indicate(self, telegram: Telegram, now: int) -> None:

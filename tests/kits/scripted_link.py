@@ -11,8 +11,8 @@ from dpstack.dp.master.events import SlaveFaulted, SlaveRemark, SlaveState, Slav
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.fdl.interface import Expect, Failure, Request
-from dpstack.fdl.telegram import SHORT_ACK, Kind, Telegram
+from dpstack.fdl.interface import Failure, Request
+from dpstack.fdl.telegram import SHORT_ACK, UNANSWERED, Kind, Telegram
 from dpstack.params import BusParams
 from dpstack.trace import Event
 
@@ -96,7 +96,7 @@ class ScriptedLink:
         return made
 
     def _answer(self, request: Request) -> Telegram | Failure:
-        if request.expect is Expect.NOTHING:
+        if request.function in UNANSWERED:
             return SHORT_ACK
         slave = self.slaves.get(request.da)
         return Failure.NO_ANSWER if slave is None else slave(request)

@@ -149,7 +149,7 @@ class Report:
         """Give the station another address."""
         self._address = address
         if self.station is not None and self.station.address != address:
-            self.station.address = address
+            self.station.set_address(address)
 
     def take(self) -> list[Event]:
         """What there is to tell, oldest first."""

@@ -54,6 +54,17 @@ class CycleWindow:
         self.overdrawn = self.silent = ""
         self._waiting.clear()
 
+    def set_alone(self, alone: bool) -> None:
+        self.alone = alone
+
+    def overdraw(self, service: str) -> None:
+        """``service`` is sent in this cycle without fitting in."""
+        self.overdrawn = service
+
+    def ran_over(self, service: str) -> None:
+        """Nobody answered ``service``, and that took until after the next cycle was due."""
+        self.silent = service
+
     def admits(self, key: Key, ends_at: int) -> bool:
         """Whether what lasts until ``ends_at`` at the longest may be started now; if not it waits.
 

@@ -12,427 +12,230 @@ What can be known of an answer, most certain first:
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from dataclasses import dataclass, field
+from typing import Final
 
-from dpstack.fdl.active.context import NONE, Doubt, Link
-from dpstack.fdl.active.states import Input, State
+from dpstack.fdl.active.admission import Admission
+from dpstack.fdl.active.fcb import FrameCount
+from dpstack.fdl.active.parts import Awaiting
+from dpstack.fdl.active.services import SERVICES, answers
+from dpstack.fdl.active.states import ACTIVE_IDLE, AWAIT_DATA_RESPONSE, CHECK, CHECK_ACCESS_TIME, NONE, USE_TOKEN
 from dpstack.fdl.codec import request_octets
-from dpstack.fdl.describe import request_name
-from dpstack.fdl.events import le3_notice
-from dpstack.fdl.interface import Failure, LinkUser, Request
-from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Resp, Telegram
+from dpstack.fdl.interface import Failure, LinkUser, Request, StationStats
+from dpstack.fdl.telegram import SHORT_ACK, Req, Telegram
 from dpstack.params import BROADCAST
-from dpstack.trace import Notice, Severity
-from dpstack.units import chars_to_ns
+
+#: stands for "no request"; compared by identity
+NO_REQUEST: Final = Request(-1, Req.FDL_STATUS)
 
 
-class _Service(NamedTuple):
-    fc: int
-    counted: bool  # FCB and FCV are used
-    answered: bool
-    acknowledged: bool  # SC is an answer
+@dataclass(slots=True, eq=False)
+class Exchange(Awaiting):
+    """The request of a user under way. Handlers of Await_Data_Response."""
 
+    fcb: FrameCount
+    admission: Admission
+    user: LinkUser | None = None
+    request: Request = NO_REQUEST
+    #: when the last request of a user was made
+    made_at: int = 0
+    _asked: StationStats = field(default_factory=StationStats)  # counters of the station asked last
+    _asked_da: int = BROADCAST
+    _frame: bytes = b""
+    _candidate: Telegram = NONE  # an answer that is kept back: it may be a late one
+    _tries_left: int = 0
+    _repeats: int = 0
+    _wrong: bool = False
 
-def _service(function: Req, counted: bool, answered: bool, acknowledged: bool) -> _Service:
-    fc = 0xC0 if function is Req.CLOCK_VALUE else 0x40 | function
-    return _Service(fc, counted, answered, acknowledged)
+    def start(self, user: LinkUser, request: Request, now: int) -> None:
+        """Make the telegram of a new request and let it wait for its gate."""
+        da, function, data, dsap, ssap, patient, retry, restart, _, _, _, _, _ = request
+        fc, counted, answered = SERVICES[function]
+        tries = self.times.max_retry if answered and retry else 0
+        if counted:
+            fcb = self.fcb
+            if restart:
+                fcb.restart(da)
+            fc |= fcb.bits[da]
+            if not fcb.operational[da]:
+                tries = 0  # a first request is not repeated (docs/protocol.md#frame-count-bit)
+        elif answered and not patient and self.peers.knows(da):
+            request = request._replace(patient=True)  # whoever asks: the silence of a station that is there is news
+        self.user = user
+        self.request = request
+        self.made_at = now
+        self._asked_da = da
+        self._tries_left = tries
+        self._repeats = 0
+        self._wrong = False
+        self._frame = request_octets(da, self.line.ts, fc, data, dsap, ssap)
+        self.line.queue(self._frame)
+        self.machine.enter(USE_TOKEN)
 
+    def sent(self, _: Telegram, at: int) -> None:
+        """An attempt goes out; its last bit is on the line at ``at``."""
+        request = self.request
+        if not self._repeats:
+            line, user, stats = self.line, self.user, self.stats
+            asked = self._asked = stats.stations.get(request.da) or stats.station(request.da)
+            asked.requests += 1
+            self.garbled = False  # what came before the request is no answer to it
+            if user is not None:
+                user.started(request, line.taken_at)
+            if not SERVICES[request.function].answered:
+                line.expect_no_answer()
+                self._finish(SHORT_ACK, line.taken_at)
+                return
+        times = self.times
+        if request.patient or self.peers.is_slow(request.da):
+            until = at + times.slot_known_ns
+        else:
+            until = self.admission.in_vain_until(request, at)
+        self.machine.enter(AWAIT_DATA_RESPONSE, until)
+        if times.exact:
+            self.early_until = at + times.early_ns
 
-# FDL status, ident, LSAP status and SDN carry FCV = 0 and FCB = 0 (docs/protocol.md#frame-count-bit).
-_SERVICES: Final[dict[Req, _Service]] = {
-    f: _service(
-        f,
-        f in (Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD),
-        f not in (Req.SDN_LOW, Req.SDN_HIGH, Req.TIME_EVENT, Req.CLOCK_VALUE),
-        f in (Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD),
-    )
-    for f in Req
-}
-#: octets around the data unit of SD2, those of SD1, and those of two SAPs
-_FRAME: Final = 9
-_SD1: Final = 6
-_SAPS: Final = 2
-# An enum's member costs ten times a name of the module: those of every exchange are named here.
-_USE_TOKEN: Final = State.USE_TOKEN
-_AWAIT_DATA_RESPONSE: Final = State.AWAIT_DATA_RESPONSE
-_CHECK_ACCESS_TIME: Final = State.CHECK_ACCESS_TIME
-_CHECK: Final = Input.CHECK
-_SC: Final = Kind.SC
-_FDL_STATUS: Final = Req.FDL_STATUS
-#: so many slot times with the port's patience an answer may come late
-_OWED_SLOTS: Final = 4
-#: so many answers more than requests, or requests with unreadable answers, among so many requests are told
-_DOUBLED: Final = 10
-_UNREADABLE: Final = 50
-_OF_REQUESTS: Final = 100
-#: responses that say no or plainly yes
-_WITHOUT_DATA: Final = frozenset({int(Resp.OK), int(Resp.UE), int(Resp.RR), int(Resp.RS), int(Resp.NR)})
+    def response(self, telegram: Telegram, now: int) -> None:
+        """A response to us, or SC, while we wait for one."""
+        if not answers(self.request, telegram) or self.line.edge_at < self.early_until:
+            self._not_ours(telegram, now)
+        elif not (self.peers.due and self._keep_back(telegram, now)):
+            self._answered(telegram, now)
 
-
-def ends_at(link: Link, request: Request, now: int) -> int:
-    """When ``request``, asked for now, and the idle time after it are over at the latest, in ns: every attempt in vain
-    but the last one, whose answer begins at the end of its slot time and has all the octets it may have.
-
-    Where a station that is there is given more slack than its port usually needs, it is taken to answer the first
-    attempt within what is usual: its silence costs a service what it costs a Data_Exchange. Nobody known to be there is
-    waited for as long as there is room (:func:`in_vain_until`).
-    """
-    service = _SERVICES[request.function]
-    line, baud = link.line, link.params.baud
-    begins = max(now, line.idle_since + link.after_ns)
-    octets = len(request.data) + (_SAPS if request.dsap is not None else 0)
-    sending = chars_to_ns(octets + _FRAME if octets else _SD1, baud) + link.patience.sending_ns
-    if not service.answered:
-        return begins + sending + line.t_id2_ns
-    tries = link.max_retry if request.retry else 0
-    if service.counted and (request.restart or not link.fcb.operational[request.da]):
-        tries = 0
-    patience = link.patience
-    if not waits_long(link, request):
-        slot = link.slot_ns
-    elif patience.known_ns > patience.unknown_ns:
-        slot, tries = link.slot_unknown_ns, 0
-    else:
-        slot = link.slot_known_ns
-    # an answer that may be a late one is kept back
-    late = any(until >= now and _alike(owed, request) for owed, until in link.owed.values())
-    kept = _kept_back_ns(link) if late else 0
-    answer = _longest_answer_ns(link, request)
-    return begins + (tries + 1) * (sending + slot) + answer + kept + line.t_id1_ns
-
-
-def _alike(owed: Request, request: Request) -> bool:
-    """Whether one telegram can answer both: from the same station, or SC."""
-    return owed.da == request.da or (_SERVICES[owed.function].acknowledged and _SERVICES[request.function].acknowledged)
-
-
-def _longest_answer_ns(link: Link, request: Request) -> int:
-    return chars_to_ns(request.answer + _SAPS + _FRAME, link.params.baud)
-
-
-def _kept_back_ns(link: Link) -> int:
-    return link.line.t_sl_ns + link.patience.known_ns // 4
-
-
-def in_vain_until(link: Link, request: Request, at: int, then_ns: int = 0) -> int:
-    """How long the answer of an address where nobody is known is waited for: ``at`` is the last bit of ``request``.
-
-    A port may be late, and one look longer than others (``extra_ns``), but before a fixed cycle ``then_ns`` (what
-    follows) and T_ID1 have to fit in: as long as there is room, and never so short that an answer could still be on the
-    wire. One that is later than that is recognised.
-    """
-    longest = at + link.slot_unknown_ns + (_extra_ns(link, request) if request.extra_ns else 0)
-    next_at = link.budget.next_at
-    if next_at >= longest + then_ns + link.line.t_id1_ns:
-        return longest
-    shortest = at + link.slot_ns + link.patience.sending_ns + _longest_answer_ns(link, request)
-    return min(longest, max(shortest, next_at - then_ns - link.line.t_id1_ns))
-
-
-def _extra_ns(link: Link, request: Request) -> int:
-    """Of ``extra_ns`` what makes nobody wait longer than for a station that is there, and no other master on a wire
-    claim the token meanwhile. (Where there is no wire the others are programs with a slack of their own.)
-    """
-    patience, ring = link.patience, link.ring
-    extra = min(request.extra_ns, patience.known_ns - patience.unknown_ns)
-    if patience.sending_ns and ring.ns != link.ts:
-        lowest = min(address for address in ring.members if address != link.ts)
-        t_to_ns = link.params.ns((6 + 2 * lowest) * link.params.t_sl)
-        extra = min(extra, t_to_ns - link.slot_unknown_ns - patience.unknown_ns)
-    return max(0, extra)
-
-
-def waits_long(link: Link, request: Request) -> bool:
-    """Whether the answer to ``request`` will be given the slack of a station whose silence would be news."""
-    return request.patient or request.da in link.slow or link.knows(request.da)
-
-
-def start(link: Link, user: LinkUser, request: Request) -> None:
-    """Make the telegram of a new request and let it wait for its gate."""
-    da, function, data, dsap, ssap, patient, retry, restart, _, _, _, _, _ = request
-    fc, counted, answered, _ = _SERVICES[function]
-    tries = link.max_retry if answered and retry else 0
-    if counted:
-        fcb = link.fcb
-        if restart:
-            fcb.restart(da)
-        fc |= fcb.bits[da]
-        if not fcb.operational[da]:
-            tries = 0  # a first request is not repeated (docs/protocol.md#frame-count-bit)
-    elif answered and not patient and link.knows(da):
-        request = request._replace(patient=True)  # whoever asks: the silence of a station that is there is news
-    link.user = user
-    link.request = request
-    link.tries_left = tries
-    link.repeats = 0
-    link.wrong = False
-    link.frame = link.tx = request_octets(da, link.ts, fc, data, dsap, ssap)
-    link.gate_ns = link.after_ns
-    link.enter(_USE_TOKEN)
-
-
-def sent(link: Link, at: int) -> None:
-    """The first attempt goes out; its last bit is on the line at ``at``."""
-    request, user = link.request, link.user
-    asked = link.asked = link.stats.station(request.da)
-    asked.requests += 1
-    link.garbled = False  # what came before the request is no answer to it
-    if user is not None:
-        user.started(request, link.taken_at)
-    if _SERVICES[request.function].answered:
-        _await(link, at)
-        return
-    link.after_ns = link.line.t_id2_ns
-    _finish(link, SHORT_ACK, link.taken_at)
-
-
-def repeated(link: Link, _: Telegram, at: int) -> None:
-    """A repetition goes out."""
-    _await(link, at)
-
-
-def _await(link: Link, at: int) -> None:
-    link.enter(_AWAIT_DATA_RESPONSE)
-    request = link.request
-    patient = request.patient or request.da in link.slow
-    link.deadline = at + link.slot_known_ns if patient else in_vain_until(link, request, at)
-    if link.exact:
-        link.early_until = at + link.early_ns
-
-
-def response(link: Link, telegram: Telegram, now: int) -> None:
-    """A response to us, or SC, while we wait for one."""
-    request = link.request
-    if not answers(request, telegram) or link.edge_at < link.early_until:
-        _not_ours(link, telegram, now)
-        return
-    if link.owed and _hold_back(link, telegram, now):
-        return
-    _answered(link, telegram, now)
-
-
-def answers(request: Request, telegram: Telegram) -> bool:
-    """Whether ``telegram``, addressed to us or SC, can answer ``request``."""
-    if telegram.kind == _SC:
-        return _SERVICES[request.function].acknowledged
-    if telegram.sa != request.da:
+    def _keep_back(self, telegram: Telegram, now: int) -> bool:
+        """True when ``telegram`` may be a late answer and is kept for one slot time (see above)."""
+        first, peers = self._candidate, self.peers
+        if first is NONE:
+            if peers.due_from(telegram, now) < 0:
+                return False
+            self._candidate = telegram
+            self.machine.set_deadline(now + self.admission.kept_back_ns())
+            return True
+        peers.expect_none(first.sa if first.sa >= 0 else self.request.da)
+        self._count_late(first, now)
         return False
-    if request.function == _FDL_STATUS:
-        return not telegram.data and telegram.dsap is telegram.ssap is None
-    if telegram.ssap == request.dsap and telegram.dsap == request.ssap:
-        return True
-    # refused or plainly acknowledged: SD1 has no room for SAPs
-    return not telegram.data and telegram.dsap is telegram.ssap is None and telegram.function in _WITHOUT_DATA
 
+    def _answered(self, telegram: Telegram, now: int) -> None:
+        request, peers = self.request, self.peers
+        da = request.da
+        self._asked.answers += 1
+        if SERVICES[request.function].counted and self.fcb.answered(da):
+            peers.knows_only_fcv(da, now)
+        if not telegram.data and telegram.empty_le3:
+            peers.empty_le3(da, now)
+        if self._repeats:
+            peers.expect_late(request, now, self.times.slot_known_ns)
+        elif peers.due:
+            peers.expect_none(da)
+        self._finish(telegram, now)
 
-def _hold_back(link: Link, telegram: Telegram, now: int) -> bool:
-    """True when ``telegram`` may be a late answer and is kept for one slot time (see above)."""
-    first = link.candidate
-    if first is NONE:
-        owing = _owing(link, telegram, now)
-        if owing < 0:
-            return False
-        link.candidate = telegram
-        link.deadline = now + _kept_back_ns(link)
-        return True
-    link.owed.pop(first.sa if first.sa >= 0 else link.request.da, None)
-    _count_late(link, first, now)
-    return False
+    def _finish(self, outcome: Telegram | Failure, now: int) -> None:
+        user, request = self.user, self.request
+        self.user, self.request, self._candidate = None, NO_REQUEST, NONE
+        if user is not None:
+            user.result(request, outcome, now)
+        machine = self.machine
+        machine.enter(CHECK_ACCESS_TIME)
+        machine.row[CHECK](NONE, now)
 
-
-def _owing(link: Link, telegram: Telegram, now: int) -> int:
-    """The station that may still owe an answer such as ``telegram``, or -1. Forgets what is too old to come."""
-    owed = link.owed
-    for address in [a for a, (_, until) in owed.items() if now > until]:
-        del owed[address]
-    for address, (request, _) in owed.items():
-        if answers(request, telegram):
-            return address
-    return -1
-
-
-def _owe(link: Link, now: int) -> None:
-    """An answer to the present request may still come."""
-    link.owed[link.request.da] = (link.request, now + _OWED_SLOTS * link.slot_known_ns)
-
-
-def owe_status(link: Link, address: int, now: int, slot_ns: int) -> None:
-    """A GAP poll was given up after the slot time ``slot_ns``: its answer may come while the next request waits."""
-    link.owed[address] = (Request(address, Req.FDL_STATUS), now + _OWED_SLOTS * slot_ns)
-
-
-def _answered(link: Link, telegram: Telegram, now: int) -> None:
-    request = link.request
-    da = request.da
-    link.asked.answers += 1
-    if _SERVICES[request.function].counted and link.fcb.answered(da):
-        text = (
-            f"station {da} answered a request with FCV = 1 after three silent ones with FCV = 0: "
-            "it was switched on just then, its answers came too late, or it does not know the standard's first request"
-        )
-        link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.WARNING))
-    if not telegram.data and telegram.empty_le3 and da not in link.told_le3:
-        link.told_le3.add(da)
-        link.events.append(le3_notice("fdl", da, now))
-    if link.repeats:
-        _owe(link, now)
-    elif link.owed:
-        link.owed.pop(da, None)
-    _finish(link, telegram, now)
-
-
-def _finish(link: Link, outcome: Telegram | Failure, now: int) -> None:
-    user, request = link.user, link.request
-    link.end_exchange()
-    if user is not None:
-        user.result(request, outcome, now)
-    link.enter(_CHECK_ACCESS_TIME)
-    link.row[_CHECK](link, NONE, now)
-
-
-def timeout(link: Link, _: Telegram, now: int) -> None:
-    """The slot time is over."""
-    request = link.request
-    candidate = link.candidate
-    if candidate is not NONE:
-        # nothing followed: what was kept back is the answer, and nothing is owed any more
-        link.owed.clear()
-        link.repeats = 0
-        _answered(link, candidate, now)
-        return
-    station = link.asked
-    _unanswered(link, now)
-    if now > link.budget.next_at and not request.cyclic:
-        link.budget.silent = f"{request_name(request)} to station {request.da}"
-    outdated = False
-    if link.tries_left:
-        outdated = request.still is not None and not request.still(now)
-        if not outdated:
-            link.tries_left -= 1
-            link.repeats += 1
-            station.retries += 1
-            link.queue(link.frame)
+    def timeout(self, _: Telegram, now: int) -> None:
+        """The slot time is over."""
+        request, peers = self.request, self.peers
+        candidate = self._candidate
+        if candidate is not NONE:
+            # nothing followed: what was kept back is the answer, and no other one is due any more
+            peers.due.clear()
+            self._repeats = 0
+            self._answered(candidate, now)
             return
-    link.slow.discard(request.da)
-    link.doubted.add(request.da)
-    if request.patient or request.function != Req.FDL_STATUS:
-        station.timeouts += 1
-        _owe(link, now)
-    elif not (station.answers or link.garbled):
-        # nobody is known there: no fault, and an FDL status that comes late is as true as one in time
-        del link.stats.stations[request.da]
-    if _SERVICES[request.function].counted:
-        link.fcb.given_up(request.da)
-    if outdated:
-        failure = Failure.ABANDONED
-    elif link.wrong:
-        failure = Failure.WRONG
-    elif link.garbled:
-        link.stats.garbled += 1
-        failure = Failure.GARBLED
-    else:
-        failure = Failure.NO_ANSWER
-    _finish(link, failure, now)
+        asked = self._asked
+        peers.attempt_failed(request.da)
+        if self.garbled:
+            peers.unreadable(request.da, not self._repeats, now)
+        if not request.cyclic:
+            self.admission.unanswered(request, now)
+        outdated = False
+        if self._tries_left:
+            outdated = request.still is not None and not request.still(now)
+            if not outdated:
+                self._tries_left -= 1
+                self._repeats += 1
+                asked.retries += 1
+                self.line.queue(self._frame)
+                return
+        peers.silent(request.da)
+        if request.patient or request.function != Req.FDL_STATUS:
+            asked.timeouts += 1
+            peers.expect_late(request, now, self.times.slot_known_ns)
+        elif not (asked.answers or self.garbled):
+            # nobody is known there: no fault, and an FDL status that comes late is as true as one in time
+            del self.stats.stations[request.da]
+        if SERVICES[request.function].counted:
+            self.fcb.given_up(request.da)
+        if outdated:
+            failure = Failure.ABANDONED
+        elif self._wrong:
+            failure = Failure.WRONG
+        elif self.garbled:
+            self.stats.garbled += 1
+            failure = Failure.GARBLED
+        else:
+            failure = Failure.NO_ANSWER
+        self._finish(failure, now)
 
+    def is_outdated(self, now: int) -> bool:
+        """Whether the request that waits for its gate has data that are too old to be sent."""
+        still = self.request.still
+        return self.user is not None and still is not None and not still(now)
 
-def is_outdated(link: Link, now: int) -> bool:
-    """Whether the request that waits for its gate has data that are too old to be sent."""
-    still = link.request.still
-    return link.user is not None and still is not None and not still(now)
+    def drop_outdated(self, now: int) -> None:
+        """Do not send the request that waits: its data are too old. A first attempt may have been sent."""
+        self.line.drop()
+        if self._repeats:
+            self.peers.expect_late(self.request, now, self.times.slot_known_ns)
+            self.fcb.given_up(self.request.da)
+        self._finish(Failure.ABANDONED, now)
 
+    def stop_repeating(self) -> None:
+        """Do not repeat the request under way."""
+        self._tries_left = 0
 
-def drop_outdated(link: Link, now: int) -> None:
-    """Do not send the request that waits: its data are too old. A first attempt may have been sent."""
-    link.tx = None
-    if link.repeats:
-        _owe(link, now)
-        link.fcb.given_up(link.request.da)
-    _finish(link, Failure.ABANDONED, now)
+    def detach(self, user: LinkUser) -> None:
+        """``user`` wants no result any more."""
+        if self.user is user:
+            self.user = None
 
+    def abandon(self, now: int) -> None:
+        """Drop the telegram that waits and the request under way; its user gets ABANDONED."""
+        self.line.drop()
+        user, request = self.user, self.request
+        self.user, self.request, self._candidate = None, NO_REQUEST, NONE
+        if user is not None:
+            user.result(request, Failure.ABANDONED, now)
+            self.users.ask_times()
 
-def _not_ours(link: Link, telegram: Telegram, now: int) -> None:
-    """A telegram to us that does not answer the request: late, wrong, or from nobody we know."""
-    link.garbled = False
-    sa = telegram.sa
-    if sa == link.request.da and link.edge_at >= link.early_until and _owing(link, telegram, now) < 0:
-        link.wrong = True
-        link.stats.station(sa).wrong += 1
-        _superfluous(link, sa, now)
-    else:
-        _count_late(link, telegram, now)
+    def _not_ours(self, telegram: Telegram, now: int) -> None:
+        """A telegram to us that does not answer the request: late, wrong, or from nobody we know."""
+        self.garbled = False
+        sa = telegram.sa
+        if sa == self.request.da and self.line.edge_at >= self.early_until and self.peers.due_from(telegram, now) < 0:
+            self._wrong = True
+            self.stats.station(sa).wrong += 1
+            self.peers.superfluous(sa, now)
+        else:
+            self._count_late(telegram, now)
 
+    def late(self, telegram: Telegram, now: int) -> None:
+        """A response to us, or SC, that nobody waits for: the answer to an exchange that is over."""
+        self._count_late(telegram, now)
+        self.peers.expect_none(telegram.sa)
 
-def late(link: Link, telegram: Telegram, now: int) -> None:
-    """A response to us, or SC, that nobody waits for: the answer to an exchange that is over."""
-    _count_late(link, telegram, now)
-    link.owed.pop(telegram.sa, None)
-
-
-def _count_late(link: Link, telegram: Telegram, now: int) -> None:
-    """Only an answer of ours can be addressed to us; SC names nobody and counts as stray."""
-    if telegram.sa < 0:
-        link.stats.stray += 1
-        if link.token_at >= 0 and link.state is not State.ACTIVE_IDLE and link.frame:
-            # the token is ours, so it answers our last request
-            da = link.frame[4 if link.frame[0] == Kind.SD2 else 1] & BROADCAST
-            if da != BROADCAST:
-                _superfluous(link, da, now)
-        return
-    link.slow.add(telegram.sa)
-    link.stats.late += 1
-    link.stats.station(telegram.sa).late += 1
-    _superfluous(link, telegram.sa, now)
-
-
-# --- two stations with one address ---------------------------------------------------------------------------------
-# One station gives one answer to each attempt at most. A late answer follows an attempt that was given up.
-
-
-def _superfluous(link: Link, address: int, now: int) -> None:
-    """``address`` gave an answer that nobody waits for. More answers than attempts are those of two stations."""
-    doubt = _doubt(link, address)
-    doubt.superfluous += 1
-    if doubt.superfluous >= _DOUBLED and not doubt.told_doubled:
-        doubt.told_doubled = True
-        text = (
-            f"station {address} gives more answers than it gets requests ({doubt.superfluous} more): two stations have "
-            f"address {address}, and what is read may be of either; switch one off, and give it another address"
-        )
-        link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.WARNING))
-
-
-def given_up(link: Link, address: int) -> None:
-    """An attempt at ``address`` had no answer in time: one may come late."""
-    doubt = link.doubts.get(address)
-    if doubt is not None and doubt.superfluous:
-        doubt.superfluous -= 1
-
-
-def _unanswered(link: Link, now: int) -> None:
-    """An attempt of the exchange under way had no answer that could be used."""
-    da = link.request.da
-    if link.doubts:
-        given_up(link, da)
-    if not link.garbled:
-        return
-    doubt = _doubt(link, da)
-    if link.repeats == 0:
-        doubt.unreadable += 1
-    if doubt.unreadable >= _UNREADABLE and not doubt.told_unreadable:
-        doubt.told_unreadable = True
-        text = (
-            f"half of the answers of station {da} cannot be read: check its cable, shielding and the termination, and "
-            f"look for a second station with address {da}"
-        )
-        link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.WARNING))
-
-
-def _doubt(link: Link, address: int) -> Doubt:
-    """What was odd in the last requests to ``address``."""
-    requests = link.stats.station(address).requests
-    doubt = link.doubts.get(address)
-    if doubt is None:
-        doubt = link.doubts[address] = Doubt(requests)
-    elif requests - doubt.since > _OF_REQUESTS:
-        doubt.since, doubt.superfluous, doubt.unreadable = requests, 0, 0
-    return doubt
+    def _count_late(self, telegram: Telegram, now: int) -> None:
+        """Only an answer of ours can be addressed to us; SC names nobody and counts as stray."""
+        if telegram.sa >= 0:
+            self.peers.late(telegram.sa, now)
+            return
+        self.stats.stray += 1
+        holding = self.membership.in_ring and self.machine.state is not ACTIVE_IDLE
+        if holding and self._asked_da != BROADCAST:
+            self.peers.superfluous(self._asked_da, now)  # the token is ours, so it answers our last request

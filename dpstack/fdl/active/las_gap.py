@@ -198,6 +198,14 @@ class Gap:
         self.stations[address] = kind
         return kind is not known
 
+    def skip(self) -> None:
+        """A poll is due, but this hold has no time left for it."""
+        self.skipped += 1
+
+    def forget(self, address: int) -> None:
+        """``address`` does not take the token: it is not there."""
+        self.stations.pop(address, None)
+
     def passed(self, address: int) -> None:
         """``address`` was polled and the answer was unreadable: move on, conclude nothing."""
         self._cursor = self._after(address)
@@ -216,12 +224,10 @@ News = list[tuple[int, bool]]
 
 
 class Announced:
-    """The masters that were told. ``received`` counts what the receiver could not read."""
+    """The masters that were reported. ``received`` counts what the receiver could not read."""
 
-    __slots__ = ("_heard", "_missing", "_skipped", "masters", "received")
-
-    def __init__(self) -> None:
-        self.received = DecoderStats()
+    def __init__(self, received: DecoderStats) -> None:
+        self._received = received
         self._skipped = 0  # up to the last token
         self.masters: frozenset[int] = frozenset()
         self._heard: set[int] = set()  # senders of one token
@@ -242,8 +248,8 @@ class Announced:
 
     def token(self, sa: int, members: frozenset[int]) -> News:
         """``members`` are the other masters as they stand after a token from ``sa``: what is news, and certain."""
-        if self.received.skipped != self._skipped:
-            self._skipped = self.received.skipped
+        if self._received.skipped != self._skipped:
+            self._skipped = self._received.skipped
             self._heard.clear()
             self._missing.clear()
         again = sa in self._heard

@@ -1,7 +1,7 @@
 """The active station: a master's link layer with the whole token ring, as a machine of :mod:`dpstack.machine`.
 
 It hears octets or whole telegrams, finds out what they are to this station, and runs the handler that the table in
-:mod:`dpstack.fdl.active.states` names. Deadlines, gates and books are in :class:`~dpstack.fdl.active.context.Link`.
+:mod:`dpstack.fdl.active.states` names.
 """
 
 from __future__ import annotations
@@ -10,22 +10,41 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from dpstack.errors import UsageError
-from dpstack.fdl.active import exchange, listen_idle_claim, pass_token, use_token
-from dpstack.fdl.active.context import NONE, Link, Rows, classify
+from dpstack.fdl.active.admission import Admission
 from dpstack.fdl.active.cycle_window import CycleWindow
-from dpstack.fdl.active.request_filter import Guard, GuardedUser
-from dpstack.fdl.active.states import Input, State, handlers_by_state
+from dpstack.fdl.active.exchange import Exchange
+from dpstack.fdl.active.fcb import FrameCount
+from dpstack.fdl.active.las_gap import Announced, Gap, Ring
+from dpstack.fdl.active.listen_idle_claim import Waiting
+from dpstack.fdl.active.membership import Membership
+from dpstack.fdl.active.parts import ActiveLine, Times, Users
+from dpstack.fdl.active.pass_token import TokenPass
+from dpstack.fdl.active.peers import Peers
+from dpstack.fdl.active.states import (
+    ACTIVITY,
+    AWAIT_DATA_RESPONSE,
+    AWAIT_STATUS_RESPONSE,
+    GO_OFFLINE,
+    GO_ONLINE,
+    LINE_DOWN,
+    NONE,
+    OFFLINE,
+    SENT,
+    State,
+    StateMachine,
+    handlers_by_state,
+)
+from dpstack.fdl.active.use_token import GapPoll, Guard, TokenHold
 from dpstack.fdl.codec import encode
 from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline, GoOnline
-from dpstack.fdl.decoder import Decoder, DecoderStats
+from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.interface import LinkStats, LinkUser
 from dpstack.fdl.telegram import SHORT_ACK, Kind, StationType, Telegram
 from dpstack.machine import HeldUp, LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
-from dpstack.stats import Histogram
-from dpstack.trace import Event, Notice, Severity, WireEntry
-from dpstack.units import NEVER, NS_PER_MS, chars_to_ns
+from dpstack.trace import Event, WireEntry
+from dpstack.units import NS_PER_MS, chars_to_ns
 
 #: the longest telegram in octets: what an edge on the line may turn into
 _LONGEST: Final = 255
@@ -33,28 +52,6 @@ _LONGEST: Final = 255
 _FLOOD: Final = 8
 #: a telegram that was made so long ago may have data that are too old
 _LATE_NS: Final = NS_PER_MS
-
-
-def _ignored(link: Link, _: Telegram, now: int) -> None:
-    link.stats.ignored += 1
-
-
-#: the table with its handlers bound
-ROWS: Final[Rows] = handlers_by_state(
-    {"idle": listen_idle_claim, "hold": use_token, "exchange": exchange, "passing": pass_token}, _ignored
-)
-
-# asked with every telegram: an enum's member costs ten times a name of the module
-_OFFLINE: Final = State.OFFLINE
-_ACTIVITY: Final = Input.ACTIVITY
-_SENT: Final = Input.SENT
-
-_COMMANDS: Final[dict[type, Input]] = {
-    GoOnline: Input.GO_ONLINE,
-    GoOffline: Input.GO_OFFLINE,
-    LineDown: Input.LINE_DOWN,
-    LineUp: Input.LINE_UP,
-}
 
 
 class ActiveStation:
@@ -65,18 +62,8 @@ class ActiveStation:
     not its own go to the users; :class:`UsageError` when none takes it.
     """
 
-    __slots__ = (
-        "_attached",
-        "_decoder",
-        "_guard",
-        "_link",
-        "_longest_ns",
-        "_partial",
-        "_sending",
-        "address",
-        "baud",
-        "wire",
-    )
+    #: a ring member has to hear every token
+    hears_all: Final = True
 
     def __init__(
         self,
@@ -88,97 +75,92 @@ class ActiveStation:
         budget: CycleWindow | None = None,
         now: int = 0,
     ) -> None:
+        self.params: Final = params
         #: TS
         self.address: Final = params.address
         #: the rate of its receiver
         self.baud: Final = params.baud
-        self._guard = guard
+        self.wire: Callable[[WireEntry], None] | None = None
+        self.stats = stats = LinkStats()
+        self._events: list[Event] = []
         self._attached: dict[int, LinkUser] = {}  # by the token of their orders
-        self._link = Link(params, [self._guarded(user) for user in users], patience, ROWS, now)
-        if budget is not None:
-            self._link.budget = budget
-        self._decoder = Decoder(stall_ns=self._link.line.t_stall_ns + patience.stall_ns)
-        self._decoder.on_bad = self._bad
-        self._link.announced.received = self._decoder.stats
-        self._partial = False  # the decoder holds an unfinished telegram
+        self._wanted = False
+        self._line_is_down = False
         self._longest_ns = chars_to_ns(_LONGEST, params.baud)
         self._sending = b""
-        self.wire: Callable[[WireEntry], None] | None = None
+        self._line = line = ActiveLine(params, now)
+        self._times = times = Times(params, patience, line)
+        self._decoder = Decoder(stall_ns=line.t_stall_ns + patience.stall_ns)
+        self._decoder.on_bad = self._bad
+        self._pending = self._decoder.pending  # octets of an unfinished telegram
+        #: counters of the octets received
+        self.decoder_stats = self._decoder.stats
+        self._machine = machine = StateMachine(params.address)
+        self._users = Users(users)
+        self._gap = gap = Gap(params)
+        gap.limit(patience, times.slot_unknown_ns, now)
+        ring = Ring(params.address)
+        self._membership = Membership(params, ring, gap, Announced(self.decoder_stats), self._events)
+        fcb = FrameCount()
+        self._peers = Peers(gap, fcb, stats, self._events)
+        if budget is None:
+            budget = CycleWindow()
+        admission = Admission(times, line, ring, self._peers, budget, self._events)
+        parts = (times, line, machine, self._membership, self._peers, self._users, stats, self._events)
+        self._exchange = exchange = Exchange(*parts, fcb, admission)
+        waiting = Waiting(*parts, exchange)
+        passing = TokenPass(*parts, exchange, waiting)
+        self._poll = poll = GapPoll(*parts, gap, exchange, admission, passing)
+        self._hold = hold = TokenHold(*parts, gap, exchange, admission, budget, passing, poll, waiting, guard)
+        #: from receipt to receipt of the token
+        self.token_rotation = hold.token_rotation
+        owners = {"idle": waiting, "hold": hold, "exchange": exchange, "poll": poll, "passing": passing}
+        machine.bind(handlers_by_state(owners, self._ignore))
 
     # --- what others may know -----------------------------------------------------------------------------------
     @property
-    def hears_all(self) -> bool:
-        """A ring member has to hear every token."""
-        return True
-
-    @property
-    def params(self) -> BusParams:
-        return self._link.params
-
-    @property
     def state(self) -> State:
         """The state of the link layer."""
-        return self._link.state
+        return self._machine.state
 
     @property
     def in_ring(self) -> bool:
         """It has held the token since it came online, and has not been dropped since."""
-        return self._link.in_ring
+        return self._membership.in_ring
 
     @property
     def claimed(self) -> bool:
         """It claimed the token on a silent bus; nobody has passed it one since."""
-        return self._link.claimed
+        return self._membership.claimed
 
     @property
     def las(self) -> frozenset[int]:
         """The masters in the ring as far as is known, this one included."""
-        return frozenset(self._link.ring.members)
+        return frozenset(self._membership.ring.members)
 
     @property
     def stations(self) -> dict[int, StationType]:
         """The stations found by GAP polls and what they said they are."""
-        return dict(self._link.gap.stations)
-
-    @property
-    def stats(self) -> LinkStats:
-        return self._link.stats
-
-    @property
-    def decoder_stats(self) -> DecoderStats:
-        """Counters of the octets received."""
-        return self._decoder.stats
-
-    @property
-    def last_rotation(self) -> int:
-        """The last token rotation (receipt to receipt) in ns, 0 before the second receipt."""
-        return self._link.last_rotation
-
-    @property
-    def token_rotation(self) -> Histogram:
-        return self._link.token_rotation
+        return dict(self._gap.stations)
 
     # --- hearing ------------------------------------------------------------------------------------------------
     def receive(self, chunk: bytes, now: int) -> None:
         """Octets from the line (machine contract)."""
-        link = self._link
-        if link.state is _OFFLINE:
+        machine = self._machine
+        if machine.state is OFFLINE:
             return
-        line = link.line
-        # receiving while sending implies sent, except where nothing is late: there it is a collision
-        if now > line.idle_since or not link.exact:
-            line.idle_since = now
-        if not self._partial and not link.edge_told:
-            link.edge_at = now - chars_to_ns(len(chunk), self.baud) if link.exact else now
-        decoder = self._decoder
+        exact, pending, decoder = self._times.exact, self._pending, self._decoder
+        first_at = -1 if pending else now
+        if exact and not pending:
+            first_at -= chars_to_ns(len(chunk), self.baud)
         found = decoder.feed(chunk, now)
-        self._arriving(bool(decoder.pending))
+        self._line.octets_ended(now, first_at, decoder.stall_at() if pending else 0, exact)
         if len(found) > _FLOOD:
             found = self._without_flood(found)
         for telegram in found:
             self._heard(telegram, now)
         if not found:
-            link.row[_ACTIVITY](link, NONE, now)
+            machine.row[ACTIVITY](NONE, now)
 
     def _without_flood(self, found: list[Telegram]) -> list[Telegram]:
         """``found`` with at most two SC in a row, the others counted as stray: a line brings two answers at once where
@@ -186,216 +168,155 @@ class ActiveStation:
         kept = [
             each for n, each in enumerate(found) if n < 2 or not (each is found[n - 1] is found[n - 2] is SHORT_ACK)
         ]
-        stats = self._link.stats
-        stats.heard += len(found) - len(kept)
-        stats.stray += len(found) - len(kept)
+        self.stats.heard += len(found) - len(kept)
+        self.stats.stray += len(found) - len(kept)
         return kept
-
-    def _arriving(self, pending: bool) -> None:
-        link = self._link
-        self._partial = pending
-        link.after_ns = link.line.t_id1_ns
-        if pending:
-            link.busy_until = self._decoder.stall_at()
-        else:
-            link.busy_until = 0
-            link.edge_told = False
 
     def activity(self, now: int) -> None:
         """A start edge (see BusStation): what waits goes on waiting, for the longest telegram at most."""
-        link = self._link
-        if link.state is _OFFLINE:
-            return
-        link.line.heard(now)
-        link.edge_at = now
-        link.edge_told = True
-        link.after_ns = link.line.t_id1_ns
-        link.busy_until = now + self._longest_ns
-        link.row[_ACTIVITY](link, NONE, now)
+        machine = self._machine
+        if machine.state is not OFFLINE:
+            self._line.edge(now, self._longest_ns)
+            machine.row[ACTIVITY](NONE, now)
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         """A whole telegram (see BusStation)."""
-        link = self._link
-        if link.state is _OFFLINE:
-            return
-        line = link.line
-        if now > line.idle_since:
-            line.idle_since = now
-        if not link.edge_told:
-            link.edge_at = now
-        link.edge_told = False
-        link.busy_until = 0
-        link.after_ns = line.t_id1_ns
-        self._heard(telegram, now)
+        if self._machine.state is not OFFLINE:
+            self._line.telegram_ended(now)
+            self._heard(telegram, now)
 
     def _heard(self, telegram: Telegram, now: int) -> None:
-        link = self._link
-        link.stats.heard += 1
+        self.stats.heard += 1
         if self.wire is not None:
             octets = _octets(telegram)
             sender = str(telegram.sa) if telegram.sa >= 0 else None
             self.wire(WireEntry(now - chars_to_ns(len(octets), self.baud), now, octets, sender))
-        link.row[classify(telegram, link.ts)](link, telegram, now)
+        self._machine.telegram(telegram, now)
 
     # --- time and sending ---------------------------------------------------------------------------------------
     def wake_at(self) -> int:
         """The machine contract: a gate, a deadline, the end of a stalled telegram, or a user's time."""
-        link = self._link
-        if link.tx is not None:
-            at = link.line.idle_since + link.gate_ns  # as Link.tx_at
-            if at < link.busy_until:
-                at = link.busy_until
-        else:
-            at = link.deadline
-            if at < link.busy_until:
-                at = link.busy_until
-        if self._partial:
+        line, due_at = self._line, self._users.due_at
+        at = self._machine.deadline if line.tx is None else line.idle_since + line.gate_ns
+        if at < line.busy_until:
+            at = line.busy_until
+        if self._pending:
             stall = self._decoder.stall_at()
             if stall < at:
                 at = stall
-        return at if at < link.users_at else link.users_at
+        return at if at < due_at else due_at
 
     def wake(self, now: int) -> None:
         """Judge what is due (machine contract)."""
-        link = self._link
-        if self._partial and now >= self._decoder.stall_at():
-            self._stalled(now)
-        if link.tx is None and link.deadline <= now and link.busy_until <= now:
-            link.deadline = NEVER
-            link.row[Input.TIMEOUT](link, NONE, now)
-        if link.users_at <= now:
-            for user in link.users:
-                if user.wake_at() <= now:
-                    user.tick(now)
-            link.ask_times()
-
-    def _stalled(self, now: int) -> None:
-        found = self._decoder.stalled(now)
-        self._arriving(bool(self._decoder.pending))
-        for telegram in found:
-            self._heard(telegram, now)
+        if self._pending and now >= self._decoder.stall_at():
+            found = self._decoder.stalled(now)
+            self._line.end_arrival()
+            for telegram in found:
+                self._heard(telegram, now)
+        line, machine, users = self._line, self._machine, self._users
+        if line.tx is None and machine.deadline <= now and line.busy_until <= now:
+            machine.timeout(now)
+        if users.due_at <= now:
+            users.tick(now)
 
     def take_tx(self, now: int) -> bytes | None:
         """The waiting telegram once its gate is open (machine contract)."""
-        link = self._link
-        octets = link.tx
-        if octets is None or now < link.tx_at():
+        line = self._line
+        octets = line.tx
+        if octets is None or now < line.idle_since + line.gate_ns or now < line.busy_until:
             return None
-        if now - link.made_at > _LATE_NS and exchange.is_outdated(link, now):
-            exchange.drop_outdated(link, now)
+        exchange = self._exchange
+        if now - exchange.made_at > _LATE_NS and exchange.is_outdated(now):
+            exchange.drop_outdated(now)
             return None
-        link.tx = None
-        link.taken_at = now
+        line.taken(now)
         self._sending = octets
         return octets
 
     def sent(self, at: int) -> None:
         """The end of the transmission, known in advance (machine contract)."""
-        link = self._link
-        link.stats.sent += 1
+        line = self._line
+        self.stats.sent += 1
         if self.wire is not None:
-            self.wire(WireEntry(link.taken_at, at, self._sending, str(link.ts)))
-        at += link.patience.sending_ns  # an answer cuts this short, silence does not
-        link.line.idle_since = at
-        link.after_ns = link.line.t_id1_ns
-        link.row[_SENT](link, NONE, at)
+            self.wire(WireEntry(line.taken_at, at, self._sending, str(self.address)))
+        at += self._times.patience.sending_ns  # an answer cuts this short, silence does not
+        line.sending_ends(at)
+        self._machine.row[SENT](NONE, at)
 
     @property
     def patience(self) -> Patience:
         """How long it waits for whom."""
-        return self._link.patience
+        return self._times.patience
 
     def set_patience(self, patience: Patience, now: int) -> None:
         """Wait as long as the port turned out to need; counts from the next deadline on."""
-        link = self._link
-        link.patience = patience
-        link.set_times(now)
-        self._decoder.stall_ns = link.line.t_stall_ns + patience.stall_ns
+        self._times.set_patience(patience)
+        self._gap.limit(patience, self._times.slot_unknown_ns, now)
+        self._decoder.stall_ns = self._line.t_stall_ns + patience.stall_ns
 
     def held_up(self, gap: HeldUp, now: int) -> bool:
         """The driver ran this station late; True when one of its users says that its outputs are too old by it."""
-        too_old = [user.command(gap, now) for user in self._link.users]
-        self._link.ask_times()
-        return any(too_old)
+        return self._users.tell(gap, now)
 
     # --- orders and news ----------------------------------------------------------------------------------------
     def take_events(self) -> list[Event]:
         """The station's events, then its users'."""
-        link = self._link
-        events = link.events
-        if events:
-            link.events = []
-        else:
-            events = []
-        for user in link.users:
+        events: list[Event] = []
+        if self._events:
+            events += self._events
+            self._events.clear()
+        for user in self._users.all:
             events += user.take_events()
         return events
 
     def command(self, command: object, now: int) -> None:
         """GoOnline, GoOffline, AttachUser, DetachUser, LineDown, LineUp; all else goes to the users, or UsageError."""
-        link = self._link
-        what = _COMMANDS.get(type(command))
-        if what is None:
-            self._offer(command, now)
-            return
-        match what:
-            case Input.GO_ONLINE:
-                link.wanted, link.leaving = True, False
-            case Input.GO_OFFLINE:
-                link.wanted = False
-            case Input.LINE_DOWN:
-                link.line_is_down = True
+        row = self._machine.row
+        match command:
+            case GoOnline():
+                self._wanted = True
+                self._membership.set_leaving(False)
+                if not self._line_is_down:
+                    row[GO_ONLINE](NONE, now)
+            case GoOffline():
+                self._wanted = False
+                row[GO_OFFLINE](NONE, now)
+            case LineDown():
+                self._line_is_down = True
                 self._decoder.reset()
-                self._partial = False
-            case Input.LINE_UP:
-                link.line_is_down = False
-        link.dispatch(what, NONE, now)
-        if what in (Input.LINE_DOWN, Input.LINE_UP):  # concerns everyone
-            for user in link.users:
-                user.command(command, now)
-            link.ask_times()
+                row[LINE_DOWN](NONE, now)
+                self._users.tell(command, now)
+            case LineUp():
+                self._line_is_down = False
+                if self._wanted:
+                    row[GO_ONLINE](NONE, now)
+                self._users.tell(command, now)
+            case AttachUser(token=token):
+                user = self._attached[token] = command.link_user(self.params, self.patience, now)
+                self._users.attach(user)
+            case DetachUser(token):
+                gone = self._attached.pop(token, None)
+                if gone is not None:
+                    self._exchange.detach(gone)
+                    self._users.detach(gone)
+            case _:
+                if not self._users.offer(command, now):
+                    raise UsageError(f"nobody on this bus takes the command {command!r}: its user is not attached")
+                self._hold.let_go(now)
 
-    def _guarded(self, user: LinkUser) -> LinkUser:
-        return user if self._guard is None else GuardedUser(user, self._guard, self._refused)
-
-    def _refused(self, text: str, now: int, news: bool) -> None:
-        link = self._link
-        link.stats.refused += 1
-        if news:
-            link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.ERROR))
+    def _ignore(self, _: Telegram, now: int) -> None:
+        self.stats.ignored += 1
 
     def _bad(self, cause: str, times: int) -> None:
         """Something damaged: while an answer is awaited it counts for the station asked, too."""
-        link = self._link
-        if link.state is State.AWAIT_DATA_RESPONSE:
-            bad = link.stats.station(link.request.da).bad
-        elif link.state is State.AWAIT_STATUS_RESPONSE and link.knows(link.polling):
-            bad = link.stats.station(link.polling).bad
+        state, polled = self._machine.state, self._poll.request.da
+        if state is AWAIT_DATA_RESPONSE:
+            bad = self.stats.station(self._exchange.request.da).bad
+        elif state is AWAIT_STATUS_RESPONSE and self._peers.knows(polled):
+            bad = self.stats.station(polled).bad
         else:
             return
         bad[cause] = bad.get(cause, 0) + times
-
-    def _offer(self, command: object, now: int) -> None:
-        link = self._link
-        match command:
-            case AttachUser(token=token):
-                user = self._attached[token] = self._guarded(command.link_user(link.params, link.patience, now))
-                link.users += (user,)
-                link.ask_times()
-                return
-            case DetachUser(token):
-                gone = self._attached.pop(token, None)
-                if link.user is gone:
-                    link.user = None
-                link.users = tuple(user for user in link.users if user is not gone)
-                link.ask_times()
-                return
-        for user in link.users:
-            if user.command(command, now):
-                link.ask_times()
-                use_token.let_go(link, now)
-                return
-        raise UsageError(f"nobody on this bus takes the command {command!r}: its user is not attached")
 
 
 def _octets(telegram: Telegram) -> bytes:

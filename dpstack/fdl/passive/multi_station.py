@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.commands import AtStation
-from dpstack.fdl.decoder import Decoder, DecoderStats
+from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
 from dpstack.machine import LineDown, LineUp
@@ -30,45 +30,32 @@ class Multidrop:
     """
 
     def __init__(self, stations: Iterable[PassiveStation], params: BusParams, *, patience: Patience = EXACT) -> None:
-        self._params = params
         self._patience = patience
         self._line = Line(params)
-        self._decoder = Decoder(stall_ns=self._line.t_stall_ns + patience.stall_ns)
+        self._decoder = Decoder(stall_ns=0)
+        #: the counters of the shared receiver
+        self.decoder_stats = self._decoder.stats
         self._due: dict[PassiveStation, int] = {}  # every station, and when its application wants its time
         self._next = NEVER  # the earliest of these
         self._index: dict[int, PassiveStation] = {}  # by address
         self._silent: dict[PassiveStation, int] = {}  # until when, in ns
         self._answering: PassiveStation | None = None
+        self.set_params(params)
         for station in stations:
             self.add(station)
-
-    @property
-    def params(self) -> BusParams:
-        """Rate and times of the port and all its stations."""
-        return self._params
-
-    @property
-    def baud(self) -> int:
-        """The rate of the port."""
-        return self._params.baud
 
     # --- the stations ---
     @property
     def stations(self) -> tuple[PassiveStation, ...]:
         return tuple(sorted(self._due, key=lambda station: station.address))
 
-    @property
-    def decoder_stats(self) -> DecoderStats:
-        """The counters of the shared receiver."""
-        return self._decoder.stats
-
     def add(self, station: PassiveStation) -> None:
         """Put one more station on the line. Raises ConfigError when its address is taken or its baud rate another."""
         address = station.address
         if address in self._index:
             raise ConfigError(f"two stations with address {address} on one port: give one of them another address")
-        if station.baud != self._params.baud:
-            raise ConfigError(f"station {address} listens at {station.baud} bit/s, the port at {self._params.baud}")
+        if station.baud != self.params.baud:
+            raise ConfigError(f"station {address} listens at {station.baud} bit/s, the port at {self.params.baud}")
         self._due[station] = NEVER
         self.poke()
 
@@ -101,7 +88,9 @@ class Multidrop:
 
     def set_params(self, params: BusParams) -> None:
         """Take baud rate and times from ``params`` for the port and all its stations; what is pending is forgotten."""
-        self._params = params
+        #: rate and times of the port and all its stations
+        self.params = params
+        self.baud = params.baud
         self._line.set_params(params)
         self._decoder.stall_ns = self._line.t_stall_ns + self._patience.stall_ns
         self._decoder.reset()
@@ -111,8 +100,7 @@ class Multidrop:
 
     # --- Machine ---
     def receive(self, chunk: bytes, now: int) -> None:
-        self._line.cut(now)
-        self._line.heard(now)
+        self._line.idle_since = now  # receiving while sending implies sent
         for telegram in self._decoder.feed(chunk, now):
             self._deliver(telegram, now)
         if self._answering is not None:
@@ -120,7 +108,7 @@ class Multidrop:
 
     def sent(self, at: int) -> None:
         """The answer leaves the line at ``at``."""
-        self._line.sending_until(at)
+        self._line.idle_since = at
 
     def wake(self, now: int) -> None:
         """Judge a stalled telegram, and let the applications have their time."""
@@ -170,7 +158,7 @@ class Multidrop:
         if not isinstance(command, LineDown | LineUp):
             raise UsageError(f"a multidrop port knows no {type(command).__name__}: tell the stations' applications")
         self._decoder.reset()
-        self._line.sending_until(now)
+        self._line.idle_since = now
         self._answering = None
         for station in self._due:
             station.command(command, now)

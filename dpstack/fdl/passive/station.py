@@ -12,10 +12,10 @@ from typing import Final
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.codec import SC_OCTETS, encode_sd1, request_octets
 from dpstack.fdl.commands import AtStation
-from dpstack.fdl.decoder import Decoder, DecoderStats
+from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.events import le3_notice
 from dpstack.fdl.interface import RS_REPLY, Reply, Responder
-from dpstack.fdl.telegram import FC_FCB, FC_FCV, FC_FUNCTION, FC_REQUEST, Req, Resp, Telegram
+from dpstack.fdl.telegram import COUNTED, FC_FCB, FC_FCV, FC_FUNCTION, FC_REQUEST, Req, Resp, Telegram
 from dpstack.machine import LineDown, LineUp
 from dpstack.params import BROADCAST, UNADDRESSED, BusParams
 from dpstack.phy.line import Line
@@ -26,11 +26,9 @@ from dpstack.units import NEVER
 #: T_SDR of a station is never less than this (docs/protocol.md#t-sdr).
 LOWEST_TSDR: Final = 11
 
-#: requests that carry a frame count
-_CONFIRMED: Final = frozenset((Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD))
 _DL: Final = Resp.DL
 _DH: Final = Resp.DH
-_SERVED: Final = frozenset((Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.IDENT))
+_SERVED: Final = COUNTED - {Req.MSRD} | {Req.IDENT}
 _REFUSED: Final = frozenset((Req.MSRD, Req.LSAP_STATUS))
 _UNCONFIRMED: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH))
 
@@ -54,26 +52,8 @@ class PassiveStation:
     response time in bit times (>= 11, default min T_SDR); the answer starts the larger of the two after the request.
     """
 
-    __slots__ = (
-        "_address",
-        "_events",
-        "_kept",
-        "_kept_fcb",
-        "_kept_sa",
-        "_min_tsdr",
-        "_params",
-        "_patience",
-        "_responder",
-        "_t_sdr",
-        "_t_sdr_ns",
-        "_told_le3",
-        "_tx",
-        "_tx_until",
-        "baud",
-        "decoder",
-        "line",
-        "stats",
-    )
+    #: a passive station is interested in what is sent to it and to all
+    hears_all: Final = False
 
     def __init__(
         self,
@@ -86,68 +66,48 @@ class PassiveStation:
     ) -> None:
         if t_sdr is not None and t_sdr < LOWEST_TSDR:
             raise ConfigError(f"station {address}: t_sdr = {t_sdr} bit times; {LOWEST_TSDR} is the least")
-        self._address = _checked(address)
-        self._responder = responder
+        self.responder = responder
         self._patience = patience
         self._t_sdr = LOWEST_TSDR if t_sdr is None else t_sdr
         self._tx: bytes | None = None
         self._tx_until = 0  # an answer held up by noise is not sent after this
         self._kept: bytes | None = None  # the last answer; None = silence was the answer
         self._kept_sa = -1  # whom it was for; -1 = nothing is kept
+        self.set_address(address)
         self._kept_fcb = 0
         self._events: list[Event] = []
-        self._told_le3: set[int] = set()
+        self._reported_le3: set[int] = set()
         self.stats = PassiveStats()
         self.line = Line(params)
         self.decoder = Decoder(stall_ns=0)
+        self.decoder_stats = self.decoder.stats
         self._min_tsdr = 0  # as Set_Prm gave it; 0: it gave none
         self.set_params(params)
         responder.attached(self)
 
     def __repr__(self) -> str:
-        return f"<PassiveStation {self._address}>"
+        return f"<PassiveStation {self.address}>"
 
     # --- what the station is ---
-    @property
-    def address(self) -> int:
-        """The station address, 0..126; a change leaves an answer under way alone."""
-        return self._address
-
-    @address.setter
-    def address(self, address: int) -> None:
-        self._address = _checked(address)
+    def set_address(self, address: int) -> None:
+        """Change the station address, 0..126; an answer under way still goes out. Raises ConfigError."""
+        if not 0 <= address <= UNADDRESSED:
+            raise ConfigError(f"station address {address}: must be 0..{UNADDRESSED}")
+        self.address = address
         self._kept_sa = -1
-
-    @property
-    def params(self) -> BusParams:
-        return self._params
-
-    @property
-    def decoder_stats(self) -> DecoderStats:
-        """The counters of its receiver."""
-        return self.decoder.stats
-
-    @property
-    def hears_all(self) -> bool:
-        """A passive station is interested in what is sent to it and to all."""
-        return False
-
-    @property
-    def responder(self) -> Responder:
-        return self._responder
 
     def set_min_tsdr(self, bits: int) -> None:
         """Min T_SDR in bit times as Set_Prm gives it: 0 keeps the present one, 1..10 count as 11."""
         if bits:
             self._min_tsdr = max(bits, LOWEST_TSDR)
-        self._t_sdr_ns = self._params.ns(max(self._t_sdr, self._min_tsdr or self._params.min_tsdr))
+        self._t_sdr_ns = self.params.ns(max(self._t_sdr, self._min_tsdr or self.params.min_tsdr))
 
     def set_params(self, params: BusParams) -> None:
         """Take baud rate and times from ``params`` (a new rate, too); what was pending is forgotten.
 
         What Set_Prm said of min T_SDR still holds: a slave without a watchdog stays in Data_Exchange while it searches.
         """
-        self._params = params
+        self.params = params
         #: the rate it listens at
         self.baud = params.baud
         self.line.set_params(params)
@@ -158,8 +118,7 @@ class PassiveStation:
     # --- what it hears ---
     def receive(self, chunk: bytes, now: int) -> None:
         """Octets from the line; the last bit of the last one came no later than ``now``."""
-        self.line.cut(now)  # receiving while sending implies sent
-        self.line.heard(now)
+        self.line.idle_since = now  # receiving while sending implies sent
         for telegram in self.decoder.feed(chunk, now):
             self.take(telegram, now)
 
@@ -170,8 +129,7 @@ class PassiveStation:
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         """A whole telegram, decoded by the medium; it ended at ``now``."""
-        self.line.cut(now)
-        self.line.heard(now)
+        self.line.idle_since = now
         if self.decoder.pending:
             # octets of something else came before and their rest will not follow
             for late in self.decoder.stalled(now):
@@ -187,7 +145,7 @@ class PassiveStation:
     # --- what it does ---
     def sent(self, at: int) -> None:
         """The answer leaves the line at ``at``."""
-        self.line.sending_until(at)
+        self.line.idle_since = at
 
     def wake(self, now: int) -> None:
         """Judge a stalled telegram, and let the application have its time."""
@@ -195,8 +153,8 @@ class PassiveStation:
             for telegram in self.decoder.stalled(now):
                 self.take(telegram, now)
             self.drop_if_late(now)
-        if self._responder.wake_at() <= now:
-            self._responder.tick(now)
+        if self.responder.wake_at() <= now:
+            self.responder.tick(now)
 
     def drop_if_late(self, now: int) -> None:
         """Noise behind the request held the answer up: after the slot time nobody waits for it."""
@@ -218,7 +176,7 @@ class PassiveStation:
 
     def wake_at(self) -> int:
         """The next of: the answer's start, the stall of what is pending, what the application wants."""
-        at = self._responder.wake_at()
+        at = self.responder.wake_at()
         if self.decoder.pending:
             own = self.decoder.stall_at()
         elif self._tx is not None:
@@ -229,7 +187,7 @@ class PassiveStation:
 
     def take_events(self) -> list[Event]:
         """The station's own events and its application's."""
-        events = self._responder.take_events()
+        events = self.responder.take_events()
         if self._events:
             events = self._events + events
             self._events = []
@@ -242,7 +200,7 @@ class PassiveStation:
                 act(now)
             case LineDown() | LineUp():
                 self._forget()
-                self.line.sending_until(now)
+                self.line.idle_since = now
             case _:
                 raise UsageError(f"a passive station knows no {type(command).__name__}: tell its application directly")
 
@@ -256,19 +214,20 @@ class PassiveStation:
         if fc < 0 or not fc & FC_REQUEST:
             return
         da = telegram.da
-        if da == self._address:
+        if da == self.address:
             if telegram.sa != da and telegram.dseg is telegram.sseg is None:
                 self._request(telegram, fc, now)
         elif da == BROADCAST and fc & FC_FUNCTION in _UNCONFIRMED:
             self.stats.indications += 1
-            self._responder.indicate(telegram, now)
+            self.responder.indicate(telegram, now)
 
     def _request(self, telegram: Telegram, fc: int, now: int) -> None:
         function = fc & FC_FUNCTION
         sa = telegram.sa
-        if telegram.empty_le3:
-            self._tell_le3(sa, now)
-        if fc & FC_FCV and sa == self._kept_sa and fc & FC_FCB == self._kept_fcb and function in _CONFIRMED:
+        if not telegram.data and telegram.empty_le3 and sa not in self._reported_le3:
+            self._reported_le3.add(sa)
+            self._events.append(le3_notice(f"station {self.address}", sa, now))
+        if fc & FC_FCV and sa == self._kept_sa and fc & FC_FCB == self._kept_fcb and function in COUNTED:
             # docs/protocol.md#frame-count-bit: same requester, same FCB: the answer was lost, so it is repeated and
             # nothing done twice
             self.stats.repeats += 1
@@ -277,7 +236,7 @@ class PassiveStation:
         self._kept_sa = -1  # kept until the next frame addressed to this station
         if function in _SERVED:
             self.stats.requests += 1
-            reply = self._responder.serve(telegram, now)
+            reply = self.responder.serve(telegram, now)
         elif function in _REFUSED:
             reply = RS_REPLY
         elif function == Req.FDL_STATUS:
@@ -287,10 +246,10 @@ class PassiveStation:
         else:
             if function in _UNCONFIRMED:
                 self.stats.indications += 1
-                self._responder.indicate(telegram, now)
+                self.responder.indicate(telegram, now)
             return
         octets = None if reply is None else self._octets(telegram, reply)
-        if fc & (FC_FCV | FC_FCB) and self._address == telegram.da:
+        if fc & (FC_FCV | FC_FCB) and self.address == telegram.da:
             # FCV = 0 with FCB = 1 starts the count; a request from another SA is not checked, but remembered
             self._kept = octets
             self._kept_sa = sa
@@ -318,14 +277,3 @@ class PassiveStation:
         self._tx = None
         self._kept_sa = -1
         self.decoder.reset()
-
-    def _tell_le3(self, sa: int, now: int) -> None:
-        if sa not in self._told_le3:
-            self._told_le3.add(sa)
-            self._events.append(le3_notice(f"station {self._address}", sa, now))
-
-
-def _checked(address: int) -> int:
-    if not 0 <= address <= UNADDRESSED:
-        raise ConfigError(f"station address {address}: must be 0..{UNADDRESSED}")
-    return address

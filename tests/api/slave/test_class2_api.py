@@ -99,7 +99,8 @@ class Settable(SlaveApp):
         if self.master is not None:
             return RS_REPLY
         if not self.locked:
-            self.control.address, self.locked = request.data[0], request.data[3] != 0
+            self.control.set_address(request.data[0])
+            self.locked = request.data[3] != 0
         return SC_REPLY
 
 

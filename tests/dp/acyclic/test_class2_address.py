@@ -295,7 +295,7 @@ class Addressable(SlaveApp):
     def serve(self, request: Telegram, now: int) -> Reply | None:
         if request.dsap != 55:
             return super().serve(request, now)
-        self.control.address = request.data[0]
+        self.control.set_address(request.data[0])
         return SC_REPLY
 
 

@@ -36,8 +36,8 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.codec import decode
-from dpstack.fdl.interface import Expect, Failure, Reply, Request
-from dpstack.fdl.telegram import SAP_SET_SLAVE_ADD, SHORT_ACK, Kind, Telegram
+from dpstack.fdl.interface import Failure, Reply, Request
+from dpstack.fdl.telegram import SAP_SET_SLAVE_ADD, SHORT_ACK, UNANSWERED, Kind, Telegram
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 
@@ -145,7 +145,7 @@ class Link(ScriptedLink):
     far: dict[int, Far]
 
     def _answer(self, request: Request) -> Telegram | Failure:
-        if request.expect is Expect.NOTHING:
+        if request.function in UNANSWERED:
             for address, far in self.far.items():
                 if request.da in (127, address):
                     far.hear(request, self.now)

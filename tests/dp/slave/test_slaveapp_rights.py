@@ -21,6 +21,9 @@ class Station:
         self.baud = 500_000
         self.min_tsdr: list[int] = []
 
+    def set_address(self, address: int) -> None:
+        self.address = address
+
     def set_min_tsdr(self, bits: int) -> None:
         self.min_tsdr.append(bits)
 

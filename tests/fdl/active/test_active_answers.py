@@ -8,7 +8,7 @@ import pytest
 from exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
 from ring_bus import ListUser, RingBus, Sent
 
-from dpstack.fdl.active.exchange import answers
+from dpstack.fdl.active.services import answers
 from dpstack.fdl.active.states import State
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline

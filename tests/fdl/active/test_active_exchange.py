@@ -156,7 +156,7 @@ def test_a_repeated_token_before_we_started_is_still_ours() -> None:
     bus.master(5, hsa=6)
     bus.run(300 * NS_PER_MS)
     user = ListUser(per_hold=[Request(4, Req.SDN_HIGH)])
-    a._link.users = (user,)
+    a._users.attach(user)
     bus.until(a, State.USE_TOKEN)
     a.telegram(Telegram(Kind.SD4, 2, 5), bus.now)
     bus.pump(a)

@@ -7,14 +7,13 @@ from collections.abc import Callable
 import pytest
 from ring_bus import ListUser
 
-from dpstack.fdl.active.context import Handler, Link
 from dpstack.fdl.active.cycle_window import CycleWindow
-from dpstack.fdl.active.states import TABLE, Input, Row, State
+from dpstack.fdl.active.states import TABLE, Handler, Input, Row, State, StateMachine
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Telegram, token
-from dpstack.machine import LineDown, LineUp
+from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.units import NEVER, chars_to_ns
 
@@ -33,24 +32,23 @@ class Rig:
         self.now = 0
         self.sent: list[bytes] = []
         self.taken: list[tuple[State, Input, State]] = []
-        self._record(self.station._link)
+        self._record(self.station._machine)
 
-    def _record(self, link: Link) -> None:
+    def _record(self, machine: StateMachine) -> None:
         open_rows: list[list[State]] = []
 
         def wrap(state: State, what: Input, handler: Handler) -> Handler:
-            def run(link: Link, telegram: Telegram, now: int) -> None:
+            def run(telegram: Telegram, now: int) -> None:
                 if open_rows:
-                    open_rows[-1].append(link.state)  # the outer handler hands over here
+                    open_rows[-1].append(machine.state)  # the outer handler hands over here
                 open_rows.append([])
-                handler(link, telegram, now)
+                handler(telegram, now)
                 entered = open_rows.pop()
-                self.taken.append((state, what, entered[0] if entered else link.state))
+                self.taken.append((state, what, entered[0] if entered else machine.state))
 
             return run
 
-        link.rows = tuple(tuple(wrap(s, i, link.rows[s][i]) for i in Input) for s in State)
-        link.row = link.rows[link.state]
+        machine.bind(tuple(tuple(wrap(s, i, machine.rows[s][i]) for i in Input) for s in State))
 
     def step(self) -> None:
         """To the next deadline, then one wake and one transmission at most."""
@@ -151,7 +149,6 @@ COMMANDS = {
     Input.GO_ONLINE: GoOnline(),
     Input.GO_OFFLINE: GoOffline(),
     Input.LINE_DOWN: LineDown("unplugged"),
-    Input.LINE_UP: LineUp(),
 }
 
 

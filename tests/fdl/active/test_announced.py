@@ -22,7 +22,7 @@ def of(*members: int) -> frozenset[int]:
 
 
 def test_joined_with_its_second_token() -> None:
-    told = Announced()
+    told = Announced(DecoderStats())
     assert told.token(4, of(4)) == []
     assert told.token(4, of(4)) == [(4, True)]
     assert told.token(4, of(4)) == []
@@ -33,7 +33,7 @@ def test_joined_with_its_second_token() -> None:
 
 
 def test_left_when_its_predecessor_passes_it_over_twice() -> None:
-    told = Announced()
+    told = Announced(DecoderStats())
     told.certain(4, True)
     told.certain(9, True)
     assert told.token(4, of(4)) == []
@@ -44,20 +44,20 @@ def test_left_when_its_predecessor_passes_it_over_twice() -> None:
 
 
 def test_what_cannot_be_read_between_begins_anew() -> None:
-    told = Announced()
-    told.received = DecoderStats()
+    received = DecoderStats()
+    told = Announced(received)
     told.token(4, of(4))
-    told.received.skipped += 1
+    received.skipped += 1
     assert told.token(4, of(4)) == []
     assert told.token(4, of(4)) == [(4, True)]
     assert told.token(7, of(7)) == []
-    told.received.skipped += 5
+    received.skipped += 5
     assert told.token(7, of(7)) == []
     assert told.token(7, of(7)) == [(4, False), (7, True)]
 
 
 def test_what_is_certain_counts_at_once() -> None:
-    told = Announced()
+    told = Announced(DecoderStats())
     assert told.certain(5, True) == [(5, True)]
     assert told.certain(5, True) == []
     assert told.certain(5, False) == [(5, False)]

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from ring_bus import ListUser
 
 from dpstack.fdl.active.cycle_window import CycleWindow
-from dpstack.fdl.active.exchange import ends_at, in_vain_until
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.events import PATIENCE
 from dpstack.fdl.interface import Request
@@ -112,21 +111,22 @@ def test_nobody_starves_and_the_risk_is_bounded(cycles: list[list[tuple[int, boo
 )
 def test_the_longest_course_of_a_request(request_: Request, known: bool, bits: int) -> None:
     station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()])
-    link = station._link
+    admission = station._hold.admission
     if known:
-        link.fcb.answered(5)
+        admission.peers.fcb.answered(5)
     now = 10_000_000
-    assert ends_at(link, request_, now) == now + bits * 2_000
-    link.line.idle_since = now  # the line fell silent only now: T_ID1 comes first
-    assert ends_at(link, request_, now) == now + (37 + bits) * 2_000
+    assert admission.ends_at(request_, now) == now + bits * 2_000
+    admission.line.idle_since = now  # the line fell silent only now: T_ID1 comes first
+    assert admission.ends_at(request_, now) == now + (37 + bits) * 2_000
 
 
 def ends_after(patience: Patience, request: Request, *, known: bool) -> int:
     station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()], patience=patience)
+    admission = station._hold.admission
     if known:
-        station._link.fcb.answered(request.da)
+        admission.peers.fcb.answered(request.da)
     now = 10_000_000
-    return ends_at(station._link, request, now) - now
+    return admission.ends_at(request, now) - now
 
 
 POLL = Request(5, Req.FDL_STATUS, retry=False, answer=0)
@@ -152,13 +152,13 @@ def test_the_users_own_slack_is_in_every_attempt() -> None:
 
 def test_an_answer_that_may_be_kept_back_as_a_late_one_needs_that_time_too() -> None:
     station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()])
-    link = station._link
-    link.fcb.answered(5)
+    admission = station._hold.admission
+    admission.peers.fcb.answered(5)
     now = 10_000_000
-    before = ends_at(link, DATA, now)
-    link.owed[7] = (Request(7, Req.SRD_HIGH), now)
-    assert ends_at(link, DATA, now) == before + 200 * 2_000  # T_SL
-    assert ends_at(link, DATA, now + 1) == before + 1  # nothing is owed any more
+    before = admission.ends_at(DATA, now)
+    admission.peers.due[7] = (Request(7, Req.SRD_HIGH), now)
+    assert admission.ends_at(DATA, now) == before + 200 * 2_000  # T_SL
+    assert admission.ends_at(DATA, now + 1) == before + 1  # no answer is due any more
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_an_answer_that_may_be_kept_back_as_a_late_one_needs_that_time_too() -> 
 def test_how_long_nobody_is_waited_for(room_us: int, waited_us: int) -> None:
     patience = Patience(known_ns=50_000_000, unknown_ns=2_000_000)
     station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()], patience=patience)
-    link = station._link
+    admission = station._hold.admission
     at = 10_000_000
-    link.budget.next_at = at + room_us * 1_000
-    assert in_vain_until(link, POLL, at, 300_000) == at + waited_us * 1_000
+    admission.budget.next_at = at + room_us * 1_000
+    assert admission.in_vain_until(POLL, at, 300_000) == at + waited_us * 1_000

@@ -176,7 +176,7 @@ def test_what_is_done_at_a_station_may_change_its_address_and_its_deadline() -> 
     def act(now: int) -> None:
         application = rig.applications[3]
         assert application.station is not None
-        application.station.address = 5
+        application.station.set_address(5)
         application.due = now + 7
 
     assert rig.port.wake_at() == NEVER
@@ -233,7 +233,7 @@ def test_a_station_that_changes_its_address() -> None:
     assert rig.say(REQUEST[4], 10**8) == []
     assert rig.say(REQUEST[5], 10**9) == [bytes.fromhex("68 04 04 68 02 05 08 04 13 16")]
     assert [station.address for station in rig.port.stations] == [3, 5]
-    rig.port.stations[1].address = 3  # two with one address, from outside: the first one answers
+    rig.port.stations[1].set_address(3)  # two with one address, from outside: the first one answers
     rig.port.poke()
     assert rig.say(REQUEST[3], 10**10) == [ANSWER[3]]
     assert rig.say(REQUEST[5], 10**11) == []

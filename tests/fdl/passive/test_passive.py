@@ -245,7 +245,7 @@ def test_a_new_address_leaves_the_answer_under_way_alone(how: str) -> None:
     assert bench.answers(DX_TO_5, next(at)) == ["68 04 04 68 02 05 08 99 A8 16"]
     for wrong in (-1, 127):
         with pytest.raises(ConfigError, match=r"0\.\.126"):
-            bench.station.address = wrong
+            bench.station.set_address(wrong)
         with pytest.raises(ConfigError, match=r"0\.\.126"):
             PassiveStation(wrong, application, BusParams.preset(BAUD))
 

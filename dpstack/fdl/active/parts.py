@@ -1,0 +1,224 @@
+"""The parts that the states of an active station share: durations, line, state machine, users of the link layer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final
+
+from dpstack.fdl.active.membership import Membership
+from dpstack.fdl.active.peers import Peers
+from dpstack.fdl.active.states import StateMachine
+from dpstack.fdl.codec import encode_token
+from dpstack.fdl.interface import LinkStats, LinkUser
+from dpstack.fdl.telegram import Telegram
+from dpstack.params import BusParams
+from dpstack.phy.line import Line
+from dpstack.phy.patience import EXACT, Patience
+from dpstack.trace import Event
+from dpstack.units import BITS_PER_CHAR, NEVER
+
+#: T_TO is longer by so many times the slack of a known station
+_SLACK_IN_T_TO: Final = 2
+#: repetitions of a token get this share of the slack of the first pass (but at least the slack of unknown stations)
+_AGAIN: Final = 4
+#: beside other masters a token is kept for a cycle that is due within this share of T_SL
+_KEPT: Final = 4
+TOKEN_OCTETS: Final = 3
+
+
+class ActiveLine(Line):
+    """The line as an active station uses it: the telegram that waits to be sent, its gate, what is arriving."""
+
+    __slots__ = ("_edge_seen", "after_ns", "busy_until", "edge_at", "gate_ns", "taken_at", "ts", "tx")
+
+    def __init__(self, params: BusParams, now: int) -> None:
+        super().__init__(params, now)
+        self.ts = params.address
+        self.tx: bytes | None = None
+        self.gate_ns = 0  # silence that has to precede tx
+        self.after_ns = self.t_id1_ns  # silence that has to follow the last telegram on the line
+        self.taken_at = 0  # first bit of the last transmission
+        self.busy_until = 0  # a telegram is arriving; deadlines and starts wait so long
+        self.edge_at = 0  # first bit of what is arriving
+        self._edge_seen = False
+
+    def edge(self, now: int, longest_ns: int) -> None:
+        """A start edge: a telegram of up to ``longest_ns`` may follow."""
+        if now > self.idle_since:
+            self.idle_since = now
+        self.edge_at = now
+        self._edge_seen = True
+        self.after_ns = self.t_id1_ns
+        self.busy_until = now + longest_ns
+
+    def telegram_ended(self, now: int) -> None:
+        """A whole telegram ended at ``now``."""
+        if now > self.idle_since:
+            self.idle_since = now
+        if not self._edge_seen:
+            self.edge_at = now
+        self._edge_seen = False
+        self.busy_until = 0
+        self.after_ns = self.t_id1_ns
+
+    def octets_ended(self, now: int, first_at: int, stall_at: int, exact: bool) -> None:
+        """Octets ended at ``now``. ``first_at``: first bit of the telegram they begin, -1 if they continue one.
+
+        ``stall_at``: an unfinished telegram is given up then; 0: there is none.
+        """
+        # receiving while sending implies sent, except where nothing is late: there it is a collision
+        if now > self.idle_since or not exact:
+            self.idle_since = now
+        if first_at >= 0 and not self._edge_seen:
+            self.edge_at = first_at
+        self._edge_seen = self._edge_seen and stall_at > 0
+        self.busy_until = stall_at
+        self.after_ns = self.t_id1_ns
+
+    def end_arrival(self) -> None:
+        """The unfinished telegram was given up."""
+        self._edge_seen = False
+        self.busy_until = 0
+        self.after_ns = self.t_id1_ns
+
+    def queue(self, octets: bytes) -> None:
+        """Send ``octets`` as soon as the gate after the last telegram opens."""
+        self.tx = octets
+        self.gate_ns = self.after_ns
+
+    def queue_token(self, da: int) -> None:
+        self.queue(encode_token(da, self.ts))
+
+    def reply(self, octets: bytes) -> None:
+        """Answer another master after min T_SDR."""
+        self.tx = octets
+        self.gate_ns = self.t_sdr_ns
+
+    def lengthen_gate(self, least_ns: int) -> None:
+        """Let the telegram that waits follow a silence of ``least_ns`` or more."""
+        self.gate_ns = max(self.gate_ns, least_ns)
+
+    def drop(self) -> None:
+        """Do not send the telegram that waits."""
+        self.tx = None
+
+    def taken(self, now: int) -> None:
+        """The telegram that waited goes out."""
+        self.tx = None
+        self.taken_at = now
+
+    def sending_ends(self, at: int) -> None:
+        self.idle_since = at
+        self.after_ns = self.t_id1_ns
+
+    def expect_no_answer(self) -> None:
+        """What was sent last has no answer: T_ID2 follows."""
+        self.after_ns = self.t_id2_ns
+
+
+class Times:
+    """The durations of an active station in ns, from its parameters and its patience with the port."""
+
+    def __init__(self, params: BusParams, patience: Patience, line: Line) -> None:
+        self.params = params
+        self._line = line
+        self.set_patience(patience)
+
+    def set_patience(self, patience: Patience) -> None:
+        params, line = self.params, self._line
+        self.patience = patience
+        #: nothing is delivered late, edges are told
+        self.exact = patience == EXACT
+        # Octets are seen at their end: without edges the slot time counts from there.
+        self.slot_ns = slot_ns = line.t_sl_ns if self.exact else params.ns(params.t_sl + BITS_PER_CHAR)
+        self.slot_known_ns = slot_ns + patience.known_ns
+        self.slot_unknown_ns = slot_ns if self.exact else patience.silent_ns(params)
+        # A stalled host had its time at the first pass: repetitions are for a damaged token.
+        self.slot_again_ns = slot_ns + max(patience.known_ns // _AGAIN, patience.unknown_ns)
+        # The holder may be silent for T_SL and its slack, and notice the end of that late by as much. With the slack
+        # once (5 ms more than a known station's answer is waited for) a busy computer lost the token with every master
+        # that left, and two rings stood side by side (measured).
+        self.t_to_ns = line.t_to_ns + _SLACK_IN_T_TO * patience.known_ns
+        self.t_tr_ns = params.ns(params.t_tr)
+        self.max_retry = params.max_retry
+        # A fixed cycle that is due so soon begins with this token. With others in the ring a silence that is far from
+        # their T_SL; alone any start is caught between two tokens to ourselves, far from anybody's T_TO (600 bits).
+        self.keep_ns = line.t_sl_ns // _KEPT
+        # the token to ourselves, until the next request may follow it
+        self.pass_ns = params.ns(TOKEN_OCTETS * BITS_PER_CHAR) + line.t_id1_ns + patience.sending_ns
+        self.keep_alone_ns = line.t_sl_ns + 2 * self.pass_ns
+        # half a bit of tolerance: telegram and pause are rounded to ns apart from each other
+        self.early_ns = params.ns(params.min_tsdr) - params.ns(1) // 2
+
+
+class Users:
+    """The users of the link layer, asked in their order; ``due_at``: the earliest time one of them wants its tick."""
+
+    __slots__ = ("all", "due_at")
+
+    def __init__(self, users: Iterable[LinkUser]) -> None:
+        self.all = tuple(users)
+        self.due_at = NEVER
+
+    def attach(self, user: LinkUser) -> None:
+        self.all += (user,)
+        self.ask_times()
+
+    def detach(self, user: LinkUser) -> None:
+        self.all = tuple(other for other in self.all if other is not user)
+        self.ask_times()
+
+    def ask_times(self) -> None:
+        """A user was called that may want its tick at another time now."""
+        self.due_at = min((user.wake_at() for user in self.all), default=NEVER)
+
+    def tell(self, command: object, now: int) -> bool:
+        """Hand ``command`` to all of them; True when one took it."""
+        taken = [user.command(command, now) for user in self.all]
+        self.ask_times()
+        return any(taken)
+
+    def offer(self, command: object, now: int) -> bool:
+        """Hand ``command`` to the first one that takes it; False when nobody does."""
+        taken = any(user.command(command, now) for user in self.all)
+        if taken:
+            self.ask_times()
+        return taken
+
+    def tick(self, now: int) -> None:
+        for user in self.all:
+            if user.wake_at() <= now:
+                user.tick(now)
+        self.ask_times()
+
+
+@dataclass(slots=True, eq=False)
+class Parts:
+    """Base of the state classes: their handlers work on these objects, each of which alone writes its fields."""
+
+    times: Times
+    line: ActiveLine
+    machine: StateMachine
+    membership: Membership
+    peers: Peers
+    users: Users
+    stats: LinkStats
+    events: list[Event]
+
+
+@dataclass(slots=True, eq=False)
+class Awaiting(Parts):
+    """Base of the classes that wait for an answer."""
+
+    early_until: int = field(default=-NEVER, init=False)  # what begins before this cannot be the answer
+    garbled: bool = field(default=False, init=False)  # octets came that are no telegram (yet)
+
+    def stray(self, _: Telegram, now: int) -> None:
+        """A response to somebody else while we hold the token."""
+        self.garbled = False
+        self.stats.stray += 1
+
+    def noise(self, _: Telegram, now: int) -> None:
+        """An edge or octets: a telegram may follow; if none does, the answer was garbled."""
+        self.garbled = True

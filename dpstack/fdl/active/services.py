@@ -1,0 +1,49 @@
+"""FDL services as the requester sees them: the FC octet of each, and which telegram answers which request."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from dpstack.fdl.interface import Request
+from dpstack.fdl.telegram import COUNTED, UNANSWERED, Kind, Req, Resp, Telegram
+
+
+class Service(NamedTuple):
+    """``counted``: it carries FCB and FCV, and SC can answer it."""
+
+    fc: int
+    counted: bool
+    answered: bool
+
+
+#: FDL status, ident, LSAP status and SDN carry FCV = 0 and FCB = 0 (docs/protocol.md#frame-count-bit)
+SERVICES: Final[dict[Req, Service]] = {
+    function: Service(
+        0xC0 if function is Req.CLOCK_VALUE else 0x40 | function, function in COUNTED, function not in UNANSWERED
+    )
+    for function in Req
+}
+# an enum's member costs ten times a name of the module
+_SC: Final = Kind.SC
+_FDL_STATUS: Final = Req.FDL_STATUS
+#: responses that say no or plainly yes
+_WITHOUT_DATA: Final = frozenset({int(Resp.OK), int(Resp.UE), int(Resp.RR), int(Resp.RS), int(Resp.NR)})
+
+
+def answers(request: Request, telegram: Telegram) -> bool:
+    """Whether ``telegram``, addressed to us or SC, can answer ``request``."""
+    if telegram.kind == _SC:
+        return SERVICES[request.function].counted
+    if telegram.sa != request.da:
+        return False
+    if request.function == _FDL_STATUS:
+        return not telegram.data and telegram.dsap is telegram.ssap is None
+    if telegram.ssap == request.dsap and telegram.dsap == request.ssap:
+        return True
+    # refused or plainly acknowledged: SD1 has no room for SAPs
+    return not telegram.data and telegram.dsap is telegram.ssap is None and telegram.function in _WITHOUT_DATA
+
+
+def same_answer(one: Request, other: Request) -> bool:
+    """Whether one telegram can answer both requests: from the same station, or SC."""
+    return one.da == other.da or (SERVICES[one.function].counted and SERVICES[other.function].counted)
