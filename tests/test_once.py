@@ -1,9 +1,10 @@
-"""What is told once, and not without end."""
+"""Remarks are reported once each, and at most so many of them."""
 
 from __future__ import annotations
 
 from dpstack.dp.master.events import SlaveRemark
-from dpstack.dp.master.fault_report import Findings
+from dpstack.dp.master.fault_report import SlaveReports
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.report_once import Novelty, ReportOnce
 from dpstack.trace import Event
 
@@ -23,9 +24,9 @@ def test_up_to_a_limit() -> None:
 
 def test_a_slave_that_deviates_in_another_way_each_time_fills_no_log() -> None:
     told: list[Event] = []
-    findings = Findings(4, "s4", told.append)
+    reports = SlaveReports(SlaveParams(address=4, name="s4", ident=None, config=b"\x10"), told.append)
     for number in range(1000):
-        findings.remark(f"answers Slave_Diag with {number % 500} octets", number)
+        reports.remark(f"answers Slave_Diag with {number % 500} octets", number)
     texts = [event.message for event in told if isinstance(event, SlaveRemark)]
     assert len(texts) == len(set(texts)) == 20
     assert texts[-1] == "answers Slave_Diag with 19 octets; further deviations are not told"

@@ -103,7 +103,7 @@ def image_of(setup: SlaveParams, before: SlaveImage | None = None) -> SlaveImage
             return before
         if before.unit is not None:
             raise UsageError(
-                f"slave {setup.address} ({setup.name}): its drive plugin is made for {before.input_len} octets of "
+                f"{setup.who}: its drive plugin is made for {before.input_len} octets of "
                 f"inputs and {before.output_len} of outputs; remove the slave and add it anew for other lengths"
             )
     return SlaveImage(*lengths, setup.safe_outputs if setup.initial is None else setup.initial)

@@ -96,7 +96,7 @@ class SlaveParams:
     prm_note: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        where = f"slave {self.address} ({self.name})"
+        where = self.who
         for key, (low, high) in LIMITS.items():
             value = getattr(self, key)
             for one in value if isinstance(value, tuple) else (value,):
@@ -122,6 +122,11 @@ class SlaveParams:
             given = getattr(self, name)
             if given and len(given) != outputs:
                 raise ConfigError(f"{where}: {name} has {len(given)} octets, the configuration has {outputs} outputs")
+
+    @property
+    def who(self) -> str:
+        """The slave as it stands in front of messages."""
+        return f"slave {self.address} ({self.name})"
 
     @property
     def input_len(self) -> int:

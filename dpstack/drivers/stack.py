@@ -63,7 +63,7 @@ def build_stack(spec: StackSpec) -> Stack:
     users.append(acyclic_services(params.address, master))
     guard = reading_only if read_only else None
     station = ActiveStation(params, users, patience=spec.patience, guard=guard, budget=master.budget)
-    master.ring = lambda: station.las
+    master.context.ring = lambda: station.las
     return Stack(master, station, watcher)
 
 
@@ -113,7 +113,7 @@ class StackView:
 
     @property
     def read_only(self) -> bool:
-        return self._master.settings.read_only
+        return self._master.context.settings.read_only
 
     @property
     def setups(self) -> dict[int, SlaveParams]:
@@ -123,8 +123,8 @@ class StackView:
         master, station, watcher = self._master, self._station, self.stack.watcher
         return BusSnapshot(
             mode=master.mode,
-            synced=frozenset(master.controls.synced),
-            frozen=frozenset(master.controls.frozen),
+            synced=frozenset(master.controls.sync.held),
+            frozen=frozenset(master.controls.freeze.held),
             in_ring=station.in_ring,
             claimed=station.claimed,
             las=frozenset(station.las),

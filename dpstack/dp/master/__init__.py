@@ -3,22 +3,21 @@
 - ``commands``: Orders to the DP master and its modes
 - ``cycle``: One round over the slaves: which request comes next
 - ``diag_reader``: Parser of the diagnoses of one slave: an event when they change, remarks on deviations
-- ``events``: What the DP master tells the application
-- ``fault_report``: Faults and remarks of one slave as events: a fault when it changes, each remark once
-- ``fault_texts``: The texts of every fault of a slave: one clear line that says what, and what to do
+- ``events``: Events of the DP master for the application
+- ``fault_report``: Reports of one slave to the application: a fault when it changes, each remark once
+- ``fault_texts``: The texts of every fault of a slave: one clear line that says what happened, and what to do
 - ``fixed_cycle``: When the rounds over the slaves begin: as fast as the bus allows, or on an equidistant grid
 - ``global_control``: Global_Control: the master's mode, repeated; SYNC, FREEZE and their ends, each sent exactly once
 - ``master``: The class 1 master: modes and the ordered end
-- ``outputs_watch``: When outputs are too old to be sent: the stall rule
+- ``outputs_watch``: When the master goes to Clear by itself: auto-clear, the stall rule, the application watchdog
 - ``plugin_host``: Runs a slave's cyclic unit (a drive plugin) so that its defects stay its own
 - ``poll_order``: Whose turn it is: who is exchanged data with in a round, and whose service comes next
 - ``retry_timing``: When a slave is asked next: the back-off of retries
 - ``scanner``: The scanner: the live list, filled up with ident number, state and owner of each slave
-- ``settings``: Settings of a DP master that do not depend on its slaves: made once, handed on whole
+- ``settings``: Settings of a DP master that do not depend on its slaves, and the state that all its parts share
 - ``slave_handler``: The master's handling of one slave: what to ask it next, and what its answers mean
 - ``slave_list``: The slaves of a master while the bus runs: added, removed, taken out of service, parameterised anew
 - ``slave_states``: The master's handling of one slave as a table: (state, what happened) -> state, with the clause
-- ``sync_freeze``: Global_Control with SYNC, FREEZE or their ends: one order, and both in every cycle
 - ``token_watch``: How long this station has had no token: after too long nobody can be in data exchange any more
 - ``verdicts``: What answers mean to a master that did not write the slave: diagnoses and odd answers to Data_Exchange
 """

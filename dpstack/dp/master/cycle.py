@@ -10,8 +10,7 @@ The order is that of the Siemens S120 and Heidenhain manuals (docs/protocol.md#o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Final
 
 from dpstack.dp.master.commands import Mode
@@ -19,8 +18,9 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.fixed_cycle import Cadence, CycleData
 from dpstack.dp.master.global_control import Controls
 from dpstack.dp.master.poll_order import Turns
+from dpstack.dp.master.settings import MasterContext
 from dpstack.dp.master.slave_handler import SlaveHandler
-from dpstack.dp.master.slave_list import Farewells, Leaving
+from dpstack.dp.master.slave_list import Leaving, Roster
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_GLOBAL_CONTROL, SAP_SET_PRM
 
@@ -33,31 +33,19 @@ _DIAGNOSIS: Final = 32
 _ANSWERS: Final = {SAP_SET_PRM: 0, SAP_CHK_CFG: 0, SAP_GET_CFG: 244}
 
 
-@dataclass(slots=True)
-class ModeTransition:
-    """The mode a master is in, and the one it is on its way to."""
-
-    mode: Mode
-    target: Mode
-
-    @property
-    def descending(self) -> bool:
-        """Outputs become safe: nothing waits for a grid."""
-        return self.target < self.mode
-
-
 class Round:
-    """``open``: between its beginning, told by ``begins()`` before outputs are taken, and its end, told by
-    ``ended(now)`` in :meth:`next_request`.
+    """One round over the slaves; ``open`` between its beginning and its end.
+
+    It calls ``begins()`` at its beginning, before it takes outputs, and ``ended(now)`` at its end in
+    :meth:`next_request`.
     """
 
     def __init__(
         self,
-        course: ModeTransition,
-        handlers: Mapping[int, SlaveHandler],
+        context: MasterContext,
+        roster: Roster,
         turns: Turns,
         controls: Controls,
-        farewells: Farewells,
         cadence: Cadence,
         begins: Callable[[], None],
         ended: Callable[[int], None],
@@ -65,11 +53,10 @@ class Round:
         self.open = False
         #: the next Data_Exchange is the first of the round
         self.first_data = False
-        self._course = course
-        self._handlers = handlers
+        self._context = context
+        self._roster = roster
         self._turns = turns
         self._controls = controls
-        self._farewells = farewells
         self._cadence = cadence
         self._begins = begins
         self._ended = ended
@@ -112,14 +99,13 @@ class Round:
         request = self._data(now)
         if request is not None or self._cursor < len(self._due):
             return request
-        mode = self._course.mode
         if self._sync:
             self._sync = False
-            return self._controls.cyclic(self._controls.cycle_sync)
-        if self._farewells and (request := self._leave(now)) is not None:
+            return self._controls.cyclic(self._controls.sync)
+        if self._roster.leaving and (request := self._roster.farewell(now, self._spaced)) is not None:
             return request
         fixed = self._cadence.fixed
-        request = self._controls.after_data(mode, now, repeat=bool(self._turns.exchanging) and not fixed)
+        request = self._controls.after_data(now, repeat=bool(self._turns.exchanging) and not fixed)
         if request is not None:
             return request
         if not fixed and (request := self._service(now)) is not None:
@@ -130,12 +116,12 @@ class Round:
     # --- its course ---------------------------------------------------------------------------------------------
 
     def _begin(self, now: int) -> None:
-        turns, course = self._turns, self._course
-        turns.begin_round(self._handlers)
+        turns, context = self._turns, self._context
+        turns.begin_round()
         exchanging = turns.exchanging
         everybody = self._everybody
         interval = turns.interval_all if everybody else turns.interval
-        self._cadence.begin(now, fixed=bool(exchanging) and not course.descending, interval=interval)
+        self._cadence.begin(now, fixed=bool(exchanging) and not context.descending, interval=interval)
         self._controls.begin_round()
         self._due = exchanging if everybody else turns.due(self._cadence.number)
         self._begins()
@@ -147,31 +133,31 @@ class Round:
         self._unsent = True
         self.first_data = bool(self._due)
         # a mode reached in the middle of a round lets outputs out with the next one, everybody's at once
-        self._operating = course.mode is Mode.OPERATE
-        held = self._operating and course.target is Mode.OPERATE and bool(self._due)
-        self._freeze = held and bool(self._controls.cycle_freeze)
-        self._sync = held and bool(self._controls.cycle_sync)
-        self._farewells.begin_round()
+        self._operating = context.mode is Mode.OPERATE
+        held = self._operating and context.target is Mode.OPERATE and bool(self._due)
+        self._freeze = held and bool(self._controls.freeze.groups)
+        self._sync = held and bool(self._controls.sync.groups)
+        self._roster.begin_round()
         if self._cadence.fixed:
             self._services = 1
         else:
             self._services = 1 if exchanging else turns.waiting
-            if course.target is Mode.OFFLINE:
+            if context.target is Mode.OFFLINE:
                 self._services = 0
 
     @property
     def _everybody(self) -> bool:
         """Nobody is left out: on the way down, and where an order waits for everybody."""
-        return self._course.descending or self._controls.wants_all
+        return self._context.descending or self._controls.wants_all
 
     def _may_take_all(self, now: int) -> bool:
         return not self._everybody or self._cadence.due(now, self._turns.interval_all)
 
     def _before_data(self, now: int) -> Request | None:
-        request = self._controls.before_data(self._course.mode, now)
+        request = self._controls.before_data(now)
         if request is None and self._freeze:
             self._freeze = False
-            request = self._controls.cyclic(self._controls.cycle_freeze)
+            request = self._controls.cyclic(self._controls.freeze)
         return request
 
     def _data(self, now: int) -> Request | None:
@@ -198,21 +184,17 @@ class Round:
             self._cursor += 1
         return None
 
-    def _leave(self, now: int) -> Request | None:
-        request = self._farewells.request(now, self._spaced, clear=self._course.mode is Mode.CLEAR)
-        return None if request is None else request._replace(cyclic=True)
-
     def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
-        course = self._course
-        if self._operating and course.mode is _OPERATE:
-            return handler.unit.outputs(now) if course.target is _OPERATE else handler.unit.safe_outputs()
+        context = self._context
+        if self._operating and context.mode is _OPERATE:
+            return handler.unit.outputs(now) if context.target is _OPERATE else handler.unit.safe_outputs()
         # Clear: a Fail_Safe slave gets an empty frame, the others zeros (docs/protocol.md#clear)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 
     def _service(self, now: int, *, room: bool = True) -> Request | None:
         while self._services:
             self._services -= 1
-            chosen = self._turns.next(now, self._farewells.awaits, room=room)
+            chosen = self._turns.next(now, self._roster.is_leaving, room=room)
             if chosen is not None:
                 return chosen.service_request(now, long=self._turns.waits_long(chosen, now))
         return None
@@ -222,8 +204,8 @@ class Round:
 
         ``room``: the gap has just begun.
         """
-        self._turns.sort(self._handlers)
-        request = self._controls.repetition(self._course.mode, now)
+        self._turns.sort()
+        request = self._controls.repetition(now)
         if request is None:
             request = self._service(now, room=room)
         if request is not None and isinstance(request.tag, SlaveHandler):

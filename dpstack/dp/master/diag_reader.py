@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final
 
 from dpstack.dp.master.events import SlaveDiagnosis
-from dpstack.dp.master.fault_report import Findings
+from dpstack.dp.master.fault_report import SlaveReports
 from dpstack.dp.master.verdicts import deviations
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.trace import Event
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,11 +33,13 @@ class AlarmCounts:
     statuses: int = 0
 
 
-class DiagObserver(Protocol):
-    """Who reads alarms and status messages in the diagnoses of one slave."""
+class DiagObserver:
+    """Reads alarms and status messages in the diagnoses of one slave. This one reads none: for slaves without DP-V1."""
 
     @property
-    def counts(self) -> AlarmCounts: ...
+    def counts(self) -> AlarmCounts | None:
+        """What came of its alarms; None where it can have none."""
+        return None
 
     def opened(self, last: Diagnosis | None, now: int) -> None:
         """Data exchange begins; ``last`` was read before it."""
@@ -48,80 +48,44 @@ class DiagObserver(Protocol):
         """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged_at``: the first of them in
         which it asked for it (DH), 0: it did not."""
 
-    def closed(self, now: int) -> None: ...
+    def closed(self, now: int) -> None:
+        """Data exchange ended."""
+
+
+NO_ALARMS: Final = DiagObserver()
 
 
 class Diagnoses:
-    """``last`` is the diagnosis read last. ``ident``: the one the device must have, None until the first is taken.
+    """The diagnoses of one slave: ``last`` is the one read last.
 
-    ``observer`` reads more in them: alarms and status messages of DP-V1.
+    ``ident``: the ident number that the device must have, None until the first diagnosis gives one. ``observer`` reads
+    alarms and status messages of DP-V1 in them.
     """
 
-    __slots__ = ("_emit", "_findings", "_own", "_setup", "flagged", "ident", "last", "observer")
-
-    def __init__(
-        self,
-        setup: SlaveParams,
-        own: int,
-        findings: Findings,
-        emit: Callable[[Event], None],
-    ) -> None:
+    def __init__(self, setup: SlaveParams, own: int, reports: SlaveReports) -> None:
         self.last: Diagnosis | None = None
         self.ident = setup.ident
         self._setup = setup
         self._own = own
-        self._findings = findings
-        self._emit = emit
-        #: the slave wants to be read: number of the first exchange with DH since the last one, 0 without
+        self._reports = reports
+        #: number of the first exchange with DH since the last diagnosis was read, 0 where there was none
         self.flagged = 0
-        self.observer: DiagObserver | None = None
+        self.observer = NO_ALARMS
 
     def read(self, octets: bytes, now: int) -> Diagnosis | None:
-        """The answer to Slave_Diag; None when it is none."""
+        """Read the answer to Slave_Diag; None where it is no diagnosis."""
         diagnosis = Diagnosis.parse(octets)
         if diagnosis is None:
             text = f"answers Slave_Diag with {len(octets)} octets, at least 6 are required"
-            self._findings.remark(text, now)
+            self._reports.remark(text, now)
             return None
         if diagnosis != self.last:
             self.last = diagnosis
-            self._emit(
-                SlaveDiagnosis(
-                    t_ns=now,
-                    address=self._setup.address,
-                    name=self._setup.name,
-                    diagnosis=diagnosis,
-                    texts=self.texts,
-                )
-            )
+            texts = block_texts(diagnosis, self._setup.texts, dpv1=self._setup.dpv1 is not None)
+            self._reports.event(SlaveDiagnosis, now, diagnosis=diagnosis, texts=texts)
         if self.ident is None:
             self.ident = diagnosis.ident
-            self._findings.remark(f"its ident number is 0x{diagnosis.ident:04X} (taken from its diagnosis)", now)
+            self._reports.remark(f"its ident number is 0x{diagnosis.ident:04X} (taken from its diagnosis)", now)
         for deviation in deviations(diagnosis, self._own):
-            self._findings.remark(deviation, now)
+            self._reports.remark(deviation, now)
         return diagnosis
-
-    def opened(self, now: int) -> None:
-        if self.observer is not None:
-            self.observer.opened(self.last, now)
-
-    def flag(self, exchange: int) -> None:
-        """The answer to that Data_Exchange had DH."""
-        self.flagged = self.flagged or exchange
-
-    def exchanging(self, diagnosis: Diagnosis, exchanges: int, now: int) -> None:
-        """``diagnosis`` was read in data exchange, after so many ``exchanges``, and is of our slave."""
-        if self.observer is not None:
-            self.observer.take(diagnosis, self.flagged, exchanges, now)
-        self.flagged = 0
-
-    def closed(self, now: int) -> None:
-        if self.observer is not None:
-            self.observer.closed(now)
-
-    @property
-    def texts(self) -> tuple[str, ...]:
-        """What the last extended diagnosis says, one line each."""
-        if self.last is None:
-            return ()
-        return block_texts(self.last, self._setup.texts, dpv1=self._setup.dpv1 is not None)

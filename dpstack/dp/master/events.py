@@ -1,4 +1,4 @@
-"""What the DP master tells the application."""
+"""Events of the DP master for the application."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""The texts of every fault of a slave: one clear line that says what, and what to do.
+"""The texts of every fault of a slave: one clear line that says what happened, and what to do.
 
-One function a fault kind, so that the wording of a finding stands in one place.
+One function for each fault, so that its wording stands in one place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from functools import partial
+from collections.abc import Collection
+from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.master.events import Fault, FaultKind
@@ -17,8 +17,39 @@ from dpstack.fdl.interface import Failure
 from dpstack.text import octets_text
 from dpstack.units import baud_text
 
-#: a fault whose text needs the identifier octets of Get_Cfg: None where the slave does not tell them
-FaultOfCfg = Callable[[bytes | None], Fault]
+
+@dataclass(frozen=True, slots=True)
+class CfgFault:
+    """A fault whose text ends with the difference between Chk_Cfg and the answer to Get_Cfg.
+
+    ``config``: the octets of Chk_Cfg. ``remedy``: the advice where no difference is known; ``unanswered``: that where
+    the slave gives no answer to Get_Cfg. ``or_else`` follows the advice to correct a difference.
+    """
+
+    kind: FaultKind
+    message: str
+    config: bytes
+    remedy: str
+    unanswered: str = ""
+    or_else: str = ""
+
+    def compared(self, actual: bytes | None) -> Fault:
+        """The fault with the ``actual`` octets of Get_Cfg, None where the slave gave none."""
+        difference, remedy = f"Chk_Cfg was {self.config.hex(' ')}", self.remedy
+        if actual is None:
+            remedy = self.unanswered or remedy
+        elif actual == self.config:
+            difference += ", although Get_Cfg names the same"
+        else:
+            pairs = enumerate(zip(self.config, actual, strict=False))
+            at = next((i for i, (a, b) in pairs if a != b), min(len(self.config), len(actual)))
+            difference += f", it has {actual.hex(' ')}: octet {at + 1} differs"
+            config = actual.hex(" ").upper()
+            remedy = (
+                f'configure config = "{config}" (or its modules) or change the telegram set in the device{self.or_else}'
+            )
+        return Fault(self.kind, f"{self.message}: {difference}", remedy)
+
 
 #: a remark, once: Set_Prm switched the watchdog on, the diagnosis says it is off
 NOT_WATCHING = (
@@ -107,11 +138,11 @@ def not_supported() -> Fault:
     )
 
 
-def refusal(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault | FaultOfCfg:
-    """What a diagnosis refuses: Set_Prm, whose octets were ``sent``, or Chk_Cfg."""
+def refusal(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault | CfgFault:
+    """The fault where ``diagnosis`` refuses Set_Prm, whose octets were ``sent``, or Chk_Cfg."""
     if diagnosis.prm_fault:
         return prm_fault(setup, diagnosis, sent)
-    return not_supported() if diagnosis.not_supported else partial(cfg_fault, setup)
+    return not_supported() if diagnosis.not_supported else cfg_fault(setup)
 
 
 def prm_fault(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault:
@@ -126,56 +157,36 @@ def prm_fault(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault:
     )
 
 
-def cfg_fault(setup: SlaveParams, actual: bytes | None) -> Fault:
-    """Chk_Cfg refused. ``actual`` is what Get_Cfg gave, None when it gave nothing."""
-    difference, correction = _compared(setup.config, actual)
-    if actual is None:
-        correction = "compare config or telegram with its GSD file (it does not tell its own by Get_Cfg)"
-    return Fault(
+def cfg_fault(setup: SlaveParams) -> CfgFault:
+    """Chk_Cfg refused."""
+    return CfgFault(
         FaultKind.CFG_FAULT,
-        f"refuses the configuration (Cfg_Fault): {difference}",
-        correction or "check the parameters that choose its telegram",
+        "refuses the configuration (Cfg_Fault)",
+        setup.config,
+        "check the parameters that choose its telegram",
+        unanswered="compare config or telegram with its GSD file (it does not tell its own by Get_Cfg)",
     )
 
 
-def _compared(sent: bytes, actual: bytes | None) -> tuple[str, str]:
-    """(what differs, what to do about it): Chk_Cfg as it was ``sent``, and the ``actual`` octets of Get_Cfg, if any.
-
-    The remedy is empty where nothing is known to differ.
-    """
-    said = f"Chk_Cfg was {sent.hex(' ')}"
-    if actual is None:
-        return said, ""
-    if actual == sent:
-        return f"{said}, although Get_Cfg names the same", ""
-    pairs = enumerate(zip(sent, actual, strict=False))
-    at = next((i for i, (a, b) in pairs if a != b), min(len(sent), len(actual)))
-    return (
-        f"{said}, it has {actual.hex(' ')}: octet {at + 1} differs",
-        f'configure config = "{actual.hex(" ").upper()}" (or its modules) or change the telegram set in the device',
-    )
-
-
-def not_ready(setup: SlaveParams, seconds: float, actual: bytes | None) -> Fault:
-    """Accepts parameters and configuration, never gets ready. ``actual`` as in :func:`cfg_fault`."""
-    difference, correction = _compared(setup.config, actual)
+def not_ready(setup: SlaveParams, seconds: float) -> CfgFault:
+    """Accepts parameters and configuration, never gets ready."""
     look = "look at the device: it may wait for its own start-up or for modules"
-    return Fault(
+    return CfgFault(
         FaultKind.NOT_READY,
-        f"accepted parameters and configuration but is not ready after {seconds:.0f} s (Station_Not_Ready): "
-        f"{difference}",
-        f"{correction}; or {look}" if correction else look,
+        f"accepted parameters and configuration but is not ready after {seconds:.0f} s (Station_Not_Ready)",
+        setup.config,
+        look,
+        or_else=f"; or {look}",
     )
 
 
-def not_taken(setup: SlaveParams, actual: bytes | None) -> Fault:
-    """Prm_Req after everything was acknowledged, again and again. ``actual`` as in :func:`cfg_fault`."""
-    difference, correction = _compared(setup.config, actual)
-    return Fault(
+def not_taken(setup: SlaveParams) -> CfgFault:
+    """Prm_Req after everything was acknowledged, again and again."""
+    return CfgFault(
         FaultKind.NOT_READY,
-        f"acknowledges parameters and configuration, and then wants parameters again (Prm_Req): {difference}",
-        correction
-        or "check ident, config and user parameters with its GSD file; its watchdog may be too short for this bus",
+        "acknowledges parameters and configuration, and then wants parameters again (Prm_Req)",
+        setup.config,
+        "check ident, config and user parameters with its GSD file; its watchdog may be too short for this bus",
     )
 
 
@@ -188,13 +199,13 @@ def statically_ill(seconds: float) -> Fault:
     )
 
 
-def wrong_length(setup: SlaveParams, expected: int, got: int, actual: bytes | None) -> Fault:
-    """Data_Exchange answers with ``got`` octets instead of ``expected``. ``actual`` as in :func:`cfg_fault`."""
-    difference, correction = _compared(setup.config, actual)
-    return Fault(
+def wrong_length(setup: SlaveParams, expected: int, got: int) -> CfgFault:
+    """Data_Exchange answers with ``got`` octets instead of ``expected``."""
+    return CfgFault(
         FaultKind.WRONG_LENGTH,
-        f"answers Data_Exchange with {octets_text(got)} instead of {expected}: {difference}",
-        correction or "its real configuration differs from config or telegram here: compare both with its GSD file",
+        f"answers Data_Exchange with {octets_text(got)} instead of {expected}",
+        setup.config,
+        "its real configuration differs from config or telegram here: compare both with its GSD file",
     )
 
 
@@ -227,13 +238,13 @@ def prm_silent(sent: bytes) -> Fault:
     )
 
 
-def cfg_silent(setup: SlaveParams, actual: bytes | None) -> Fault:
-    """Alive, but never acknowledges Chk_Cfg. ``actual`` as in :func:`cfg_fault`."""
-    difference, correction = _compared(setup.config, actual)
-    return Fault(
+def cfg_silent(setup: SlaveParams) -> CfgFault:
+    """Alive, but never acknowledges Chk_Cfg."""
+    return CfgFault(
         FaultKind.REFUSED,
-        f"does not acknowledge Chk_Cfg although it answers Slave_Diag: {difference}",
-        correction or _DROPPED,
+        "does not acknowledge Chk_Cfg although it answers Slave_Diag",
+        setup.config,
+        _DROPPED,
     )
 
 

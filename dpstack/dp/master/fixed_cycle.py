@@ -11,17 +11,17 @@ What is known of the cycles of a master is plain data: the last one, and the boo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
 
 from dpstack.dp.master.events import CyclesMissed
+from dpstack.dp.master.settings import MasterContext
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError
 from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.stats import Histogram
-from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_S, ms_text
 
 
@@ -102,40 +102,31 @@ class CycleStats:
     def missed(self) -> int:
         return self.begun_late + self.left_out
 
-    def miss(self, reason: MissReason, *, left_out: int, late: bool) -> None:
-        """Count the cycles left out, and one that began late."""
-        self.left_out += left_out
-        self.begun_late += late
-        self.reasons[reason] = self.reasons.get(reason, 0) + left_out + late
+    def miss(self, reason: MissReason, count: int, *, left_out: bool) -> None:
+        """Count ``count`` cycles that were left out, or began late."""
+        if left_out:
+            self.left_out += count
+        else:
+            self.begun_late += count
+        self.reasons[reason] = self.reasons.get(reason, 0) + count
 
 
-#: misses are told at once after a quiet time of this length, else summed up over it
-_TOLD_EVERY: Final = NS_PER_S
+#: why a cycle did not begin when it was due, and that for people
+Cause = tuple[MissReason, str]
+#: misses are reported at once after a quiet time of this length, else summed up over it
+_REPORT_EVERY: Final = NS_PER_S
 #: the grid begins with the first bit of its first round
 _OPEN: Final = -1
 
 
 class Cadence:
-    """``cycle_ns`` 0: free running. ``budget`` is for the link layer, :attr:`book` for everybody.
+    """The grid of the fixed cycle, or none. ``budget`` is for the link layer, :attr:`book` for everybody.
 
     ``number`` of the last round, ``started_at`` its first bit, ``due_at`` when that was due.
     """
 
-    __slots__ = (
-        "_begun_at",
-        "_interval",
-        "_misses",
-        "_next",
-        "_over_at",
-        "book",
-        "budget",
-        "due_at",
-        "number",
-        "started_at",
-    )
-
-    def __init__(self, cycle_ns: int, emit: Callable[[Event], None]) -> None:
-        self.book = CycleStats(cycle_ns)
+    def __init__(self, context: MasterContext) -> None:
+        self.book = CycleStats(context.settings.cycle_ns)
         self.budget = CycleWindow()
         self.number = 0
         self.started_at = 0
@@ -144,7 +135,13 @@ class Cadence:
         self._begun_at = 0
         self._interval = 0  # the shortest time to the next round, free running
         self._over_at = 0
-        self._misses = _Misses(self.book, emit)
+        self._context = context
+        #: the cause for the round under way, should it turn out to be late
+        self._cause: Cause = (MissReason.LATE, "")
+        #: misses that were not reported yet; of the worst one how late it was, its number and why
+        self._unreported = 0
+        self._worst = (0, 0, "")
+        self._reported_at = -_REPORT_EVERY
 
     @property
     def fixed(self) -> bool:
@@ -159,9 +156,7 @@ class Cadence:
         cycle_ns = self.book.cycle_ns
         if late > cycle_ns // 2:
             left_out = -((cycle_ns // 2 - late) // cycle_ns)
-            reason, why = self._reason()
-            self.book.miss(reason, left_out=left_out, late=False)
-            self._misses.add(left_out, late, why, self.number + 1, now)
+            self._miss(self._find_cause(), left_out, late, self.number + 1, now, left_out=True)
             self.number += left_out
             self._next += left_out * cycle_ns
             self.budget.next_at = self._next
@@ -175,7 +170,7 @@ class Cadence:
         if fixed and cycle_ns:
             going = self._next != NEVER
             self.due_at = self._next if going else _OPEN
-            self._misses.why = self._reason()
+            self._cause = self._find_cause()
             self._next = (self.due_at if going else now) + cycle_ns
             self.budget.begin(self._next)
         elif self._next != NEVER:
@@ -195,11 +190,9 @@ class Cadence:
         book.begun += 1
         book.late.add(late)
         if late > book.tolerance_ns:
-            reason, why = self._misses.why
-            book.miss(reason, left_out=0, late=True)
-            self._misses.add(1, late, why, self.number, at)
-        elif self._misses.pending:
-            self._misses.tell(at)
+            self._miss(self._cause, 1, late, self.number, at, left_out=False)
+        elif self._unreported:
+            self._report(at)
 
     def over(self, now: int) -> None:
         """The cyclic part of the round is over."""
@@ -216,7 +209,7 @@ class Cadence:
         """No more rounds on this grid."""
         self._next = NEVER
         self.budget.end()
-        self._misses.end(now)
+        self._report_all(now)
 
     def forget(self) -> None:
         """The slaves are lost: the next round may begin at once."""
@@ -228,12 +221,12 @@ class Cadence:
         interval_ns = setup.min_slave_interval_ns
         if turn_ns and interval_ns > turn_ns:
             raise ConfigError(
-                f"slave {setup.address} ({setup.name}): its Min_Slave_Interval of {ms_text(interval_ns)} is longer "
+                f"{setup.who}: its Min_Slave_Interval of {ms_text(interval_ns)} is longer "
                 f"than {ms_text(turn_ns)}, the time between its turns; give it every = "
                 f"{-(-interval_ns // self.book.cycle_ns)}, or take a longer cycle"
             )
 
-    def _reason(self) -> tuple[MissReason, str]:
+    def _find_cause(self) -> Cause:
         """Why the cycle that is due could not begin."""
         if self._over_at > self._next:
             return MissReason.OVERRUN, f"the round before took {ms_text(self._over_at - self.started_at)}"
@@ -245,50 +238,27 @@ class Cadence:
             return MissReason.TOKEN, "the token came late from another master"
         return MissReason.LATE, "this computer or its port was late"
 
+    def _miss(self, cause: Cause, count: int, late_ns: int, number: int, now: int, *, left_out: bool) -> None:
+        """Count deadline misses, and report them unless something was reported less than a second ago."""
+        self.book.miss(cause[0], count, left_out=left_out)
+        if not self._unreported or late_ns > self._worst[0]:
+            self._worst = late_ns, number, cause[1]
+        self._unreported += count
+        self._report(now)
 
-class _Misses:
-    """Tells of deadline misses in a bounded way: the first at once, what follows within a second in one line."""
+    def _report(self, now: int) -> None:
+        """The first miss at once, those that follow within a second in one line."""
+        if now - self._reported_at >= _REPORT_EVERY:
+            self._reported_at = now
+            self._report_all(now)
 
-    __slots__ = ("_book", "_count", "_emit", "_number", "_told_at", "_why", "_worst", "why")
-
-    def __init__(self, book: CycleStats, emit: Callable[[Event], None]) -> None:
-        #: the reason for the round under way, should it turn out to be late
-        self.why: tuple[MissReason, str] = (MissReason.LATE, "")
-        self._book = book
-        self._emit = emit
-        self._count = 0
-        self._worst = 0
-        self._number = 0
-        self._why = ""
-        self._told_at = -_TOLD_EVERY
-
-    @property
-    def pending(self) -> bool:
-        """There is something that was not told yet."""
-        return self._count > 0
-
-    def add(self, count: int, late_ns: int, why: str, number: int, now: int) -> None:
-        if not self._count or late_ns > self._worst:
-            self._worst, self._number, self._why = late_ns, number, why
-        self._count += count
-        self.tell(now)
-
-    def tell(self, now: int) -> None:
-        """Unless something was told less than a second ago."""
-        if now - self._told_at >= _TOLD_EVERY:
-            self._told_at = now
-            self.end(now)
-
-    def end(self, now: int) -> None:
-        if self._count:
-            self._emit(
+    def _report_all(self, now: int) -> None:
+        if self._unreported:
+            late_ns, number, why = self._worst
+            missed = self.book.missed
+            self._context.emit(
                 CyclesMissed(
-                    t_ns=now,
-                    count=self._count,
-                    missed=self._book.missed,
-                    number=self._number,
-                    late_ns=self._worst,
-                    reason=self._why,
+                    t_ns=now, count=self._unreported, missed=missed, number=number, late_ns=late_ns, reason=why
                 )
             )
-            self._count = 0
+            self._unreported = 0

@@ -1,27 +1,28 @@
 """Global_Control: the master's mode, repeated; SYNC, FREEZE and their ends, each sent exactly once
 (docs/protocol.md#global_control).
 
-A further SYNC or FREEZE acts, so none is ever repeated. A slave that comes back into data exchange while its group is
-held is put back into the mode by a telegram of its own, before its first outputs; on every way out of Operate all are
-let go, or the safe values would not reach the outputs.
+A further SYNC or FREEZE acts, so none is ever repeated. An order is for groups of slaves. With a fixed cycle FREEZE may
+go out at the beginning of every cycle and SYNC at its end: inputs of one moment, outputs of one moment. A slave that
+comes back into data exchange while its group is held is put back into the mode by a telegram of its own, before its
+first outputs; on every way out of Operate all are let go, or the safe values would not reach the outputs.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from dpstack.dp.master.commands import Mode, SendControl
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken, SlaveRemark, SlaveState
-from dpstack.dp.master.settings import MasterSettings
+from dpstack.dp.master.settings import MasterContext
 from dpstack.dp.master.slave_handler import SlaveHandler
-from dpstack.dp.master.sync_freeze import ControlOrder, CyclicControl, check_order
 from dpstack.dp.pdu.requests import GlobalControl
+from dpstack.dp.slave_params import SlaveParams, group_mask
+from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SSAP_MS0, Req
-from dpstack.params import BROADCAST, BusParams
-from dpstack.trace import Event
+from dpstack.params import BROADCAST
 from dpstack.units import BITS_PER_CHAR, NS_PER_MS
 
 #: Global_Control is repeated this often (sources disagree between each Data_Control_Time and 'cyclically') ...
@@ -32,35 +33,110 @@ _OCTETS: Final = 13
 #: Global_Control after a change of mode, and at the end, is sent this often
 _URGENT: Final = 2
 
-Handlers = Mapping[int, SlaveHandler]
+
+class GroupMode:
+    """SYNC or FREEZE. ``held``: addresses of the slaves that are in it by an order of this master.
+
+    ``key``: "sync" or "freeze". ``groups`` (1..8): those that every cycle in Operate sends it to; none: it is not sent.
+    """
+
+    def __init__(self, key: str, groups: tuple[int, ...]) -> None:
+        if any(not 1 <= group <= 8 for group in groups):
+            raise ConfigError(f"cycle_{key}: groups are numbered 1..8, {list(groups)} were given")
+        self.held: set[int] = set()
+        self.key = key
+        self.groups = groups
+        self.mask = group_mask(groups)
+
+    @property
+    def title(self) -> str:
+        """The standard's name."""
+        return self.key.upper()
+
+    def applies_to(self, setup: SlaveParams) -> bool:
+        """The slave is parameterised for it."""
+        return bool(getattr(setup, self.key))
+
+    def check(self, setup: SlaveParams) -> None:
+        """Raises ConfigError for a slave of the groups that is not parameterised for it."""
+        if setup.group_mask & self.mask and not self.applies_to(setup):
+            raise ConfigError(
+                f"{setup.who} is in a group of cycle_{self.key} and not parameterised for {self.title}: "
+                f"give it {self.key} = true where the device knows that, or leave it out of the group"
+            )
+
+    def check_order(self, command: SendControl, members: Iterable[SlaveParams]) -> None:
+        """Raises UsageError for an order of what every cycle does, or of what ``members`` are not parameterised for."""
+        begins, ends = getattr(command, self.key), getattr(command, f"un{self.key}")
+        unable = [setup.who for setup in members if begins and not self.applies_to(setup)]
+        if unable:
+            raise UsageError(
+                f"{', '.join(unable)}: not parameterised for {self.title}; give it {self.key} = true where the device "
+                f"knows that, or leave it out of the groups"
+            )
+        if (begins or ends) and self.groups and (not command.groups or set(command.groups) & set(self.groups)):
+            named = ", ".join(map(str, self.groups))
+            raise UsageError(
+                f"every cycle sends {self.title} to group {named} (cycle_{self.key}): "
+                f"take the groups out of there to order it yourself"
+            )
+
+
+class ControlOrder:
+    """An order under way; ``sent`` once its telegram went out (then it only waits for the picture)."""
+
+    def __init__(self, command: SendControl) -> None:
+        self.command = command
+        self.mask = group_mask(command.groups)
+        self.sent = False
+        self._marks: dict[SlaveHandler, int] | None = None
+
+    def members(self, handlers: Iterable[SlaveHandler]) -> list[SlaveHandler]:
+        """The slaves of its groups that are in service, in any state."""
+        mask = self.mask
+        in_service = (h for h in handlers if h.state is not SlaveState.DEACTIVATED)
+        return [h for h in in_service if not mask or h.setup.group_mask & mask]
+
+    def begin_round(self, handlers: Iterable[SlaveHandler]) -> None:
+        """Exchanges are counted from the first round on that began after the order (after its telegram)."""
+        if self._marks is None:
+            self._marks = {h: h.exchanges for h in self.members(handlers)}
+
+    def went_out(self) -> None:
+        """Its telegram is on the wire: a whole exchange with every slave follows."""
+        self.sent = True
+        self._marks = None
+
+    def missing(self, members: Iterable[SlaveHandler]) -> SlaveHandler | None:
+        """The first slave that is not in data exchange, where one whole exchange with each is wanted."""
+        if not (self.command.settle or self.command.picture):
+            return None
+        return next((h for h in members if h.state is not SlaveState.DATA_EXCHANGE), None)
+
+    def exchanged(self, members: Sequence[SlaveHandler]) -> bool:
+        """Whether there was the whole exchange with every slave that is wanted now."""
+        if not (self.sent or self.command.settle):
+            return True
+        marks = self._marks
+        if marks is None:
+            return False
+        return all(h.exchanges > marks.setdefault(h, h.exchanges) for h in members)
 
 
 class Controls:
-    """What the master owes its slaves in Global_Control. ``urgent``: so many telegrams are due at once.
+    """Global_Control of a master. ``urgent``: so many telegrams are due at once.
 
-    ``synced`` and ``frozen``: addresses of the slaves that are held by our order. ``cycle_freeze`` and ``cycle_sync``:
-    groups that every cycle begins with a FREEZE of, and ends with a SYNC of.
+    ``sync`` and ``freeze``: the slaves held in them, and the groups that every cycle sends them to.
     """
 
-    __slots__ = (
-        "_due", "_emit", "_handlers", "_length_ns", "_orders", "_period", "_release", "_restore", "cycle_freeze",
-        "cycle_sync", "frozen", "synced", "takes_ns", "urgent",
-    )  # fmt: skip
-
-    def __init__(
-        self,
-        params: BusParams,
-        handlers: Handlers,
-        emit: Callable[[Event], None],
-        settings: MasterSettings,
-    ) -> None:
-        self.cycle_freeze = CyclicControl(settings.cycle_freeze, freeze=True)
-        self.cycle_sync = CyclicControl(settings.cycle_sync, freeze=False)
+    def __init__(self, context: MasterContext, handlers: Mapping[int, SlaveHandler]) -> None:
+        self.sync = GroupMode("sync", context.settings.cycle_sync)
+        self.freeze = GroupMode("freeze", context.settings.cycle_freeze)
         self.urgent = 0
-        self.synced: set[int] = set()
-        self.frozen: set[int] = set()
+        self._modes = (self.sync, self.freeze)
+        self._context = context
         self._handlers = handlers
-        self._emit = emit
+        params = context.params
         self._length_ns = params.ns(_OCTETS * BITS_PER_CHAR)
         #: one telegram and the idle time after it
         self.takes_ns = params.ns(_OCTETS * BITS_PER_CHAR + params.t_id2)
@@ -72,16 +148,37 @@ class Controls:
 
     # --- what is wanted -----------------------------------------------------------------------------------------
 
+    def check(self, setup: SlaveParams) -> None:
+        """Raises ConfigError where a slave cannot take what every cycle sends to its groups."""
+        for mode in self._modes:
+            mode.check(setup)
+
     def change_of_mode(self) -> None:
-        """The new mode is told at once, twice."""
+        """The new mode is sent at once, twice."""
         self.urgent = _URGENT
 
-    def order(self, command: SendControl, mode: Mode) -> None:
+    def order(self, command: SendControl) -> None:
         """Take an order; they are carried out one after the other. Raises UsageError where it cannot be."""
-        check_order(command, self._handlers.values(), mode)
-        self.cycle_sync.refuse(command)
-        self.cycle_freeze.refuse(command)
-        self._orders.append(ControlOrder(command))
+        mode = self._context.mode
+        if mode <= Mode.STOP:
+            raise UsageError(
+                f"SYNC and FREEZE cannot be sent in {mode.name.capitalize()}: order clear() or operate() first"
+            )
+        if command.settle and mode is not Mode.OPERATE:
+            raise UsageError("in Clear all outputs are zero: order operate() before outputs are passed on by SYNC")
+        if any(not 1 <= group <= 8 for group in command.groups):
+            raise UsageError(f"groups are numbered 1..8, {list(command.groups)} were given")
+        order = ControlOrder(command)
+        handlers = self._handlers.values()
+        members = [handler.setup for handler in order.members(handlers)]
+        if not members:
+            groups = {g for h in handlers if h.state is not SlaveState.DEACTIVATED for g in h.setup.groups}
+            known = ", ".join(map(str, sorted(groups))) or "none"
+            asked = ", ".join(map(str, command.groups)) or "all"
+            raise UsageError(f"no slave is in group {asked}; groups of this bus: {known}")
+        for group_mode in self._modes:
+            group_mode.check_order(command, members)
+        self._orders.append(order)
 
     @property
     def wants_all(self) -> bool:
@@ -89,32 +186,35 @@ class Controls:
         return bool(self._orders)
 
     def entered(self, handler: SlaveHandler) -> None:
-        """A slave came into data exchange: told the mode at once, and put back into what its group is held in."""
+        """A slave came into data exchange: it is sent the mode at once, and put back into that of its group."""
         self.urgent = max(self.urgent, 1)
-        if self._held(handler, self.synced) or self._held(handler, self.frozen):
+        if any(self._is_held(handler, mode) for mode in self._modes):
             self._restore.append(handler)
 
-    def _held(self, handler: SlaveHandler, held: Iterable[int]) -> bool:
-        """It was in the mode itself, or somebody of one of its groups is."""
+    def _is_held(self, handler: SlaveHandler, mode: GroupMode) -> bool:
+        """The slave was in the mode itself, or another one of its groups is."""
         address, mask = handler.setup.address, handler.setup.group_mask
-        fellows = (self._handlers[a] for a in held if a in self._handlers)
-        return any(h.setup.address == address or h.setup.group_mask & mask for h in fellows)
+        return any(
+            other == address or self._handlers[other].setup.group_mask & mask
+            for other in mode.held
+            if other in self._handlers
+        )
 
     def holds(self, address: int) -> bool:
         """Whether the slave is in SYNC or FREEZE by our order."""
-        return address in self.synced or address in self.frozen
+        return any(address in mode.held for mode in self._modes)
 
     def forget(self, address: int) -> None:
         """The slave is given up."""
-        self.synced.discard(address)
-        self.frozen.discard(address)
+        for mode in self._modes:
+            mode.held.discard(address)
 
     def let_go(self, reason: str, now: int) -> None:
         """Outputs are to become safe: whoever is held is let go after the next round, orders end."""
-        if self.synced or self.frozen:
-            self._release = _URGENT
-        self.synced.clear()
-        self.frozen.clear()
+        for mode in self._modes:
+            if mode.held:
+                self._release = _URGENT
+            mode.held.clear()
         self._restore.clear()
         self.fail_all(reason, now)
 
@@ -124,98 +224,105 @@ class Controls:
 
     def _fail(self, reason: str, now: int, address: int | None = None) -> None:
         order = self._orders.popleft()
-        self._emit(ControlFailed(t_ns=now, token=order.command.token, reason=reason, address=address))
+        self._context.emit(ControlFailed(t_ns=now, token=order.command.token, reason=reason, address=address))
 
     # --- in the round -------------------------------------------------------------------------------------------
 
     def begin_round(self) -> None:
-        """What is exchanged from here on was asked for after the orders."""
+        """Exchanges from here on were asked for after the orders."""
         if self._orders:
             self._orders[0].begin_round(self._handlers.values())
 
-    def before_data(self, mode: Mode, now: int) -> Request | None:
+    def before_data(self, now: int) -> Request | None:
         """The telegram that puts a slave back into its group's mode, before its first outputs."""
         while self._restore:
             handler = self._restore.popleft()
             setup = handler.setup
-            sync = setup.sync and self._held(handler, self.synced)
-            freeze = setup.freeze and self._held(handler, self.frozen)
-            if handler.state is not SlaveState.DATA_EXCHANGE or not (sync or freeze):
+            modes = [mode for mode in self._modes if mode.applies_to(setup) and self._is_held(handler, mode)]
+            if handler.state is not SlaveState.DATA_EXCHANGE or not modes:
                 continue
-            held = [text for text, on in (("SYNC", sync), ("FREEZE", freeze)) if on]
-            message = (
-                f"came back into data exchange while its group is in {' and '.join(held)}, and was put back alone: its "
-                f"data are those of the group from the next {' and '.join(held)} on"
-            )
-            if not (self.cycle_sync.concerns(setup) or self.cycle_freeze.concerns(setup)):
-                self._emit(SlaveRemark(t_ns=now, address=setup.address, name=setup.name, message=message))
-            if sync:
-                self.synced.add(setup.address)
-            if freeze:
-                self.frozen.add(setup.address)
-            return self._request(GlobalControl(clear=mode is Mode.CLEAR, sync=sync, freeze=freeze), da=setup.address)
+            if not setup.group_mask & (self.sync.mask | self.freeze.mask):
+                names = " and ".join(mode.title for mode in modes)
+                message = (
+                    f"came back into data exchange while its group is in {names}, and was put back alone: its "
+                    f"data are those of the group from the next {names} on"
+                )
+                handler.reports.event(SlaveRemark, now, message=message)
+            for mode in modes:
+                mode.held.add(setup.address)
+            return self._request(da=setup.address, sync=self.sync in modes, freeze=self.freeze in modes)
         return None
 
-    def cyclic(self, control: CyclicControl) -> Request:
+    def cyclic(self, mode: GroupMode) -> Request:
         """The telegram that a cycle begins or ends with (in Operate only: outputs that become safe wait for none)."""
-        return self._request(control.control(), tag=control)
+        return self._request(mode, sync=mode is self.sync, freeze=mode is self.freeze, group_mask=mode.mask)
 
-    def after_data(self, mode: Mode, now: int, *, repeat: bool) -> Request | None:
+    def after_data(self, now: int, *, repeat: bool) -> Request | None:
         """The next Global_Control of this round, after everybody's data; None when there is no more.
 
         ``repeat``: the mode is repeated here, when that is due.
         """
         if self.urgent or self._release or (repeat and now >= self._due):
-            free = self._release > 0
+            release = self._release > 0
             self._due = now + self._period
             self.urgent = max(0, self.urgent - 1)
             self._release = max(0, self._release - 1)
-            return self._request(GlobalControl(clear=mode is Mode.CLEAR, unsync=free, unfreeze=free), tag=self)
+            return self._request(self, unsync=release, unfreeze=release)
         while self._orders:
-            order = self._orders[0]
+            order, command = self._orders[0], self._orders[0].command
             members = order.members(self._handlers.values())
             missing = order.missing(members)
             if not members:
                 self._fail("no slave is left in its groups", now)
             elif missing is not None:
-                self._fail(missing.why, now, missing.address)
+                setup = missing.setup
+                self._fail(f"{setup.who} is not in data exchange: {missing.why_not_exchanging}", now, setup.address)
             elif not order.exchanged(members):
                 return None
             elif not order.sent:
-                return self._request(order.control(clear=mode is Mode.CLEAR), tag=order)
+                return self._request(
+                    order,
+                    unfreeze=command.unfreeze,
+                    freeze=command.freeze,
+                    unsync=command.unsync,
+                    sync=command.sync,
+                    group_mask=order.mask,
+                )
             else:
                 self._orders.popleft()
                 inputs = {h.setup.address: h.image.inputs for h in members}
-                self._emit(PictureTaken(t_ns=now, token=order.command.token, inputs=inputs))
+                self._context.emit(PictureTaken(t_ns=now, token=command.token, inputs=inputs))
         return None
 
     def _request(
-        self, control: GlobalControl, *, da: int = BROADCAST, tag: object = None, cyclic: bool = True
+        self, tag: object = None, *, da: int = BROADCAST, cyclic: bool = True, group_mask: int = 0, **bits: bool
     ) -> Request:
-        return Request(da, Req.SDN_HIGH, control.build(), SAP_GLOBAL_CONTROL, SSAP_MS0, tag=tag, cyclic=cyclic)
+        """Global_Control with ``bits`` besides the master's mode."""
+        data = GlobalControl(clear=self._context.mode is Mode.CLEAR, group_mask=group_mask, **bits).build()
+        return Request(da, Req.SDN_HIGH, data, SAP_GLOBAL_CONTROL, SSAP_MS0, tag=tag, cyclic=cyclic)
 
     def started(self, request: Request, at: int) -> None:
         """A Global_Control goes out, its first bit at ``at``."""
-        order = request.tag
-        if isinstance(order, ControlOrder) and self._orders and self._orders[0] is order:
-            self._sent(order, at + self._length_ns)
-        elif isinstance(order, CyclicControl):
-            held = self.frozen if order.freeze else self.synced
-            held |= {h.setup.address for h in self._handlers.values() if order.reaches(h)}
+        tag = request.tag
+        if isinstance(tag, ControlOrder) and self._orders and self._orders[0] is tag:
+            self._sent(tag, at + self._length_ns)
+        elif isinstance(tag, GroupMode):
+            exchanging = (h.setup for h in self._handlers.values() if h.state is SlaveState.DATA_EXCHANGE)
+            tag.held |= {setup.address for setup in exchanging if setup.group_mask & tag.mask}
 
-    def repetition(self, mode: Mode, now: int) -> Request | None:
+    def repetition(self, now: int) -> Request | None:
         """Between two fixed cycles: the mode once more when that is due."""
         if now < self._due:
             return None
         self._due = now + self._period
-        return self._request(GlobalControl(clear=mode is Mode.CLEAR), tag=self, cyclic=False)
+        return self._request(self, cyclic=False)
 
     def held_back(self, until: int) -> None:
         """The repetition did not fit in before ``until``."""
         self._due = until
 
     def abandoned(self, request: Request) -> None:
-        """A Global_Control could not be sent: the mode, and the end of SYNC, are told again. (Orders still stand.)"""
+        """A Global_Control could not be sent: the mode, and the end of SYNC, are sent again. (Orders still stand.)"""
         if request.tag is self:
             self.urgent = max(self.urgent, 1)
             if GlobalControl.parse(request.data).unsync:
@@ -226,15 +333,12 @@ class Controls:
         members = order.members(self._handlers.values())
         reached = {h.setup.address for h in members if h.state is SlaveState.DATA_EXCHANGE}
         missed = tuple(h.setup.address for h in members if h.setup.address not in reached)
-        for on, off, held in (
-            (command.sync, command.unsync, self.synced),
-            (command.freeze, command.unfreeze, self.frozen),
-        ):
-            if on:
-                held |= reached
-            elif off:
-                held -= {h.setup.address for h in members}
-        self._emit(ControlSent(t_ns=end, token=command.token, missed=missed))
+        for mode in self._modes:
+            if getattr(command, mode.key):
+                mode.held |= reached
+            elif getattr(command, f"un{mode.key}"):
+                mode.held -= reached.union(missed)
+        self._context.emit(ControlSent(t_ns=end, token=command.token, missed=missed))
         if command.picture:
             order.went_out()
         else:

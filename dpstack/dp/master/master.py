@@ -6,7 +6,7 @@ A user of the active station's link layer. When a round over the slaves begins i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Iterable
 from typing import Final
 
 from dpstack.dp.master.commands import (
@@ -22,16 +22,15 @@ from dpstack.dp.master.commands import (
     SetMode,
     Shutdown,
 )
-from dpstack.dp.master.cycle import ModeTransition, Round
-from dpstack.dp.master.diag_reader import DiagObserver
-from dpstack.dp.master.events import AutoCleared, ForcedClear, MasterStopped, ModeChanged, OperateWaits, SlaveState
+from dpstack.dp.master.cycle import Round
+from dpstack.dp.master.events import ForcedClear, MasterStopped, ModeChanged, OperateWaits, SlaveState
 from dpstack.dp.master.fixed_cycle import Cadence, CycleData, CycleStats
 from dpstack.dp.master.global_control import Controls
-from dpstack.dp.master.outputs_watch import DataControl, OutputsWatch, missing_reasons
+from dpstack.dp.master.outputs_watch import AutoClear, OutputsWatch
 from dpstack.dp.master.poll_order import Turns
-from dpstack.dp.master.settings import DEFAULTS, MasterSettings
+from dpstack.dp.master.settings import DEFAULTS, MasterContext, MasterSettings
 from dpstack.dp.master.slave_handler import SlaveHandler
-from dpstack.dp.master.slave_list import SAFE_HOLD, Farewells, Roster
+from dpstack.dp.master.slave_list import SAFE_HOLD, ObserverOf, Roster
 from dpstack.dp.master.token_watch import TokenAge
 from dpstack.dp.process_image import SlaveImage
 from dpstack.dp.slave_params import SlaveParams
@@ -65,72 +64,40 @@ class Master:
         slaves: Iterable[SlaveParams] = (),
         settings: MasterSettings = DEFAULTS,
     ) -> None:
-        self.params = params
-        self.settings = settings
-        self._course = ModeTransition(Mode.STOP if settings.read_only else Mode.CLEAR, Mode.CLEAR)
+        self.context = context = MasterContext(params, settings)
         self.handlers: dict[int, SlaveHandler] = {}
         self.rotation = Histogram()
         self.rounds = 0
         self.on_round: Callable[[int], None] | None = None
         self.on_begin: Callable[[], None] | None = None
-        #: the masters in the token ring, for texts of faults; whoever makes the station sets it
-        self.ring: Callable[[], Collection[int]] | None = None
         #: the last round with data exchange, while ``on_round`` is set
         self.cycle: CycleData | None = None
-        self.controls = Controls(params, self.handlers, self._emit, settings)
-        self._events: list[Event] = []
-        self._turns = Turns(settings.absent_share, params)
-        self._farewells = Farewells()
-        self._watch = OutputsWatch(self.handlers, settings)
+        self.controls = Controls(context, self.handlers)
+        self._turns = Turns(context, self.handlers)
+        self._watch = OutputsWatch(settings, self.handlers, self._force_clear)
         self._held_in_clear = False  # by itself, until Operate is ordered
-        self._outdated = False  # the request made last is from before that
-        self._roster = Roster(
-            params,
-            self.handlers,
-            watchdog_ms=settings.watchdog_ms,
-            turns=self._turns,
-            farewells=self._farewells,
-            controls=self.controls,
-            sending=lambda: self._course.mode > Mode.STOP,
-            emit=self._emit,
-            check=self._check,
-            masters=lambda: None if self.ring is None else self.ring(),
-            still=self._still_fresh,
-            look_soon=self._watch.look_soon,
-        )
-        self._control = DataControl(settings)
+        self._auto_clear = AutoClear(settings, self.handlers)
         self._token = TokenAge(params)
-        self._cadence = Cadence(settings.cycle_ns, self._emit)
+        self._cadence = Cadence(context)
+        self._roster = Roster(context, self.handlers, self._turns, self.controls, self._cadence, self._watch)
         self._round = Round(
-            self._course,
-            self.handlers,
-            self._turns,
-            self.controls,
-            self._farewells,
-            self._cadence,
-            self._round_begins,
-            self._round_ended,
+            context, self._roster, self._turns, self.controls, self._cadence, self._round_begins, self._round_ended
         )
         self._round_at = 0  # first bit of the last round's first Data_Exchange
         self._safe_until = 0  # so long safe values stand on the way down
         for setup in slaves:
             self._roster.add(setup)
 
-    def observe(self, observer: Callable[[SlaveHandler, SlaveHandler | None], DiagObserver | None]) -> None:
-        """``observer`` gives who reads alarms and status messages in the diagnoses of a slave, None for nobody.
-
-        It is called with the slave's handling, and with the one before it was parameterised anew.
-        """
-        self._roster.observer = observer
-        for handler in self.handlers.values():
-            handler.diagnoses.observer = observer(handler, None)
+    def observe(self, observer: ObserverOf) -> None:
+        """``observer`` gives the readers of alarms and status messages in the diagnoses of each slave."""
+        self._roster.observe(observer)
 
     # --- what the application sees ------------------------------------------------------------------------------
 
     @property
     def mode(self) -> Mode:
         """The mode it is in."""
-        return self._course.mode
+        return self.context.mode
 
     @property
     def cycles(self) -> CycleStats:
@@ -164,10 +131,10 @@ class Master:
                 self._roster.command(command, now)
             case SendControl():
                 self._writable("no Global_Control can be sent")
-                if not self._token.known or self._course.target < self.mode:
+                if not self._token.known or self.context.target < self.mode:
                     why = "goes to a lower mode" if self._token.known else "holds no token"
                     raise BusError(f"SYNC and FREEZE cannot be sent: this station {why}; try again when that is over")
-                self.controls.order(command, self.mode)
+                self.controls.order(command)
             case DriveCommand(address, op, args, token):
                 self._writable("no drive can be commanded")
                 self._roster.find(address).unit.command(op, args, token, now)
@@ -184,45 +151,37 @@ class Master:
                 self._watch.held_up(command)
                 if not command.suspended:  # that time is not in `now`
                     self._token.held_up(command.for_ns)
-                return not self._still_fresh(now)
+                return not self._watch.still_fresh(now)
             case _:
                 return False
         return True
 
     def take_events(self) -> list[Event]:
         """What happened since the last call."""
-        events, self._events = self._events, []
+        events, self.context.events = self.context.events, []
         return events
 
-    def _check(self, setup: SlaveParams) -> None:
-        self._cadence.check(setup)
-        self.controls.cycle_freeze.check(setup)
-        self.controls.cycle_sync.check(setup)
-
-    def _emit(self, event: Event) -> None:
-        self._events.append(event)
-
     def _writable(self, what: str) -> None:
-        if self.settings.read_only:
+        if self.context.settings.read_only:
             raise UsageError(f"this bus is read-only: {what}; leave read_only out")
 
     # --- modes and the ordered end ------------------------------------------------------------------------------
 
     def _set_mode(self, mode: Mode, now: int) -> None:
-        if self._course.target is Mode.OFFLINE:
+        if self.context.target is Mode.OFFLINE:
             raise UsageError("the master is being stopped: open the bus anew")
         self._writable("its master stays in Stop")
         if mode is Mode.OFFLINE:
             raise UsageError("a master goes offline by Shutdown, so that outputs become safe first")
-        if mode is not self._course.target:
+        if mode is not self.context.target:
             before = self.mode
             self._head_for(mode, now)
             if mode is before is Mode.OPERATE and self._held_in_clear:  # it was on its way down
-                self._events.append(ModeChanged(t_ns=now, mode=mode))
+                self.context.emit(ModeChanged(t_ns=now, mode=mode))
             self._held_in_clear = False
 
     def _shutdown(self, now: int) -> None:
-        if self._course.target is not Mode.OFFLINE:
+        if self.context.target is not Mode.OFFLINE:
             self._head_for(Mode.OFFLINE, now)
             if self._token.known and self.mode is not Mode.OFFLINE:
                 self._token.ending(now)
@@ -231,11 +190,11 @@ class Master:
         """Up at once, or when auto-clear lets it. Down from Operate over safe values and Clear, and further down when
         everybody had that.
         """
-        if self.mode is self._course.target is Mode.OPERATE:
+        if self.mode is self.context.target is Mode.OPERATE:
             for handler in self.handlers.values():
                 handler.unit.lost(now)
             self.controls.let_go(f"the master goes to {target.name.capitalize()}", now)
-        self._course.target = target
+        self.context.target = target
         if target is Mode.OPERATE:
             self._watch.begin(now)
         else:
@@ -259,32 +218,21 @@ class Master:
 
     def _force_clear(self, event: ForcedClear, now: int) -> None:
         """Down to Clear, and no way back but by order."""
-        self._emit(event)
-        self._held_in_clear = self._outdated = True
+        self.context.emit(event)
+        self._held_in_clear = self._watch.outdated = True
         self._head_for(Mode.CLEAR, now)
-
-    def _look(self, now: int) -> None:
-        """Judge whether the outputs are too old to be sent."""
-        found = self._watch.judge(now)
-        if found is not None:
-            self._force_clear(found, now)
-
-    def _still_fresh(self, now: int) -> bool:
-        """Whether the request made last may still be sent, or sent again."""
-        if now >= self._watch.look_at:
-            self._look(now)
-        return not self._outdated
 
     def _go_up(self, now: int) -> None:
         """Operate with auto-clear waits in Clear for everybody (docs/protocol.md#auto-clear)."""
-        missing = self._control.missing(self.handlers.values()) if self._course.target is Mode.OPERATE else []
+        missing = self._auto_clear.missing() if self.context.target is Mode.OPERATE else []
         if not missing:
-            self._reach(self._course.target, now)
+            self._reach(self.context.target, now)
             return
         if self.mode < Mode.CLEAR:
             self._reach(Mode.CLEAR, now)
-        who = tuple(h.setup.address for h in missing)
-        self._emit(OperateWaits(t_ns=now, slaves=who, reasons=missing_reasons(missing)))
+        slaves = tuple(h.setup.address for h in missing)
+        reasons = tuple(f"{h.setup.who}: {h.why_not_exchanging}" for h in missing)
+        self.context.emit(OperateWaits(t_ns=now, slaves=slaves, reasons=reasons))
 
     def _clear_is_safe(self) -> bool:
         """Whether Clear's zeros are the safe values of all slaves in data exchange."""
@@ -296,35 +244,34 @@ class Master:
         if self.mode is Mode.OPERATE:
             if now >= self._safe_until:
                 self._reach(Mode.CLEAR, now)
-        elif not (self.controls.urgent or self._farewells):
-            self._reach(self._course.target, now)
+        elif not (self.controls.urgent or self._roster.leaving):
+            self._reach(self.context.target, now)
 
     def _reach(self, mode: Mode, now: int, *, cleared: bool = True) -> None:
-        self._course.mode = mode
+        self.context.mode = mode
         self.controls.change_of_mode()
-        self._events.append(ModeChanged(t_ns=now, mode=mode))
+        self.context.emit(ModeChanged(t_ns=now, mode=mode))
         if mode is Mode.OPERATE:
-            self._control.began(now)
+            self._auto_clear.began(now)
         if mode <= Mode.STOP:
             self._round.cut(now)
             self._round_at = 0
-            self._farewells.clear()
+            self._roster.clear_farewells()
             self.controls.let_go(f"the master is in {mode.name.capitalize()}", now)
             for handler in self.handlers.values():
                 handler.image.valid = False
         if mode is Mode.OFFLINE:
             self._token.lost()
-            self._events.append(MasterStopped(t_ns=now, cleared=cleared))
+            self.context.emit(MasterStopped(t_ns=now, cleared=cleared))
 
     def _watch_data(self, now: int) -> None:
         """Auto-clear: down when somebody had no exchange for too long, up when Operate waits and all are there."""
-        if self.mode is self._course.target is Mode.OPERATE:
-            late = self._control.late(self.handlers.values(), now)
-            if late:
-                who = tuple(h.setup.address for h in late)
-                self._force_clear(AutoCleared(t_ns=now, slaves=who, reasons=self._control.late_reasons(late)), now)
-        elif self._course.target > self.mode and not self._control.missing(self.handlers.values()):
-            self._reach(self._course.target, now)
+        if self.mode is self.context.target is Mode.OPERATE:
+            late = self._auto_clear.late(now)
+            if late is not None:
+                self._force_clear(late, now)
+        elif self.context.target > self.mode and not self._auto_clear.missing():
+            self._reach(self.context.target, now)
 
     # --- link user ----------------------------------------------------------------------------------------------
 
@@ -332,15 +279,15 @@ class Master:
         """A hold begins, and with it perhaps a new round."""
         self._token.received(now)
         self._watch.token(now)
-        if self._course.mode > Mode.STOP:
+        if self.context.mode > Mode.STOP:
             self._round.token(now)
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """Everything a master sends to its slaves is high priority, so ``high_only`` changes nothing."""
         if now >= self._watch.look_at:
-            self._look(now)
-        self._outdated = False
-        return self._round.next_request(now) if self._course.mode > _STOP else None
+            self._watch.look(now)
+        self._watch.outdated = False
+        return self._round.next_request(now) if self.context.mode > _STOP else None
 
     def _round_begins(self) -> None:
         if self.on_begin is not None:
@@ -353,9 +300,9 @@ class Master:
         elif self.on_round is not None:
             self.cycle = self._round.publish() or self.cycle
             self.on_round(now)
-        if self._control.enabled:
+        if self._auto_clear.enabled:
             self._watch_data(now)
-        if self._course.descending:
+        if self.context.descending:
             self._descend(now)
 
     def started(self, request: Request, at: int) -> None:
@@ -401,7 +348,7 @@ class Master:
     def tick(self, now: int) -> None:
         """No token for long: say so, or end an end that cannot be sent any more. (The watch is moved on only here.)"""
         if now >= self._watch.alive_until:
-            self._look(now)
+            self._watch.look(now)
         if self._token.too_old(now):
             self._line_lost("this station holds no token", now, port=False)
 
@@ -411,9 +358,9 @@ class Master:
         self._round.cut(now)
         self._cadence.forget()
         self._round_at = 0
-        self._farewells.clear()
+        self._roster.clear_farewells()
         self.controls.fail_all(reason, now)
         for handler in self.handlers.values():
             handler.line_lost(reason, now)
-        if self._course.target < self.mode:
-            self._reach(self._course.target, now, cleared=False)
+        if self.context.target < self.mode:
+            self._reach(self.context.target, now, cleared=False)

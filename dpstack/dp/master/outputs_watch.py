@@ -1,32 +1,33 @@
-"""When outputs are too old to be sent: the stall rule (``after_stall``) and the application watchdog.
+"""When the master goes to Clear by itself: auto-clear, the stall rule (``after_stall``), the application watchdog.
 
 A stall is a time in which a slave was not asked for longer than its watchdog: the slave has taken its outputs back, and
-must not be given the old ones again without an order. The master asks :meth:`OutputsWatch.judge` before it sends
-anything; the answer is the event that takes it to Clear.
+must not be given the old ones again without an order. The master calls :meth:`OutputsWatch.look` before it sends
+anything.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
-from dpstack.dp.master.events import ApplicationSilent, Blocked, ForcedClear, SlaveState, Stalled
+from dpstack.dp.master.events import ApplicationSilent, AutoCleared, Blocked, ForcedClear, SlaveState, Stalled
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.machine import HeldUp
 from dpstack.units import NEVER, NS_PER_MS, ms_text
 
-# docs/protocol.md#auto-clear (Error_Action_Flag, Data_Control_Time, Ignore_Aclr of each slave).
 
+class AutoClear:
+    """Auto-clear (docs/protocol.md#auto-clear): Error_Action_Flag, Data_Control_Time, Ignore_Aclr of each slave.
 
-class DataControl:
-    """Auto-clear: without it no slave is ever late or missing. ``time_ns`` is the Data_Control_Time."""
+    Without it no slave is ever late or missing.
+    """
 
-    __slots__ = ("_began", "_due", "enabled", "time_ns")
-
-    def __init__(self, settings: MasterSettings) -> None:
+    def __init__(self, settings: MasterSettings, handlers: Mapping[int, SlaveHandler]) -> None:
         self.enabled = settings.auto_clear
+        #: the Data_Control_Time
         self.time_ns = settings.data_control_ns
+        self._handlers = handlers
         self._began = 0
         self._due = 0
 
@@ -35,41 +36,31 @@ class DataControl:
         self._began = now
         self._due = now + self.time_ns
 
-    def late(self, handlers: Iterable[SlaveHandler], now: int) -> list[SlaveHandler]:
-        """The slaves without a good exchange for the Data_Control_Time; looked at again when one can be late."""
+    def late(self, now: int) -> AutoCleared | None:
+        """The end of Operate where slaves had no good exchange for the Data_Control_Time.
+
+        The slaves are looked at again when one of them can be late.
+        """
         if not self.enabled or now < self._due:
-            return []
-        ages = [(max(h.image.input_time, self._began), h) for h in handlers if _counts(h)]
+            return None
+        ages = [(max(h.image.input_time, self._began), h) for h in self._counted()]
         self._due = min((at for at, _ in ages), default=now) + self.time_ns
-        return [h for at, h in ages if now - at >= self.time_ns]
-
-    def missing(self, handlers: Iterable[SlaveHandler]) -> list[SlaveHandler]:
-        """The slaves that keep the master from Operate: not in data exchange."""
-        if not self.enabled:
-            return []
-        return [h for h in handlers if _counts(h) and h.state is not SlaveState.DATA_EXCHANGE]
-
-    def late_reasons(self, late: Sequence[SlaveHandler]) -> tuple[str, ...]:
-        """One line for each of ``late``."""
-        return tuple(
-            f"slave {h.setup.address} ({h.setup.name}) had no data exchange for {self.time_ns // NS_PER_MS} ms "
-            f"({_why(h)})"
+        late = [h for at, h in ages if now - at >= self.time_ns]
+        if not late:
+            return None
+        reasons = tuple(
+            f"{h.setup.who} had no data exchange for {self.time_ns // NS_PER_MS} ms ({h.why_not_exchanging})"
             for h in late
         )
+        return AutoCleared(t_ns=now, slaves=tuple(h.setup.address for h in late), reasons=reasons)
 
+    def missing(self) -> list[SlaveHandler]:
+        """The slaves that keep the master from Operate, because they are not in data exchange."""
+        return [h for h in self._counted() if h.state is not SlaveState.DATA_EXCHANGE] if self.enabled else []
 
-def missing_reasons(missing: Sequence[SlaveHandler]) -> tuple[str, ...]:
-    """One line for each of ``missing``."""
-    return tuple(f"slave {h.setup.address} ({h.setup.name}): {_why(h)}" for h in missing)
-
-
-def _counts(handler: SlaveHandler) -> bool:
-    return handler.state is not SlaveState.DEACTIVATED and not handler.setup.ignore_auto_clear
-
-
-def _why(handler: SlaveHandler) -> str:
-    fault = handler.fault
-    return fault.message if fault is not None else f"it is in {handler.state.value}"
+    def _counted(self) -> list[SlaveHandler]:
+        handlers = self._handlers.values()
+        return [h for h in handlers if h.state is not SlaveState.DEACTIVATED and not h.setup.ignore_auto_clear]
 
 
 #: slaves that are in no state to have outputs, and do not count among those that want parameters at once
@@ -86,23 +77,27 @@ class Block(NamedTuple):
 
 
 class OutputsWatch:
-    """Watches ``handlers`` while the master is in Operate, or on its way there.
+    """Watches ``handlers`` while the master is in Operate, or on its way there. ``force_clear`` takes it to Clear.
 
-    ``look_at``: before this time (ns) :meth:`judge` has nothing to say.
+    ``look_at``: before this time (ns) :meth:`look` finds nothing.
     """
 
-    __slots__ = (
-        "_handlers", "_held", "_settings", "_token_at", "_token_gap", "_watching", "alive_until", "down", "look_at",
-    )  # fmt: skip
-
-    def __init__(self, handlers: Mapping[int, SlaveHandler], settings: MasterSettings) -> None:
+    def __init__(
+        self,
+        settings: MasterSettings,
+        handlers: Mapping[int, SlaveHandler],
+        force_clear: Callable[[ForcedClear, int], None],
+    ) -> None:
         self.look_at = NEVER
+        #: the request made last is from before the master was taken to Clear
+        self.outdated = False
+        self._force_clear = force_clear
         #: when the application watchdog runs out in ns, NEVER while it is off
         self.alive_until = NEVER
         self._handlers = handlers
         self._settings = settings
         self._watching = False
-        self._held: HeldUp | None = None  # the longest the driver told of since the last judgement
+        self._held: HeldUp | None = None  # the longest that the driver reported since the last look
         #: slaves that lost data exchange with the line; the master takes each out at its next request to it
         self.down: dict[SlaveHandler, Block] = {}
         self._token_at = 0
@@ -132,7 +127,7 @@ class OutputsWatch:
             self.alive_until = now + self._settings.application_watchdog_ns
 
     def look_soon(self) -> None:
-        """Something changed: judge before the next request."""
+        """Something changed: look before the next request."""
         if self._watching:
             self.look_at = 0
 
@@ -162,19 +157,26 @@ class OutputsWatch:
                     self.down.setdefault(handler, block)
             self.look_soon()
 
+    def still_fresh(self, now: int) -> bool:
+        """Whether the request made last may still be sent, or sent again."""
+        if now >= self.look_at:
+            self.look(now)
+        return not self.outdated
+
     # --- judging ------------------------------------------------------------------------------------------------
 
-    def judge(self, now: int) -> ForcedClear | None:
-        """Why the outputs are too old to be sent, or None; moves :attr:`look_at`."""
+    def look(self, now: int) -> None:
+        """Force the master to Clear where the outputs are too old to be sent; moves :attr:`look_at`."""
         self.look_at = self.alive_until
         if not self._watching:
-            return None
-        found = self._stalled(now) if self._settings.safe_after_stall else None
+            return
+        found: ForcedClear | None = self._stalled(now) if self._settings.safe_after_stall else None
         if found is not None or not self.down:
             self._held = None
         if found is None and now >= self.alive_until:
-            return ApplicationSilent(t_ns=now, limit_ns=self._settings.application_watchdog_ns)
-        return found
+            found = ApplicationSilent(t_ns=now, limit_ns=self._settings.application_watchdog_ns)
+        if found is not None:
+            self._force_clear(found, now)
 
     def _stalled(self, now: int) -> Stalled | None:
         overdue = []
@@ -191,7 +193,7 @@ class OutputsWatch:
             block = self._block(worst, gap)
             slaves = tuple(sorted(handler.setup.address for handler in overdue))
             why = (
-                f"slave {worst.setup.address} ({worst.setup.name}) was not asked for {ms_text(gap)}, "
+                f"{worst.setup.who} was not asked for {ms_text(gap)}, "
                 f"longer than its watchdog of {ms_text(worst.watchdog_effective_ns)}"
             )
             if block is None:

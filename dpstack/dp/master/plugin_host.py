@@ -1,41 +1,30 @@
 """Runs a slave's cyclic unit (a drive plugin) so that its defects stay its own.
 
-An exception sets that slave's outputs to their safe values, is told as a fault of kind PLUGIN, and leaves the bus
-alone.
+An exception sets that slave's outputs to their safe values, is reported as a fault of kind PLUGIN, and does not disturb
+the bus.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.events import DriveEvent, Fault
+from dpstack.dp.master.fault_report import SlaveReports
 from dpstack.dp.process_image import CyclicUnit, SlaveImage
-from dpstack.trace import Event
+from dpstack.dp.slave_params import SlaveParams
 
 
 class UnitHost:
-    """The cyclic unit of one slave. ``tell`` takes its fault, ``emit`` its events."""
+    """The cyclic unit of one slave."""
 
-    __slots__ = ("_address", "_emit", "_image", "_name", "_safe", "_tell", "fault")
-
-    def __init__(
-        self,
-        image: SlaveImage,
-        safe: bytes,
-        address: int,
-        name: str,
-        emit: Callable[[Event], None],
-        tell: Callable[[Fault, int], None],
-    ) -> None:
+    def __init__(self, image: SlaveImage, setup: SlaveParams, reports: SlaveReports) -> None:
         #: set once and for all when the unit raises
         self.fault: Fault | None = None
         self._image = image
-        self._safe = safe
-        self._address = address
-        self._name = name
-        self._emit = emit
-        self._tell = tell
+        self._name = setup.name
+        self._safe = setup.safe_outputs
+        self._reports = reports
 
     def outputs(self, now: int) -> bytes:
         """The outputs of the next Data_Exchange in Operate: the unit's, the application's, or the safe ones."""
@@ -57,7 +46,8 @@ class UnitHost:
         if unit is None or self.fault is not None:
             why = "has no drive plugin" if unit is None else "is faulted: its plugin failed"
             text = f"{self._name} {why}"
-            self._event({"type": "result", "token": token, "ok": False, "error": "usage", "text": text}, now)
+            result = {"type": "result", "token": token, "ok": False, "error": "usage", "text": text}
+            self._reports.event(DriveEvent, now, payload=result)
             return
         try:
             unit.command(op, args, token, now)
@@ -93,21 +83,19 @@ class UnitHost:
     def remind(self, now: int) -> None:
         """The slave is in data exchange again; a failed unit still is its fault."""
         if self.fault is not None:
-            self._tell(self.fault, now)
+            self._reports.set_fault(self.fault, now)
 
     def _drain(self, now: int) -> None:
         unit = self._image.unit
         if unit is not None:
             for payload in unit.take_events():
-                self._event(payload, now)
+                self._reports.event(DriveEvent, now, payload=payload)
 
     def _fail(self, error: Exception, now: int) -> None:
         if self._image.unit is not None and self.fault is None:
             self._safe = self._present(self._image.unit)
         self.fault = fault_texts.plugin(error)
         self._image.outputs = self._safe
-        self._tell(self.fault, now)
-        self._event({"type": "failed", "text": f"{type(error).__name__}: {error}"}, now)
-
-    def _event(self, payload: dict[str, object], now: int) -> None:
-        self._emit(DriveEvent(t_ns=now, address=self._address, name=self._name, payload=payload))
+        self._reports.set_fault(self.fault, now)
+        failed = {"type": "failed", "text": f"{type(error).__name__}: {error}"}
+        self._reports.event(DriveEvent, now, payload=failed)

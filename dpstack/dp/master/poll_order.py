@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 
 from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.settings import MasterContext
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.rate_groups import offsets, round_interval_ns
 from dpstack.dp.slave_params import SlaveParams
@@ -19,8 +20,6 @@ from dpstack.params import BusParams
 
 class RateTurns:
     """The slaves that are not due in every cycle. Free running the rounds are counted the same way."""
-
-    __slots__ = ("_due", "_params", "_rare", "_setups")
 
     def __init__(self, params: BusParams) -> None:
         self._params = params
@@ -88,26 +87,12 @@ class Turns:
     exchange. 0 = no limit.
     """
 
-    __slots__ = (
-        "_absent_share",
-        "_fresh",
-        "_held",
-        "_long_from",
-        "_pause",
-        "_poll_from",
-        "_services",
-        "_stale",
-        "exchanging",
-        "interval",
-        "interval_all",
-        "rates",
-    )
-
-    def __init__(self, absent_share: int, params: BusParams) -> None:
-        self.rates = RateTurns(params)
+    def __init__(self, context: MasterContext, handlers: Mapping[int, SlaveHandler]) -> None:
+        self.rates = RateTurns(context.params)
         self.exchanging: list[SlaveHandler] = []
         self.interval = self.interval_all = 0
-        self._absent_share = absent_share
+        self._absent_share = context.settings.absent_share
+        self._handlers = handlers
         self._services: deque[SlaveHandler] = deque()
         self._stale = True
         self._fresh = False
@@ -131,20 +116,20 @@ class Turns:
         if handler in self._services:
             self._services.remove(handler)
 
-    def begin_round(self, handlers: Mapping[int, SlaveHandler]) -> None:
+    def begin_round(self) -> None:
         """A round follows."""
         if self._held:
             self._held.clear()
         if self._stale:
-            self.sort(handlers)
+            self.sort()
 
-    def sort(self, handlers: Mapping[int, SlaveHandler]) -> None:
+    def sort(self) -> None:
         """Sort anew where something changed. Who has a diagnosis waiting comes first: a DH is answered at once
         (docs/protocol.md#answers-to-data_exchange)."""
         if not self._stale:
             return
         self._stale = False
-        by_address = [handlers[address] for address in sorted(handlers)]
+        by_address = [self._handlers[address] for address in sorted(self._handlers)]
         self.rates.arrange([h.setup for h in by_address])
         self.exchanging = [h for h in by_address if h.state is SlaveState.DATA_EXCHANGE]
         wanting = [h for h in by_address if h.state is not SlaveState.DATA_EXCHANGE or h.diag_due]

@@ -21,8 +21,6 @@ _IN_VAIN: Final = (2, 7)
 class Backoff:
     """A delay in ns that doubles from ``first`` to ``last`` with every use until it is reset."""
 
-    __slots__ = ("_first", "_last", "_next")
-
     def __init__(self, first: int, last: int) -> None:
         self._first, self._last, self._next = first, last, first
 
@@ -39,8 +37,6 @@ class Backoff:
 
 class Pacing:
     """``due``: no service request to the slave before this time, in ns."""
-
-    __slots__ = ("_absent", "_flapping", "_polls", "_refused", "due", "searched")
 
     def __init__(self) -> None:
         self.due = 0

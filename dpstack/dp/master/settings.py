@@ -1,10 +1,14 @@
-"""Settings of a DP master that do not depend on its slaves: made once, handed on whole."""
+"""Settings of a DP master that do not depend on its slaves, and the state that all its parts share."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.dp.master.commands import Mode
+from dpstack.params import BusParams
+from dpstack.trace import Event
 from dpstack.units import NS_PER_S
 
 
@@ -36,3 +40,26 @@ class MasterSettings:
 
 
 DEFAULTS: Final = MasterSettings()
+
+
+class MasterContext:
+    """What the parts of a master share: bus parameters, settings, its mode, and the events for the application."""
+
+    def __init__(self, params: BusParams, settings: MasterSettings) -> None:
+        self.params = params
+        self.settings = settings
+        self.mode = Mode.STOP if settings.read_only else Mode.CLEAR
+        #: the mode that the master is on its way to
+        self.target = Mode.CLEAR
+        self.events: list[Event] = []
+        #: gives the addresses of the masters in the token ring, None where they are not known
+        self.ring: Callable[[], Collection[int] | None] = lambda: None
+
+    @property
+    def descending(self) -> bool:
+        """Outputs become safe: nothing waits for a grid."""
+        return self.target < self.mode
+
+    def emit(self, event: Event) -> None:
+        """Report ``event`` to the application."""
+        self.events.append(event)

@@ -7,16 +7,17 @@ The table of states is :mod:`dpstack.dp.master.slave_states`, the texts of the f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from functools import partial
+from collections.abc import Callable
 from typing import Final
 
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.diag_reader import AlarmCounts, Diagnoses
 from dpstack.dp.master.events import Fault, SlaveState, SlaveStateChanged
-from dpstack.dp.master.fault_report import Findings
+from dpstack.dp.master.fault_report import SlaveReports
+from dpstack.dp.master.fault_texts import CfgFault
 from dpstack.dp.master.plugin_host import UnitHost
 from dpstack.dp.master.retry_timing import Pacing
+from dpstack.dp.master.settings import MasterContext
 from dpstack.dp.master.slave_states import TABLE, Trigger
 from dpstack.dp.master.verdicts import OddAnswers, Readiness, foreign_owner, masters_view, verdict_exchanging
 from dpstack.dp.pdu.diagnosis import Diagnosis
@@ -24,19 +25,12 @@ from dpstack.dp.process_image import SlaveImage, image_of
 from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, SlaveRequests, positive, refusal_text, set_prm
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.interface import Failure, Request
-from dpstack.fdl.telegram import (
-    SAP_CHK_CFG,
-    SAP_GET_CFG,
-    SAP_SET_PRM,
-    SAP_SLAVE_DIAG,
-    Resp,
-    Telegram,
-)
-from dpstack.trace import Event
+from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_SET_PRM, SAP_SLAVE_DIAG, Resp, Telegram
 from dpstack.units import NEVER
 
 _MAX_BUSY: Final = 5
-_TOLD_ABSENT_AFTER: Final = 3
+#: so many silent polls are reported as a fault
+_ABSENT_AFTER: Final = 3
 _DH: Final = int(Resp.DH)
 #: asked in every exchange: an enum's member costs ten times a name of the module
 _DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
@@ -44,35 +38,26 @@ _BRINGING_UP: Final = (SlaveState.DIAGNOSIS, SlaveState.SET_PRM, SlaveState.CHK_
 
 
 class SlaveHandler:
-    """One slave as the master handles it. ``emit`` takes events, ``changed`` is called after a change of state.
+    """One slave as the master handles it. ``changed`` is called after a change of its state.
 
-    ``masters`` gives the addresses of the masters in the token ring, None where they are not known.
-
-    ``before``: its handling under other parameters: counters go on, and the image as :func:`image_of` says. ``still``:
-    whether outputs may still be sent (see :class:`~dpstack.fdl.interface.Request`).
+    ``still``: whether outputs may still be sent (see :class:`~dpstack.fdl.interface.Request`). ``before``: the handler
+    of the slave under other parameters: counters go on, and the image as :func:`image_of` says.
     """
 
     def __init__(
         self,
         setup: SlaveParams,
-        *,
-        own: int,
-        baud: int,
-        watchdog_ms: int,
-        emit: Callable[[Event], None],
+        context: MasterContext,
         changed: Callable[[SlaveHandler, int], None],
-        masters: Callable[[], Collection[int] | None] = lambda: None,
-        before: SlaveHandler | None = None,
-        still: Callable[[int], bool] | None = None,
+        still: Callable[[int], bool],
+        before: SlaveHandler | None,
     ) -> None:
         self.setup = setup
-        self.own = own
-        self.baud = baud
-        self.watchdog = setup.watchdog(watchdog_ms)
+        self.watchdog = setup.watchdog(context.settings.watchdog_ms)
         self.image: SlaveImage = image_of(setup, None if before is None else before.image)
-        self.findings = Findings(setup.address, setup.name, emit)
-        self.diagnoses = Diagnoses(setup, own, self.findings, emit)
-        self.unit = UnitHost(self.image, setup.safe_outputs, setup.address, setup.name, emit, self.findings.tell)
+        self.reports = SlaveReports(setup, context.emit)
+        self.diagnoses = Diagnoses(setup, context.params.address, self.reports)
+        self.unit = UnitHost(self.image, setup, self.reports)
         self.state = SlaveState.OFFLINE
         #: in this state, in ns
         self.since = 0
@@ -85,9 +70,8 @@ class SlaveHandler:
         self.prm_req_at = NEVER
         #: Slave_Diag is wanted while in data exchange (DH, Stat_Diag)
         self.diag_due = False
-        self.emit = emit
+        self._context = context
         self._changed = changed
-        self._masters = masters
         self._pacing = Pacing()
         self._silent = 0
         self._busy = 0
@@ -95,8 +79,8 @@ class SlaveHandler:
         #: the next service takes it up afresh (FCB)
         self.restart = True
         self._ready = Readiness()
-        #: a fault that waits for the answer to Get_Cfg: its event, and its text from these octets (None: no answer)
-        self._inquiry: tuple[Trigger, fault_texts.FaultOfCfg] | None = None
+        #: a fault that waits for the answer to Get_Cfg, and its trigger
+        self._inquiry: tuple[Trigger, CfgFault] | None = None
         #: why it left data exchange, until the next diagnosis says more: the status that refused it, "" for Prm_Req
         self._left: str | None = None
         #: the octets of the last Set_Prm
@@ -122,12 +106,23 @@ class SlaveHandler:
     @property
     def diagnosis(self) -> Diagnosis | None:
         """The last diagnosis with the bits that a master sets (Deactivated, Station_Non_Existent ...)."""
-        return masters_view(self.diagnoses.last, self.state, self.findings.fault)
+        return masters_view(self.diagnoses.last, self.state, self.reports.fault)
 
     @property
     def fault(self) -> Fault | None:
         """The last fault since the slave was in data exchange."""
-        return self.findings.fault
+        return self.reports.fault
+
+    @property
+    def why_not_exchanging(self) -> str:
+        """Why the slave is not in data exchange, for people."""
+        fault = self.reports.fault
+        return fault.message if fault is not None else f"it is in {self.state.value}"
+
+    @property
+    def alarm_counts(self) -> AlarmCounts | None:
+        """What came of its alarms; None where it can have none."""
+        return self.diagnoses.observer.counts
 
     # --- cyclic path --------------------------------------------------------------------------------------------
 
@@ -149,7 +144,7 @@ class SlaveHandler:
                     if not self._odd.none:
                         self._odd.clear()
                     if status == _DH:
-                        self.diagnoses.flag(self.exchanges)
+                        self.diagnoses.flagged = self.diagnoses.flagged or self.exchanges
                         self.want_diagnosis(now)
                     return
         self._odd_data(outcome, now)
@@ -162,11 +157,9 @@ class SlaveHandler:
             return
         verdict = self._odd.judge(outcome)
         if verdict is Trigger.WRONG_LENGTH:
-            # safe outputs and Unlock at once; the fault is told with what Get_Cfg says
+            # safe outputs and Unlock at once; the fault is reported with the answer to Get_Cfg
             self._step(verdict, now)
-            self._inquire(
-                verdict, partial(fault_texts.wrong_length, self.setup, self.image.input_len, len(outcome.data))
-            )
+            self._inquire(verdict, fault_texts.wrong_length(self.setup, self.image.input_len, len(outcome.data)))
         elif verdict is not None:
             self._left = refusal_text(outcome)
             self._step(verdict, now)
@@ -227,7 +220,7 @@ class SlaveHandler:
         good = outcome if isinstance(outcome, Telegram) and positive(request.dsap, outcome) else None
         service = SERVICE_NAMES[request.dsap or 0]
         if request.dsap == SAP_GET_CFG:
-            self._cfg_told(good.data if good else None, now)
+            self._end_inquiry(good.data if good else None, now)
         elif not isinstance(outcome, Telegram):
             self._on_silence(service, outcome, now, long=request.extra_ns > 0)
         else:
@@ -245,8 +238,9 @@ class SlaveHandler:
         if self.state is SlaveState.OFFLINE:
             self._silent += 1
             self._pacing.absent(now, long=long)
-            if self._silent >= _TOLD_ABSENT_AFTER and not self.findings.silence_told:
-                self.findings.tell(fault_texts.absent(self.setup.address, self.baud, why), now)
+            if self._silent >= _ABSENT_AFTER and not self.reports.is_silent:
+                baud = self._context.params.baud
+                self.reports.set_fault(fault_texts.absent(self.setup.address, baud, why), now)
             self._step(Trigger.SILENT, now)
             return
         fault = None
@@ -270,7 +264,7 @@ class SlaveHandler:
         if diagnosis is None:
             self._on_refusal(answer, "Slave_Diag", now)
             return
-        owner = foreign_owner(diagnosis, self.own)
+        owner = foreign_owner(diagnosis, self._context.params.address)
         if self._refused_data:
             self._refused_data = False
             if diagnosis.prm_req:
@@ -280,14 +274,14 @@ class SlaveHandler:
         if diagnosis.ident != self.ident:
             self._step(Trigger.DIAG_OTHER, now, fault_texts.wrong_ident(self.ident, diagnosis.ident))
         elif owner is not None:
-            self._step(Trigger.DIAG_LOCKED, now, fault_texts.locked(diagnosis, owner, self._masters()))
+            self._step(Trigger.DIAG_LOCKED, now, fault_texts.locked(diagnosis, owner, self._context.ring()))
         elif self.state is SlaveState.DATA_EXCHANGE:
             self._judge_exchanging(diagnosis, now)
         elif self.state is SlaveState.WAIT_READY:
             self._judge_ready(diagnosis, now)
         else:
             if self._left is not None:
-                self.findings.tell(fault_texts.left(diagnosis, self._left), now)
+                self.reports.set_fault(fault_texts.left(diagnosis, self._left), now)
                 self._left = None
             if not self._pacing.pauses(now):
                 self._step(Trigger.DIAG_FREE, now)
@@ -295,31 +289,31 @@ class SlaveHandler:
     def _judge_ready(self, diagnosis: Diagnosis, now: int) -> None:
         waited = now - self.since
         verdict, fault = self._ready.judge(self.setup, diagnosis, self._prm_sent, waited)
-        if fault is not None and not isinstance(fault, Fault):
+        if isinstance(fault, CfgFault):
             self._inquire(verdict, fault)
             return
         if verdict is Trigger.DIAG_WAIT:
             self._pacing.not_ready(now, waited)
         elif verdict is Trigger.DIAG_READY and self.watchdog and not diagnosis.wd_on:
-            self.findings.remark(fault_texts.NOT_WATCHING, now)
+            self.reports.remark(fault_texts.NOT_WATCHING, now)
         self._step(verdict, now, fault)
 
-    def _inquire(self, event: Trigger, fault: fault_texts.FaultOfCfg) -> None:
-        """Ask Get_Cfg next: what the slave has instead belongs into the fault before it is told."""
+    def _inquire(self, event: Trigger, fault: CfgFault) -> None:
+        """Ask Get_Cfg next: the fault is to name the configuration that the slave has instead."""
         self._inquiry = (event, fault)
         if self.state is SlaveState.FAULT:
-            self.findings.fault = fault(None)
+            self.reports.fault = fault.compared(None)
 
-    def _cfg_told(self, actual: bytes | None, now: int) -> None:
-        """The end of Get_Cfg."""
+    def _end_inquiry(self, actual: bytes | None, now: int) -> None:
+        """The end of Get_Cfg: the ``actual`` identifier octets, None without a good answer."""
         if self._inquiry is None:
             return
-        (event, fault_of), self._inquiry = self._inquiry, None
+        (event, fault), self._inquiry = self._inquiry, None
         if self.state is SlaveState.FAULT:
-            self.findings.tell(fault_of(actual), now)
+            self.reports.set_fault(fault.compared(actual), now)
             self._changed(self, now)
         else:
-            self._step(event, now, fault_of(actual))
+            self._step(event, now, fault.compared(actual))
 
     def _judge_exchanging(self, diagnosis: Diagnosis, now: int) -> None:
         verdict = verdict_exchanging(diagnosis)
@@ -330,21 +324,17 @@ class SlaveHandler:
         fault = None
         if verdict is Trigger.DIAG_REFUSED:
             refusal = fault_texts.refusal(self.setup, diagnosis, self._prm_sent)
-            if not isinstance(refusal, Fault):
+            if isinstance(refusal, CfgFault):
                 self._step(verdict, now)
                 self._inquire(verdict, refusal)
                 return
             fault = refusal
         self._step(verdict, now, fault)
         if self.state is SlaveState.DATA_EXCHANGE:
-            self.diagnoses.exchanging(diagnosis, self.exchanges, now)
+            diagnoses = self.diagnoses
+            diagnoses.observer.take(diagnosis, diagnoses.flagged, self.exchanges, now)
+            diagnoses.flagged = 0
         self._changed(self, now)
-
-    @property
-    def alarm_counts(self) -> AlarmCounts | None:
-        """What came of its alarms; None where it can have none."""
-        observer = self.diagnoses.observer
-        return None if observer is None else observer.counts
 
     def want_diagnosis(self, now: int) -> None:
         """Have the diagnosis read next."""
@@ -359,7 +349,7 @@ class SlaveHandler:
         if row is None:
             return
         if fault is not None:
-            self.findings.tell(fault, now)
+            self.reports.set_fault(fault, now)
         if row.next is not self.state:
             self._enter(row.next, now)
         elif row.next is SlaveState.FAULT:
@@ -378,10 +368,10 @@ class SlaveHandler:
         self._odd.clear()
         self._ready.entered(state)
         if state in (SlaveState.DATA_EXCHANGE, SlaveState.DEACTIVATED):
-            self.findings.clear()
+            self.reports.clear()
         if state is SlaveState.DATA_EXCHANGE:
             self.unit.remind(now)
-            self.diagnoses.opened(now)
+            self.diagnoses.observer.opened(self.diagnoses.last, now)
         elif state is SlaveState.FAULT:
             self._pacing.refused(now)
         elif state in (SlaveState.OFFLINE, SlaveState.DEACTIVATED):
@@ -390,8 +380,7 @@ class SlaveHandler:
             self._left = self._inquiry = None
             self._silent = 0
             self._pacing.absent(now)
-        name, address = self.setup.name, self.setup.address
-        self.emit(SlaveStateChanged(t_ns=now, address=address, name=name, state=state))
+        self.reports.event(SlaveStateChanged, now, state=state)
         self._changed(self, now)
 
     def _leave_exchange(self, now: int, *, silent: bool) -> None:
@@ -401,7 +390,7 @@ class SlaveHandler:
         self.restart = True
         self._pacing.left(now, now - self.since, silent=silent)
         self.unit.lost(now)
-        self.diagnoses.closed(now)
+        self.diagnoses.observer.closed(now)
 
     def deactivate(self, now: int) -> None:
         """Take it out of service; nothing is asked of it until :meth:`activate`."""
@@ -428,6 +417,6 @@ class SlaveHandler:
         """The bus is gone (port vanished, out of the ring): nobody is in data exchange any more."""
         if self.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED):
             if self.state is SlaveState.DATA_EXCHANGE:
-                self.findings.tell(fault_texts.bus_gone(reason), now)
+                self.reports.set_fault(fault_texts.bus_gone(reason), now)
             self._enter(SlaveState.OFFLINE, now)
             self._pacing.due = now

@@ -49,53 +49,47 @@ class Row(NamedTuple):
     clause: str
 
 
-TABLE: Final[dict[tuple[S, Trigger], Row]] = {
-    (S.OFFLINE, Trigger.SILENT): Row(S.OFFLINE, f"{_FCB}: one attempt a round while non-operational"),
-    (S.OFFLINE, Trigger.DIAG_FREE): Row(S.SET_PRM, f"{_HANDLER}: diagnosis, then Set_Prm"),
-    (S.OFFLINE, Trigger.DIAG_LOCKED): Row(S.FAULT, f"{_DIAG}: octet 4, never parameterise a slave of another master"),
-    (S.OFFLINE, Trigger.DIAG_OTHER): Row(S.FAULT, f"{_DIAG}: octets 5 and 6, ident number"),
-    (S.OFFLINE, Trigger.REFUSED): Row(S.FAULT, f"{_SERVICES}: Slave_Diag is always served"),
-    (S.DIAGNOSIS, Trigger.SILENT): Row(S.OFFLINE, f"{_FCB}: no answer makes a station non-operational"),
-    (S.DIAGNOSIS, Trigger.DIAG_FREE): Row(S.SET_PRM, f"{_HANDLER}: diagnosis, then Set_Prm"),
-    (S.DIAGNOSIS, Trigger.DIAG_LOCKED): Row(S.FAULT, f"{_DIAG}: octet 4"),
-    (S.DIAGNOSIS, Trigger.DIAG_OTHER): Row(S.FAULT, f"{_DIAG}: octets 5 and 6"),
-    (S.DIAGNOSIS, Trigger.REFUSED): Row(S.FAULT, f"{_SERVICES}: Slave_Diag is always served"),
-    (S.SET_PRM, Trigger.ACK): Row(S.CHK_CFG, f"{_HANDLER}: Set_Prm, then Chk_Cfg"),
-    (S.SET_PRM, Trigger.SILENT): Row(S.WAIT_READY, f"{_REFUSALS}: silence may be one, the diagnosis says why"),
-    (S.SET_PRM, Trigger.REFUSED): Row(S.FAULT, f"{_FC}: RS, UE, RR"),
-    (S.CHK_CFG, Trigger.ACK): Row(S.WAIT_READY, f"{_HANDLER}: Chk_Cfg, then diagnosis"),
-    (S.CHK_CFG, Trigger.SILENT): Row(S.WAIT_READY, f"{_REFUSALS}: silence may be one, the diagnosis says why"),
-    (S.CHK_CFG, Trigger.REFUSED): Row(S.FAULT, f"{_FC}: RS, UE, RR"),
-    (S.WAIT_READY, Trigger.SILENT): Row(S.OFFLINE, _FCB),
-    (S.WAIT_READY, Trigger.DIAG_WAIT): Row(S.WAIT_READY, f"{_MEANS}: Station_Not_Ready, Stat_Diag: keep asking"),
-    (S.WAIT_READY, Trigger.DIAG_READY): Row(S.DATA_EXCHANGE, _HANDLER),
-    (S.WAIT_READY, Trigger.DIAG_NO_CFG): Row(S.CHK_CFG, f"{_REFUSALS}: the acknowledgement of Set_Prm was lost"),
-    (S.WAIT_READY, Trigger.DIAG_PRM_REQ): Row(S.SET_PRM, f"{_MEANS}: Prm_Req, go back to Set_Prm"),
-    (S.WAIT_READY, Trigger.DIAG_REFUSED): Row(S.FAULT, f"{_MEANS}: Prm_Fault, Cfg_Fault, Not_Supported"),
-    (S.WAIT_READY, Trigger.DIAG_LOCKED): Row(S.FAULT, f"{_DIAG}: octet 4"),
-    (S.WAIT_READY, Trigger.DIAG_OTHER): Row(S.FAULT, f"{_DIAG}: octets 5 and 6"),
-    (S.WAIT_READY, Trigger.REFUSED): Row(S.FAULT, f"{_SERVICES}: Slave_Diag is always served"),
-    (S.WAIT_READY, Trigger.TOO_LONG): Row(S.FAULT, f"{_REFUSALS}: one report instead of a loop"),
-    (S.DATA_EXCHANGE, Trigger.DIAG_READY): Row(S.DATA_EXCHANGE, f"{_ANSWERS}: DH, diagnosis fetched"),
-    (S.DATA_EXCHANGE, Trigger.DIAG_WAIT): Row(S.DATA_EXCHANGE, f"{_MEANS}: Stat_Diag, inputs not valid, keep asking"),
-    (S.DATA_EXCHANGE, Trigger.SILENT): Row(S.OFFLINE, _FCB),
-    (S.DATA_EXCHANGE, Trigger.NOT_EXCHANGING): Row(S.DIAGNOSIS, f"{_ANSWERS}: RS, the slave left data exchange"),
-    (S.DATA_EXCHANGE, Trigger.DIAG_PRM_REQ): Row(S.DIAGNOSIS, f"{_MEANS}: Prm_Req"),
-    (S.DATA_EXCHANGE, Trigger.DIAG_REFUSED): Row(S.FAULT, f"{_MEANS}: Prm_Fault, Cfg_Fault"),
-    (S.DATA_EXCHANGE, Trigger.DIAG_LOCKED): Row(S.FAULT, f"{_DIAG}: octet 4, unlocked and taken by another master"),
-    (S.DATA_EXCHANGE, Trigger.DIAG_OTHER): Row(S.FAULT, f"{_DIAG}: octets 5 and 6, exchanged for another device"),
-    (S.DATA_EXCHANGE, Trigger.REFUSED): Row(S.DIAGNOSIS, f"{_FC}: busy for too long"),
-    (S.DATA_EXCHANGE, Trigger.WRONG_LENGTH): Row(S.FAULT, f"{_ANSWERS}: a wrong length is an error"),
-    # design: refused ones are asked for their diagnosis again after 1 to 10 s
-    (S.FAULT, Trigger.SILENT): Row(S.OFFLINE, _FCB),
-    (S.FAULT, Trigger.DIAG_FREE): Row(S.SET_PRM, f"{_HANDLER}: diagnosis, then Set_Prm"),
-    (S.FAULT, Trigger.DIAG_LOCKED): Row(S.FAULT, f"{_DIAG}: octet 4"),
-    (S.FAULT, Trigger.DIAG_OTHER): Row(S.FAULT, f"{_DIAG}: octets 5 and 6"),
-    (S.FAULT, Trigger.REFUSED): Row(S.FAULT, f"{_SERVICES}: Slave_Diag is always served"),
-    (S.DEACTIVATED, Trigger.ACTIVATE): Row(S.OFFLINE, f"{_DIAG}: Deactivated, by order"),
-    **{
-        (s, Trigger.DEACTIVATE): Row(S.DEACTIVATED, f"{_DIAG}: Deactivated, by order")
-        for s in S
-        if s is not S.DEACTIVATED
-    },
+#: states in which the slave is asked for its diagnosis before Set_Prm; a refusing one again after 1 to 10 s
+_ASKING: Final = (S.OFFLINE, S.DIAGNOSIS, S.FAULT)
+_DIAGNOSED: Final = (*_ASKING, S.WAIT_READY, S.DATA_EXCHANGE)
+_ANY_BUT_DEACTIVATED: Final = tuple(state for state in S if state is not S.DEACTIVATED)
+
+_RULES: Final[tuple[tuple[tuple[S, ...], Trigger, S, str], ...]] = (
+    (_DIAGNOSED, Trigger.SILENT, S.OFFLINE, f"{_FCB}: no answer makes a station non-operational: one attempt a round"),
+    (_ASKING, Trigger.DIAG_FREE, S.SET_PRM, f"{_HANDLER}: diagnosis, then Set_Prm"),
+    (_DIAGNOSED, Trigger.DIAG_LOCKED, S.FAULT, f"{_DIAG}: octet 4, never parameterise a slave of another master"),
+    (_DIAGNOSED, Trigger.DIAG_OTHER, S.FAULT, f"{_DIAG}: octets 5 and 6, ident number"),
+    ((*_ASKING, S.WAIT_READY), Trigger.REFUSED, S.FAULT, f"{_SERVICES}: Slave_Diag is always served"),
+    ((S.SET_PRM,), Trigger.ACK, S.CHK_CFG, f"{_HANDLER}: Set_Prm, then Chk_Cfg"),
+    ((S.CHK_CFG,), Trigger.ACK, S.WAIT_READY, f"{_HANDLER}: Chk_Cfg, then diagnosis"),
+    (
+        (S.SET_PRM, S.CHK_CFG),
+        Trigger.SILENT,
+        S.WAIT_READY,
+        f"{_REFUSALS}: silence may be one, the diagnosis says why",
+    ),
+    ((S.SET_PRM, S.CHK_CFG), Trigger.REFUSED, S.FAULT, f"{_FC}: RS, UE, RR"),
+    ((S.WAIT_READY,), Trigger.DIAG_WAIT, S.WAIT_READY, f"{_MEANS}: Station_Not_Ready, Stat_Diag: keep asking"),
+    ((S.WAIT_READY,), Trigger.DIAG_READY, S.DATA_EXCHANGE, _HANDLER),
+    ((S.WAIT_READY,), Trigger.DIAG_NO_CFG, S.CHK_CFG, f"{_REFUSALS}: the acknowledgement of Set_Prm was lost"),
+    ((S.WAIT_READY,), Trigger.DIAG_PRM_REQ, S.SET_PRM, f"{_MEANS}: Prm_Req, go back to Set_Prm"),
+    ((S.WAIT_READY,), Trigger.DIAG_REFUSED, S.FAULT, f"{_MEANS}: Prm_Fault, Cfg_Fault, Not_Supported"),
+    ((S.WAIT_READY,), Trigger.TOO_LONG, S.FAULT, f"{_REFUSALS}: one report instead of a loop"),
+    ((S.DATA_EXCHANGE,), Trigger.DIAG_READY, S.DATA_EXCHANGE, f"{_ANSWERS}: DH, diagnosis fetched"),
+    (
+        (S.DATA_EXCHANGE,),
+        Trigger.DIAG_WAIT,
+        S.DATA_EXCHANGE,
+        f"{_MEANS}: Stat_Diag, inputs not valid, keep asking",
+    ),
+    ((S.DATA_EXCHANGE,), Trigger.NOT_EXCHANGING, S.DIAGNOSIS, f"{_ANSWERS}: RS, the slave left data exchange"),
+    ((S.DATA_EXCHANGE,), Trigger.DIAG_PRM_REQ, S.DIAGNOSIS, f"{_MEANS}: Prm_Req"),
+    ((S.DATA_EXCHANGE,), Trigger.DIAG_REFUSED, S.FAULT, f"{_MEANS}: Prm_Fault, Cfg_Fault"),
+    ((S.DATA_EXCHANGE,), Trigger.REFUSED, S.DIAGNOSIS, f"{_FC}: busy for too long"),
+    ((S.DATA_EXCHANGE,), Trigger.WRONG_LENGTH, S.FAULT, f"{_ANSWERS}: a wrong length is an error"),
+    ((S.DEACTIVATED,), Trigger.ACTIVATE, S.OFFLINE, f"{_DIAG}: Deactivated, by order"),
+    (_ANY_BUT_DEACTIVATED, Trigger.DEACTIVATE, S.DEACTIVATED, f"{_DIAG}: Deactivated, by order"),
+)
+TABLE: Final = {
+    (state, trigger): Row(to, clause) for state in S for states, trigger, to, clause in _RULES if state in states
 }

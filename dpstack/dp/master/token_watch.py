@@ -14,8 +14,6 @@ _SILENCE: Final = NS_PER_S
 class TokenAge:
     """``watch_at``: when :meth:`too_old` is to be asked, in ns, or NEVER. It is moved on only there."""
 
-    __slots__ = ("_at", "_held_ns", "_limit", "_since", "sent_at", "watch_at")
-
     def __init__(self, params: BusParams) -> None:
         #: first bit of the last request: what is sent after a token is its sign of life
         self.sent_at = 0

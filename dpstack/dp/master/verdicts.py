@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial, reduce
+from functools import reduce
 from operator import or_
 from typing import Final
 
@@ -31,8 +31,6 @@ _DATA: Final = (int(Resp.DL), int(Resp.DH))
 
 class OddAnswers:
     """Counts them; one good exchange forgives all (:attr:`none` is False while there is something to forgive)."""
-
-    __slots__ = ("_busy", "_wrong", "none")
 
     def __init__(self) -> None:
         self.none = True
@@ -145,8 +143,6 @@ _SET_PRM: Final = SERVICE_NAMES[SAP_SET_PRM]
 class Readiness:
     """Of one slave. ``cfg_sent``: Chk_Cfg went out; ``unacked``: the service that it did not acknowledge."""
 
-    __slots__ = ("_prm_rounds", "cfg_sent", "unacked")
-
     def __init__(self) -> None:
         self.cfg_sent = False
         self.unacked = ""
@@ -163,12 +159,10 @@ class Readiness:
 
     def judge(
         self, setup: SlaveParams, diagnosis: Diagnosis, prm_sent: bytes, waited_ns: int
-    ) -> tuple[Trigger, Fault | fault_texts.FaultOfCfg | None]:
+    ) -> tuple[Trigger, Fault | fault_texts.CfgFault | None]:
         """What ``diagnosis`` means ``waited_ns`` after the last step, and what is wrong.
 
         ``setup``: of its slave; ``prm_sent``: the octets of its last Set_Prm.
-
-        A :data:`~dpstack.dp.master.fault_texts.FaultOfCfg` needs the answer to Get_Cfg first.
         """
         verdict = verdict_ready(diagnosis, cfg_sent=self.cfg_sent)
         if verdict is Trigger.DIAG_WAIT:
@@ -178,16 +172,16 @@ class Readiness:
                 seconds = _READY_LIMIT / NS_PER_S
                 if diagnosis.stat_diag:
                     return Trigger.TOO_LONG, fault_texts.statically_ill(seconds)
-                return Trigger.TOO_LONG, partial(fault_texts.not_ready, setup, seconds)
+                return Trigger.TOO_LONG, fault_texts.not_ready(setup, seconds)
         elif verdict is Trigger.DIAG_PRM_REQ:
             if self._prm_rounds >= _MAX_PRM_ROUNDS:
                 if self.unacked:
                     return Trigger.REFUSED, self._silent(setup, prm_sent)
-                return Trigger.REFUSED, partial(fault_texts.not_taken, setup)
+                return Trigger.REFUSED, fault_texts.not_taken(setup)
             self._prm_rounds += 1
         elif verdict is Trigger.DIAG_REFUSED:
             return verdict, fault_texts.refusal(setup, diagnosis, prm_sent)
         return verdict, None
 
-    def _silent(self, setup: SlaveParams, prm_sent: bytes) -> Fault | fault_texts.FaultOfCfg:
-        return fault_texts.prm_silent(prm_sent) if self.unacked == _SET_PRM else partial(fault_texts.cfg_silent, setup)
+    def _silent(self, setup: SlaveParams, prm_sent: bytes) -> Fault | fault_texts.CfgFault:
+        return fault_texts.prm_silent(prm_sent) if self.unacked == _SET_PRM else fault_texts.cfg_silent(setup)

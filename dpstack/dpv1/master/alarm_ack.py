@@ -7,6 +7,7 @@ it may still have, then sends the request again (:class:`~dpstack.dpv1.master.ms
 from __future__ import annotations
 
 from dpstack.dp.acyclic.job import ACKS, Outcome, Provider, ServiceFailure
+from dpstack.dp.master.diag_reader import NO_ALARMS, DiagObserver
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.pdu.alarm_blocks import HEAD
 from dpstack.dpv1.master.alarm_handler import AlarmBook, AlarmHandler, OpenAlarm
@@ -76,13 +77,13 @@ class Alarms(Provider):
         if ms1.master is not None:
             ms1.master.observe(self._observer)
 
-    def _observer(self, handler: SlaveHandler, before: SlaveHandler | None) -> AlarmHandler | None:
+    def _observer(self, handler: SlaveHandler, before: SlaveHandler | None) -> DiagObserver:
         address = handler.setup.address
         self._alarms.pop(address, None)
         if before is None:
             self._books[address] = AlarmBook()
         if handler.setup.dpv1 is None:
-            return None
+            return NO_ALARMS
         alarms = self._alarms[address] = AlarmHandler(handler, self._books[address])
         return alarms
 

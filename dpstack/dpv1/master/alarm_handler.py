@@ -13,7 +13,7 @@ from enum import Enum
 from typing import Final
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
-from dpstack.dp.master.diag_reader import AlarmCounts
+from dpstack.dp.master.diag_reader import AlarmCounts, DiagObserver
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
@@ -83,7 +83,7 @@ class AlarmBook:
         self.counts = dataclasses.replace(self.counts, **{name: getattr(self.counts, name) + 1})
 
 
-class AlarmHandler:
+class AlarmHandler(DiagObserver):
     """The alarms of the slave that ``handler`` handles, under one set of parameters; ``book`` outlasts them."""
 
     def __init__(self, handler: SlaveHandler, book: AlarmBook) -> None:
@@ -97,8 +97,7 @@ class AlarmHandler:
         #: they are acknowledged at SAP 50
         self.extra_sap = self._has_extra_sap
         self._extra_sap_took = False
-        self._findings = handler.findings
-        self._emit = handler.emit
+        self._reports = handler.reports
         self._want_diagnosis = handler.want_diagnosis
         self._book = book
         self._open: dict[Key, OpenAlarm] = {}
@@ -156,7 +155,7 @@ class AlarmHandler:
                     found.append((parse_block(block.octets), block.octets))
                 except PduError as error:
                     if not self._book.counts.malformed:
-                        self._findings.remark(_MALFORMED.format(why=error, octets=block.octets.hex(" ")), now)
+                        self._reports.remark(_MALFORMED.format(why=error, octets=block.octets.hex(" ")), now)
                     self._book.count("malformed")
         return found
 
@@ -164,14 +163,13 @@ class AlarmHandler:
         if self._statuses.get((status.type, status.slot)) != octets:
             self._statuses[status.type, status.slot] = octets
             self._book.count("statuses")
-            address, name = self._setup.address, self._setup.name
-            self._emit(StatusTold(t_ns=now, address=address, name=name, status=status))
+            self._reports.event(StatusTold, now, status=status)
 
     def _on_alarm(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, flagged: bool, now: int) -> None:
         kind = kind_of(alarm.type)
         if not self._enabled & ALARMS[kind]:
             self._book.count("not_enabled")
-            self._findings.remark(_NOT_ENABLED.format(what=alarm_name(alarm.type), kind=kind), now)
+            self._reports.remark(_NOT_ENABLED.format(what=alarm_name(alarm.type), kind=kind), now)
             return
         key = Key.of(alarm)
         self._conclude(alarm, octets, now)
@@ -197,37 +195,33 @@ class AlarmHandler:
                 self._over(known, Outcome(), now)
 
     def _new(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, *, doubtful: bool, now: int) -> None:
-        setup = self._setup
         standing = [known.alarm.type for known in self._open.values() if not known.maybe_taken]
         if len(standing) >= self._limit if self._limit else alarm.type in standing:
             self._too_many(now)
         if len(self._open) + len(self._book.untaken) >= MAX_OPEN:
             self._book.count("dropped")
             self._dropped = True
-            self._findings.remark(f"raises alarms while {MAX_OPEN} wait to be taken: dropped, not acknowledged", now)
+            self._reports.remark(f"raises alarms while {MAX_OPEN} wait to be taken: dropped, not acknowledged", now)
             return
         self._book.number += 1
         stage = Stage.HELD if self._book.hold else Stage.WAITING
         self._open[Key.of(alarm)] = OpenAlarm(self._book.number, alarm, octets, stage, doubtful)
         self._settling.raised(alarm)
         self._book.count("raised")
-        self._emit(
-            AlarmRaised(
-                t_ns=now,
-                address=setup.address,
-                name=setup.name,
-                number=self._book.number,
-                alarm=alarm,
-                diagnosis=diagnosis,
-                held=self._book.hold,
-                texts=texts_beside(diagnosis, alarm, setup.texts),
-            )
+        self._reports.event(
+            AlarmRaised,
+            now,
+            number=self._book.number,
+            alarm=alarm,
+            diagnosis=diagnosis,
+            held=self._book.hold,
+            texts=texts_beside(diagnosis, alarm, self._setup.texts),
         )
 
     def _too_many(self, now: int) -> None:
         self._book.count("too_many")
         agreed = f"{self._limit} at a time (alarm_mode)" if self._limit else "one of each type at a time"
-        self._findings.remark(f"raises more alarms than agreed, which is {agreed}; see its counters", now)
+        self._reports.remark(f"raises more alarms than agreed, which is {agreed}; see its counters", now)
 
     # --- from the application -----------------------------------------------------------------------------------
 
@@ -288,13 +282,13 @@ class AlarmHandler:
         if outcome.failure is ServiceFailure.REFUSED and self.extra_sap and not taken:
             self.extra_sap = False
             known.stage = Stage.WAITING
-            self._findings.remark(_NO_EXTRA_SAP, now)
+            self._reports.remark(_NO_EXTRA_SAP, now)
         elif outcome.failure is None or (refused and known.unanswered):
             self._over(known, Outcome(), now)
         elif refused:
             self._book.count("refused")
             if self._book.counts.refused == 1:
-                self._findings.remark(_REFUSED.format(why=self._said(outcome)), now)
+                self._reports.remark(_REFUSED.format(why=self._said(outcome)), now)
             self._over(known, outcome, now)
         else:
             known.stage = Stage.WAITING
@@ -303,7 +297,7 @@ class AlarmHandler:
                 known.unanswered = True
                 if not self._silence_told:
                     self._silence_told = True
-                    self._findings.remark(f"{self._said(outcome)}; it is acknowledged again until it answers", now)
+                    self._reports.remark(f"{self._said(outcome)}; it is acknowledged again until it answers", now)
 
     def _said(self, outcome: Outcome) -> str:
         """Without the slave, which stands in front of every remark."""
@@ -321,8 +315,7 @@ class AlarmHandler:
         self._make_room(now)
 
     def _done(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
-        address, name = self._setup.address, self._setup.name
-        self._emit(AlarmDone(t_ns=now, address=address, name=name, number=known.number, outcome=outcome))
+        self._reports.event(AlarmDone, now, number=known.number, outcome=outcome)
 
     def _make_room(self, now: int) -> None:
         """What was dropped may still stand in its diagnosis."""

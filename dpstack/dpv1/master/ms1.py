@@ -243,7 +243,7 @@ class Ms1(Provider):
     def dpv1_slave(self, address: int) -> SlaveHandler:
         """The handler of a slave that is parameterised for DP-V1. Raises UsageError."""
         handler = self.slave(address)
-        need_dpv1(handler.setup, read_only=self.master is not None and self.master.settings.read_only)
+        need_dpv1(handler.setup, read_only=self.master is not None and self.master.context.settings.read_only)
         return handler
 
     def bar(self, handler: SlaveHandler, since: int) -> str:

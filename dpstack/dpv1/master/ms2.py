@@ -78,7 +78,7 @@ class Ms2(Connections):
 
     def _initiate(self, order: OpenConnection) -> Job:
         check_address(order.address, self._own)
-        if self._master is not None and self._master.settings.read_only:
+        if self._master is not None and self._master.context.settings.read_only:
             raise UsageError("this bus is read-only: no connection is opened; leave read_only out")
         if self.closing:
             raise UsageError("the bus is being closed: no connection is opened any more")

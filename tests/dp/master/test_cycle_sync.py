@@ -60,7 +60,7 @@ def test_freeze_begins_and_sync_ends_each_cycle(world: WorldFactory) -> None:
         # Sync_Req (0x20) to groups 1 and 3 (0x05)
         assert [o for o in order(bus, freeze.start_ns) if o != "00 00"] == ["08 01", "5", "6", "7", "20 05"]
     assert bus.master.cycles.late.max_ns == 0
-    assert bus.master.controls.frozen == bus.master.controls.synced == {5, 6}
+    assert bus.master.controls.freeze.held == bus.master.controls.sync.held == {5, 6}
 
 
 def test_outputs_change_at_the_sync_and_inputs_are_of_the_freeze(world: WorldFactory) -> None:
@@ -111,7 +111,7 @@ def test_who_comes_back_is_taken_in_without_a_word(world: WorldFactory) -> None:
     bus.world.add(bus.slaves[6])
     bus.until_exchanging()
     bus.world.run_for(30 * MS)
-    assert bus.master.controls.synced == {5, 6}
+    assert bus.master.controls.sync.held == {5, 6}
     assert [e.message for e in bus.events if isinstance(e, SlaveRemark) and "put back" in e.message] == []
     bus.world.command(bus.station, RemoveSlave(5))  # out of both modes first, see test_sync_freeze
     bus.world.run_for(200 * MS)

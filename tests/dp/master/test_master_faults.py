@@ -91,14 +91,14 @@ def test_slave_of_another_master_is_never_parameterised() -> None:
 )
 def test_slave_that_a_master_left_locked_which_is_gone(octet_2: str, words: str) -> None:
     bus = link(setup(), slaves={3: ScriptedSlave(free=bytes.fromhex(f"00 {octet_2} 00 07 06 96"))})
-    bus.master.ring = lambda: {2}
+    bus.master.context.ring = lambda: {2}
     bus.run(1_000 * MS)
     fault = bus.master.handlers[3].fault
     assert fault is not None
     assert fault.kind.value == "locked"
     assert fault.message == "is still locked by master 7, which is not in the token ring (any more)"
     assert fault.remedy.startswith(words)
-    bus.master.ring = lambda: {2, 7}
+    bus.master.context.ring = lambda: {2, 7}
     bus.run(12_000 * MS)
     fault = bus.master.handlers[3].fault
     assert fault is not None

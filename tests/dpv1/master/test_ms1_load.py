@@ -101,7 +101,7 @@ def test_the_longest_records_cost_no_more_than_the_plan_says(world: WorldFactory
     quiet = bus.rotation(100 * MS)
     bus.asking = True
     loaded = bus.rotation(300 * MS)
-    params = bus.master.params
+    params = bus.master.context.params
     assert 0 < loaded.max_ns - quiet.max_ns <= params.ns(acyclic_bits(params))
 
 

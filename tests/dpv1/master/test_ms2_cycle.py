@@ -81,7 +81,7 @@ def test_records_cost_no_more_than_the_plan_says(world: WorldFactory) -> None:
     quiet = bus.rotation(50 * MS, reads=0)
     loaded = bus.rotation(50 * MS, reads=32)
     assert len(bus.ends) > 10
-    params = bus.master.params
+    params = bus.master.context.params
     assert 0 < loaded.max_ns - quiet.max_ns <= params.ns(acyclic_bits(params))
 
 
