@@ -292,13 +292,13 @@ def test_l8_trips_have_names_in_a_telegram_without_a_channel() -> None:
     assert master.bench.core.faults() == ("34 LV",)
 
 
-def du(device: LsDevice, request: str) -> str:
+def du(device: LsDevice, service: str) -> str:
     """One service of DP-V1 as the slave application hands it on, in octets both ways."""
-    ticket = RecordRequest(parse_request(octets(request)))
+    request = RecordRequest(parse_request(octets(service)))
     assert device.records is not None
-    device.records.ask(ticket)
-    assert ticket.response is not None
-    return ticket.response.build().hex(" ").upper()
+    device.records.ask(request)
+    assert request.response is not None
+    return request.response.build().hex(" ").upper()
 
 
 def test_l8_l10_as_the_slave_application_asks() -> None:

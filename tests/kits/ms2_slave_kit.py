@@ -26,13 +26,13 @@ TIMEOUT = 2_000 * MS
 
 
 class Later:
-    """Keeps the tickets."""
+    """Keeps the requests."""
 
     def __init__(self) -> None:
-        self.tickets: list[RecordRequest] = []
+        self.requests: list[RecordRequest] = []
 
-    def ask(self, ticket: RecordRequest) -> None:
-        self.tickets.append(ticket)
+    def ask(self, request: RecordRequest) -> None:
+        self.requests.append(request)
 
 
 class Slave:
@@ -90,7 +90,7 @@ def reach(slave: Slave, later: Later, step: str) -> None:
             case "asked":
                 assert master.ask(48, READ) == SC
             case "fetched":
-                later.tickets[0].answer()
+                later.requests[0].answer()
                 assert master.ask(48) == "5E 00 01 00"
             case "idle":
                 assert master.ask(48, IDLE) == SC

@@ -8,7 +8,7 @@ from bus_kit import IDENT, PPO1
 
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
-from dpstack.dpv1.slave.record_requests import RecordRequest, TransportRequest
+from dpstack.dpv1.slave.record_requests import RecordRequest
 
 #: class 2 connections that it has
 CONNECTIONS: Final = 2
@@ -23,18 +23,18 @@ class Patient(MirrorDevice):
         self.transport = self.ask
         self.ms2 = CONNECTIONS
         self.serial = 0
-        self.working: list[tuple[RecordRequest | TransportRequest, int, int]] = []
+        self.working: list[tuple[RecordRequest, int, int]] = []
 
-    def ask(self, ticket: RecordRequest | TransportRequest) -> None:
+    def ask(self, request: RecordRequest) -> None:
         self.serial += 1
-        if ticket.request.index == 98:
-            ticket.refuse(Code.INVALID_INDEX, self.serial)
+        if request.service.index == 98:
+            request.refuse(Code.INVALID_INDEX, self.serial)
         else:
-            self.working.append((ticket, ticket.request.index, self.serial))
+            self.working.append((request, request.service.index, self.serial))
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
-        for ticket, left, serial in self.working:
+        for request, left, serial in self.working:
             if left == 0:
-                ticket.answer(bytes((serial, ticket.request.slot, ticket.request.index)))
-        self.working = [(ticket, left - 1, serial) for ticket, left, serial in self.working if left]
+                request.answer(bytes((serial, request.service.slot, request.service.index)))
+        self.working = [(request, left - 1, serial) for request, left, serial in self.working if left]
         return super().exchange(outputs, now)

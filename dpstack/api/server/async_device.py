@@ -8,8 +8,8 @@ from typing import TypeVar
 
 from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dpv1.pdu.error_codes import Code
-from dpstack.dpv1.pdu.read_write import ReadReq
-from dpstack.dpv1.slave.record_requests import AnyRequest, RecordRequest, TransportRequest
+from dpstack.dpv1.pdu.read_write import DataTransport, ReadReq, WriteReq
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.user_slave import OnRead, OnTransport, OnWrite
 
 T = TypeVar("T")
@@ -26,52 +26,49 @@ class AsyncRecords:
         self._on_transport = on_transport
         self._tasks: set[asyncio.Task[None]] = set()
 
-    def ask(self, ticket: RecordRequest | TransportRequest) -> None:
+    def ask(self, request: RecordRequest) -> None:
         """Start the function; the master polls meanwhile. Where it gives up, the function is cancelled."""
-        task = asyncio.get_running_loop().create_task(self._serve(ticket), name=ticket.title)
+        task = asyncio.get_running_loop().create_task(self._serve(request), name=request.title)
         self._tasks.add(task)
-        ticket.abandoned = task.cancel
-        task.add_done_callback(lambda done: self._over(ticket, done))
+        request.abandoned = task.cancel
+        task.add_done_callback(lambda done: self._over(request, done))
 
     def end(self) -> None:
         """The slave is served no more: cancel the running functions."""
         for task in self._tasks:
             task.cancel()
 
-    def _over(self, ticket: AnyRequest, task: asyncio.Task[None]) -> None:
+    def _over(self, request: RecordRequest, task: asyncio.Task[None]) -> None:
         """Answer for a function that somebody else has cancelled, or its master would wait in vain."""
         self._tasks.discard(task)
         if task.cancelled():
-            ticket.fail(asyncio.CancelledError("what it awaited was cancelled"))
+            request.fail(asyncio.CancelledError("what it awaited was cancelled"))
 
-    async def _serve(self, ticket: RecordRequest | TransportRequest) -> None:
-        request = ticket.request
+    async def _serve(self, request: RecordRequest) -> None:
+        service = request.service
         function: Callable[..., Awaitable[object]] | None
         result, refusal = "", Code.ACCESS_DENIED
-        if isinstance(ticket, TransportRequest):
-            name, function, result, refusal = (
-                "on_transport",
-                self._on_transport,
-                "what goes back",
-                Code.FEATURE_NOT_SUPPORTED,
-            )
-        elif isinstance(request, ReadReq):
-            name, function, result = "on_read", self._on_read, "a record"
-        else:
-            name, function = "on_write", self._on_write
+        match service:
+            case ReadReq():
+                name, function, result = "on_read", self._on_read, "a record"
+            case WriteReq():
+                name, function = "on_write", self._on_write
+            case DataTransport():
+                name, function, result = "on_transport", self._on_transport, "what goes back"
+                refusal = Code.FEATURE_NOT_SUPPORTED
         if function is None:
-            ticket.refuse(refusal)
+            request.refuse(refusal)
             return
         try:
-            octets = () if isinstance(request, ReadReq) else (request.data,)
-            data = await _asked(name, function, request.slot, request.index, *octets)
+            octets = () if isinstance(service, ReadReq) else (service.data,)
+            data = await _asked(name, function, service.slot, service.index, *octets)
             if not result:
                 data = b""
             if not isinstance(data, (bytes, bytearray)):
                 raise TypeError(f"{name} returned {type(data).__name__}, {result} is bytes")
-            ticket.answer(bytes(data))
+            request.answer(bytes(data))
         except Exception as error:  # the user's: answered and reported, nothing else is disturbed
-            ticket.fail(error)
+            request.fail(error)
 
 
 async def _asked(name: str, function: Callable[..., Awaitable[T]], *args: object) -> T:

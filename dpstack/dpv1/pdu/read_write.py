@@ -67,7 +67,7 @@ class _Service:
 
     function: ClassVar[Function]
     #: the unit that its data are limited in, for messages
-    _UNIT: ClassVar = "record"
+    UNIT: ClassVar = "record"
 
     slot: int
     index: int
@@ -77,23 +77,24 @@ class _Service:
         """With slot and index: they are what a reader looks for."""
         return f"{self.function.title} of slot {self.slot}, index {self.index}"
 
-    def _octets(self, length: int, data: bytes) -> bytes:
+    def _octets(self, length: int) -> bytes:
         if not 0 <= self.slot <= MAX_SLOT:
             raise PduError(f"slot {self.slot} does not exist: 0..{MAX_SLOT}")
         if not 0 <= self.index <= 255:
             raise PduError(f"index {self.index} does not exist: 0..255")
         if not 0 <= length <= MAX_RECORD:
-            raise PduError(f"{length} octets of data, {MAX_RECORD} are possible in one {self._UNIT}")
-        return RECORD.build(function=self.function, slot=self.slot, record=self.index, length=length, data=data)
+            raise PduError(f"{length} octets of data, {MAX_RECORD} are possible in one {self.UNIT}")
+        return RECORD.build(self, record=self.index, length=length)
 
 
 @dataclass(frozen=True, slots=True)
 class _WithLength(_Service):
     length: int
+    data: ClassVar = b""
 
     def build(self) -> bytes:
         """The octets. Raises PduError where a value does not fit."""
-        return self._octets(self.length, b"")
+        return self._octets(self.length)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +103,7 @@ class _WithData(_Service):
 
     def build(self) -> bytes:
         """The octets. Raises PduError where a value does not fit."""
-        return self._octets(len(self.data), self.data)
+        return self._octets(len(self.data))
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,12 +114,20 @@ class ReadReq(_WithLength):
 
     length: int = MAX_RECORD
 
+    def response(self, data: bytes) -> ReadRes:
+        """The positive response with ``data``, cut to the length that was asked for."""
+        return ReadRes(self.slot, self.index, bytes(data[: self.length]))
+
 
 class WriteReq(_WithData):
     """Write ``data`` into the record ``index`` of ``slot``."""
 
     __slots__ = ()
     function = Function.WRITE
+
+    def response(self, data: bytes) -> WriteRes:
+        """The positive response: all its octets were written."""
+        return WriteRes(self.slot, self.index, len(self.data))
 
 
 class ReadRes(_WithData):
@@ -140,7 +149,11 @@ class DataTransport(_WithData):
 
     __slots__ = ()
     function = Function.DATA_TRANSPORT
-    _UNIT = "service"
+    UNIT = "service"
+
+    def response(self, data: bytes) -> DataTransport:
+        """The positive response with ``data``."""
+        return DataTransport(self.slot, self.index, bytes(data))
 
     @classmethod
     def parse(cls, octets: bytes) -> DataTransport:
@@ -220,6 +233,7 @@ _ALARM_ACK: Final = Layout(
 RecordReq = ReadReq | WriteReq
 Service = RecordReq | DataTransport
 RecordRes = ReadRes | WriteRes | Negative
+Response = RecordRes | DataTransport
 
 
 class UnacceptableError(PduError):

@@ -15,7 +15,7 @@ from dpstack.dp.slave.extension import Handler, SlaveService
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative, UnacceptableError, parse_request
 from dpstack.dpv1.slave.alarms import AlarmServer
-from dpstack.dpv1.slave.record_requests import Asker, RecordRequest, Records, put
+from dpstack.dpv1.slave.record_requests import Asker, RecordRequest, Records, ask_records
 from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import SAP_MS1, SAP_MS1_ALARM, Resp, Telegram
 
@@ -41,7 +41,7 @@ class Ms1Server(SlaveService):
         "_asker",
         "_enabled",
         "_report",
-        "_ticket",
+        "_request",
         "messages",
         "records",
     )
@@ -53,7 +53,7 @@ class Ms1Server(SlaveService):
         self.messages = alarms
         self._enabled = False  # by Set_Prm
         self._report = report
-        self._ticket: RecordRequest | None = None
+        self._request: RecordRequest | None = None
         self._answer: bytes | None = None  # to what no application is asked
         self._asker: Asker | None = None
 
@@ -90,7 +90,7 @@ class Ms1Server(SlaveService):
             return None
         octets, sa = request.data, request.sa
         if not octets:
-            return _reply(self._answer if self._ticket is None else self._ticket.take(self._report, now))
+            return _reply(self._answer if self._request is None else self._request.octets(self._report, now))
         self._drop()
         if self._asker is None or self._asker.master != sa:
             self._asker = Asker(sa, SAP_MS1)
@@ -103,8 +103,8 @@ class Ms1Server(SlaveService):
             self._answer = error.negative.build()
             self._report.refused("MS1", sa, str(error), now)
             return SC_REPLY
-        self._ticket = RecordRequest(wanted, self._asker, now)
-        put(self._ticket, self.records)
+        self._request = RecordRequest(wanted, self._asker, now)
+        ask_records(self._request, self.records)
         return SC_REPLY
 
     def _serve_alarm(self, request: Telegram, now: int) -> Reply | None:
@@ -129,9 +129,9 @@ class Ms1Server(SlaveService):
 
     def _drop(self) -> None:
         self._answer = None
-        ticket, self._ticket = self._ticket, None
-        if ticket is not None:
-            ticket.drop()
+        request, self._request = self._request, None
+        if request is not None:
+            request.drop()
 
 
 def _reply(answer: bytes | None) -> Reply:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from dpstack.dp.error_origin import DEVICE_CALL, failure_text
@@ -12,16 +12,7 @@ from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.ms2 import IDLE, Abort, AbortReason, InitiateReq, InitiateRes, Instance
 from dpstack.dpv1.pdu.read_write import DataTransport, Function, Negative, ReadReq, UnacceptableError, parse_request
 from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ms2Trigger, State
-from dpstack.dpv1.slave.record_requests import (
-    AnyRequest,
-    Asker,
-    RecordRequest,
-    Records,
-    Transport,
-    TransportRequest,
-    put,
-    put_transport,
-)
+from dpstack.dpv1.slave.record_requests import Asker, RecordRequest, Records, Transport, ask, ask_records
 from dpstack.dpv1.timeouts import PATIENCE, WORKING_SHARE
 from dpstack.errors import PduError, RecordRefused
 from dpstack.units import NS_PER_MS
@@ -87,7 +78,7 @@ class ServerConnection:
         "_device",
         "_lived",
         "_report",
-        "_ticket",
+        "_request",
         "asker",
         "heard",
         "send_timeout_ns",
@@ -108,7 +99,7 @@ class ServerConnection:
         #: it told its master that it lives
         self._lived = now
         self._answer: bytes | None = None
-        self._ticket: AnyRequest | None = None
+        self._request: RecordRequest | None = None
         self._device = device
         self._report = report
 
@@ -193,8 +184,11 @@ class ServerConnection:
     def poll(self, now: int) -> bytes | None:
         """What its master fetches, None for SC; an Abort that was fetched frees the connection."""
         self.heard = now
-        if self.state is State.WORKING:
-            self._look(now)
+        if self.state is State.WORKING and self._request is not None:
+            self._answer = self._request.octets(self._report, now)
+            if self._answer is not None:
+                self._request = None
+                self.state = State.ANSWERED
         match TABLE[self.state, Ms2Trigger.POLL].act:
             case Act.GIVE:
                 self.state = State.OPEN
@@ -234,9 +228,9 @@ class ServerConnection:
         if self.state is not State.OVER:
             self.state = State.OVER
             self.asker.open = False
-            ticket, self._ticket = self._ticket, None
-            if ticket is not None:
-                ticket.drop()
+            request, self._request = self._request, None
+            if request is not None:
+                request.drop()
             self._report.stats.closed += 1
             who = self.asker
             self._report.emit(ConnectionClosed, now, master=who.master, sap=who.sap, services=self.services, reason=why)
@@ -266,34 +260,23 @@ class ServerConnection:
         self._lived = now
         self.state = State.WORKING
         try:
-            request = parse_transport(octets) if octets[0] == Function.DATA_TRANSPORT else parse_request(octets)
+            service = parse_transport(octets) if octets[0] == Function.DATA_TRANSPORT else parse_request(octets)
             longest = self._device.ms2_max_len
-            if isinstance(request, ReadReq):
-                request = ReadReq(request.slot, request.index, min(request.length, longest))
-            elif len(request.data) > longest:
-                reason = f"{len(request.data)} octets of data, {longest} are possible"
+            if isinstance(service, ReadReq):
+                service = replace(service, length=min(service.length, longest))
+            elif len(service.data) > longest:
+                reason = f"{len(service.data)} octets of data, {longest} are possible"
                 raise UnacceptableError(reason, Negative(octets[0], Code.WRITE_LENGTH_ERROR))
         except UnacceptableError as error:
-            self._negative(error.negative, str(error), now)
-            return
-        if isinstance(request, DataTransport):
-            self._ticket = transport = TransportRequest(request, self.asker, now)
-            put_transport(transport, self._device.transport)
-        else:
-            self._ticket = ticket = RecordRequest(request, self.asker, now)
-            put(ticket, self._device.records)
-
-    def _negative(self, negative: Negative, why: str, now: int) -> None:
-        self._report.refused("MS2", self.asker.master, why, now)
-        self._answer = negative.build()
-        self.state = State.ANSWERED
-
-    def _look(self, now: int) -> None:
-        answer = None if self._ticket is None else self._ticket.take(self._report, now)
-        if answer is not None:
-            self._ticket = None
-            self._answer = answer
+            self._report.refused("MS2", self.asker.master, str(error), now)
+            self._answer = error.negative.build()
             self.state = State.ANSWERED
+            return
+        self._request = request = RecordRequest(service, self.asker, now)
+        if isinstance(service, DataTransport):
+            ask(request, self._device.transport, Code.FEATURE_NOT_SUPPORTED)
+        else:
+            ask_records(request, self._device.records)
 
 
 def parse_transport(octets: bytes) -> DataTransport:

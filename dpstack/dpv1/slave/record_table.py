@@ -1,6 +1,6 @@
 """Records that a slave has without a function of its own: a table of octets, and I&M at index 255.
 
-Both answer tickets (:class:`~dpstack.dpv1.slave.record_requests.Records`), whoever asks: MS1 or a class 2 connection.
+Both answer requests (:class:`~dpstack.dpv1.slave.record_requests.Records`), whoever asks: MS1 or a class 2 connection.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dpstack.dp.pdu.layouts import MAX_SLOT
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build_call, number_of, parse_call
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
-from dpstack.dpv1.slave.record_requests import Asker, RecordRequest, Records, put
+from dpstack.dpv1.slave.record_requests import Asker, RecordRequest, Records, ask_records
 from dpstack.errors import PduError
 
 
@@ -25,21 +25,21 @@ class RecordTable:
         self.records = dict(records)
         self._writable = frozenset(writable)
 
-    def ask(self, ticket: RecordRequest) -> None:
-        request = ticket.request
-        where = (request.slot, request.index)
+    def ask(self, request: RecordRequest) -> None:
+        service = request.service
+        where = (service.slot, service.index)
         if where not in self.records:
             slots = {slot for slot, _ in self.records}
-            ticket.refuse(Code.INVALID_INDEX if request.slot in slots else Code.INVALID_SLOT)
-        elif isinstance(request, ReadReq):
-            ticket.answer(self.records[where])
+            request.refuse(Code.INVALID_INDEX if service.slot in slots else Code.INVALID_SLOT)
+        elif isinstance(service, ReadReq):
+            request.answer(self.records[where])
         elif where not in self._writable:
-            ticket.refuse(Code.ACCESS_DENIED)
-        elif len(request.data) != len(self.records[where]):
-            ticket.refuse(Code.WRITE_LENGTH_ERROR)
+            request.refuse(Code.ACCESS_DENIED)
+        elif len(service.data) != len(self.records[where]):
+            request.refuse(Code.WRITE_LENGTH_ERROR)
         else:
-            self.records[where] = request.data
-            ticket.answer()
+            self.records[where] = service.data
+            request.answer()
 
 
 class ByIndex:
@@ -49,9 +49,9 @@ class ByIndex:
         self._served = dict(served)
         self._others = others
 
-    def ask(self, ticket: RecordRequest) -> None:
+    def ask(self, request: RecordRequest) -> None:
         """By whoever has the index."""
-        put(ticket, self._served.get(ticket.request.index, self._others))
+        ask_records(request, self._served.get(request.service.index, self._others))
 
 
 #: I&M of every slot alike, or slot -> those of this one
@@ -90,51 +90,51 @@ class ImRecords:
     def _found(self, slot: int) -> dict[int, Im]:
         return self._slots.get(None) or self._slots.get(slot) or {}
 
-    def ask(self, ticket: RecordRequest) -> None:
+    def ask(self, request: RecordRequest) -> None:
         """I&M at once; what is no call goes on."""
-        request = ticket.request
-        called = self._called.setdefault(ticket.asker, {})  # each who asks has calls of its own
-        if request.index != IM_INDEX:
-            self._hand_on(ticket)
-        elif isinstance(request, WriteReq):
-            self._call(ticket, request, called)
-        elif request.slot in called:
-            number = called[request.slot]
-            ticket.answer(build_call(number, self._found(request.slot)[number]))
+        service = request.service
+        called = self._called.setdefault(request.asker, {})  # each who asks has calls of its own
+        if service.index != IM_INDEX:
+            self._hand_on(request)
+        elif isinstance(service, WriteReq):
+            self._call(request, service, called)
+        elif service.slot in called:
+            number = called[service.slot]
+            request.answer(build_call(number, self._found(service.slot)[number]))
         else:
-            self._hand_on(ticket)
+            self._hand_on(request)
 
-    def _call(self, ticket: RecordRequest, request: WriteReq, called: dict[int, int]) -> None:
+    def _call(self, request: RecordRequest, service: WriteReq, called: dict[int, int]) -> None:
         try:
-            fi_index, data = parse_call(request.data)
+            fi_index, data = parse_call(service.data)
         except PduError:
-            called.pop(request.slot, None)
-            self._hand_on(ticket)
+            called.pop(service.slot, None)
+            self._hand_on(request)
             return
         number = fi_index - IM_FI.start
-        found = self._found(request.slot)
+        found = self._found(service.slot)
         if number not in found:
-            ticket.refuse(Code.INVALID_RANGE if found else Code.INVALID_SLOT)
+            request.refuse(Code.INVALID_RANGE if found else Code.INVALID_SLOT)
             return
         if data:
             if not number:
-                ticket.refuse(Code.ACCESS_DENIED)
+                request.refuse(Code.ACCESS_DENIED)
                 return
             if len(data) != IM_LEN:
-                ticket.refuse(Code.WRITE_LENGTH_ERROR)
+                request.refuse(Code.WRITE_LENGTH_ERROR)
                 return
             record = RECORDS[number].parse(data)
             if self._changed is not None:
-                self._changed(request.slot, record)
+                self._changed(service.slot, record)
             found[number] = record
-        called[request.slot] = number
-        ticket.answer()
+        called[service.slot] = number
+        request.answer()
 
-    def _hand_on(self, ticket: RecordRequest) -> None:
+    def _hand_on(self, request: RecordRequest) -> None:
         if self.others is None:
-            ticket.refuse(Code.STATE_CONFLICT if ticket.request.index == IM_INDEX else Code.INVALID_INDEX)
+            request.refuse(Code.STATE_CONFLICT if request.service.index == IM_INDEX else Code.INVALID_INDEX)
         else:
-            self.others.ask(ticket)
+            self.others.ask(request)
 
 
 def _of_one_slot(records: Iterable[Im]) -> dict[int, Im]:

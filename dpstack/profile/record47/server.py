@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from dpstack.dpv1.pdu.error_codes import Code
-from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
+from dpstack.dpv1.pdu.read_write import ReadReq
 from dpstack.dpv1.slave.record_requests import Asker, RecordRequest
 from dpstack.errors import PduError
 from dpstack.profile.model import param_errors as errors
@@ -381,26 +381,26 @@ class TimedRecords:
         self._holder: Asker | None = None
         self._held_until = 0
 
-    def ask(self, ticket: RecordRequest) -> None:
+    def ask(self, request: RecordRequest) -> None:
         """Answer at once. A response that is not ready is refused; the master asks again."""
-        request, asker, now = ticket.request, ticket.asker, self._clock(ticket.at)
-        if request.index == INDEX and self._holder not in (None, asker):
-            if isinstance(request, ReadReq):
-                ticket.refuse(Code.STATE_CONFLICT)
+        service, asker, now = request.service, request.asker, self._clock(request.at)
+        if service.index == INDEX and self._holder not in (None, asker):
+            if isinstance(service, ReadReq):
+                request.refuse(Code.STATE_CONFLICT)
                 return
             if self._is_kept(now):
-                ticket.refuse(Code.RESOURCE_BUSY)
+                request.refuse(Code.RESOURCE_BUSY)
                 return
-        if isinstance(request, WriteReq):
-            answer = self._server.write_record(request.slot, request.index, request.data, now) or b""
+        if isinstance(service, ReadReq):
+            answer = self._server.read_record(service.slot, service.index, service.length, now)
         else:
-            answer = self._server.read_record(request.slot, request.index, request.length, now)
+            answer = self._server.write_record(service.slot, service.index, service.data, now) or b""
         if isinstance(answer, Refused):
-            ticket.refuse(answer.code)
+            request.refuse(answer.code)
             return
-        self._holder = asker if isinstance(request, WriteReq) else None
+        self._holder = None if isinstance(service, ReadReq) else asker
         self._held_until = now + _HELD_NS
-        ticket.answer(answer)
+        request.answer(answer)
 
     def _is_kept(self, now: int) -> bool:
         return self._holder is not None and self._holder.open and now < self._held_until

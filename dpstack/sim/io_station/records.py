@@ -19,7 +19,7 @@ from typing import Final
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.im import IM_INDEX, Im0, Im1, Im2, Im3, Im4
 from dpstack.dpv1.pdu.read_write import WriteReq
-from dpstack.dpv1.slave.record_requests import RecordRequest, TransportRequest
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.sim.io_station.modules import EMPTY, Slot
 
@@ -40,49 +40,49 @@ class StationRecords:
             slot.number: ImRecords([_im0(slot.module.name, slot.number)]) for slot in slots if slot is not None
         }
 
-    def ask(self, ticket: RecordRequest) -> None:
-        request = ticket.request
-        slot = self._slots[request.slot - 1] if 0 < request.slot <= len(self._slots) else None
-        if request.slot == 0 and request.index == STATE:
-            _read_only(ticket, bytes(0 if slot is None else slot.state for slot in self._slots))
-        elif request.slot == 0:
-            self._head.ask(ticket)
+    def ask(self, request: RecordRequest) -> None:
+        service = request.service
+        slot = self._slots[service.slot - 1] if 0 < service.slot <= len(self._slots) else None
+        if service.slot == 0 and service.index == STATE:
+            _read_only(request, bytes(0 if slot is None else slot.state for slot in self._slots))
+        elif service.slot == 0:
+            self._head.ask(request)
         elif slot is None:
-            ticket.refuse(Code.INVALID_SLOT)
-        elif request.index == STATE:  # the head answers for a missing module
-            _read_only(ticket, _state(slot))
+            request.refuse(Code.INVALID_SLOT)
+        elif service.index == STATE:  # the head answers for a missing module
+            _read_only(request, _state(slot))
         elif not slot.present:
-            ticket.refuse(Code.MODULE_FAILURE)
-        elif request.index == IM_INDEX:
-            self._modules[slot.number].ask(ticket)
-        elif request.index == PARAMETERS and slot.module.prm is not None:
-            self._parameters(ticket, slot)
+            request.refuse(Code.MODULE_FAILURE)
+        elif service.index == IM_INDEX:
+            self._modules[slot.number].ask(request)
+        elif service.index == PARAMETERS and slot.module.prm is not None:
+            self._parameters(request, slot)
         else:
-            ticket.refuse(Code.INVALID_INDEX)
+            request.refuse(Code.INVALID_INDEX)
 
     def keep(self, before: StationRecords) -> None:
         """Take over the I&M data that a master wrote before the station was switched off and on."""
         self._head = before._head
 
-    def _parameters(self, ticket: RecordRequest, slot: Slot) -> None:
-        request = ticket.request
-        if not isinstance(request, WriteReq):
-            ticket.answer(bytes((slot.prm,)))
-        elif len(request.data) != 1:
-            ticket.refuse(Code.WRITE_LENGTH_ERROR)
-        elif self._set_prm(slot, request.data[0]) is not None:
-            ticket.refuse(Code.INVALID_RANGE)
+    def _parameters(self, request: RecordRequest, slot: Slot) -> None:
+        service = request.service
+        if not isinstance(service, WriteReq):
+            request.answer(bytes((slot.prm,)))
+        elif len(service.data) != 1:
+            request.refuse(Code.WRITE_LENGTH_ERROR)
+        elif self._set_prm(slot, service.data[0]) is not None:
+            request.refuse(Code.INVALID_RANGE)
         else:
-            ticket.answer()
+            request.answer()
 
 
-def loop_back(ticket: TransportRequest) -> None:
+def loop_back(request: RecordRequest) -> None:
     """Data_Transport: a test of the connection; at once."""
-    request = ticket.request
-    if (request.slot, request.index) == _LOOP:
-        ticket.answer(request.data)
+    service = request.service
+    if (service.slot, service.index) == _LOOP:
+        request.answer(service.data)
     else:
-        ticket.refuse(Code.INVALID_INDEX if request.slot == _LOOP[0] else Code.INVALID_SLOT)
+        request.refuse(Code.INVALID_INDEX if service.slot == _LOOP[0] else Code.INVALID_SLOT)
 
 
 def _im0(order_id: str, number: int) -> Im0:
@@ -94,8 +94,8 @@ def _state(slot: Slot) -> bytes:
     return bytes((slot.state, slot.module.config, plugged, sum(1 << channel for channel in slot.faults)))
 
 
-def _read_only(ticket: RecordRequest, octets: bytes) -> None:
-    if isinstance(ticket.request, WriteReq):
-        ticket.refuse(Code.ACCESS_DENIED)
+def _read_only(request: RecordRequest, octets: bytes) -> None:
+    if isinstance(request.service, WriteReq):
+        request.refuse(Code.ACCESS_DENIED)
     else:
-        ticket.answer(octets)
+        request.answer(octets)

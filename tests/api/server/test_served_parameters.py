@@ -10,7 +10,7 @@ from slave_kit import Bench
 import dpstack
 from dpstack import DpSlave, SlaveDescription
 from dpstack.dp.master.events import SlaveState
-from dpstack.dpv1.pdu.read_write import WriteReq
+from dpstack.dpv1.pdu.read_write import ReadReq
 from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.fdl.interface import SC_REPLY
 from dpstack.fdl.telegram import Resp
@@ -117,13 +117,13 @@ class Lengths:
         self.written: list[int] = []
         self.read: list[int] = []
 
-    def ask(self, ticket: RecordRequest) -> None:
-        request = ticket.request
-        if isinstance(request, WriteReq):
-            self.written.append(len(request.data))
+    def ask(self, request: RecordRequest) -> None:
+        service = request.service
+        if isinstance(service, ReadReq):
+            self.read.append(service.length)
         else:
-            self.read.append(request.length)
-        self._server.ask(ticket)
+            self.written.append(len(service.data))
+        self._server.ask(request)
 
 
 def test_no_request_is_longer_than_c1_max_data_len(tmp_path: Path) -> None:

@@ -155,15 +155,14 @@ class Slow:
         self.asked: list[str] = []
         self._left = busy
 
-    def ask(self, ticket: RecordRequest) -> None:
-        request = ticket.request
-        self.asked.append(request.build().hex(" ").upper())
+    def ask(self, request: RecordRequest) -> None:
+        self.asked.append(request.service.build().hex(" ").upper())
         self._left -= 1
         if self._left >= 0:
-            ticket.refuse(self.code)
+            request.refuse(self.code)
             return
         self._left = self.busy
-        ticket.answer(b"" if isinstance(request, WriteReq) else build_call(1) + Im1("pump").build())
+        request.answer(b"" if isinstance(request.service, WriteReq) else build_call(1) + Im1("pump").build())
 
 
 @pytest.mark.parametrize("code", [0xB5, 0xC0, 0xC2])

@@ -21,9 +21,9 @@ class Counted:
         self.services: list[str] = []
         self.records = self.ask = records.ask
 
-        def ask(ticket: RecordRequest) -> None:
-            self.services.append(ticket.request.build().hex(" ").upper())
-            self.ask(ticket)
+        def ask(request: RecordRequest) -> None:
+            self.services.append(request.service.build().hex(" ").upper())
+            self.ask(request)
 
         vars(records)["ask"] = ask
 
@@ -133,9 +133,9 @@ def test_a_dump_asks_for_as_many_as_a_request_takes() -> None:
         # one that is not answered is found among the eight
         records = counted.records
 
-        def silent(ticket: RecordRequest) -> None:
-            if ticket.request.index != 47 or bytes.fromhex("1103") not in ticket.request.build():
-                records(ticket)
+        def silent(request: RecordRequest) -> None:
+            if request.service.index != 47 or bytes.fromhex("1103") not in request.service.build():
+                records(request)
 
         counted.ask = silent
         after = await drive.dump()

@@ -33,7 +33,7 @@ from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
-from dpstack.dpv1.slave.record_requests import RecordRequest, TransportRequest
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOffline
@@ -59,26 +59,26 @@ class Busy(MirrorDevice):
         self.transport = self.ask
         self.ms2 = CONNECTIONS
         self.alarm_server = self.server = AlarmServer(AlarmSupport(frozenset(ALARMS), 32, True), 238)
-        self.working: list[tuple[RecordRequest | TransportRequest, int]] = []
+        self.working: list[tuple[RecordRequest, int]] = []
 
-    def ask(self, ticket: RecordRequest | TransportRequest) -> None:
-        match ticket.request.index:
+    def ask(self, request: RecordRequest) -> None:
+        match request.service.index:
             case 0:
-                ticket.answer(self.answer(ticket))
+                request.answer(self.answer(request))
             case index if index == REFUSED:
-                ticket.refuse(Code.INVALID_INDEX)
+                request.refuse(Code.INVALID_INDEX)
             case index if index != NEVER_ANSWERED:
-                self.working.append((ticket, index))
+                self.working.append((request, index))
 
     @staticmethod
-    def answer(ticket: RecordRequest | TransportRequest) -> bytes:
-        return bytes((ticket.request.slot, ticket.request.index)) * 30
+    def answer(request: RecordRequest) -> bytes:
+        return bytes((request.service.slot, request.service.index)) * 30
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
-        for ticket, left in self.working:
+        for request, left in self.working:
             if left == 1:
-                ticket.answer(self.answer(ticket))
-        self.working = [(ticket, left - 1) for ticket, left in self.working if left > 1]
+                request.answer(self.answer(request))
+        self.working = [(request, left - 1) for request, left in self.working if left > 1]
         return super().exchange(outputs, now)
 
 

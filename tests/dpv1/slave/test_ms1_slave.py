@@ -41,13 +41,13 @@ def answer_to(bench: Bench, octets: str) -> str:
 
 
 class Later:
-    """Keeps the tickets."""
+    """Keeps the requests."""
 
     def __init__(self) -> None:
-        self.tickets: list[RecordRequest] = []
+        self.requests: list[RecordRequest] = []
 
-    def ask(self, ticket: RecordRequest) -> None:
-        self.tickets.append(ticket)
+    def ask(self, request: RecordRequest) -> None:
+        self.requests.append(request)
 
 
 TABLE = {(0, 1): b"\x11\x22\x33", (1, 2): b"\xaa"}
@@ -110,9 +110,9 @@ def test_an_answer_that_comes_later() -> None:
     assert ask(bench, "5E 00 01 F0") == SC_REPLY
     for _ in range(3):
         assert ask(bench, "") == SC_REPLY
-    (ticket,) = later.tickets
-    ticket.answer(b"\x55")
-    ticket.answer(b"\x66")  # once is enough
+    (request,) = later.requests
+    request.answer(b"\x55")
+    request.answer(b"\x66")  # once is enough
     for _ in range(2):  # until the next request: a poll whose answer was lost gets it again
         assert ask(bench, "").data == bytes.fromhex("5E 00 01 01 55")
     assert ask(bench, "5E 00 07 F0") == SC_REPLY
@@ -124,12 +124,12 @@ def test_a_request_takes_the_place_of_the_one_before() -> None:
     bench = bench_with(later)
     ask(bench, "5E 00 01 F0")
     gone: list[int] = []
-    later.tickets[0].abandoned = lambda: gone.append(1)
+    later.requests[0].abandoned = lambda: gone.append(1)
     ask(bench, "5E 00 02 F0")
     assert gone == [1]
-    later.tickets[0].answer(b"\x11")
+    later.requests[0].answer(b"\x11")
     assert ask(bench, "") == SC_REPLY
-    later.tickets[1].answer(b"\x22")
+    later.requests[1].answer(b"\x22")
     assert ask(bench, "").data == bytes.fromhex("5E 00 02 01 22")
     ask(bench, "5E 00 03 F0")
     assert gone == [1]  # the second was answered
@@ -141,16 +141,16 @@ def test_leaving_data_exchange_ends_what_is_worked_at() -> None:
     ask(bench, "5E 00 01 F0")
     bench.prm(ENABLE)
     bench.cfg(CFG)
-    (ticket,) = later.tickets
-    assert not ticket.open
-    ticket.answer(b"\x55")
+    (request,) = later.requests
+    assert not request.open
+    request.answer(b"\x55")
     assert ask(bench, "") == SC_REPLY
 
 
 def test_a_function_that_raises_is_answered_and_told_and_data_exchange_goes_on() -> None:
     class Broken:
-        def ask(self, ticket: RecordRequest) -> None:
-            if isinstance(ticket.request, WriteReq):
+        def ask(self, request: RecordRequest) -> None:
+            if isinstance(request.service, WriteReq):
                 raise RecordRefused(Code.STATE_CONFLICT, 7)
             raise ZeroDivisionError("records are broken")
 

@@ -20,7 +20,7 @@ from slave_kit import CFG, PRM, Recorder
 
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dpv1.pdu.im import Im0, Im1
-from dpstack.dpv1.slave.record_requests import RecordRequest, TransportRequest
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.dpv1.timeouts import least_send_timeout
@@ -104,9 +104,9 @@ def test_several_masters_at_once_and_nobody_gets_what_is_not_his() -> None:
     for sap, master in zip((48, 47, 46), masters, strict=True):
         assert master.ask(sap) == OPENED
         assert master.ask(sap, f"5E 00 {sap:02X} F0") == SC
-    assert [ticket.asker.master for ticket in later.tickets] == [1, 3, 5]
-    for ticket in reversed(later.tickets):
-        ticket.answer(bytes((ticket.asker.master,)))
+    assert [request.asker.master for request in later.requests] == [1, 3, 5]
+    for request in reversed(later.requests):
+        request.answer(bytes((request.asker.master,)))
     for sap, master in zip((48, 47, 46), masters, strict=True):
         others = [other for other in masters if other is not master]
         assert [other.ask(sap) for other in others] == [RS, RS]
@@ -183,20 +183,20 @@ def test_an_answer_that_comes_later_and_idle_until_then() -> None:
         told.append(slave.master.ask(sap))
     assert set(told) == {SC, IDLE}
     assert told.count(IDLE) == 5  # from half the send time-out on
-    later.tickets[0].answer(b"\x55")
+    later.requests[0].answer(b"\x55")
     assert slave.master.ask(sap) == "5E 00 01 01 55"
     assert slave.master.ask(sap) == SC  # once: it shall not be taken for the next one's
     assert slave.master.service(sap, READ) == SC
 
 
 def test_functions_that_fail() -> None:
-    def transport(ticket: TransportRequest) -> None:
-        if ticket.request.slot:
+    def transport(request: RecordRequest) -> None:
+        if request.service.slot:
             raise RecordRefused(0xC2, 7)
-        ticket.answer(bytes(241))
+        request.answer(bytes(241))
 
     class Broken:
-        def ask(self, ticket: RecordRequest) -> None:
+        def ask(self, request: RecordRequest) -> None:
             raise ZeroDivisionError("records are broken")
 
     slave = Slave(Broken(), transport=transport)
@@ -216,7 +216,7 @@ def test_functions_that_fail() -> None:
 
 
 def test_data_transport() -> None:
-    slave = Slave(transport=lambda ticket: ticket.answer(ticket.request.data[::-1]))
+    slave = Slave(transport=lambda request: request.answer(request.service.data[::-1]))
     sap = slave.master.connect()
     assert slave.master.service(sap, "51 03 04 02 AA BB") == "51 03 04 02 BB AA"
     assert slave.master.service(sap, "51 03 04 00") == "51 03 04 00"
@@ -254,13 +254,13 @@ def test_in_every_state_and_the_cycle_of_class_1_goes_on() -> None:
     assert slave.state() is SlaveAppState.DATA_EXCH
     second = master.connect()
     assert cyclic(slave, 0x7D, "55")[-11:-6] == "08 01"  # the first exchange
-    later.tickets[0].answer(b"\x01")
+    later.requests[0].answer(b"\x01")
     assert master.ask(sap) == "5E 00 01 01 01"
     for number in range(2, 12):  # the watchdog is 100 ms: class 2 neither keeps it up nor disturbs it
         slave.wire.pass_time(80 * MS)
         assert cyclic(slave, 0x5D if number % 2 == 0 else 0x7D, "55")[-8:-6] == f"{number:02X}"
         assert master.ask(second, READ) == SC
-        later.tickets[-1].answer(bytes((number,)))
+        later.requests[-1].answer(bytes((number,)))
         assert master.ask(second) == f"5E 00 01 01 {number:02X}"
     for _ in range(4):
         slave.wire.pass_time(40 * MS)

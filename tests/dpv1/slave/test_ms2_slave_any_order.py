@@ -13,8 +13,9 @@ from property_kit import examples
 from slave_kit import Recorder
 
 from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dpv1.pdu.read_write import DataTransport
 from dpstack.dpv1.slave.ms2_connection import ConnectionClosed, ConnectionOpened
-from dpstack.dpv1.slave.record_requests import RecordRequest, TransportRequest
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.params import BusParams
 
@@ -28,21 +29,21 @@ class Serial:
     """Records whose answers begin with a number of their own; ``later``: given out when somebody says so."""
 
     def __init__(self) -> None:
-        self.asked: list[RecordRequest | TransportRequest] = []
+        self.asked: list[RecordRequest] = []
         self.dropped: Counter[int] = Counter()
 
-    def ask(self, ticket: RecordRequest | TransportRequest) -> None:
+    def ask(self, request: RecordRequest) -> None:
         number = len(self.asked)
-        self.asked.append(ticket)
-        ticket.abandoned = lambda: self.dropped.update([number])
-        if isinstance(ticket, RecordRequest) and ticket.request.index == 0:
+        self.asked.append(request)
+        request.abandoned = lambda: self.dropped.update([number])
+        if not isinstance(request.service, DataTransport) and request.service.index == 0:
             raise ZeroDivisionError("a record that is broken")
-        if ticket.request.index == 1:
+        if request.service.index == 1:
             self.answer(number)
 
     def answer(self, number: int) -> None:
-        ticket = self.asked[number]
-        ticket.answer(bytes((number & 0xFF, ticket.asker.master)))
+        request = self.asked[number]
+        request.answer(bytes((number & 0xFF, request.asker.master)))
 
 
 _PDUS = st.one_of(
@@ -138,9 +139,9 @@ def test_any_sequence_from_three_masters(steps: list[tuple[str, int, int, str]],
     assert app.stats.connections == app.stats.closed == opened.total()
     # who worked at something that nobody wants any more was told, once
     assert all(count == 1 for count in serial.dropped.values())
-    for number, ticket in enumerate(serial.asked):
-        assert not ticket.asker.open
-        assert (ticket.response is None) is (number in serial.dropped)
+    for number, request in enumerate(serial.asked):
+        assert not request.asker.open
+        assert (request.response is None) is (number in serial.dropped)
     for master in masters:
         sap = master.connect() if not at_once else int(master.ask(49, INITIATE)[3:5], 16)
         assert master.ask(sap, ABORT) in (SC, "")

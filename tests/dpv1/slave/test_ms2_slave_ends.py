@@ -74,14 +74,14 @@ def test_the_abort_after_silence_is_fetched() -> None:
     slave = Slave(later, count=1)
     reach(slave, later, "asked")
     dropped: list[int] = []
-    later.tickets[0].abandoned = lambda: dropped.append(1)
+    later.requests[0].abandoned = lambda: dropped.append(1)
     slave.wire.pass_time(TIMEOUT + MS)
     assert dropped == [1]
-    assert not later.tickets[0].asker.open
+    assert not later.requests[0].asker.open
     assert slave.master.ask(48, READ) == SC  # nothing is left but the Abort
     assert slave.master.ask(48) == ABORT_TIMEOUT
     assert slave.master.ask(48) == RS
-    assert len(later.tickets) == 1
+    assert len(later.requests) == 1
     slave.master.connect()
 
 
@@ -118,7 +118,7 @@ def test_an_abort_of_the_master_at_every_step(step: str) -> None:
     assert slave.master.ask(48) == RS
     assert slave.master.ask(49) == SC
     assert slave.all_free()
-    assert all(not ticket.open or ticket.response for ticket in later.tickets)
+    assert all(not request.open or request.response for request in later.requests)
     slave.master.connect()
 
 
@@ -168,8 +168,8 @@ def test_what_else_ends_it(way: str, step: str) -> None:
         "address": "the slave has another address",
     }
     assert told.endswith(f": {reasons[way]}")
-    assert all(not ticket.open or ticket.response for ticket in later.tickets)
-    later.tickets.clear()
+    assert all(not request.open or request.response for request in later.requests)
+    later.requests.clear()
     assert slave.app.wake_at() > now + 100 * TIMEOUT
 
 
@@ -207,7 +207,7 @@ def test_every_row_of_the_table(state: State, event: Ms2Trigger) -> None:
     reach(slave, later, {State.OPEN: "fetched", State.ANSWERED: "idle"}.get(state, "asked"))
     if state is State.OVER:
         master.ask(48, INITIATE)
-    tickets = len(later.tickets)
+    requests = len(later.requests)
     slave.texts()
     act = TABLE[state, event].act
     if event is Ms2Trigger.SILENCE:
@@ -237,5 +237,5 @@ def test_every_row_of_the_table(state: State, event: Ms2Trigger) -> None:
             State.OVER: ABORT_SEQUENCE,
         }
         assert (first, again) == (SC, expected.get(state, SC))
-    assert len(later.tickets) == tickets + (act is Act.SERVE)
+    assert len(later.requests) == requests + (act is Act.SERVE)
     assert slave.all_free() is (act in (Act.FREE, Act.SEQUENCE, Act.REQUEST_PDU) or state is State.OVER)

@@ -33,8 +33,8 @@ class Picky(Recorder):
         if wanted.profile_ident != 0x1234:
             raise RecordRefused(0xB6, master)
 
-    def ask(self, ticket: RecordRequest) -> None:
-        ticket.abandoned = self.drop
+    def ask(self, request: RecordRequest) -> None:
+        request.abandoned = self.drop
 
     def drop(self) -> None:
         self.dropped += 1
