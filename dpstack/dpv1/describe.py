@@ -1,4 +1,4 @@
-"""What is in telegrams of DP-V1, in words: services with slot and index, refusals, Abort and its reason, alarms.
+"""Texts for the contents of DP-V1 telegrams: services with slot and index, refusals, Abort and its reason, alarms.
 
 For wire logs: whatever the octets are, there is a text. The telegrams themselves are :mod:`dpstack.fdl.describe`.
 """
@@ -18,7 +18,9 @@ from dpstack.dpv1.pdu.read_write import (
     Function,
     Negative,
     ReadReq,
-    ReadRes,
+    RecordRes,
+    Service,
+    WriteRes,
     parse_request,
     parse_response,
 )
@@ -37,7 +39,7 @@ def render(log: Iterable[WireEntry], baud: int) -> str:
 
 
 def inside(telegram: Telegram) -> str:
-    """What DP-V1 has to say in ``telegram``; empty where that is nothing."""
+    """A text for the DP-V1 contents of ``telegram``; empty where it has none."""
     request = telegram.is_request
     slave, master = (telegram.dsap, telegram.ssap) if request else (telegram.ssap, telegram.dsap)
     if slave is None or not telegram.data:
@@ -79,23 +81,17 @@ def _pdu_text(octets: bytes, *, request: bool) -> str:
             ack = AlarmAck.parse(octets)
             return f"Alarm_Ack of {alarm_name(ack.type)}, slot {ack.slot}, sequence number {ack.sequence}"
         case Function.DATA_TRANSPORT:
-            carried = DataTransport.parse(octets)
-            return f"{carried.title}, data {len(carried.data)}"
-    return _request_text(octets) if request else _response_text(octets)
-
-
-def _request_text(octets: bytes) -> str:
-    asked = parse_request(octets)
-    return f"{asked.title}, " + (f"up to {asked.length}" if isinstance(asked, ReadReq) else f"data {len(asked.data)}")
-
-
-def _response_text(octets: bytes) -> str:
-    response = parse_response(octets)
-    if isinstance(response, Negative):
-        return f"{Function(response.function).title} refused: {response.text}"
-    title = Function(octets[0]).title
-    length = len(response.data) if isinstance(response, ReadRes) else response.length
-    return f"{title} of slot {response.slot}, index {response.index}, data {length}"
+            service: Service | RecordRes = DataTransport.parse(octets)
+        case _:
+            service = parse_request(octets) if request else parse_response(octets)
+    match service:
+        case Negative():
+            return f"{Function(service.function).title} refused: {service.text}"
+        case ReadReq():
+            return f"{service.title}, up to {service.length}"
+        case WriteRes():
+            return f"{service.title}, data {service.length}"
+    return f"{service.title}, data {len(service.data)}"
 
 
 def _alarms(octets: bytes) -> str:

@@ -1,4 +1,4 @@
-"""How long things take in DP-V1, at either end: one place for its time-outs and pauses, all in ns."""
+"""The time-outs and pauses of DP-V1 at both ends, in ns."""
 
 from __future__ import annotations
 

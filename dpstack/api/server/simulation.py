@@ -14,8 +14,7 @@ from dpstack.api.config.config import AUTO, Config, rate_findings
 from dpstack.api.server.virtual_bench import Bench, Unit, rates_of, set_rate, station_status
 from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.slave.application import SlaveAppState
-from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingPort
-from dpstack.dp.slave.baud_control import BaudState
+from dpstack.dp.slave.auto_baud import BaudState, PortBaudChanged, SearchingPort
 from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.port_latency import patience_of

@@ -1,15 +1,14 @@
-"""The DP slave: its states, its services, and what an author of a device writes.
+"""The DP slave: its states, its services, and the device that its author writes.
 
-- ``application``: The DP slave: the application of a passive station, around a device that somebody wrote
-- ``auto_baud``: A slave that finds the baud rate by itself, as nearly all do
-- ``baud_control``: Which rate a slave's receiver listens at, and how it came there
+- ``application``: The application of a passive station around a device: Data_Exchange, Global_Control, time
+- ``auto_baud``: Slaves that find the baud rate by themselves, as nearly all do
 - ``cyclic_data``: The cyclic data of a slave in data exchange: double buffers for SYNC and FREEZE, Clear and Operate
-- ``device``: What a slave does with its data: the part of a slave application that its author writes
-- ``diagnosis``: The diagnosis as a slave application keeps it: its fault bits
-- ``events``: What a slave application tells and counts: events, each refusal once, counters
+- ``device``: The base class of a device: its data, its checks, its reaction to a lost master
+- ``diagnosis``: The diagnosis of a slave application: its fault bits, and whether the master has read the rest
+- ``events``: Events and counters of a slave application; each refusal is reported once
 - ``extension``: Services of a device beyond those of DP-V0 (MS1, MS2), and their blocks in the diagnosis
-- ``prm_cfg_check``: What a slave makes of Set_Prm and Chk_Cfg: the judgement, and the watchdog that comes out of it
+- ``prm_cfg_check``: Checks of Set_Prm and Chk_Cfg at a slave, and its watchdog
 - ``services``: The services of a slave that are not cyclic: reading, Set_Prm, Chk_Cfg, Set_Slave_Add
-- ``state``: What a slave application is at one moment, and its steps through the table of states
-- ``state_table``: The states of a DP slave as tables: who may use which service, and what leads where
+- ``state``: State, lock and address of a slave application, and its steps through the table of states
+- ``state_table``: The states of a DP slave as tables: who may use which service, and which event leads where
 """

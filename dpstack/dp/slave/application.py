@@ -19,8 +19,8 @@ from dpstack.dp.slave.cyclic_data import wrong_inputs
 from dpstack.dp.slave.device import DpV0Device, Leave
 from dpstack.dp.slave.events import SlaveAppStats, WatchdogExpired
 from dpstack.dp.slave.extension import SlaveService
-from dpstack.dp.slave.prm_cfg_check import Watchdog, check_device
-from dpstack.dp.slave.services import Services
+from dpstack.dp.slave.prm_cfg_check import check_device
+from dpstack.dp.slave.services import handlers
 from dpstack.dp.slave.state import DeviceClock, SlaveCore
 from dpstack.dp.slave.state_table import ACCESS, CONNECTION, AppTrigger, SlaveAppState
 from dpstack.errors import PduError
@@ -40,127 +40,85 @@ _SRD_MASK: Final = 0x4E
 _SRD: Final = 0x4C
 
 
-class SlaveApp:
+class SlaveApp(SlaveCore):
     """A ``Responder`` around ``device``; ``address`` is for messages, until a station is built around it.
 
     ``address_fixed``: an earlier Set_Slave_Add came with No_Add_Chg, so that the address may not be changed any more.
     Raises ConfigError where ident number or configurations of the device cannot be.
     """
 
-    __slots__ = ("_clock", "_core", "_device_due", "_services", "_timed", "device", "stats", "take_events", "watchdog")
+    __slots__ = ("_clock", "_device_due", "_handlers", "_timed", "stats", "take_events")
 
     def __init__(self, device: DpV0Device, *, address: int | None = None, address_fixed: bool = False) -> None:
         check_device(device)
-        self.device = device
-        self._core = core = SlaveCore(device, address, address_fixed)
-        self._services = Services(core).by_sap
+        super().__init__(device, address, address_fixed)
+        self._handlers = handlers(self)
         #: services of the device that have deadlines
-        self._timed = [one for one in core.services if type(one).tick is not SlaveService.tick]
+        self._timed = [one for one in self.services if type(one).tick is not SlaveService.tick]
         self._clock = DeviceClock(device)
         self._device_due = self._clock.due
-        self.stats: SlaveAppStats = core.report.stats
-        #: what there is to tell, oldest first; asked in every step of the station
-        self.take_events: Callable[[], list[Event]] = core.report.take
-        self.watchdog: Watchdog = core.watchdog
+        self.stats: SlaveAppStats = self.report.stats
+        #: the events since the last call, oldest first; the station calls it in every step
+        self.take_events: Callable[[], list[Event]] = self.report.take
 
     def __repr__(self) -> str:
         return f"<SlaveApp {self.device.name} at {self.address}: {self.state.value}>"
 
-    # --- what it is ---------------------------------------------------------------------------------------------
-
-    @property
-    def state(self) -> SlaveAppState:
-        """Wait_Prm, Wait_Cfg or Data_Exch."""
-        return self._core.state
-
-    @property
-    def master(self) -> int | None:
-        """The master that has locked the slave."""
-        return self._core.master
-
-    @property
-    def failure(self) -> str | None:
-        """What failed in the device, None while it works."""
-        return self._core.failure
+    # --- its state ------------------------------------------------------------------------------------------------
 
     @property
     def address(self) -> int | None:
         """The address of its station."""
-        return self._core.report.address
+        return self.report.address
 
     @property
     def address_fixed(self) -> bool:
         """No_Add_Chg was set: Set_Slave_Add is closed until :meth:`initial_reset`."""
-        return self._core.address.fixed
+        return self.set_address.fixed
 
     @property
     def kept_address(self) -> tuple[int | None, bool]:
         """The address that it has from the next power-on, and whether that is fixed then."""
-        return self._core.address.kept
-
-    @property
-    def outputs(self) -> bytes:
-        """The outputs the device has; empty while not in data exchange."""
-        data = self._core.data
-        return b"" if data is None else data.outputs
-
-    @property
-    def inputs(self) -> bytes:
-        """The inputs the master reads; empty while not in data exchange."""
-        data = self._core.data
-        return b"" if data is None else data.inputs
+        return self.set_address.kept
 
     @property
     def clear(self) -> bool:
         """True while the outputs are not valid: not in data exchange, or in Clear."""
-        data = self._core.data
-        return data is None or data.void
-
-    @property
-    def services(self) -> tuple[SlaveService, ...]:
-        """The services of its device beyond DP-V0."""
-        return self._core.services
+        return self.data is None or self.data.void
 
     def diagnosis(self, now: int) -> Diagnosis:
         """The diagnosis as a Slave_Diag at ``now`` would read it."""
-        user = self._core.user_diag(now)
-        return self._core.diagnosis(user)
+        return self.build_diagnosis(self.user_diag(now))
 
     # --- at the device itself -------------------------------------------------------------------------------------
 
-    def restart(self, now: int) -> None:
-        """Off and on again: Wait_Prm, nothing kept but the address where the device keeps it, a failure forgotten."""
-        self._core.restart(now)
-
     def initial_reset(self, now: int) -> None:
         """As delivered: address 126, open for Set_Slave_Add; then as after :meth:`restart`."""
-        core = self._core
-        core.step(AppTrigger.POWER_ON, now, Leave.POWER_OFF)
+        self.step(AppTrigger.POWER_ON, now, Leave.POWER_OFF)
         try:
-            core.address.initial_reset(now)
+            self.set_address.initial_reset(now)
         except Exception as error:
-            core.fail("an initial reset", error, now)
+            self.fail("an initial reset", error, now)
             return
-        core.restart(now)
+        self.restart(now)
 
     def rate_lost(self, now: int) -> None:
         """The baud rate is searched again: nobody can use the services of the device any more."""
-        self._core.end_services("the baud rate was lost", now)
+        self.end_services("the baud rate was lost", now)
 
     # --- Responder ----------------------------------------------------------------------------------------------
 
     def attached(self, station: StationControl) -> None:
         """A station was built around this application."""
-        self._core.report.station = station
-        self._core.address.attached()
+        self.report.station = station
+        self.set_address.attached()
 
     def serve(self, request: Telegram, now: int) -> Reply | None:
         """Answer a request; Data_Exchange first, it comes in every rotation."""
         if request.dsap is not None:
             return self._service(request, now)
-        core = self._core
-        data = core.data
-        if data is None or request.sa != core.master or request.fc & _SRD_MASK != _SRD:
+        data = self.data
+        if data is None or request.sa != self.master or request.fc & _SRD_MASK != _SRD:
             return self._service(request, now)  # not open
         self.watchdog.heard = now
         octets = request.data
@@ -179,9 +137,9 @@ class SlaveApp:
                 inputs = data.exchange(octets, now)
             else:
                 return self._wrong_length(request.sa, len(octets), data.output_len, now)
-            waiting = not core.diag.silent and core.diag.waiting(request.fc)
+            waiting = not self.diag.silent and self.diag.waiting(request.fc)
         except Exception as error:
-            core.fail("Data_Exchange", error, now)
+            self.fail("Data_Exchange", error, now)
             return RS_REPLY
         self.stats.exchanges += 1
         if waiting:  # DH until the diagnosis is fetched; SC could not say so
@@ -190,25 +148,24 @@ class SlaveApp:
 
     def indicate(self, telegram: Telegram, now: int) -> None:
         """Global_Control of the owner; everything else is dropped."""
-        core = self._core
-        data = core.data
+        data = self.data
         if telegram.dsap != SAP_GLOBAL_CONTROL or data is None:
             return
-        if telegram.sa != core.master:
+        if telegram.sa != self.master:
             self.stats.foreign += 1
             return
         try:
             command = GlobalControl.parse(telegram.data)
         except PduError as error:
-            core.report.refused("Global_Control", telegram.sa, str(error), now)
+            self.report.refused("Global_Control", telegram.sa, str(error), now)
             return
-        if command.group_mask and not command.group_mask & core.group:
+        if command.group_mask and not command.group_mask & self.group:
             return
         self.stats.services += 1
         try:
             data.control(command, now)
         except Exception as error:
-            core.fail("Global_Control", error, now)
+            self.fail("Global_Control", error, now)
 
     def wake_at(self) -> int:
         """The watchdog, the services of the device, or what the device itself wants."""
@@ -218,7 +175,7 @@ class SlaveApp:
                 if service.at < at:
                     at = service.at
         due = self._device_due
-        if due is None or self._core.failure is not None:
+        if due is None or self.failure is not None:
             return at
         try:
             wanted = due()
@@ -228,40 +185,38 @@ class SlaveApp:
 
     def tick(self, now: int) -> None:
         """Judge the watchdog and the services of the device, let the device have its time."""
-        core = self._core
         for service in self._timed:
             if service.at <= now:
                 service.tick(now)
         if self.watchdog.expired(now):
             self.stats.watchdogs += 1
-            core.report.emit(WatchdogExpired, now, master=core.master, watchdog_ns=self.watchdog.time_ns)
-            core.step(AppTrigger.WATCHDOG, now, Leave.WATCHDOG)
-        if core.failure is None:
+            self.report.emit(WatchdogExpired, now, master=self.master, watchdog_ns=self.watchdog.time_ns)
+            self.step(AppTrigger.WATCHDOG, now, Leave.WATCHDOG)
+        if self.failure is None:
             try:
                 restart_at = self._clock.tick(now)
             except Exception as error:
-                core.fail("its own time", error, now)
+                self.fail("its own time", error, now)
                 return
             if restart_at is not None:
-                core.restart_at(restart_at, now)
+                self.restart_at(restart_at, now)
 
     # --- inside -------------------------------------------------------------------------------------------------
 
     def _service(self, request: Telegram, now: int) -> Reply:
-        core = self._core
         dsap = request.dsap
         access = ACCESS.get(dsap, CONNECTION)
-        handler = self._services.get(dsap)
-        foreign = request.sa != core.master
-        closed = handler is None or core.state not in access.states or (access.owner_only and foreign)
+        handler = self._handlers.get(dsap)
+        foreign = request.sa != self.master
+        closed = handler is None or self.state not in access.states or (access.owner_only and foreign)
         if handler is None or closed or request.fc & _SRD_MASK != _SRD:
             self.stats.refused += 1
-            self.stats.foreign += core.master is not None and foreign
+            self.stats.foreign += self.master is not None and foreign
             return RS_REPLY
         self.stats.services += 1
         if not foreign:
             self.watchdog.heard = now
-            core.diag.heard(request.fc)
+            self.diag.heard(request.fc)
         reply = handler(request, now)
         if reply is None:
             self.stats.refused += 1
@@ -269,10 +224,9 @@ class SlaveApp:
         return reply
 
     def _wrong_length(self, sa: int, got: int, expected: int, now: int) -> Reply:
-        core = self._core
-        core.diag.cfg_fault = True
-        core.report.refused("Data_Exchange", sa, f"{got} output octets, the configuration has {expected}", now)
-        core.step(AppTrigger.LENGTH, now, Leave.WRONG_LENGTH)
+        self.diag.cfg_fault = True
+        self.report.refused("Data_Exchange", sa, f"{got} output octets, the configuration has {expected}", now)
+        self.step(AppTrigger.LENGTH, now, Leave.WRONG_LENGTH)
         return RS_REPLY
 
 

@@ -1,8 +1,12 @@
-"""A slave that finds the baud rate by itself, as nearly all do.
+"""Slaves that find the baud rate by themselves, as nearly all do.
 
-A machine around what listens at one rate: deaf to the bus until the rate is found, and again once it is lost. When it
-is lost is told in :mod:`dpstack.dp.slave.baud_control`. Around one station, or around all the simulated slaves of one
-port: one receiver, so one search for all.
+A machine around what listens at one rate, deaf to the bus until the rate is found, and again once it is lost. Around
+one station, or around all the simulated slaves of one port: one receiver, so one search for all.
+
+It listens at one rate after the other (BAUD_SEARCH); once the rate is found it watches that telegrams keep coming
+(BAUD_CONTROL); parameterised with the watchdog on, that watches the master instead (DP_MODE). States and transitions
+are those of the VPC3+ (docs/protocol.md#baud-search): a watchdog that expires leads back to BAUD_CONTROL, silence there
+to BAUD_SEARCH; with the watchdog off losing the rate restarts the search, but the slave stays in Data_Exchange.
 """
 
 from __future__ import annotations
@@ -10,13 +14,13 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from enum import Enum
+from typing import Final, Protocol
 
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dp.slave.baud_control import BaudState, BaudWatch
 from dpstack.dp.slave.device import DpV0Device
 from dpstack.dp.slave.events import SlaveAppEvent
-from dpstack.fdl.baud_search import BaudNotFound
+from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound
 from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.passive.station import PassiveStation
@@ -25,7 +29,7 @@ from dpstack.machine import LineDown, LineUp, Machine, RateRefused
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
-from dpstack.units import BAUD_RATES, baud_text
+from dpstack.units import BAUD_RATES, NOW, baud_text
 
 
 class Listener(Machine, Protocol):
@@ -42,37 +46,84 @@ class Listener(Machine, Protocol):
         """Take rate and times; what was pending is forgotten."""
 
 
+#: BAUD_CONTROL gives up after T_TO of a station that is no master (docs/protocol.md#t_to): 6 T_SL + 2 x 130 T_SL. A
+#: master that is alive is never silent for so long; the chips have a register for it.
+_CONTROL_SLOTS: Final = 6 + 2 * 130
+
+
+class BaudState(Enum):
+    """The states of the VPC3+'s watchdog."""
+
+    SEARCH = "baud_search"
+    CONTROL = "baud_control"
+    DP_MODE = "dp_mode"
+
+
 class Searching(abc.ABC):
-    """A machine around ``listener``. Who derives gives ``_watch``, whose callbacks are its own methods."""
+    """A machine around ``listener``, which listens at one rate after the other until one is found.
 
-    __slots__ = ("_events", "_listener", "_watch")
+    ``watched`` tells whether a watchdog runs behind it. ``lost`` is called with the time when the rate is lost.
+    ``rates`` in bit/s; ``params_at``: the parameters at a rate. ``slack_ns`` is how late the port may deliver,
+    ``settle_ns`` see :class:`AutoBaud`.
+    """
 
-    _watch: BaudWatch
+    __slots__ = (
+        "_control_ns",
+        "_events",
+        "_heard_at",
+        "_listener",
+        "_lost",
+        "_params_at",
+        "_rate",
+        "_rates",
+        "_search",
+        "_settle_ns",
+        "_slack_ns",
+        "_watched",
+        "state",
+    )
 
-    def __init__(self, listener: Listener) -> None:
+    def __init__(
+        self,
+        listener: Listener,
+        watched: Callable[[], bool],
+        lost: Callable[[int], None],
+        *,
+        rates: Sequence[int],
+        params_at: Callable[[int], BusParams] = BusParams.preset,
+        slack_ns: int = 0,
+        settle_ns: int = 0,
+    ) -> None:
+        self.state = BaudState.SEARCH
         self._listener = listener
+        self._watched = watched
+        self._lost = lost
+        self._rates = rates
+        self._params_at = params_at
+        self._slack_ns = slack_ns
+        self._settle_ns = settle_ns
         self._events: list[Event] = []
-
-    @property
-    def state(self) -> BaudState:
-        """Of the watch over the rate."""
-        return self._watch.state
+        self._search: AutoBaud | None = None  # begins with the first call that tells the time
+        self._rate = max(rates)
+        self._heard_at = 0
+        self._control_ns = 0
 
     @property
     def baud(self) -> int:
         """The rate to listen at now, in bit/s."""
-        return self._watch.baud
+        return self._rate if self._search is None else self._search.baud
 
     # --- Machine ---
     def receive(self, chunk: bytes, now: int) -> None:
         """Octets from the line, at whatever rate it listens."""
-        if self._watch.searching:
-            self._watch.octets(chunk, now)
+        if self.state is BaudState.SEARCH:
+            self._begun(now).receive(chunk, now)
+            self._judge_search(now)
             return
         telegrams = self._listener.decoder_stats.telegrams
         self._listener.receive(chunk, now)
         if self._listener.decoder_stats.telegrams > telegrams:
-            self._watch.heard(now)
+            self._heard_at = now
 
     def sent(self, at: int) -> None:
         """The answer leaves the line at ``at``."""
@@ -81,15 +132,33 @@ class Searching(abc.ABC):
     def wake(self, now: int) -> None:
         """Judge the search or the silence; applications have their time in every state."""
         self._listener.wake(now)
-        self._watch.wake(now)
+        if self.state is BaudState.SEARCH:
+            self._begun(now).wake(now)
+            self._judge_search(now)
+            return
+        watched = self._watched()
+        if watched is not (self.state is BaudState.DP_MODE):
+            # the time without a watchdog over it begins, or ends, here
+            self._heard_at = now
+            self._reach(BaudState.DP_MODE if watched else BaudState.CONTROL, now)
+        elif not watched and now >= self._heard_at + self._control_ns:
+            self._rate = max(self._rates)
+            self._reach(BaudState.SEARCH, now)
 
     def take_tx(self, now: int) -> bytes | None:
         """The answer under way; none while the rate is not known."""
-        return None if self._watch.searching else self._listener.take_tx(now)
+        return None if self.state is BaudState.SEARCH else self._listener.take_tx(now)
 
     def wake_at(self) -> int:
-        """The listener's deadlines, those of the search, the end of patience with silence."""
-        return min(self._listener.wake_at(), self._watch.wake_at())
+        """The listener's deadlines, the next step of the search, the end of patience with silence; NOW when a watchdog
+        came or went."""
+        at = self._listener.wake_at()
+        if self.state is BaudState.SEARCH:
+            return NOW if self._search is None else min(at, self._search.wake_at())
+        watched = self._watched()
+        if watched is not (self.state is BaudState.DP_MODE):
+            return NOW
+        return at if watched else min(at, self._heard_at + self._control_ns)
 
     def take_events(self) -> list[Event]:
         """Its own events and the listener's."""
@@ -97,33 +166,48 @@ class Searching(abc.ABC):
         return events + self._listener.take_events()
 
     def command(self, command: object, now: int) -> None:
-        """:class:`LineDown`, :class:`LineUp`, :class:`RateRefused` from the driver; UsageError on anything else."""
+        """:class:`LineDown`, :class:`LineUp`, :class:`RateRefused` from the driver; UsageError on anything else.
+
+        Raises ConfigError when the port can do none of the rates.
+        """
         if isinstance(command, RateRefused):
-            self._watch.refused(now)
+            self._begun(now).refused(now)
             return
         self._listener.command(command, now)
         if isinstance(command, (LineDown, LineUp)):
-            self._watch.begin_anew()
+            self._search = None  # the octets before the gap say nothing about the rate
 
-    # --- for the watch ---
+    # --- inside ---
+    def _begun(self, now: int) -> AutoBaud:
+        """The search, which begins with the first call that tells the time."""
+        if self._search is None:
+            self._search = AutoBaud(now, rates=self._rates, slack_ns=self._slack_ns, settle_ns=self._settle_ns)
+        return self._search
+
+    def _judge_search(self, now: int) -> None:
+        result = self._begun(now).result
+        if isinstance(result, BaudFound):
+            params = self._params_at(result.baud)
+            self._rate = result.baud
+            self._search = None
+            self._control_ns = params.ns(_CONTROL_SLOTS * params.t_sl) + self._slack_ns
+            self._heard_at = now
+            self._found(params, now)
+            self._reach(BaudState.DP_MODE if self._watched() else BaudState.CONTROL, now)
+
     def _found(self, params: BusParams, now: int) -> None:
         self._listener.set_params(params)
 
-    def _reached(self, state: BaudState, now: int) -> None:
+    def _reach(self, state: BaudState, now: int) -> None:
+        self.state = state
         if state is BaudState.SEARCH:
-            self._listener.set_params(self._listener.params)  # what is pending is forgotten
+            self._listener.set_params(self._listener.params)  # forgets the answer under way
             self._lost(now)
-        self._events.append(self._told(state, None if state is BaudState.SEARCH else self._watch.baud, now))
+        self._events.append(self._event(None if state is BaudState.SEARCH else self.baud, now))
 
     @abc.abstractmethod
-    def _lost(self, now: int) -> None: ...
-
-    @abc.abstractmethod
-    def _told(self, state: BaudState, baud: int | None, now: int) -> Event:
-        """What is told of a state; ``baud`` in bit/s, None while it is searched."""
-
-
-__all__ = ["BaudState", "BaudStateChanged", "SearchingSlave", "make_searching_slave"]
+    def _event(self, baud: int | None, now: int) -> Event:
+        """The event of a state that was reached; ``baud`` in bit/s, None while it is searched."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,12 +238,9 @@ class SearchingSlave(Searching):
         rates: Sequence[int] = BAUD_RATES,
         params_at: Callable[[int], BusParams] = BusParams.preset,
     ) -> None:
-        super().__init__(station)
+        super().__init__(station, lambda: app.watchdog.time_ns > 0, app.rate_lost, rates=rates, params_at=params_at)
         self.station = station
         self.app = app
-        self._watch = BaudWatch(
-            lambda: app.watchdog.time_ns > 0, self._found, self._reached, rates=rates, params_at=params_at
-        )
 
     def __repr__(self) -> str:
         return f"<SearchingSlave {self.station.address}: {self.state.value}>"
@@ -176,28 +257,26 @@ class SearchingSlave(Searching):
     # --- what it hears ---
     def telegram(self, telegram: Telegram, now: int) -> None:
         """A whole telegram."""
-        if self._watch.searching:
-            self._watch.telegram(telegram, now)
+        if self.state is BaudState.SEARCH:
+            self._begun(now).telegram(telegram, now)
+            self._judge_search(now)
         else:
-            self._watch.heard(now)
+            self._heard_at = now
             self.station.telegram(telegram, now)
 
     def activity(self, now: int) -> None:
         """A start edge."""
-        if not self._watch.searching:
+        if self.state is not BaudState.SEARCH:
             self.station.activity(now)
 
-    # --- for the watch ---
+    # --- inside ---
     def _found(self, params: BusParams, now: int) -> None:
         super()._found(params, now)
         self.station.line.heard(now)
 
-    def _lost(self, now: int) -> None:
-        self.app.rate_lost(now)
-
-    def _told(self, state: BaudState, baud: int | None, now: int) -> Event:
+    def _event(self, baud: int | None, now: int) -> Event:
         name = self.app.device.name
-        return BaudStateChanged(t_ns=now, address=self.station.address, name=name, state=state, baud=baud)
+        return BaudStateChanged(t_ns=now, address=self.station.address, name=name, state=self.state, baud=baud)
 
 
 def make_searching_slave(
@@ -234,9 +313,11 @@ class PortBaudChanged(Event):
 class SearchingPort(Searching):
     """The machine of one port around ``line``: deaf to the bus until the rate is found, among ``rates`` in bit/s.
 
-    ``watched`` tells whether the watchdog of any of the slaves runs. ``slack_ns``, ``settle_ns``: see
-    :class:`BaudWatch`. ``lost`` is told the time when the rate is lost and searched again.
+    ``watched`` tells whether the watchdog of any of the slaves runs. ``lost`` is called with the time when the rate is
+    lost and searched again. ``slack_ns``, ``settle_ns``: see :class:`Searching`.
     """
+
+    __slots__ = ()
 
     def __init__(
         self,
@@ -248,19 +329,11 @@ class SearchingPort(Searching):
         settle_ns: int = 0,
         lost: Callable[[int], None] = lambda now: None,
     ) -> None:
-        super().__init__(line)
-        self._tell_lost = lost
-        self._watch = BaudWatch(
-            watched, self._found, self._reached, rates=rates, slack_ns=slack_ns, settle_ns=settle_ns
-        )
+        super().__init__(line, watched, lost, rates=rates, slack_ns=slack_ns, settle_ns=settle_ns)
 
     def in_vain(self, now: int) -> BaudNotFound | None:
         """Why no rate was recognised up to now; None when one was."""
-        return self._watch.search(now).in_vain(now) if self._watch.searching else None
+        return self._begun(now).in_vain(now) if self.state is BaudState.SEARCH else None
 
-    # --- for the watch ---
-    def _lost(self, now: int) -> None:
-        self._tell_lost(now)
-
-    def _told(self, state: BaudState, baud: int | None, now: int) -> Event:
-        return PortBaudChanged(t_ns=now, state=state, baud=baud)
+    def _event(self, baud: int | None, now: int) -> Event:
+        return PortBaudChanged(t_ns=now, state=self.state, baud=baud)

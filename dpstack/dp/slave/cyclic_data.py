@@ -18,7 +18,7 @@ class CyclicData:
     outputs and zeros. Raises ValueError where the safe outputs have another length than the configuration's. Outputs
     are valid from the first Data_Exchange on (masters that never send Operate exist: docs/protocol.md#global_control).
     A Global_Control Clear holds until one without Clear_Data, an empty frame until a full one. ``plain``: none of
-    Clear, SYNC, FREEZE.
+    Clear, SYNC, FREEZE. ``void``: the outputs are not valid (Clear, or an empty output frame).
     """
 
     __slots__ = (
@@ -27,7 +27,6 @@ class CyclicData:
         "_received",
         "_safe",
         "_started",
-        "_void",
         "config",
         "frozen",
         "input_len",
@@ -37,6 +36,7 @@ class CyclicData:
         "plain",
         "run",
         "synced",
+        "void",
     )
 
     def __init__(self, device: DpV0Device, config: bytes, input_len: int, output_len: int) -> None:
@@ -55,13 +55,8 @@ class CyclicData:
         self.plain = False
         self._received = self.outputs  # what the next SYNC passes on
         self._clear = False  # Global_Control said Clear
-        self._void = False  # Clear, or an empty output frame
+        self.void = False
         self._started = False  # the device was told Operate once
-
-    @property
-    def void(self) -> bool:
-        """True while outputs are not valid (Clear)."""
-        return self._void
 
     def accepts(self, octets: bytes) -> bool:
         """Whether ``octets`` can be the outputs: the right length, or an empty fail-safe frame."""
@@ -73,8 +68,8 @@ class CyclicData:
             self._make_void(now)
         elif not self._clear:
             self._make_valid(now)
-        self._received = self._safe if self._void else octets
-        if self._void or not self.synced:
+        self._received = self._safe if self.void else octets
+        if self.void or not self.synced:
             self.outputs = self._received
         fresh = self._sample(now)
         if not self.frozen:
@@ -120,14 +115,14 @@ class CyclicData:
         return samples
 
     def _make_void(self, now: int) -> None:
-        if not self._void:
-            self._void = True
+        if not self.void:
+            self.void = True
             with DEVICE_CALL:
                 self._device.clear(now)
 
     def _make_valid(self, now: int) -> None:
-        if self._void or not self._started:
-            self._void = False
+        if self.void or not self._started:
+            self.void = False
             self._started = True
             with DEVICE_CALL:
                 self._device.operate(now)
@@ -140,7 +135,7 @@ class CyclicData:
         return inputs
 
     def _judge(self) -> None:
-        self.plain = self._started and not (self._void or self.synced or self.frozen)
+        self.plain = self._started and not (self.void or self.synced or self.frozen)
 
 
 def wrong_inputs(inputs: object, expected: int) -> Exception:

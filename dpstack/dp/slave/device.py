@@ -5,7 +5,8 @@ from __future__ import annotations
 from enum import Enum
 
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
-from dpstack.dp.slave.extension import ServiceHost, SlaveService
+from dpstack.dp.slave.events import Report
+from dpstack.dp.slave.extension import SlaveService
 from dpstack.units import NEVER
 
 
@@ -46,8 +47,8 @@ class DpV0Device:
     max_diag_len: int = 244
     safe: bytes = b""
 
-    def services(self, host: ServiceHost) -> tuple[SlaveService, ...]:
-        """Its services beyond DP-V0, for the application ``host``. Raises ConfigError where they cannot be."""
+    def services(self, report: Report) -> tuple[SlaveService, ...]:
+        """Its services beyond DP-V0; their events go to ``report``. Raises ConfigError where they cannot be."""
         return ()
 
     def check_prm(self, user_prm: bytes) -> str | None:

@@ -102,7 +102,9 @@ class DeviceFailed(SlaveAppEvent):
         return f"{self.who}: the device failed during {self.during} ({self.error}{where}); correct and restart it"
 
 
-#: of one master
+#: of an application that is on no station
+_UNKNOWN_RATE: Final = 1_500_000
+#: refusals to one master
 _MAX_TOLD: Final = 50
 _NO_MORE: Final = "; further refusals to it are counted only"
 
@@ -144,6 +146,11 @@ class Report:
     def address(self) -> int | None:
         """The address of the station, or the one given for messages."""
         return self._address if self.station is None else self.station.address
+
+    @property
+    def baud(self) -> int:
+        """The rate of the station in bit/s."""
+        return _UNKNOWN_RATE if self.station is None else self.station.baud
 
     def readdress(self, address: int) -> None:
         """Give the station another address."""

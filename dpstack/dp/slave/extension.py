@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from dpstack.dp.pdu.requests import SetPrm
-from dpstack.dp.slave.events import Report
 from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Telegram
 from dpstack.units import NEVER
@@ -29,17 +28,6 @@ class DiagMessages(Protocol):
 
     def fetched(self) -> None:
         """The owner has the answer that was offered last."""
-
-
-class ServiceHost(Protocol):
-    """What a service needs of the slave application."""
-
-    @property
-    def report(self) -> Report: ...
-
-    @property
-    def baud(self) -> int:
-        """The rate of the bus in bit/s."""
 
 
 class SlaveService:

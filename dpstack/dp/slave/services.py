@@ -5,6 +5,8 @@ Who may use which when is in :mod:`dpstack.dp.slave.state_table`; here is what e
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Final
 
 from dpstack.dp.error_origin import DEVICE_CALL
@@ -38,167 +40,168 @@ from dpstack.fdl.telegram import (
 _DL: Final = Resp.DL
 
 
-class Services:
-    """The services of one slave application by DSAP, in ``by_sap``."""
+def handlers(core: SlaveCore) -> dict[int | None, Handler]:
+    """The services of a slave application by DSAP, those of its device included."""
+    by_sap: dict[int | None, Handler] = {sap: partial(serve, core) for sap, serve in _SERVICES.items()}
+    for service in core.services:
+        by_sap.update(service.handlers())
+    return by_sap
 
-    __slots__ = ("_core", "by_sap")
 
-    def __init__(self, core: SlaveCore) -> None:
-        self._core = core
-        self.by_sap: dict[int | None, Handler] = {
-            SAP_SLAVE_DIAG: self._slave_diag,
-            SAP_SET_PRM: self._set_prm,
-            SAP_CHK_CFG: self._chk_cfg,
-            SAP_GET_CFG: self._get_cfg,
-            SAP_RD_INP: self._rd_inp,
-            SAP_RD_OUTP: self._rd_outp,
-            SAP_SET_SLAVE_ADD: self._set_slave_add,
-        }
-        for service in core.services:
-            self.by_sap.update(service.handlers())
+def _slave_diag(core: SlaveCore, request: Telegram, now: int) -> Reply:
+    user = core.user_diag(now)
+    octets = core.build_diagnosis(user).build()
+    if request.sa == core.master:
+        core.diag.offer(user)
+    return Reply(_DL, octets)
 
-    # --- reading ------------------------------------------------------------------------------------------------
 
-    def _slave_diag(self, request: Telegram, now: int) -> Reply:
-        core = self._core
-        user = core.user_diag(now)
-        octets = core.diagnosis(user).build()
-        if request.sa == core.master:
-            core.diag.offer(user)
-        return Reply(_DL, octets)
+def _get_cfg(core: SlaveCore, request: Telegram, now: int) -> Reply:
+    data = core.data
+    return _data_reply(core.device.configs[0] if data is None else data.config)
 
-    def _get_cfg(self, request: Telegram, now: int) -> Reply:
-        data = self._core.data
-        return _data_reply(self._core.device.configs[0] if data is None else data.config)
 
-    def _rd_inp(self, request: Telegram, now: int) -> Reply:
-        data = self._core.data
-        return _data_reply(b"" if data is None else data.inputs)
+def _rd_inp(core: SlaveCore, request: Telegram, now: int) -> Reply:
+    return _data_reply(core.inputs)
 
-    def _rd_outp(self, request: Telegram, now: int) -> Reply:
-        data = self._core.data
-        return _data_reply(b"" if data is None else data.outputs)
 
-    # --- Set_Prm ------------------------------------------------------------------------------------------------
+def _rd_outp(core: SlaveCore, request: Telegram, now: int) -> Reply:
+    return _data_reply(core.outputs)
 
-    def _set_prm(self, request: Telegram, now: int) -> Reply:
-        core = self._core
-        sa = request.sa
-        if core.master is not None and sa != core.master:
-            core.foreign("Set_Prm", sa, AppTrigger.PRM_FOREIGN, now)
-            return SC_REPLY
-        try:
-            prm = SetPrm.parse(request.data)
-            refusal = judge_prm(core.device, prm, ask_device=core.failure is None)
-        except PduError as error:
-            self._prm_bad(sa, Refusal(str(error)), now)
-            return SC_REPLY
-        except Exception as error:
-            core.fail("Set_Prm", error, now)
-            return SC_REPLY
-        if refusal is not None:
-            self._prm_bad(sa, refusal, now)
-        elif prm.unlock:
-            core.diag.clear_faults()
-            core.step(AppTrigger.UNLOCK, now, Leave.UNLOCK)
-        elif prm.lock:
-            self._prm_good(sa, prm, now)
-        else:
-            core.take_min_tsdr(prm.min_tsdr)
-            core.step(AppTrigger.PRM_KEEP, now)
+
+# --- Set_Prm ------------------------------------------------------------------------------------------------------
+
+
+def _set_prm(core: SlaveCore, request: Telegram, now: int) -> Reply:
+    sa = request.sa
+    if core.master is not None and sa != core.master:
+        core.foreign("Set_Prm", sa, AppTrigger.PRM_FOREIGN, now)
         return SC_REPLY
-
-    def _prm_bad(self, sa: int, refusal: Refusal, now: int) -> None:
-        # Not_Supported says it more exactly than Prm_Fault
-        core = self._core
+    try:
+        prm = SetPrm.parse(request.data)
+        refusal = judge_prm(core.device, prm, ask_device=core.failure is None)
+    except PduError as error:
+        _prm_bad(core, sa, Refusal(str(error)), now)
+        return SC_REPLY
+    except Exception as error:
+        core.fail("Set_Prm", error, now)
+        return SC_REPLY
+    if refusal is not None:
+        _prm_bad(core, sa, refusal, now)
+    elif prm.unlock:
         core.diag.clear_faults()
-        core.diag.not_supported = refusal.not_supported
-        core.diag.prm_fault = not refusal.not_supported
-        core.report.refused("Set_Prm", sa, refusal.reason, now)
-        core.step(AppTrigger.PRM_BAD, now, Leave.NEW_PARAMETERS)
-
-    def _prm_good(self, sa: int, prm: SetPrm, now: int) -> None:
-        core = self._core
-        core.diag.clear_faults()
-        core.diag.new_owner()
+        core.step(AppTrigger.UNLOCK, now, Leave.UNLOCK)
+    elif prm.lock:
+        _prm_good(core, sa, prm, now)
+    else:
         core.take_min_tsdr(prm.min_tsdr)
-        core.master = sa
-        core.group = prm.group_mask
-        core.watchdog.arm(watchdog_time(core.device, prm), now)
-        for service in core.services:
-            service.parameterised(prm)
-        core.step(AppTrigger.PRM_GOOD, now, Leave.NEW_PARAMETERS)
+        core.step(AppTrigger.PRM_KEEP, now)
+    return SC_REPLY
 
-    # --- Chk_Cfg ------------------------------------------------------------------------------------------------
 
-    def _chk_cfg(self, request: Telegram, now: int) -> Reply:
-        core = self._core
-        config = real_cfg(core.device, request.data)
-        if request.sa != core.master:
-            core.foreign("Chk_Cfg", request.sa, AppTrigger.CFG_FOREIGN, now)
-        elif core.failure is not None:
-            core.step(AppTrigger.CFG_HELD, now)
-        elif core.data is not None and config == core.data.config:
-            core.step(AppTrigger.CFG_GOOD, now)
-        else:
-            self._judge_cfg(request.sa, config, now)
-        return SC_REPLY
+def _prm_bad(core: SlaveCore, sa: int, refusal: Refusal, now: int) -> None:
+    # Not_Supported says it more exactly than Prm_Fault
+    core.diag.clear_faults()
+    core.diag.not_supported = refusal.not_supported
+    core.diag.prm_fault = not refusal.not_supported
+    core.report.refused("Set_Prm", sa, refusal.reason, now)
+    core.step(AppTrigger.PRM_BAD, now, Leave.NEW_PARAMETERS)
 
-    def _judge_cfg(self, sa: int, config: bytes, now: int) -> None:
-        core = self._core
-        try:
-            verdict = judge_cfg(core.device, config)
-        except Exception as error:
-            core.fail("Chk_Cfg", error, now)
-            return
-        if isinstance(verdict, Refusal):
-            core.diag.cfg_fault = True
-            core.report.refused("Chk_Cfg", sa, verdict.reason, now)
-            core.step(AppTrigger.CFG_BAD, now, Leave.NEW_CONFIGURATION)
-        else:
-            self._cfg_good(config, *verdict, now)
 
-    def _cfg_good(self, config: bytes, inputs: int, outputs: int, now: int) -> None:
-        core = self._core
-        if not core.leave(Leave.NEW_CONFIGURATION, now):
-            return
-        try:
-            data = CyclicData(core.device, config, inputs, outputs)
-            with DEVICE_CALL:
-                core.device.enter(config, now)
-        except Exception as error:
-            core.fail("Chk_Cfg", error, now)
-            return
-        core.diag.cfg_fault = False
-        core.data = data
-        for service in core.services:
-            service.entered()
-        core.report.forget()
+def _prm_good(core: SlaveCore, sa: int, prm: SetPrm, now: int) -> None:
+    core.diag.clear_faults()
+    core.diag.new_owner()
+    core.take_min_tsdr(prm.min_tsdr)
+    core.master = sa
+    core.group = prm.group_mask
+    core.watchdog.arm(watchdog_time(core.device, prm), now)
+    for service in core.services:
+        service.parameterised(prm)
+    core.step(AppTrigger.PRM_GOOD, now, Leave.NEW_PARAMETERS)
+
+
+# --- Chk_Cfg ------------------------------------------------------------------------------------------------------
+
+
+def _chk_cfg(core: SlaveCore, request: Telegram, now: int) -> Reply:
+    config = real_cfg(core.device, request.data)
+    if request.sa != core.master:
+        core.foreign("Chk_Cfg", request.sa, AppTrigger.CFG_FOREIGN, now)
+    elif core.failure is not None:
+        core.step(AppTrigger.CFG_HELD, now)
+    elif core.data is not None and config == core.data.config:
         core.step(AppTrigger.CFG_GOOD, now)
+    else:
+        _judge_cfg(core, request.sa, config, now)
+    return SC_REPLY
 
-    # --- Set_Slave_Add ------------------------------------------------------------------------------------------
 
-    def _set_slave_add(self, request: Telegram, now: int) -> Reply | None:
-        core = self._core
-        if not core.address.open:
-            return None
-        try:
-            wanted = SetSlaveAdd.parse(request.data)
-            reason = core.address.judge(wanted)
-            if reason is None:
-                core.address.take(wanted, request.sa, now)
-                core.end_services("the slave has another address", now)
-                core.step(AppTrigger.ADDRESS, now)
-        except PduError as error:
-            reason = str(error)
-        except Exception as error:
-            core.fail("Set_Slave_Add", error, now)
-            return SC_REPLY
-        if reason is not None:
-            core.report.refused("Set_Slave_Add", request.sa, reason, now)
+def _judge_cfg(core: SlaveCore, sa: int, config: bytes, now: int) -> None:
+    try:
+        verdict = judge_cfg(core.device, config)
+    except Exception as error:
+        core.fail("Chk_Cfg", error, now)
+        return
+    if isinstance(verdict, Refusal):
+        core.diag.cfg_fault = True
+        core.report.refused("Chk_Cfg", sa, verdict.reason, now)
+        core.step(AppTrigger.CFG_BAD, now, Leave.NEW_CONFIGURATION)
+    else:
+        _cfg_good(core, config, *verdict, now)
+
+
+def _cfg_good(core: SlaveCore, config: bytes, inputs: int, outputs: int, now: int) -> None:
+    if not core.leave(Leave.NEW_CONFIGURATION, now):
+        return
+    try:
+        data = CyclicData(core.device, config, inputs, outputs)
+        with DEVICE_CALL:
+            core.device.enter(config, now)
+    except Exception as error:
+        core.fail("Chk_Cfg", error, now)
+        return
+    core.diag.cfg_fault = False
+    core.data = data
+    for service in core.services:
+        service.entered()
+    core.report.forget()
+    core.step(AppTrigger.CFG_GOOD, now)
+
+
+# --- Set_Slave_Add ------------------------------------------------------------------------------------------------
+
+
+def _set_slave_add(core: SlaveCore, request: Telegram, now: int) -> Reply | None:
+    if not core.set_address.open:
+        return None
+    try:
+        wanted = SetSlaveAdd.parse(request.data)
+        reason = core.set_address.judge(wanted)
+        if reason is None:
+            core.set_address.take(wanted, request.sa, now)
+            core.end_services("the slave has another address", now)
+            core.step(AppTrigger.ADDRESS, now)
+    except PduError as error:
+        reason = str(error)
+    except Exception as error:
+        core.fail("Set_Slave_Add", error, now)
         return SC_REPLY
+    if reason is not None:
+        core.report.refused("Set_Slave_Add", request.sa, reason, now)
+    return SC_REPLY
 
 
 def _data_reply(octets: bytes) -> Reply:
     """Data, or NR where there are none (docs/protocol.md#function-code)."""
     return Reply(_DL, octets) if octets else Reply(Resp.NR)
+
+
+_SERVICES: Final[Mapping[int, Callable[[SlaveCore, Telegram, int], Reply | None]]] = {
+    SAP_SLAVE_DIAG: _slave_diag,
+    SAP_SET_PRM: _set_prm,
+    SAP_CHK_CFG: _chk_cfg,
+    SAP_GET_CFG: _get_cfg,
+    SAP_RD_INP: _rd_inp,
+    SAP_RD_OUTP: _rd_outp,
+    SAP_SET_SLAVE_ADD: _set_slave_add,
+}

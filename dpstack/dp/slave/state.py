@@ -7,8 +7,6 @@ device raises, goes through here, so that outputs and lock are given up in one p
 
 from __future__ import annotations
 
-from typing import Final
-
 from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.pdu.diagnosis import Diagnosis
@@ -90,10 +88,6 @@ class SlaveAddress:
         self._report.emit(AddressChanged, now, before=before, master=master, fixed=fixed, kept=kept)
 
 
-#: of an application that is on no station
-_UNKNOWN_RATE: Final = 1_500_000
-
-
 class SlaveCore:
     """One slave application, as :class:`~dpstack.dp.slave.application.SlaveApp` and its services share it.
 
@@ -102,7 +96,6 @@ class SlaveCore:
     """
 
     __slots__ = (
-        "address",
         "data",
         "device",
         "diag",
@@ -111,6 +104,7 @@ class SlaveCore:
         "master",
         "report",
         "services",
+        "set_address",
         "state",
         "watchdog",
     )
@@ -121,14 +115,24 @@ class SlaveCore:
         self.master: int | None = None
         self.failure: str | None = None
         self.report = Report(device, address)
-        self.services = device.services(self)
+        self.services = device.services(self.report)
         self.diag = DiagState(device, next((one.messages for one in self.services if one.messages is not None), None))
-        self.address = SlaveAddress(device, self.report, address_fixed)
+        self.set_address = SlaveAddress(device, self.report, address_fixed)
         self.watchdog = Watchdog()
         self.data: CyclicData | None = None
         self.group = 0
 
-    def diagnosis(self, user: UserDiag) -> Diagnosis:
+    @property
+    def outputs(self) -> bytes:
+        """The outputs the device has; empty while not in data exchange."""
+        return b"" if self.data is None else self.data.outputs
+
+    @property
+    def inputs(self) -> bytes:
+        """The inputs the master reads; empty while not in data exchange."""
+        return b"" if self.data is None else self.data.inputs
+
+    def build_diagnosis(self, user: UserDiag) -> Diagnosis:
         """The diagnosis of this moment, with ``user`` from the device."""
         wd, ill = self.watchdog.time_ns > 0, self.failure is not None
         return self.diag.build(self.state, self.master, self.data, user, wd=wd, ill=ill)
@@ -159,16 +163,16 @@ class SlaveCore:
         self.failure = None
         self.diag.clear_faults()
         self.take_min_tsdr(LOWEST_TSDR)
-        self.address.restart()
+        self.set_address.restart()
         self.report.forget()
 
     def restart_at(self, address: int, now: int) -> None:
         """The device restarts by itself, at an address that was set at it."""
-        self.address.set_at_device(address)
+        self.set_address.set_at_device(address)
         before = self.report.address
         self.restart(now)
         if before != address:
-            self.report.emit(AddressChanged, now, before=before, master=None, fixed=self.address.fixed, kept=True)
+            self.report.emit(AddressChanged, now, before=before, master=None, fixed=self.set_address.fixed, kept=True)
 
     def step(self, event: AppTrigger, now: int, leave: Leave | None = None) -> None:
         """Take the row of ``event``; ``leave``: why data exchange ends, unless the row leads back into it."""
@@ -203,12 +207,6 @@ class SlaveCore:
         self.failure = f"{type(error).__name__}: {error}"
         self.report.failed(during, error, now)
         self.step(AppTrigger.FAILED, now, Leave.FAILURE)
-
-    @property
-    def baud(self) -> int:
-        """The rate of the station in bit/s."""
-        station = self.report.station
-        return _UNKNOWN_RATE if station is None else station.baud
 
     def end_services(self, why: str, now: int) -> None:
         """What the services of the device have under way ends."""

@@ -5,35 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from dpstack.dp.pdu.layouts import MAX_RECORD
-from dpstack.dp.slave.device import DpV0Device
-from dpstack.dp.slave.extension import ServiceHost, SlaveService
-from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE, InitiateReq
+from dpstack.dp.slave.events import Report
+from dpstack.dp.slave.extension import SlaveService
+from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
 from dpstack.dpv1.slave.alarms import AlarmServer
 from dpstack.dpv1.slave.ms1 import Ms1Server
-from dpstack.dpv1.slave.record_requests import Records, Transport
+from dpstack.dpv1.slave.record_requests import AcyclicDevice
 from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS, Ms2Server
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 
 
-class Device(DpV0Device):
+class Device(AcyclicDevice):
     """A device as its author writes it: subclass it, override what differs.
 
-    ``records``: what Read and Write of DP-V1 reach, ``alarm_server`` its alarms, None where the device has none of
-    it. ``ms2``: connections of class 2, 0..49; ``transport`` serves their Data_Transport, ``ms2_max_len``: octets of
-    data in one of their services, up to 240; ``ms2_max_initiate``: octets of the longest Initiate, 20..244;
-    ``ms2_at_once``: it answers in the request itself what it knows by then, not when polled.
+    ``alarm_server``: its alarms, None where the device has none.
     """
 
-    records: Records | None = None
-    ms2: int = 0
-    transport: Transport | None = None
-    ms2_max_len: int = MAX_RECORD
-    ms2_max_initiate: int = MAX_DATA
-    ms2_at_once: bool = False
     alarm_server: AlarmServer | None = None
 
-    def services(self, host: ServiceHost) -> tuple[SlaveService, ...]:
+    def services(self, report: Report) -> tuple[SlaveService, ...]:
         """MS1 and MS2."""
         if not 0 <= self.ms2 <= MAX_CONNECTIONS:
             raise ConfigError(f"device {self.name}: ms2 = {self.ms2} connections; 0 to {MAX_CONNECTIONS} are possible")
@@ -42,11 +33,7 @@ class Device(DpV0Device):
         if not LEAST_INITIATE <= self.ms2_max_initiate <= MAX_DATA:
             what = f"ms2_max_initiate {self.ms2_max_initiate} is outside {LEAST_INITIATE}..{MAX_DATA}"
             raise ConfigError(f"device {self.name}: {what}")
-        ms1 = Ms1Server(self.records, host.report, self.alarm_server)
-        return ms1, Ms2Server(self, self.ms2, host, self.ms2_at_once)
-
-    def initiate(self, master: int, wanted: InitiateReq) -> None:
-        """``master`` opens a connection of class 2: raise RecordRefused for a negative response to it."""
+        return Ms1Server(self.records, report, self.alarm_server), Ms2Server(self, report)
 
 
 #: From the outputs and the time since data exchange began in ns to the inputs.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from dpstack.dp.error_origin import DEVICE_CALL, failure_text
 from dpstack.dp.pdu.layouts import MAX_SLOT
@@ -12,32 +11,10 @@ from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.ms2 import IDLE, Abort, AbortReason, InitiateReq, InitiateRes, Instance
 from dpstack.dpv1.pdu.read_write import DataTransport, Function, Negative, ReadReq, UnacceptableError, parse_request
 from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ms2Trigger, State
-from dpstack.dpv1.slave.record_requests import Asker, RecordRequest, Records, Transport, ask, ask_records
+from dpstack.dpv1.slave.record_requests import AcyclicDevice, Asker, RecordRequest, ask, ask_records
 from dpstack.dpv1.timeouts import PATIENCE, WORKING_SHARE
 from dpstack.errors import PduError, RecordRefused
 from dpstack.units import NS_PER_MS
-
-
-class Served(Protocol):
-    """What a connection reaches in its device."""
-
-    @property
-    def records(self) -> Records | None: ...
-
-    @property
-    def transport(self) -> Transport | None:
-        """Data_Transport."""
-
-    @property
-    def ms2_max_len(self) -> int:
-        """Octets of data in one service, at most."""
-
-    @property
-    def ms2_max_initiate(self) -> int:
-        """Octets of an Initiate, at most."""
-
-    def initiate(self, master: int, wanted: InitiateReq) -> None:
-        """Raises RecordRefused where it does not want the connection."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +65,7 @@ class ServerConnection:
     )
 
     def __init__(
-        self, asker: Asker, ssap: int | None, send_timeout_ns: int, device: Served, report: Report, now: int
+        self, asker: Asker, ssap: int | None, send_timeout_ns: int, device: AcyclicDevice, report: Report, now: int
     ) -> None:
         self.asker = asker
         self.ssap = ssap

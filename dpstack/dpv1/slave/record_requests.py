@@ -11,10 +11,13 @@ from typing import Final, Protocol
 
 from dpstack.dp.error_origin import DEVICE_CALL, failure_text
 from dpstack.dp.pdu.layouts import MAX_RECORD
+from dpstack.dp.slave.device import DpV0Device
 from dpstack.dp.slave.events import Report
 from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import DataTransport, Negative, ReadReq, Response, Service
 from dpstack.errors import PduError, RecordRefused
+from dpstack.fdl.telegram import MAX_DATA
 
 
 @dataclass(eq=False)
@@ -101,6 +104,26 @@ class Records(Protocol):
 
 #: serves Data_Transport: answers the request, at once or later
 Transport = Callable[[RecordRequest], None]
+
+
+class AcyclicDevice(DpV0Device):
+    """The part of a device that its acyclic services reach.
+
+    ``records``: what Read and Write reach, None where it has none. ``ms2``: connections of class 2, 0..49;
+    ``transport`` serves their Data_Transport, ``ms2_max_len``: octets of data in one of their services, up to 240;
+    ``ms2_max_initiate``: octets of the longest Initiate, 20..244; ``ms2_at_once``: it answers in the request itself
+    what it knows by then, not when polled.
+    """
+
+    records: Records | None = None
+    transport: Transport | None = None
+    ms2: int = 0
+    ms2_max_len: int = MAX_RECORD
+    ms2_max_initiate: int = MAX_DATA
+    ms2_at_once: bool = False
+
+    def initiate(self, master: int, wanted: InitiateReq) -> None:
+        """``master`` opens a connection of class 2: raise RecordRefused for a negative response to it."""
 
 
 def ask_records(request: RecordRequest, records: Records | None) -> None:

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dp.slave.extension import Handler, ServiceHost, SlaveService
+from dpstack.dp.slave.events import Report
+from dpstack.dp.slave.extension import Handler, SlaveService
 from dpstack.dpv1.pdu.ms2 import MAX_REASON, SERVER_SAPS, ResourceManagerRes
-from dpstack.dpv1.slave.ms2_connection import Served, ServerConnection
+from dpstack.dpv1.slave.ms2_connection import ServerConnection
 from dpstack.dpv1.slave.ms2_states import State
-from dpstack.dpv1.slave.record_requests import Asker
+from dpstack.dpv1.slave.record_requests import AcyclicDevice, Asker
 from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import SC_REPLY, Reply
@@ -45,28 +46,20 @@ class _Offer:
 
 
 class Ms2Server(SlaveService):
-    """The connections of one slave application: ``count`` of them (0..49), 0 for a slave without MS2.
+    """The connections of one slave application: as many as ``device.ms2`` says, 0 for a slave without MS2.
 
-    ``at_once``: what is known is answered in the request itself, not when polled; both are legal
-    (docs/protocol.md#ms1).
+    With ``device.ms2_at_once`` the request itself gets the answer where it is known by then, not the poll after it;
+    both are legal (docs/protocol.md#ms1).
     """
 
-    __slots__ = ("_connections", "_device", "_free", "_host", "_offers", "at", "at_once", "count")
+    __slots__ = ("_connections", "_device", "_free", "_offers", "_report", "at")
 
-    def __init__(
-        self,
-        device: Served,
-        count: int,
-        host: ServiceHost,
-        at_once: bool,
-    ) -> None:
-        self.count = count
+    def __init__(self, device: AcyclicDevice, report: Report) -> None:
         self.at = NEVER
-        self.at_once = at_once
         self._device = device
-        self._host = host
+        self._report = report
         self._connections: dict[int, ServerConnection] = {}
-        self._free = deque(list(reversed(SERVER_SAPS))[:count])
+        self._free = deque(SERVER_SAPS[::-1][: device.ms2])
         self._offers: dict[tuple[int, int | None], list[_Offer]] = {}
 
     @property
@@ -81,21 +74,21 @@ class Ms2Server(SlaveService):
     @property
     def free(self) -> int:
         """How many can be given out now."""
-        return self.count - len(self.connections)
+        return self._device.ms2 - len(self.connections)
 
     def handlers(self) -> dict[int | None, Handler]:
         """The resource manager, and the server SAPs."""
         return {**dict.fromkeys(SERVER_SAPS, self._serve), SAP_MS2_RM: self._manage}
 
     def _send_timeout(self) -> int:
-        return least_send_timeout(self._host.baud)
+        return least_send_timeout(self._report.baud)
 
     # --- SAP 49 ---------------------------------------------------------------------------------------------------
 
     def _manage(self, request: Telegram, now: int) -> Reply | None:
         """A request to the resource manager, or a poll (no octets); None for RS."""
         octets, sa, ssap = request.data, request.sa, request.ssap
-        if not self.count:
+        if not self._device.ms2:
             return None
         if not octets:
             return self._offered(sa, ssap)
@@ -105,12 +98,12 @@ class Ms2Server(SlaveService):
         sap = self._next(sa, ssap, now)
         if sap is None:
             return None
-        connection = ServerConnection(Asker(sa, sap), ssap, self._send_timeout(), self._device, self._host.report, now)
+        connection = ServerConnection(Asker(sa, sap), ssap, self._send_timeout(), self._device, self._report, now)
         self._connections[sap] = connection
         self._offers.setdefault((sa, ssap), []).append(_Offer(connection))
         connection.initiate(octets, now)
         self._watch(connection)
-        return self._offered(sa, ssap) if self.at_once else SC_REPLY
+        return self._offered(sa, ssap) if self._device.ms2_at_once else SC_REPLY
 
     def _offered(self, sa: int, ssap: int | None) -> Reply:
         offers = self._offers.get((sa, ssap))
@@ -145,7 +138,7 @@ class Ms2Server(SlaveService):
         self._forget_offer(connection)
         if octets:
             connection.take(octets, now)
-        answer = connection.poll(now) if not octets or (self.at_once and not connection.free) else None
+        answer = connection.poll(now) if not octets or (self._device.ms2_at_once and not connection.free) else None
         self._give_back(connection)
         self._watch(connection)
         return SC_REPLY if answer is None else Reply(Resp.DL, answer)

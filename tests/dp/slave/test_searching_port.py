@@ -6,8 +6,7 @@ import pytest
 from support import MS, S
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
-from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingPort
-from dpstack.dp.slave.baud_control import BaudState
+from dpstack.dp.slave.auto_baud import BaudState, PortBaudChanged, SearchingPort
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.baud_search import Missing

@@ -177,7 +177,7 @@ def test_a_slave_that_searches_its_rate_gives_them_back() -> None:
     slave = Slave(count=1)
     searching = SearchingSlave(slave.wire.station, slave.app, rates=[500_000])
     slave.master.connect()
-    searching._reached(searching.state.SEARCH, slave.wire.now)
+    searching._reach(searching.state.SEARCH, slave.wire.now)
     assert slave.all_free()
 
 
