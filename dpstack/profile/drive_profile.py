@@ -115,11 +115,13 @@ class DriveProfile(DriveType):
         ``records``: the master carries out Read and Write of this slave, so parameters go over record 47 where the
         drive has it, and over the parameter channel of its telegram where not.
         """
-        given = {**(self.simulated_options if simulated else {}), **(options or {})}
+        where = f"drive {name} ({self.name})"
         specs = {**self.core_options, **_OPTIONS}
-        checked, extra = self._options(specs, given, f"drive {name} ({self.name})")
-        if extra:
-            self._refuse(next(iter(extra)), specs, f"drive {name} ({self.name})")
+        checked, extra = _checked(specs, {**(self.simulated_options if simulated else {}), **(options or {})}, where)
+        for unknown in extra:
+            near = difflib.get_close_matches(unknown, specs, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(specs) or 'none'}"
+            raise ConfigError(f"{where}: there is no option {unknown!r}; {hint}")
         core = self.core_factory(self, name, self.telegram(telegram), checked)
         if records is not None and (acyclic := core.over_records(records)) is not None:
             core.records = records
@@ -131,30 +133,22 @@ class DriveProfile(DriveType):
 
         Raises ConfigError.
         """
-        checked, extra = self._options(self.device_options, options or {}, f"simulated {self.name}")
+        checked, extra = _checked(self.device_options, options or {}, f"simulated {self.name}")
         return self.device_factory(self, self.telegram(telegram), checked, extra)
 
     def shared(self, options: Mapping[str, object]) -> dict[str, object]:
         """The options of the core that the simulated drive has too."""
         return {name: value for name, value in options.items() if name in self.device_options}
 
-    def _options(
-        self, specs: Mapping[str, OptionSpec], given: Mapping[str, object], where: str
-    ) -> tuple[dict[str, bool | float | str], dict[str, object]]:
-        checked = {name: spec.default for name, spec in specs.items()}
-        extra: dict[str, object] = {}
-        for name, value in given.items():
-            spec = specs.get(name)
-            if spec is None:
-                extra[name] = value
-            else:
-                checked[name] = _check(spec, name, value, where)
-        return checked, extra
 
-    def _refuse(self, name: str, specs: Mapping[str, OptionSpec], where: str) -> None:
-        near = difflib.get_close_matches(name, specs, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(specs) or 'none'}"
-        raise ConfigError(f"{where}: there is no option {name!r}; {hint}")
+def _checked(
+    specs: Mapping[str, OptionSpec], given: Mapping[str, object], where: str
+) -> tuple[dict[str, bool | float | str], dict[str, object]]:
+    """The declared options with their values or defaults, and all others. Raises ConfigError."""
+    known = {
+        name: _check(spec, name, given[name], where) if name in given else spec.default for name, spec in specs.items()
+    }
+    return known, {name: value for name, value in given.items() if name not in specs}
 
 
 def _check(spec: OptionSpec, name: str, value: object, where: str) -> bool | float | str:

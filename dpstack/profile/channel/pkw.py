@@ -106,32 +106,23 @@ PLAIN_PKW: Final = PkwDialect(
 )
 
 
+@dataclass(slots=True, eq=False)
 class Exchange:
     """One order. ``reply`` is set when the drive has answered; ``stray``: the last reply to another order."""
 
-    __slots__ = ("octets", "order", "reply", "stray")
-
-    def __init__(self, order: Pkw) -> None:
-        self.order = order
-        self.octets = order.build()
-        self.reply: Pkw | None = None
-        self.stray: Pkw | None = None
+    order: Pkw
+    reply: Pkw | None = None
+    stray: Pkw | None = None
 
 
 class PkwChannel:
     """The master's end: one order at a time, the others queue. ``octets``: the eight octets to send now."""
 
-    __slots__ = ("_active", "_dialect", "_last", "_queue", "_quiet_until", "_release", "_times", "octets")
-
     def __init__(self, dialect: PkwDialect, times: CycleTimes) -> None:
         self._dialect = dialect
         self._times = times
         self._queue: deque[Exchange] = deque()
-        self._active: Exchange | None = None
-        self._release = False  # our order is withdrawn, the drive's reply is not yet 0
-        self._quiet_until = 0  # a 0 before this may be older than an order that was withdrawn unanswered
-        self._last: Pkw | None = None
-        self.octets = ZEROS
+        self.reset()
 
     @property
     def busy(self) -> bool:
@@ -177,10 +168,10 @@ class PkwChannel:
     def reset(self) -> None:
         """The slave left data exchange: both ends start at 0 again."""
         self._queue.clear()
-        self._active = None
-        self._release = False
-        self._quiet_until = 0
-        self._last = None
+        self._active: Exchange | None = None
+        self._release = False  # our order is withdrawn, the drive's reply is not yet 0
+        self._quiet_until = 0  # a 0 before this may be older than an order that was withdrawn unanswered
+        self._last: Pkw | None = None
         self.octets = ZEROS
 
     def step(self, inputs: bytes, now: int) -> None:
@@ -192,8 +183,11 @@ class PkwChannel:
             if replied and self._queue and not self._release:
                 self._queue[0].stray = reply  # the reply to no order of ours
             self._next(replied, now)
+        elif replied and self._fits(active.order, reply):
+            active.reply = reply
+            self._withdraw()
         elif replied:
-            self._judge(active, reply)
+            active.stray = reply
 
     def _next(self, replied: bool, now: int) -> None:
         """Send the next order as soon as the drive's present reply cannot be mistaken for its answer."""
@@ -204,7 +198,7 @@ class PkwChannel:
         self._release = False
         if self._queue:
             self._active = active = self._queue.popleft()
-            self._last, self.octets = active.order, active.octets
+            self._last, self.octets = active.order, active.order.build()
 
     def _may_follow(self) -> bool:
         """Whether an order may follow without a 0 between: PNU and index must differ, to recognise its answer."""
@@ -213,13 +207,6 @@ class PkwChannel:
             return False
         order = self._queue[0].order
         return (order.pnu, order.ind) != (last.pnu, last.ind)
-
-    def _judge(self, active: Exchange, reply: Pkw) -> None:
-        if self._fits(active.order, reply):
-            active.reply = reply
-            self._withdraw()
-        else:
-            active.stray = reply
 
     def _fits(self, order: Pkw, reply: Pkw) -> bool:
         if reply.pnu != order.pnu or reply.ind != order.ind:
@@ -244,8 +231,6 @@ class PkwServer:
     acts when it changes, and a read (ids in ``reads``) returns the present value in every call. ``refuse`` is called
     once for each new order: the negative reply to it, None where it is carried out.
     """
-
-    __slots__ = ("_dialect", "_handler", "_held", "_last", "_reads", "_refuse", "_refused", "_reply")
 
     def __init__(
         self,

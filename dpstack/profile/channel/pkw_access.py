@@ -53,8 +53,6 @@ def plain_ref(key: ParamKey, table: ParamTable, drive: str) -> ParamRef:
 class PkwAccess(PkwChannel):
     """A :class:`~dpstack.profile.channel.base.ParameterChannel` by PKW, of the plugin ``core``."""
 
-    __slots__ = ("_core",)
-
     def __init__(self, dialect: PkwDialect, core: PkwCore) -> None:
         super().__init__(dialect, core)
         self._core = core

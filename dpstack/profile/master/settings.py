@@ -73,30 +73,12 @@ class CheckedCore(Protocol):
 class SettingsCheck:
     """The comparison for one drive. ``enabled``: the option ``check_settings``."""
 
-    __slots__ = (
-        "_busy",
-        "_core",
-        "_differences",
-        "_enabled",
-        "_known",
-        "_refused",
-        "_reported",
-        "_stale",
-        "_turn",
-        "_unchecked",
-    )
-
     def __init__(self, core: CheckedCore, *, enabled: bool) -> None:
         self._core = core
         self._enabled = enabled
-        self._busy = False
-        self._known = False  # there is a result
-        self._differences: list[str] = []
-        self._refused: list[str] = []  # those of them that refuse a start
-        self._unchecked: list[str] = []
         self._reported: set[str] = set()
         self._turn = 0
-        self._stale = False
+        self.reset()
 
     @property
     def state(self) -> SettingsState:
@@ -131,8 +113,12 @@ class SettingsCheck:
     def reset(self) -> None:
         """Forget all results: the drive left data exchange."""
         self._turn += 1
-        self._stale = self._busy = self._known = False
-        self._differences, self._refused, self._unchecked = [], [], []
+        self._stale = False
+        self._busy = False
+        self._known = False  # there is a result
+        self._differences: list[str] = []
+        self._refused: list[str] = []  # those of them that refuse a start
+        self._unchecked: list[str] = []
 
     def changed(self) -> None:
         """A parameter was written, or another data set is active: compare again before the next start."""
@@ -183,13 +169,10 @@ class SettingsCheck:
         if turn != self._turn:
             return {}
         open_ones = [setting for setting in settings if not all(key in found for key in setting.keys)]
-        if silent:
-            self._end([_not_checked(silent, open_ones)])
-        else:
-            reasons: dict[str, list[Setting]] = {}
-            for one in open_ones:
-                reasons.setdefault(next(refused[key] for key in one.keys if key in refused), []).append(one)
-            self._end([_not_checked(why, ones) for why, ones in reasons.items()])
+        reasons: dict[str, list[Setting]] = {silent: open_ones} if silent else {}
+        for one in () if silent else open_ones:
+            reasons.setdefault(next(refused[key] for key in one.keys if key in refused), []).append(one)
+        self._end([_not_checked(why, ones) for why, ones in reasons.items()])
         return {}
 
     def _judge(self, settings: Sequence[Setting], found: dict[ParamKey, float]) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Mapping
-from typing import Final, Literal, TypeVar
+from typing import Final, Literal, NamedTuple, TypeVar
 
 from dpstack.units import s_to_ns
 
@@ -36,22 +36,17 @@ class CommandError(Exception):
         self.number = number
 
 
-class DriveJob:
+class DriveJob(NamedTuple):
     """An order under way. ``motion``: at most one such job runs, a new one supersedes it. ``token`` None: our own."""
 
-    __slots__ = ("motion", "op", "steps", "token")
-
-    def __init__(self, op: str, token: int | None, steps: Steps[dict[str, object]], motion: bool) -> None:
-        self.op = op
-        self.token = token
-        self.steps = steps
-        self.motion = motion
+    op: str
+    token: int | None
+    steps: Steps[dict[str, object]]
+    motion: bool
 
 
 class Args:
     """The arguments of one order in plain JSON data. Each method checks one; it raises CommandError of kind usage."""
-
-    __slots__ = ("_given", "_op", "_read")
 
     def __init__(self, op: str, given: Mapping[str, object]) -> None:
         self._op = op
@@ -72,17 +67,14 @@ class Args:
     def optional(self, name: str) -> float | None:
         return None if self._get(name) is None else self.number(name)
 
-    def integer(self, *names: str) -> int | None:
-        """The first of ``names`` that is present, a whole number from 0 on, or None."""
-        found: int | None = None
-        for name in names:
-            value = self._get(name)
-            if value is None or found is not None:
-                continue
-            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-                raise self._wrong(name, "a whole number from 0 on", value)
-            found = self._whole(name, value)
-        return found
+    def integer(self, name: str) -> int | None:
+        """A whole number from 0 on, or None."""
+        value = self._get(name)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+            raise self._wrong(name, "a whole number from 0 on", value)
+        return self._whole(name, value)
 
     def name_or_number(self, name: str) -> str | int:
         """Name or number of a parameter."""
@@ -148,8 +140,6 @@ class Args:
 class DriveJobs:
     """The jobs of one drive in order of arrival; each is resumed once a cycle and ends with a result event."""
 
-    __slots__ = ("_events", "_jobs")
-
     def __init__(self) -> None:
         self._jobs: list[DriveJob] = []
         self._events: list[dict[str, object]] = []
@@ -209,19 +199,16 @@ class DriveJobs:
             return
         try:
             next(job.steps)
-            return
         except StopIteration as done:
-            result: dict[str, object] = done.value
+            self._jobs.remove(job)
+            if job.token is not None:
+                self._events.append({"type": "result", "token": job.token, "ok": True, **done.value})
         except CommandError as error:
             self._jobs.remove(job)
             self._failed(job.token, error.kind, error.text, error.number)
-            return
         except BaseException:
             self._jobs.remove(job)
             raise
-        self._jobs.remove(job)
-        if job.token is not None:
-            self._events.append({"type": "result", "token": job.token, "ok": True, **result})
 
     def _failed(self, token: int | None, kind: ErrorKind, text: str, number: int | None = None) -> None:
         if token is not None:

@@ -72,12 +72,7 @@ class DriveStatus:
 
     def as_dict(self) -> dict[str, object]:
         """Plain JSON data; words as four hex digits."""
-        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)} | {
-            "state": str(self.state),
-            "warnings": list(self.warnings),
-            "faults": list(self.faults),
-            "words": [f"{word:04X}" for word in self.words],
-            "bits": list(self.bits),
-            "settings": str(self.settings),
-            "settings_texts": list(self.settings_texts),
-        }
+        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        lists = {name: list(value) for name, value in found.items() if isinstance(value, tuple)}
+        words = [f"{word:04X}" for word in self.words]
+        return found | lists | {"words": words, "state": str(self.state), "settings": str(self.settings)}

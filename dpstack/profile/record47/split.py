@@ -98,9 +98,16 @@ def pieces(items: Iterable[Item], limits: Limits) -> Iterator[Piece]:
             yield Piece(of, address, values, width)
             continue
         for at in range(0, address.elements, most):
-            count = min(most, address.elements - at)
-            part = None if values is None else Values(values.format, values.raws[at : at + count])
-            yield Piece(of, address._replace(subindex=address.subindex + at, elements=count), part, width)
+            yield _part(Piece(of, address, values, width), at, min(most, address.elements - at))
+
+
+def _part(piece: Piece, at: int, count: int) -> Piece:
+    """``count`` elements of a piece from its element ``at`` on."""
+    address, values = piece.address, piece.values
+    return piece._replace(
+        address=address._replace(subindex=address.subindex + at, elements=count),
+        values=None if values is None else Values(values.format, values.raws[at : at + count]),
+    )
 
 
 def halves(piece: Piece) -> tuple[Piece, Piece] | None:
@@ -109,18 +116,7 @@ def halves(piece: Piece) -> tuple[Piece, Piece] | None:
     if address.elements < 2 or (values is not None and len(values.raws) < 2):
         return None
     first = address.elements // 2
-    left, right = (None, None) if values is None else (values.raws[:first], values.raws[first:])
-    return (
-        piece._replace(address=address._replace(elements=first), values=_values(values, left)),
-        piece._replace(
-            address=address._replace(subindex=address.subindex + first, elements=address.elements - first),
-            values=_values(values, right),
-        ),
-    )
-
-
-def _values(like: Values | None, raws: object) -> Values | None:
-    return Values(like.format, raws) if like is not None and isinstance(raws, tuple) else None
+    return _part(piece, 0, first), _part(piece, first, address.elements - first)
 
 
 def batch(waiting: Sequence[Piece], limits: Limits) -> int:

@@ -501,8 +501,6 @@ def _added(values: Sequence[float]) -> str | None:
 class _Watched(PkwAccess):
     """Shows its octets to the order ``trace``."""
 
-    __slots__ = ("_trace",)
-
     def __init__(self, dialect: PkwDialect, core: DemagCore, trace: Trace) -> None:
         super().__init__(dialect, core)
         self._trace = trace

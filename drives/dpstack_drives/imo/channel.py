@@ -75,8 +75,6 @@ _EEPROM: Final = (
 class ImoAccess(PkwChannel):
     """The master's end, a :class:`~dpstack.profile.ParameterChannel`. ``notice`` shows a line to the user."""
 
-    __slots__ = ("_notice", "_warned")
-
     def __init__(self, times: CycleTimes, notice: Callable[[str], None]) -> None:
         super().__init__(PKW, times)
         self._notice = notice
