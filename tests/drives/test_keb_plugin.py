@@ -24,6 +24,15 @@ def plugin(inputs: str = "00 00 00 00", telegram: str = "4/4", **options: Any) -
     return PluginBench(DRIVE.core("hoist", telegram, {**ALONE, **BITS, **options}), inputs)
 
 
+@pytest.mark.parametrize(
+    ("inputs", "state"),
+    [("00 00 00 00", State.NOT_READY), ("00 10 00 00", State.READY), ("00 20 00 00", State.STOPPING)],
+)
+def test_a_ready_bit_of_the_user_tells_ready_from_not_ready(inputs: str, state: State) -> None:
+    bench = plugin(inputs, status_bits="fault=3 run=5 ready=4")
+    assert bench.core.status().state is state
+
+
 def test_k8_the_words_by_the_users_bits() -> None:
     bench = plugin()
     assert bench.out() == "00 00 00 00"

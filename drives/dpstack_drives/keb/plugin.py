@@ -47,7 +47,7 @@ class KebCore(MappedCore[PdMap]):
     """Bits of sy.50 and sy.51 and the unit of sy.52 are in no manual of ours: what an order needs is given by options.
 
     Options: ``control_bits`` (``enable``, ``run``, ``reset``, ``reverse``, ``quick_stop`` mean something here, other
-    names do not) and ``status_bits`` (``run``, ``fault``, ``reached``; others are only shown) as ``name=bit ...`` or
+    names do not) and ``status_bits`` (``run``, ``fault``, ``ready``, ``reached``; others are only shown) as ``name=bit ...`` or
     ``simulated``; ``direction``: reverse by its bit with an absolute set speed (oP.01 = 9) or by the ``sign`` of sy.52;
     ``rpm_per_count``; ``reference_rpm`` and ``reference_hz``: what 100 % is; ``map_inputs``, ``map_outputs``: the map
     that the drive has, as in :class:`~dpstack_drives.keb.pdmap.PdMap`; ``block2_inputs``, ``block2_outputs``: indexes
@@ -278,10 +278,12 @@ def _place(index: int, sets: int) -> str:
 def _table(control: Mapping[str, int], status: Mapping[str, int]) -> ControlTable:
     """States and words from the bits that have names. Raises ValueError."""
     enable, run, stop, reset = (1 << control[name] if name in control else 0 for name in _CONTROL)
-    runs, fault = (1 << status[name] if name in status else 0 for name in ("run", "fault"))
+    runs, fault, ready = (1 << status[name] if name in status else 0 for name in ("run", "fault", "ready"))
     rows = [StateRow(State.FAULT, fault, fault)] if fault else []
     if runs:
-        rows += [StateRow(State.RUNNING, runs | fault, runs), StateRow(State.READY, runs | fault, 0)]
+        rows += [StateRow(State.RUNNING, runs | fault, runs), StateRow(State.READY, runs | fault | ready, ready)]
+    if runs and ready:
+        rows.append(StateRow(State.NOT_READY, runs | fault | ready, 0))
     return ControlTable(
         control=Word("sy.50", control),
         status=Word("sy.51", status),

@@ -32,7 +32,7 @@ DRIVE: Final = DriveProfile(
         "control_bits": OptionSpec(
             default="", text="bits of sy.50: enable, run, reset, reverse, quick_stop; 'run=2 ...'"
         ),
-        "status_bits": OptionSpec(default="", text="bits of sy.51: run, fault, reached and any other names"),
+        "status_bits": OptionSpec(default="", text="bits of sy.51: run, fault, ready, reached and any other names"),
         "direction": OptionSpec(
             default="bit", choices=("bit", "sign"), text="reverse by its bit (oP.01 = 9) or by sign"
         ),
