@@ -23,8 +23,17 @@ from dpstack.profile.channel.base import (
     per_request,
     read_raw,
 )
-from dpstack.profile.channel.pkw import Pkw, PkwChannel, PkwDialect, PkwServer, ReplyId, TaskId, plain_server
-from dpstack.profile.channel.pkw_access import RETRY_NS, ParamRef, PkwAccess
+from dpstack.profile.channel.pkw import (
+    RETRY_NS,
+    ParamRef,
+    Pkw,
+    PkwAccess,
+    PkwChannel,
+    PkwDialect,
+    PkwServer,
+    ReplyId,
+    TaskId,
+)
 from dpstack.profile.drive_profile import DriveProfile, OptionSpec, RateSetting
 from dpstack.profile.master.core import DriveCore, Lookup, settled
 from dpstack.profile.master.mapped_core import MAP_OPS, MappedCore
@@ -113,7 +122,6 @@ __all__ = [
     "listing",
     "ns_to_s",
     "per_request",
-    "plain_server",
     "process_data_map",
     "profidrive_states",
     "ramp",

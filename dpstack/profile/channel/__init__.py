@@ -1,6 +1,5 @@
 """The parameter channel in a drive's cyclic data.
 
 - ``base``: Parameter channel of a drive: common interface of PKW, makers' own channels and record 47; shared checks
-- ``pkw``: The parameter channel of PPO1 and PPO2: eight octets PKE IND PWE with a handshake, both ends
-- ``pkw_access``: Parameter access over PKW: parameters by name, scaled values, checks before anything is sent
+- ``pkw``: The parameter channel of PPO1 and PPO2 (PKW): eight octets PKE IND PWE with a handshake, both ends
 """

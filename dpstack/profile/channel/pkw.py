@@ -1,5 +1,8 @@
 """The parameter channel of PPO1 and PPO2 (PKW): eight octets PKE IND PWE with a handshake, both ends.
 
+The master's end has the orders (:class:`PkwChannel`), and over them access to parameters by name with scaled values and
+checks before anything is sent (:class:`PkwAccess`).
+
 PKE: order or reply id in bits 15-12, SPM bit 11 (0 here), PNU bits 10-0. IND: subindex in the high octet. PWE: 32 bits.
 Sources: PROFIdrive V2; the replies that are allowed to an order from the MICROMASTER and SIMOREG manuals. Which ids a
 drive knows, its error texts and its handshake are data: a :class:`PkwDialect`.
@@ -12,17 +15,21 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
-from dpstack.profile.channel.base import CycleTimes
+from dpstack.profile.channel.base import CycleTimes, ParamKey, check_write, find_parameter, outcome
 from dpstack.profile.model.jobs import CommandError, Steps
-from dpstack.profile.model.param_errors import BAD_TYPE, ILLEGAL_NUMBER, OPERATING_STATE, PARAMETER_ERRORS, READ_ONLY
-from dpstack.profile.model.param_store import ParamStore
-from dpstack.profile.model.params import ParamSpec
+from dpstack.profile.model.param_errors import OPERATING_STATE, PARAMETER_ERRORS
+from dpstack.profile.model.params import ParamSpec, ParamTable
+from dpstack.units import NS_PER_MS
 
 PKW_LEN: Final = 8
 ZEROS: Final = bytes(PKW_LEN)
 _LAYOUT: Final = struct.Struct(">HBBI")
+#: pause before the order to a busy drive is repeated
+RETRY_NS: Final = 25 * NS_PER_MS
+#: the highest PNU that PKE holds
+_MOST: Final = 0x7FF
 
 
 class TaskId(IntEnum):
@@ -224,6 +231,118 @@ class PkwChannel:
         self.octets = ZEROS
 
 
+class ParamRef(NamedTuple):
+    """A parameter in PKW: PNU, IND's high octet, array orders or plain ones, its specification where it is known.
+
+    ``data_set`` for messages, None where the drive has none or the parameter exists once.
+    """
+
+    pnu: int
+    ind: int
+    array: bool
+    spec: ParamSpec | None
+    label: str
+    data_set: int | None = None
+
+
+class PkwCore(CycleTimes, Protocol):
+    """A drive plugin with parameters by PKW."""
+
+    def resolve(self, key: ParamKey) -> ParamRef:
+        """Find the parameter that a user has named. Raises CommandError."""
+
+    def written(self, ref: ParamRef) -> None:
+        """The drive has taken a write."""
+
+
+def plain_ref(key: ParamKey, table: ParamTable, drive: str) -> ParamRef:
+    """A parameter of ``table`` by name or number; a number that is not in it goes as it is, without a scale."""
+    spec, number, label = find_parameter(key, table, _MOST)
+    if key.data_set is not None or key.index is not None:
+        raise CommandError("usage", f"{label}: {drive} has neither data sets nor indexes")
+    if key.ram:
+        raise CommandError("usage", f"{label}: {drive} has no writes to RAM only")
+    return ParamRef(number, 0, False, spec, label)
+
+
+class PkwAccess(PkwChannel):
+    """A :class:`~dpstack.profile.channel.base.ParameterChannel` by PKW, of the plugin ``core``."""
+
+    def __init__(self, dialect: PkwDialect, core: PkwCore) -> None:
+        super().__init__(dialect, core)
+        self._core = core
+
+    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
+        ref = self._core.resolve(key)
+        return _outcome(ref, (yield from self._read(ref, deadline)))
+
+    def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
+        """Write one parameter; of an unknown one the type is read first and ``value`` is the integer on the wire."""
+        ref = self._core.resolve(key)
+        raw = check_write(ref.spec, ref.label, value)
+        if ref.spec is not None and raw is not None:
+            pwe, long = ref.spec.pwe(raw), ref.spec.long
+        else:
+            reply = yield from self._read(ref, deadline)
+            long = reply.id in (ReplyId.LONG, ReplyId.ARRAY_LONG)
+            pwe = _raw(ref, value, long)
+        if ref.array:
+            kind = TaskId.WRITE_ARRAY_LONG if long else TaskId.WRITE_ARRAY_WORD
+        else:
+            kind = TaskId.WRITE_LONG if long else TaskId.WRITE_WORD
+        reply = yield from self._exchange(Pkw(kind, ref.pnu, ref.ind, pwe), ref, deadline)
+        self._core.written(ref)
+        return _outcome(ref, reply)
+
+    def _read(self, ref: ParamRef, deadline: int) -> Steps[Pkw]:
+        return self._exchange(Pkw(TaskId.READ_ARRAY if ref.array else TaskId.READ, ref.pnu, ref.ind), ref, deadline)
+
+    def _exchange(self, order: Pkw, ref: ParamRef, deadline: int) -> Steps[Pkw]:
+        if order.id not in self._dialect.answers:
+            raise CommandError("usage", f"{ref.label}: the drive has no order {order.id} in its parameter channel")
+        busy: CommandError | None = None
+        while True:
+            try:
+                reply = yield from self.replied(order, ref.label, deadline)
+            except CommandError as late:
+                raise busy or late from None
+            if reply.id != ReplyId.ERROR:
+                break
+            number = reply.pwe & 0xFFFF
+            text = self._dialect.error_text(number)
+            refusal = CommandError("parameter", f"{ref.label}: error {number}, {text}", number)
+            again = self._times.now + RETRY_NS
+            if number not in self._dialect.busy or again >= deadline:
+                raise refusal
+            busy = refusal
+            while self._times.now < again:
+                yield
+        if reply.id == ReplyId.NO_CONTROL:
+            raise CommandError("parameter", f"{ref.label}: the bus has no control over the parameters (reply 8)")
+        if reply.id not in self._dialect.answers[order.id]:
+            raise CommandError("parameter", f"{ref.label}: reply {reply.id} does not answer order {order.id}")
+        return reply
+
+
+def _outcome(ref: ParamRef, reply: Pkw) -> dict[str, object]:
+    """The id of the reply decides its size, a word or a double word, also where the table has the other type."""
+    spec = ref.spec
+    bits = 32 if reply.id in (ReplyId.LONG, ReplyId.ARRAY_LONG) else 16
+    raw = reply.pwe & (1 << bits) - 1
+    value: int | float = raw
+    if spec is not None:
+        raw = spec.from_wire(reply.pwe, bits)
+        value = spec.to_value(raw)
+    return outcome(spec, ref.pnu, value, raw, ref.data_set)
+
+
+def _raw(ref: ParamRef, value: float, long: bool) -> int:
+    bits = 32 if long else 16
+    if value != int(value) or not -(1 << bits - 1) <= value < 1 << bits:
+        raise CommandError("usage", f"{ref.label}: its scale is unknown here, give the {bits}-bit integer on the wire")
+    return int(value) & (1 << bits) - 1
+
+
 class PkwServer:
     """The drive's end. ``handler`` carries an order out and returns the reply id and PWE.
 
@@ -268,37 +387,3 @@ class PkwServer:
         reply, pwe = self._handler(order) if refusal is None else refusal
         self._reply = order._replace(id=reply, pwe=pwe).build()
         return self._reply
-
-
-def plain_server(
-    store: ParamStore,
-    *,
-    live: Callable[[ParamSpec], int | None] = lambda spec: None,
-    locked: Callable[[ParamSpec], bool] = lambda spec: False,
-    dialect: PkwDialect = PLAIN_PKW,
-) -> PkwServer:
-    """The drive's end of :data:`PLAIN_PKW` over ``store``: every parameter by its PNU.
-
-    ``live``: the actual value on the wire where it is not stored; ``locked``: error 17 now.
-    """
-
-    def carry_out(order: Pkw) -> tuple[int, int]:
-        spec = store.table.get(order.pnu)
-        if spec is None or spec.text:
-            return ReplyId.ERROR, ILLEGAL_NUMBER
-        reply = ReplyId.LONG if spec.long else ReplyId.WORD
-        if order.id == TaskId.READ:
-            actual = live(spec)
-            return reply, spec.pwe(store.raw(spec) if actual is None else actual)
-        raw = spec.from_pwe(order.pwe)
-        error = spec.write_error(raw)
-        if error != READ_ONLY and order.id != (TaskId.WRITE_LONG if spec.long else TaskId.WRITE_WORD):
-            error = BAD_TYPE
-        elif error is None and locked(spec):
-            error = OPERATING_STATE
-        if error is not None:
-            return ReplyId.ERROR, error
-        store.write(spec, raw)
-        return reply, spec.pwe(raw)
-
-    return PkwServer(dialect, carry_out)

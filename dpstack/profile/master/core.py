@@ -13,8 +13,7 @@ from typing import Any, Final, Generic, TypeVar
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.profile.channel.base import ParameterChannel, ParamKey, read_many
-from dpstack.profile.channel.pkw import PLAIN_PKW, PkwDialect
-from dpstack.profile.channel.pkw_access import ParamRef, PkwAccess, plain_ref
+from dpstack.profile.channel.pkw import PLAIN_PKW, ParamRef, PkwAccess, PkwDialect, plain_ref
 from dpstack.profile.master.settings import Setting, SettingsCheck
 from dpstack.profile.model.drive_type import CHANNEL_LEN, CHECK_SETTINGS, DriveType, Options, TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, DriveJob, DriveJobs, Steps

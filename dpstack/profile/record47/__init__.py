@@ -7,11 +7,10 @@
 - ``formats``: The data formats of values in record 47: number, octets of one value, conversion
 - ``param_lists``: Limits (PNU 974), parameter list (980 to 989), descriptions and texts of a drive, read over record
   47
-- ``pdu``: PDUs of record 47 (parameter access of PROFIdrive's base mode): requests and responses, both ends
+- ``pdu``: PDUs of record 47 (parameter access of PROFIdrive's base mode): requests and responses, both ends; their
+  services
 - ``server``: The drive's end of record 47: takes a request by Write, carries it out, returns the response by Read
 - ``split``: Splits any number of parameters into requests within the drive's limits and joins the results
-- ``transport``: The DP-V1 services of record 47 as generators: the client yields services, the bus side
-  executes them
 """
 
 from dpstack.dpv1.master.plugin_queue import ReadReq, RecordQueue, WriteReq
@@ -32,12 +31,18 @@ from dpstack.profile.record47.param_lists import (
 from dpstack.profile.record47.pdu import (
     INDEX,
     Address,
+    Answer,
     Attribute,
     ErrorValue,
+    Pause,
+    Refused,
     Request,
     RequestId,
     Response,
     Result,
+    Service,
+    Silent,
+    Transport,
     Values,
 )
 from dpstack.profile.record47.server import (
@@ -48,7 +53,6 @@ from dpstack.profile.record47.server import (
     TimedRecords,
 )
 from dpstack.profile.record47.split import Item, Limits
-from dpstack.profile.record47.transport import Answer, Pause, Refused, Service, Silent, Transport
 
 __all__ = [
     "FORMATS",

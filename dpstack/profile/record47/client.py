@@ -17,18 +17,22 @@ from dpstack.profile.model.jobs import CommandError
 from dpstack.profile.model.param_errors import NO_SERVICE, ONE_ONLY, TOO_LONG, TOO_MANY
 from dpstack.profile.record47.formats import ZERO
 from dpstack.profile.record47.pdu import (
+    ABSENT,
     INDEX,
     UNSUPPORTED,
     Address,
     ErrorValue,
+    Pause,
+    Refused,
     Request,
     RequestId,
     Response,
     Result,
+    Silent,
+    Transport,
     Values,
 )
 from dpstack.profile.record47.split import Item, Limits, Piece, batch, halves, joined, pieces
-from dpstack.profile.record47.transport import ABSENT, Pause, Refused, Silent, Transport
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S
 
 #: between two Reads for the response: short first, then twice as long each time

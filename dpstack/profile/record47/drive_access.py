@@ -27,8 +27,7 @@ from dpstack.profile.model.param_errors import error_text
 from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.profile.record47.client import NoRecordError, ParameterClient
 from dpstack.profile.record47.formats import BIT_STRING, FORMATS, OCTET_STRING, Raw, Value
-from dpstack.profile.record47.pdu import Address, ErrorValue, Result, Values
-from dpstack.profile.record47.transport import Answer, Pause, Refused, Silent, Transport
+from dpstack.profile.record47.pdu import Address, Answer, ErrorValue, Pause, Refused, Result, Silent, Transport, Values
 
 T = TypeVar("T")
 #: octet strings that hold a number: PNU 965 is an OctetString of 2, an Unsigned16 (TR LMP-30 manual p141)

@@ -17,9 +17,8 @@ from dpstack.profile.model.param_errors import BAD_ADDRESS, BAD_SUBINDEX, ILLEGA
 from dpstack.profile.record47 import formats
 from dpstack.profile.record47.client import ParameterClient, Progress
 from dpstack.profile.record47.formats import FORMATS, UNSIGNED16, Format, Value, format_of
-from dpstack.profile.record47.pdu import Address, Attribute, ErrorValue, Result, Values
+from dpstack.profile.record47.pdu import Address, Attribute, ErrorValue, Result, Transport, Values
 from dpstack.profile.record47.split import Item, Limits
-from dpstack.profile.record47.transport import Transport
 from dpstack.units import NEVER, NS_PER_S
 
 PNU_LIMITS: Final = 974

@@ -1,4 +1,8 @@
-"""PDUs of record 47 (parameter access of PROFIdrive's base mode): requests and responses, both ends.
+"""PDUs of record 47 (parameter access of PROFIdrive's base mode): requests and responses, both ends; their services.
+
+A :data:`Transport` yields DP-V1 services and is sent an :class:`Answer` for each; it owns no clock and no bus.
+``AcyclicAccess`` runs one in the cycle of a drive plugin, :mod:`dpstack.api.slave.record_parameters` in an asyncio
+program.
 
 Source: Siemens SINAMICS manual p96 and p97, ABB RETA-02 manual p84 to p88, LS CPDP-S100 manual 6.2.2. By hand, not with
 construct: the master's end works between two Data_Exchange, 39 parameters a response; construct judges it in the tests.
@@ -8,15 +12,17 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
-from dpstack.dpv1.pdu.read_write import PARAMETER_INDEX
+from dpstack.dpv1.pdu.error_codes import Code, code_text
+from dpstack.dpv1.pdu.read_write import PARAMETER_INDEX, ReadReq, WriteReq
 from dpstack.errors import PduError
 from dpstack.profile.record47.formats import ERROR, ZERO, Raw, format_of
 
+T = TypeVar("T")
 #: the record's index, and its longest content
 INDEX: Final = PARAMETER_INDEX
 MAX_OCTETS: Final = 240
@@ -231,3 +237,44 @@ def _result(number: int, raws: tuple[Raw, ...]) -> Result:
 def _even(octets: int) -> int:
     """With the padding octet that keeps the words aligned."""
     return octets + (octets & 1)
+
+
+#: error codes of a missing record; 0: the slave does not support the service at all
+ABSENT: Final = frozenset({0, Code.INVALID_INDEX, Code.INVALID_SLOT})
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """Send nothing for so many ns."""
+
+    ns: int
+
+
+Service = WriteReq | ReadReq | Pause
+
+
+class Refused(NamedTuple):
+    """A negative answer: Error_Code_1 of DP-V1, or 0 and why the slave does not support the service at all."""
+
+    code: int
+    why: str = ""
+
+    def __str__(self) -> str:
+        return self.why or f"error {self.code >> 4:X}/{self.code & 15:X}, {code_text(self.code)}"
+
+
+class Silent(NamedTuple):
+    """No answer: the slave may have carried out the service or not."""
+
+    why: str
+
+
+class Answer(NamedTuple):
+    """The answer to a service and its time (ns): the octets read, b"" after a write or a pause, or the failure."""
+
+    now: int
+    data: bytes | Refused | Silent = b""
+
+
+#: Yields services until it returns its result or raises CommandError.
+Transport = Generator[Service, Answer, T]

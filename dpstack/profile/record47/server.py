@@ -32,6 +32,7 @@ from dpstack.profile.record47.pdu import (
     Address,
     Attribute,
     ErrorValue,
+    Refused,
     Request,
     RequestId,
     Response,
@@ -39,7 +40,6 @@ from dpstack.profile.record47.pdu import (
     Values,
 )
 from dpstack.profile.record47.split import Limits
-from dpstack.profile.record47.transport import Refused
 from dpstack.units import NS_PER_MS
 
 _BUSY: Final = Refused(Code.STATE_CONFLICT)

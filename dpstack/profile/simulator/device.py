@@ -20,10 +20,11 @@ from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport
 from dpstack.dpv1.slave.device import Device
 from dpstack.errors import AlarmError
 from dpstack.profile.channel.base import ChannelServer
-from dpstack.profile.channel.pkw import READS, Pkw, ReplyId
+from dpstack.profile.channel.pkw import PLAIN_PKW, READS, Pkw, PkwDialect, PkwServer, ReplyId, TaskId
 from dpstack.profile.model.drive_type import CHANNEL_LEN, DriveType, Options, TelegramSpec
+from dpstack.profile.model.param_errors import BAD_TYPE, ILLEGAL_NUMBER, OPERATING_STATE, READ_ONLY
 from dpstack.profile.model.param_store import ParamStore
-from dpstack.profile.model.params import ParamTable
+from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.profile.record47.server import ParameterServer
 from dpstack.profile.simulator.motor import Motor
 from dpstack.units import NEVER, NS_PER_MS
@@ -53,6 +54,8 @@ class DriveDevice(Device):
     unknown_trip: str = "no fault of this drive"
     #: the internal scan time
     scan_ns: int = 4 * NS_PER_MS
+    #: of the parameter channel
+    dialect: PkwDialect = PLAIN_PKW
     address_parameter: str = ""
     parameter_errors: Mapping[int, str] = {}
     read_errors: frozenset[int] = frozenset()
@@ -72,7 +75,7 @@ class DriveDevice(Device):
         self.configs = tuple(dict.fromkeys(configs))
         self.telegram = telegram
         self.motor = Motor(load=float(options["load"]))
-        self.channel: ChannelServer | None = None
+        self.channel: ChannelServer = PkwServer(self.dialect, self.carry_out, refuse=self.refuse_order)
         #: record 47, for a subclass that has it among its ``records``
         self.record47: ParameterServer | None = None
         self.warning_mask = 0
@@ -245,8 +248,7 @@ class DriveDevice(Device):
         self.advance(now)
         self.telegram = self.profile.telegrams_of(config)[0]
         self._outputs = None
-        if self.channel is not None:
-            self.channel.reset()
+        self.channel.reset()
         if self.record47 is not None:
             self.record47.reset()
         self._next = now + self.scan_ns
@@ -303,6 +305,34 @@ class DriveDevice(Device):
                 return number
         raise ValueError(f"{code!r} is {self.unknown_trip}")
 
+    def live(self, spec: ParamSpec) -> int | None:
+        """The actual value on the wire of a parameter that is not stored."""
+        return None
+
+    def locked(self, spec: ParamSpec) -> bool:
+        """Whether the parameter cannot be written now: error 17."""
+        return False
+
+    def carry_out(self, order: Pkw) -> tuple[int, int]:
+        """Reply id and PWE to an order of the parameter channel: every parameter by its PNU."""
+        spec = self.store.table.get(order.pnu)
+        if spec is None or spec.text:
+            return ReplyId.ERROR, ILLEGAL_NUMBER
+        reply = ReplyId.LONG if spec.long else ReplyId.WORD
+        if order.id == TaskId.READ:
+            actual = self.live(spec)
+            return reply, spec.pwe(self.store.raw(spec) if actual is None else actual)
+        raw = spec.from_pwe(order.pwe)
+        error = spec.write_error(raw)
+        if error != READ_ONLY and order.id != (TaskId.WRITE_LONG if spec.long else TaskId.WRITE_WORD):
+            error = BAD_TYPE
+        elif error is None and self.locked(spec):
+            error = OPERATING_STATE
+        if error is not None:
+            return ReplyId.ERROR, error
+        self.store.write(spec, raw)
+        return reply, spec.pwe(raw)
+
     def refresh(self, process: bytes | None, now: int) -> bytes:
         """One internal scan over octets, with words to and from :meth:`scan`; ``process`` None: invalid."""
         telegram = self.telegram
@@ -329,7 +359,7 @@ class DriveDevice(Device):
         reply = b""
         if lead:
             order = bytes(lead) if outputs is None else outputs[:lead]
-            reply = bytes(lead) if self.channel is None or self.unpowered else self.channel.step(order)
+            reply = bytes(lead) if self.unpowered else self.channel.step(order)
         self._inputs = reply + self.refresh(None if outputs is None else outputs[lead:], now)
         if self._tripped is not None and self._trip is None and not self.faulted:
             self._tripped = None

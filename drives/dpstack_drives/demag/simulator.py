@@ -15,7 +15,6 @@ from dpstack.profile import (
     Leave,
     Options,
     Pkw,
-    PkwServer,
     ReplyId,
     State,
     TaskId,
@@ -66,6 +65,7 @@ class DemagDevice(DriveDevice):
 
     parameter_table = t.PARAMETERS
     data_sets = t.SETS
+    dialect = t.PKW
     parameter_errors: Mapping[int, str] = {number: t.PKW.errors[number] for number in t.STATE_ERRORS}
     read_errors = t.READ_ERRORS
     write_errors = t.WRITE_ERRORS
@@ -81,7 +81,6 @@ class DemagDevice(DriveDevice):
         super().__init__(profile, telegram, options, {**factory, **presets})
         if not self._vf and self.store.value("state_transition_5") == _DC_BRAKE:
             raise ConfigError(f"{self.title}: 392 = 1 (DC brake) needs application = 'vf'")
-        self.channel = PkwServer(t.PKW, self._order, refuse=self.refuse_order)
         self.machine = drivecom_states.DrivecomMachine()
         self.f_max = float(options["f_max"])
         self.f_min = float(options["f_min"])
@@ -356,13 +355,13 @@ class DemagDevice(DriveDevice):
 
     # -- parameter channel ----------------------------------------------------------------------------------------
 
-    def _order(self, order: Pkw) -> tuple[int, int]:
+    def carry_out(self, order: Pkw) -> tuple[int, int]:
         try:
-            return self._carry_out(order)
+            return self._answer(order)
         except _RefusedError as refused:
             return ReplyId.ERROR, refused.number
 
-    def _carry_out(self, order: Pkw) -> tuple[int, int]:
+    def _answer(self, order: Pkw) -> tuple[int, int]:
         """Readings: docs/drives/demag.md#parameter-channel; a plain order on a parameter with data sets takes the data
         set in IND."""
         if order.id not in t.PKW.answers:

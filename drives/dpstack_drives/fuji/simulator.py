@@ -16,7 +16,7 @@ from dpstack.profile import (
     DriveProfile,
     Leave,
     Options,
-    PkwServer,
+    Pkw,
     State,
     TelegramSpec,
     profidrive_states,
@@ -42,6 +42,7 @@ class FujiDevice(DriveDevice):
     """
 
     parameter_table = t.PARAMETERS
+    dialect = t.PKW
     trips: Mapping[int, str] = {alarm.code: alarm.keypad for alarm in t.ALARMS}
     unknown_trip = f"no alarm; known: {', '.join(trips.values())}"
     scan_ns = t.SCAN_MS * NS_PER_MS  # a reading: the manual gives none
@@ -58,7 +59,6 @@ class FujiDevice(DriveDevice):
         if float(options["switches"]) != int(float(options["switches"])):
             raise ConfigError(f"{self.title}: switches must be a whole number, -1 or 00..99")
         self.option = OptionCard(self, int(float(options["switches"])), self._live)
-        self.channel = PkwServer(t.PKW, self.option.order, refuse=self.refuse_order)
         self.machine = profidrive_states.ProfidriveMachine()
         #: alarm codes (M16 to M19), latest first
         self.alarms: list[int] = []
@@ -234,6 +234,9 @@ class FujiDevice(DriveDevice):
             self.alarms = [code, *self.alarms][: len(t.ALARM_INDEXES)]
             self.machine.state = State.FAULT
             self._forced = False
+
+    def carry_out(self, order: Pkw) -> tuple[int, int]:
+        return self.option.order(order)
 
     def _live(self, where: int) -> int | None:
         """By PNU << 8 | index; function codes by their PNU and number."""

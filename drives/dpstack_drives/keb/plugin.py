@@ -47,11 +47,11 @@ class KebCore(MappedCore[PdMap]):
     """Bits of sy.50 and sy.51 and the unit of sy.52 are in no manual of ours: what an order needs is given by options.
 
     Options: ``control_bits`` (``enable``, ``run``, ``reset``, ``reverse``, ``quick_stop`` mean something here, other
-    names do not) and ``status_bits`` (``run``, ``fault``, ``ready``, ``reached``; others are only shown) as ``name=bit ...`` or
-    ``simulated``; ``direction``: reverse by its bit with an absolute set speed (oP.01 = 9) or by the ``sign`` of sy.52;
-    ``rpm_per_count``; ``reference_rpm`` and ``reference_hz``: what 100 % is; ``map_inputs``, ``map_outputs``: the map
-    that the drive has, as in :class:`~dpstack_drives.keb.pdmap.PdMap`; ``block2_inputs``, ``block2_outputs``: indexes
-    of record and enable of block 2; ``pd_in_cycle_ms``.
+    names do not) and ``status_bits`` (``run``, ``fault``, ``ready``, ``reached``; others are only shown) as
+    ``name=bit ...`` or ``simulated``; ``direction``: reverse by its bit with an absolute set speed (oP.01 = 9) or by
+    the ``sign`` of sy.52; ``rpm_per_count``; ``reference_rpm`` and ``reference_hz``: what 100 % is; ``map_inputs``,
+    ``map_outputs``: the map that the drive has, as in :class:`~dpstack_drives.keb.pdmap.PdMap`; ``block2_inputs``,
+    ``block2_outputs``: indexes of record and enable of block 2; ``pd_in_cycle_ms``.
 
     Jobs of its own: those of a :class:`MappedCore`; values are integers as they stand on the wire. Without
     ``control_bits`` an ``output`` is also the control word, without ``rpm_per_count`` the set speed.

@@ -13,7 +13,7 @@ from dpstack.profile import (
     DriveProfile,
     Leave,
     Options,
-    PkwServer,
+    Pkw,
     State,
     TelegramSpec,
     profidrive_states,
@@ -47,6 +47,7 @@ class LsDevice(DriveDevice):
     """
 
     parameter_table = t.PARAMETERS
+    dialect = t.PKW
     trips = t.TRIPS
     unknown_trip = f"no trip; known: {', '.join(map(t.trip_text, trips))}"
     scan_ns = t.SCAN_MS * NS_PER_MS  # a reading: the manual gives none
@@ -77,7 +78,6 @@ class LsDevice(DriveDevice):
         self._loss = LostCommand(self.store)
         self._rest = Rest(self.store)
         self.module = Module(self, self._live, self._changed)
-        self.channel = PkwServer(t.PKW, self.module.order, refuse=self.refuse_order)
         self._online = self._config_refused = self._command_lost = False  # for the LEDs
         if not self.legacy:
             self.has_alarms("diagnostic")
@@ -338,6 +338,9 @@ class LsDevice(DriveDevice):
     def _shown(self, where: int) -> int:
         spec = t.spec_at(where) if where else None
         return 0 if spec is None else self.module.value(spec) & 0xFFFF
+
+    def carry_out(self, order: Pkw) -> tuple[int, int]:
+        return self.module.order(order)
 
     def _live(self, number: int, index: int) -> int | None:
         match number if number > 0xFF else number << 8 | index:

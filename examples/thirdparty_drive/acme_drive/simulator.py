@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from acme_drive import table as t
-from dpstack.profile import DriveDevice, DriveProfile, Options, ParamSpec, State, TelegramSpec, plain_server, ramp
+from dpstack.profile import DriveDevice, DriveProfile, Options, ParamSpec, State, TelegramSpec, ramp
 
 
 class AcmeDevice(DriveDevice):
@@ -20,7 +20,6 @@ class AcmeDevice(DriveDevice):
         self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
     ) -> None:
         super().__init__(profile, telegram, options, presets)
-        self.channel = plain_server(self.store, live=self._live, locked=self._locked)
         self.state = State.NOT_READY
         self.fault = 0
         self.starts = 0
@@ -66,8 +65,8 @@ class AcmeDevice(DriveDevice):
             case State.RUNNING if not run and not self.motor.frequency:
                 self.state = State.READY
 
-    def _live(self, spec: ParamSpec) -> int | None:
+    def live(self, spec: ParamSpec) -> int | None:
         return self.starts if spec.name == "starts" else None
 
-    def _locked(self, spec: ParamSpec) -> bool:
+    def locked(self, spec: ParamSpec) -> bool:
         return spec.number == t.SOURCE and self.state is State.RUNNING
