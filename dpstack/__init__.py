@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from dpstack import profile
     from dpstack.api.bus.bus import Bus
     from dpstack.api.bus.cycles import Cycle
-    from dpstack.api.bus.events_json import Event, Mode, SlaveState
     from dpstack.api.bus.find_baud import BaudReport, find_baud
     from dpstack.api.bus.open_bus import open_bus
     from dpstack.api.bus.virtual import IoStation, World, run_virtual, simulate
@@ -34,6 +33,8 @@ if TYPE_CHECKING:
     from dpstack.api.slave.drive import Drive
     from dpstack.api.slave.ms2_connection import Connection
     from dpstack.api.slave.slave import Slave
+    from dpstack.dp.master.commands import Mode
+    from dpstack.dp.master.events import SlaveState
     from dpstack.dp.pdu.alarm_blocks import AlarmType, ModuleState, Specifier, StatusType
     from dpstack.dp.pdu.diag_blocks import UserDiag, channel_block, device_block, identifier_block, revision_block
     from dpstack.dp.pdu.prm_blocks import PrmBlock
@@ -69,6 +70,7 @@ if TYPE_CHECKING:
         UsageError,
     )
     from dpstack.profile import DriveStatus
+    from dpstack.trace import Event
 
 __version__ = "0.1.0"
 
@@ -151,7 +153,6 @@ __all__ = [
 _PLACES: Final = {
     "api.bus.bus": "Bus",
     "api.bus.cycles": "Cycle",
-    "api.bus.events_json": "Event Mode SlaveState",
     "api.bus.find_baud": "BaudReport find_baud",
     "api.bus.open_bus": "open_bus",
     "api.bus.virtual": "run_virtual simulate World IoStation",
@@ -163,6 +164,8 @@ _PLACES: Final = {
     "api.slave.drive": "Drive",
     "api.slave.ms2_connection": "Connection",
     "api.slave.slave": "Slave",
+    "dp.master.commands": "Mode",
+    "dp.master.events": "SlaveState",
     "dp.pdu.alarm_blocks": "AlarmType ModuleState Specifier StatusType",
     "dp.pdu.diag_blocks": "UserDiag channel_block device_block identifier_block revision_block",
     "dp.pdu.prm_blocks": "PrmBlock",
@@ -173,6 +176,7 @@ _PLACES: Final = {
     "dpv1.slave.description": "SlaveDescription SlaveModule",
     "dpv1.slave.user_slave": "DpSlave",
     "profile": "DriveStatus",
+    "trace": "Event",
 }
 _WHERE: Final = {name: module for module, names in _PLACES.items() for name in names.split()}
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dpstack.api.streams import SlaveFlapping
-from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import (
     ApplicationSilent,
     AutoCleared,
-    Blocked,
     ControlFailed,
     ControlSent,
     CyclesMissed,
     DriveEvent,
-    Fault,
     FaultKind,
     ForcedClear,
     MasterStopped,
@@ -29,7 +26,7 @@ from dpstack.dp.master.events import (
     SlaveStateChanged,
     Stalled,
 )
-from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, StationSeen
+from dpstack.dp.master.scanner import Found, StationSeen
 from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier, Status
 from dpstack.dpv1.master.orders import AlarmRaised, ConnectionOver, StatusTold
 from dpstack.drivers.runtime import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped, PortBack, PortLost
@@ -37,54 +34,25 @@ from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoi
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_MS, NS_PER_US
 
+#: events that the command line uses, beside the functions and classes of this module
 __all__ = [
     "AddressCollision",
     "AlarmRaised",
-    "ApplicationSilent",
-    "AutoCleared",
-    "BehindRealTime",
-    "Blocked",
-    "BusProcessBack",
-    "BusProcessSilent",
-    "ConnectionOver",
-    "ControlFailed",
-    "ControlSent",
-    "CyclesMissed",
-    "DoesNotFit",
     "DriveEvent",
     "Event",
-    "Fault",
     "FaultKind",
-    "ForcedClear",
     "Found",
     "Injected",
     "MasterSeen",
     "MasterStopped",
-    "Mode",
-    "ModeChanged",
     "Notice",
-    "OperateWaits",
-    "OutputsDropped",
-    "PictureTaken",
-    "PortBack",
-    "PortLost",
     "RingJoined",
-    "RingLeft",
-    "ScanDone",
     "Severity",
     "SlaveDiagnosis",
-    "SlaveEvent",
     "SlaveFaulted",
-    "SlaveFlapping",
-    "SlaveRemark",
     "SlaveState",
     "SlaveStateChanged",
-    "SlaveView",
     "Stalled",
-    "StationFound",
-    "StationSeen",
-    "StatusTold",
-    "TokenLost",
     "event_json",
     "severity_of",
 ]

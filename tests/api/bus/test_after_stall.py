@@ -9,20 +9,13 @@ import pytest
 from api_kit import HOIST, RAW, bus_of, stack_of, virtual
 
 import dpstack
-from dpstack.api.bus.events_json import (
-    ApplicationSilent,
-    Event,
-    ModeChanged,
-    Severity,
-    Stalled,
-    event_json,
-    severity_of,
-)
+from dpstack.api.bus.events_json import event_json, severity_of
 from dpstack.api.config.config import parse_config
 from dpstack.api.control.handlers import run_status
-from dpstack.dp.master.events import AutoCleared
+from dpstack.dp.master.events import ApplicationSilent, AutoCleared, ModeChanged, Stalled
 from dpstack.errors import ConfigError, DriveError, UsageError
 from dpstack.machine import HeldUp
+from dpstack.trace import Event, Severity
 from dpstack.units import NS_PER_MS
 
 CONFIG = """

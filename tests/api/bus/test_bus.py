@@ -9,16 +9,18 @@ from api_kit import FAN, HOIST, RAW, bus_of, slave_in, stack_of, virtual
 from support import WorldFactory
 
 import dpstack
-from dpstack.api.bus.events_json import DriveEvent, ModeChanged, Notice, RingJoined, SlaveFaulted, SlaveStateChanged
+from dpstack.dp.master.events import DriveEvent, ModeChanged, SlaveFaulted, SlaveStateChanged
 from dpstack.dp.plan.plan import Case
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
+from dpstack.fdl.events import RingJoined
 from dpstack.fdl.interface import Reply
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.stats import Histogram
+from dpstack.trace import Notice
 
 # --- bring-up and process data --------------------------------------------------------------------------------------
 

@@ -10,9 +10,9 @@ from foreign_master import ForeignMaster
 from support import WorldFactory
 
 import dpstack
-from dpstack.api.bus.events_json import Notice, Severity
 from dpstack.dpv1.slave.device import FunctionDevice
 from dpstack.sim.world import World
+from dpstack.trace import Notice, Severity
 
 # --- every kind of end ----------------------------------------------------------------------------------------------
 

@@ -8,7 +8,10 @@ from collections import Counter
 from api_kit import FAN, RAW, bus_of, off_and_on, virtual
 
 import dpstack
-from dpstack.api.bus.events_json import DriveEvent, Event, SlaveEvent, SlaveFlapping, SlaveStateChanged, event_json
+from dpstack.api.bus.events_json import event_json
+from dpstack.api.streams import SlaveFlapping
+from dpstack.dp.master.events import DriveEvent, SlaveEvent, SlaveStateChanged
+from dpstack.trace import Event
 from dpstack.units import NS_PER_S
 
 FLAPS = 60

@@ -10,9 +10,9 @@ from api_kit import FAN, RAW, bus_of, virtual
 from gsd_kit import FILES
 
 import dpstack
-from dpstack.api.bus.events_json import AutoCleared, OperateWaits
 from dpstack.api.config.config import parse_config
 from dpstack.dp.master.commands import DeactivateSlave, SetMode
+from dpstack.dp.master.events import AutoCleared, OperateWaits
 
 NORTH = RAW | {"name": "north", "address": 5, "groups": [1], "sync": True, "freeze": True}
 SOUTH = RAW | {"name": "south", "address": 6, "groups": [1, 2], "sync": True, "freeze": True}

@@ -11,13 +11,15 @@ from api_kit import FAN, HOIST, RAW, bus_of, slave_in, virtual
 import dpstack
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.config_from_scan import config_skeleton
-from dpstack.api.bus.events_json import Found, Notice, SlaveView, StationSeen, event_json
+from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.temporary_master import LiveListResult, scan_port
 from dpstack.api.config.config import make_config, parse_config
+from dpstack.dp.master.scanner import Found, SlaveView, StationSeen
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.telegram import StationType
 from dpstack.sim.world import World
+from dpstack.trace import Notice
 
 
 def brief(stations: tuple[Found, ...]) -> list[tuple[object, ...]]:

@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 
 import dpstack
-from dpstack.api.bus.events_json import Injected, Mode, event_json
+from dpstack.api.bus.events_json import Injected, event_json
 from dpstack.api.control.handlers import control_run, control_segment, run_status
 from dpstack.api.control.server import ControlServer
 from dpstack.api.server.simulation import Segment, sim_event_json
 from dpstack.cli.commands import ctl
+from dpstack.dp.master.commands import Mode
 from dpstack.errors import UsageError
 from dpstack.profile import DriveDevice
 from dpstack.units import ns_to_s

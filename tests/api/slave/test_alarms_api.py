@@ -14,10 +14,12 @@ from support import WorldFactory
 
 import dpstack
 from dpstack import AlarmType, DpSlave, ModuleState, SlaveAlarm, SlaveDescription, Specifier, StatusType
-from dpstack.api.bus.events_json import AlarmRaised, Severity, StatusTold, event_json, severity_of
+from dpstack.api.bus.events_json import event_json, severity_of
 from dpstack.api.server.server import ServedSlave
+from dpstack.dpv1.master.alarm_events import AlarmRaised, StatusTold
 from dpstack.errors import AlarmError, SlaveFault, UsageError
 from dpstack.sim.world import World
+from dpstack.trace import Severity
 
 ALL = ("pull_plug", "process", "diagnostic", "manufacturer", "status", "update")
 TYPE_MODE = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, alarms=ALL)

@@ -10,12 +10,12 @@ import pytest
 from gsd_kit import device
 
 import dpstack
-from dpstack.api.bus.events_json import AlarmRaised
 from dpstack.api.config.config import parse_config
 from dpstack.dp.master.fault_report import SlaveReports
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.master.alarm_events import AlarmRaised
 from dpstack.dpv1.master.alarm_handler import AlarmBook, AlarmHandler
 from dpstack.drivers.process.client import worded
 from dpstack.errors import ConfigError

@@ -15,7 +15,7 @@ from ms2_kit import Ms2Server, ms2_in, served
 
 import dpstack
 from dpstack import AcyclicError, Connection, ConnectionEnded, Im0, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
-from dpstack.api.bus.events_json import Severity, event_json, severity_of
+from dpstack.api.bus.events_json import event_json, severity_of
 from dpstack.api.config.config import make_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.acyclic.queue import Acyclic
@@ -25,6 +25,7 @@ from dpstack.errors import BusError
 from dpstack.gsd.model import Device, DpV1
 from dpstack.profile.record47 import Address, Values
 from dpstack.sim.world import World
+from dpstack.trace import Severity
 
 Program = Callable[[dpstack.Bus, Ms2Server], Coroutine[Any, Any, None]]
 

@@ -12,11 +12,11 @@ import pytest
 from api_kit import bus_of, virtual
 
 import dpstack
-from dpstack.api.bus.events_json import DriveEvent, SlaveDiagnosis, SlaveStateChanged
 from dpstack.api.config.config import slave_config
 from dpstack.api.control.handlers import run_status, slave_handlers
 from dpstack.cli.commands import ctl
 from dpstack.cli.terminal.report import Reporter
+from dpstack.dp.master.events import DriveEvent, SlaveDiagnosis, SlaveStateChanged
 from dpstack.dp.pdu.diag_texts import conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
 

@@ -9,10 +9,12 @@ import pytest
 from api_kit import RAW, bus_of, virtual
 
 import dpstack
-from dpstack.api.bus.events_json import BehindRealTime, Event, Severity, event_json, severity_of
+from dpstack.api.bus.events_json import event_json, severity_of
 from dpstack.cli.terminal.report import Reporter
+from dpstack.drivers.runtime import BehindRealTime
 from dpstack.drivers.virtual import runtime as driver
 from dpstack.drivers.virtual.runtime import Pace
+from dpstack.trace import Event, Severity
 from dpstack.units import NS_PER_S
 
 Out = pytest.CaptureFixture[str]
