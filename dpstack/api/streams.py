@@ -7,7 +7,7 @@ import contextlib
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final, Generic, Self, TypeVar
+from typing import Final, Self, TypeVar
 
 from dpstack.dp.master.events import DriveEvent, SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveStateChanged
 from dpstack.drivers.snapshots import View
@@ -253,30 +253,3 @@ class Rounds:
     def _on_round(self) -> None:
         for watcher in tuple(self._watchers):
             watcher()
-
-
-class Latest(Generic[T]):
-    """One value at a time for one reader: the latest wins, never a backlog."""
-
-    def __init__(self) -> None:
-        self._value: list[T] = []
-        self._more = asyncio.Event()
-        self.ended = False
-
-    def put(self, value: T) -> None:
-        """Replace what was not read yet."""
-        self._value = [value]
-        self._more.set()
-
-    def end(self) -> None:
-        self.ended = True
-        self._more.set()
-
-    async def get(self) -> T | None:
-        """The next value; None at the end."""
-        while not self._value:
-            if self.ended:
-                return None
-            self._more.clear()
-            await self._more.wait()
-        return self._value.pop()

@@ -6,13 +6,12 @@
 - ``cycles``: ``bus.cycles()``: consistent inputs of all slaves, once a round of data exchange
 - ``driver_choice``: The choice of the driver: asyncio, process or virtual
 - ``events_json``: Events of a bus for applications, their severity and their JSON
-- ``find_baud``: Baud rate search by listening only
+- ``find_baud``: Search for the baud rate of a bus: listens at one rate after the other and sends nothing
 - ``open_bus``: ``open_bus``: a bus from a configuration file or from arguments
 - ``parts``: Base class of ``Bus``: parts, slaves, commands and waiting
 - ``plan_checks``: Inputs of the plan from the configuration, and plans that are refused
 - ``remote_plugins``: Drive plugins that run in the bus process
 - ``ring_entry``: Joining the token ring of other masters: time limit, failure texts, notices
-- ``scan``: The live list of a running bus
 - ``shutdown``: The ordered end of a bus: cancellation, signals, finaliser, fork
 - ``statistics``: Counters and rotation times of a bus
 - ``sync_freeze``: SYNC and FREEZE of groups of slaves

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import functools
 from collections.abc import AsyncIterator, Iterable, Mapping
 from dataclasses import dataclass
@@ -11,10 +12,10 @@ from types import TracebackType
 
 from dpstack.api.bus.compose import compose
 from dpstack.api.bus.cycles import Cycle, Cycles
+from dpstack.api.bus.find_baud import need_wire, rate_of
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.bus.plan_checks import new_plan_texts
 from dpstack.api.bus.ring_entry import OtherMasterNotices, heard_before_joining, join
-from dpstack.api.bus.scan import scan_on
 from dpstack.api.bus.shutdown import OrderedEnd
 from dpstack.api.bus.statistics import BusStats, collect
 from dpstack.api.bus.sync_freeze import Group, Groups, send_control
@@ -26,15 +27,24 @@ from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import EventStream, OnEvent
 from dpstack.argcheck import Sealed
 from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, Mode, RemoveSlave, SetMode
-from dpstack.dp.master.events import ControlSent, DriveEvent, ForcedClear, ModeChanged, OperateWaits, SlaveStateChanged
-from dpstack.dp.master.scanner import Found
+from dpstack.dp.master.events import (
+    ControlSent,
+    DriveEvent,
+    ForcedClear,
+    ModeChanged,
+    OperateWaits,
+    SlaveState,
+    SlaveStateChanged,
+)
+from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, SurveyOrder, view_of
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
 from dpstack.drivers.futures import outlast, whole
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
-from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.commands import DetachUser, GoOnline
 from dpstack.fdl.events import AddressCollision, RingJoined
 from dpstack.fdl.livelist import ALL_ADDRESSES
+from dpstack.fdl.telegram import StationType
 from dpstack.sim.world import World
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
@@ -60,15 +70,9 @@ class Bus(Sealed, BusBase):
         world: World | None = None,
         watched: bool = True,
     ) -> None:
-        make = functools.partial(
-            compose,
-            on_events=self._on_events,
-            on_failure=self._on_failure,
-            on_refused=self._on_refused,
-            world=world,
-            watched=watched,
-        )
-        super().__init__(config, make, world, on_event)
+        super().__init__(config, on_event)
+        self._given_world = world
+        self._watched = watched
         self._join_timeout = join_timeout
         self._ordered_end = OrderedEnd(self, self.close, self.hurry)
         self._joined_ns = 0  # machine time of the first token
@@ -77,10 +81,16 @@ class Bus(Sealed, BusBase):
         self.class2 = Class2(self, self._slaves, self.slave)
         if not self.searching:
             self._build(config)
+        elif world is None:
+            need_wire(config.port)
         self._seal(Bus)
 
     def _build(self, config: Config) -> None:
-        super()._build(config)
+        """Make the parts, now that the rate is in ``config``. Raises ConfigError."""
+        self._parts = compose(
+            config, self._on_events, self._on_failure, self._on_refused, world=self._given_world, watched=self._watched
+        )
+        self.config = config
         self._other_masters = OtherMasterNotices(self.params, lambda: self.snapshot)
         for slave in config.slaves:
             self._register(slave, self.parts.plugins.get(slave.address))
@@ -110,7 +120,11 @@ class Bus(Sealed, BusBase):
         """
         if self._open or self._ending is not None:
             raise UsageError("this bus was opened before: make a new one with open_bus()")
-        heard = await self._find_rate()
+        heard = None
+        if self.searching:
+            report = await rate_of(self.config, self._given_world)
+            self._build(self.config.with_bus(baud=report.baud))
+            heard = report.text
         if self._ending is not None:
             raise UsageError("the bus was closed while it was searching for its baud rate")
         self.started_ns = self.runtime.now()
@@ -304,7 +318,19 @@ class Bus(Sealed, BusBase):
         ``configs``: ask for the identifier octets too. ``quick``: silent addresses without regard to the port's share
         for them (default: while no slave of this bus is in data exchange).
         """
-        return await scan_on(self, configs=configs, addresses=addresses, quick=quick)
+        if quick is None:
+            quick = not any(slave.ready_now for slave in self.slaves if not self.view.read_only)
+        own = self.params.address
+        mine = {} if self.view.read_only else {slave.address: slave for slave in self.slaves}
+        token = self.services.token()
+        order = SurveyOrder(token, tuple(addresses), tuple(mine), configs=configs, quick=quick)
+        try:
+            result = await self.services.answer_to(order, ScanDone)
+        finally:
+            with contextlib.suppress(DpError):  # the bus may have ended meanwhile
+                self.command(DetachUser(token))
+        self.unreadable = frozenset(result.unreadable)
+        return tuple(_of_ours(found, mine.get(found.address), own) for found in result.found)
 
     def events(self) -> EventStream:
         """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
@@ -406,4 +432,16 @@ class Bus(Sealed, BusBase):
         self._waiters.check()
 
 
-__all__ = ["Bus", "OnEvent", "SlaveTable"]
+def _of_ours(found: Found, slave: Slave | None, own: int) -> Found:
+    """``found`` with the master's knowledge of its own slave. A request would take a diagnosis from it."""
+    if slave is None or found.kind is not StationType.SLAVE:
+        return found
+    exchanging = slave.state is SlaveState.DATA_EXCHANGE
+    return dataclasses.replace(
+        found,
+        state=SlaveView.DATA_EXCHANGE if exchanging else view_of(slave.diagnosis),
+        ident=None if slave.diagnosis is None else slave.diagnosis.ident,
+        master=own if exchanging else None,
+        config=slave.setup.config if exchanging else None,
+        diagnosis=slave.diagnosis,
+    )

@@ -105,10 +105,10 @@ def compose(
     config: Config,
     on_events: OnEvents,
     on_failure: OnFailure,
-    world: World | None = None,
+    on_refused: OnRefused,
     *,
-    on_refused: OnRefused = lambda _order, _error: None,
-    watched: bool = True,
+    world: World | None,
+    watched: bool,
 ) -> Parts:
     """Build the parts of ``config``, with simulated slaves in a world of its own when its port is "virtual".
 

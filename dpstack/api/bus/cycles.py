@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
 
 from dpstack.api.bus.parts import BusBase
+from dpstack.api.streams import Stream
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.process_data import FieldMap, Value
 from dpstack.dp.process_image import inputs_are_valid
@@ -90,20 +90,21 @@ class Cycles:
     def end(self) -> None:
         self._over = True
         for reader in self._readers:
-            reader.more.set()
+            reader.over = True
+            reader.newest.end()
 
     async def read(self) -> AsyncIterator[Cycle]:
         """Each new cycle; a slow reader gets the latest."""
+        if self._over:
+            return
         reader = _Reader(self._bus)
         self._readers.append(reader)
         self._bus.rounds.watch(reader.on_round)
         try:
-            while not self._over:
-                if reader.data is None:
-                    reader.more.clear()
-                    await reader.more.wait()
-                else:
-                    yield reader.take()
+            async for data in reader.newest:
+                if reader.over:  # the bus has ended: a cycle from before is of no use
+                    break
+                yield reader.cycle(data)
         finally:
             self._readers.remove(reader)
             self._bus.rounds.unwatch(reader.on_round)
@@ -112,8 +113,8 @@ class Cycles:
 class _Reader:
     def __init__(self, bus: BusBase) -> None:
         self._bus = bus
-        self.more = asyncio.Event()
-        self.data: CycleData | None = None
+        self.newest: Stream[CycleData] = Stream(1)
+        self.over = False
         last = bus.view.cycle
         self._last = 0 if last is None else last.published
         self._before: int | None = None  # count of published rounds at the last read
@@ -124,13 +125,10 @@ class _Reader:
             return  # no slave had its turn in this round
         if self._before is None:
             self._before = data.published - 1
-        self.data = data
         self._last = data.published
-        self.more.set()
+        self.newest.put(data)
 
-    def take(self) -> Cycle:
-        data, self.data = self.data, None
-        assert data is not None
+    def cycle(self, data: CycleData) -> Cycle:
         assert self._before is not None
         skipped = data.published - self._before - 1
         self._before = data.published

@@ -1,16 +1,26 @@
-"""Baud rate search by listening only."""
+"""Search for the baud rate of a bus: listens at one rate after the other and sends nothing."""
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from time import monotonic_ns
 from typing import Final
 
 from dpstack.api.config.config import VIRTUAL, Config
-from dpstack.drivers.line.baud_search import search_baud, search_in
-from dpstack.errors import BusError, ConfigError
-from dpstack.fdl.baud_search import BaudFound, BaudNotFound
-from dpstack.ports import open_port
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
+from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.port_latency import patience_of
+from dpstack.drivers.line.rate import settle_ns_of
+from dpstack.drivers.runtime import PortLost, Runtime
+from dpstack.drivers.virtual.runtime import VirtualRuntime
+from dpstack.errors import BusError, ConfigError, PortError
+from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound
+from dpstack.ports import Port, open_port
 from dpstack.sim.world import World
+from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s, s_to_ns
 
 #: time of silence (s) that ends the search
@@ -81,6 +91,51 @@ def _limit(seconds: float | None) -> int:
     return NEVER if seconds is None else s_to_ns(seconds)
 
 
+async def search_baud(
+    port: Port, *, silence_ns: int = NEVER, limit_ns: int = NEVER, rates: Sequence[int] = BAUD_RATES
+) -> BaudFound | BaudNotFound:
+    """Open ``port``, listen until its rate is found or given up (see :class:`AutoBaud`), and close it.
+
+    Nothing is sent. Rates that the port cannot do are left out. Raises PortError where it cannot be opened, vanishes,
+    or is of a kind whose rate cannot be changed; ConfigError where it can do none of ``rates``.
+    """
+    search = AutoBaud(
+        monotonic_ns(),
+        rates=rates,
+        silence_ns=silence_ns,
+        limit_ns=limit_ns,
+        slack_ns=patience_of(port).known_ns,
+        settle_ns=settle_ns_of(port),
+    )
+    return await _result(port.name, partial(AsyncioRuntime, port, search, echo=Echo.OFF))
+
+
+async def _result(where: str, make_runtime: Callable[..., Runtime]) -> BaudFound | BaudNotFound:
+    """Run a search until it has a result. Raises PortError, and what the machine raised."""
+    result: asyncio.Future[BaudFound | BaudNotFound] = asyncio.get_running_loop().create_future()
+
+    def on_events(events: list[Event]) -> None:
+        for event in events:
+            if result.done():
+                return
+            match event:
+                case BaudFound() | BaudNotFound():
+                    result.set_result(event)
+                case PortLost(reason=reason):
+                    result.set_exception(PortError(f"{where} vanished while listening: {reason}"))
+
+    def on_failure(error: Exception) -> None:
+        if not result.done():
+            result.set_exception(error)
+
+    runtime = make_runtime(on_events, on_failure=on_failure)
+    await runtime.open()
+    try:
+        return await result
+    finally:
+        await runtime.close()
+
+
 async def rate_of(config: Config, world: World | None = None) -> BaudReport:
     """The rate of the bus that ``config`` leaves to be found ("auto"), on its port or in a simulated ``world``.
 
@@ -91,7 +146,8 @@ async def rate_of(config: Config, world: World | None = None) -> BaudReport:
         report = await find_baud(where, timeout=_NOISE_S, silence=SILENCE_S)
     else:
         where = "the simulated bus"
-        report = _report(await search_in(world, limit_ns=s_to_ns(_NOISE_S), silence_ns=s_to_ns(SILENCE_S)))
+        search = AutoBaud(world.now, limit_ns=s_to_ns(_NOISE_S), silence_ns=s_to_ns(SILENCE_S))
+        report = _report(await _result(where, partial(VirtualRuntime, world, search)))
     if report.baud is None:
         raise BusError(f"{where}: the baud rate was not found: {report.text}; {_GIVE[report.missing == 'silence']}")
     return report

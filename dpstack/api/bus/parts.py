@@ -7,7 +7,6 @@ from collections.abc import Awaitable, Callable
 from typing import Final
 
 from dpstack.api.bus.compose import Parts
-from dpstack.api.bus.find_baud import need_wire, rate_of
 from dpstack.api.bus.plan_checks import refuse_misfit
 from dpstack.api.config.config import AUTO, Config
 from dpstack.api.config.slave import SlaveConfig
@@ -34,15 +33,9 @@ SEARCHING: Final = "searching for the baud rate"
 
 
 class BusBase:
-    """``make`` builds the parts of ``config``: at once, or with the baud rate "auto" when the rate has been found.
+    """With the baud rate "auto" every part raises UsageError until the rate has been found."""
 
-    Until then every part raises UsageError. ``world``: the simulated bus on which the rate is searched. Raises
-    ConfigError for "auto" on a port without a wire.
-    """
-
-    def __init__(
-        self, config: Config, make: Callable[[Config], Parts], world: World | None, on_event: OnEvent | None
-    ) -> None:
+    def __init__(self, config: Config, on_event: OnEvent | None) -> None:
         self.config = config
         #: addresses whose answers to the last scan could not be read
         self.unreadable: frozenset[int] = frozenset()
@@ -63,28 +56,8 @@ class BusBase:
         #: the failure or the end after which the bus does nothing
         self._over: DpError | None = None
         self._refused: DpError | None = None  # of an order that no caller awaited
-        self._given_world = world
-        self._make = make
         self._parts: Parts | None = None
         self._round_ns: int | None = None  # None: not calculated for the slaves of this moment
-        if self.searching and world is None:
-            need_wire(config.port)
-
-    def _build(self, config: Config) -> None:
-        """Make the parts, now that the rate is in ``config``. Raises ConfigError."""
-        self._parts = self._make(config)
-        self.config = config
-
-    async def _find_rate(self) -> str | None:
-        """With the baud rate "auto": search the rate, then make the parts. Returns a text about the evidence.
-
-        Raises BusError, ConfigError, PortError.
-        """
-        if not self.searching:
-            return None
-        report = await rate_of(self.config, self._given_world)
-        self._build(self.config.with_bus(baud=report.baud))
-        return report.text
 
     @property
     def searching(self) -> bool:

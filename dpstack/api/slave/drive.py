@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue, Readable
 from dpstack.api.slave.host import Host
 from dpstack.api.slave.slave import Slave
-from dpstack.api.streams import Latest
+from dpstack.api.streams import Stream
 from dpstack.argcheck import Sealed
 from dpstack.dp.master.commands import DriveCommand, Mode
 from dpstack.errors import (
@@ -67,7 +67,7 @@ class Drive(Sealed, Readable):
         self._bus = bus
         self._core, self._told = plugin
         self._pending: dict[int, asyncio.Future[dict[str, object]]] = {}
-        self._readers: list[Latest[DriveStatus]] = []
+        self._readers: list[Stream[DriveStatus]] = []
         self._seen = b""
         self._over = False
         self._setpoints: dict[int, float] = {}  # those given that the plugin has not answered, by token
@@ -267,14 +267,13 @@ class Drive(Sealed, Readable):
 
     async def statuses(self) -> AsyncIterator[DriveStatus]:
         """Each new status; the latest wins, a slow reader never meets a backlog. Ends with the bus."""
-        reader: Latest[DriveStatus] = Latest()
-        reader.put(self.status)
+        reader = Stream(1, [self.status])
         if self._over:
             reader.end()
         self._readers.append(reader)
         self._bus.rounds.watch(self.on_round)
         try:
-            while (status := await reader.get()) is not None:
+            async for status in reader:
                 yield status
         finally:
             self._readers.remove(reader)

@@ -2,7 +2,6 @@
 
 - ``answer_timing``: Expected time of an answer, learned from earlier answers to requests with the same header
 - ``asyncio_runtime``: The asyncio driver: runs one protocol machine on one serial port
-- ``baud_search``: Search for the baud rate of a bus: listens on a port at one rate after the other
 - ``echo``: Echo filter for adapters that return the transmitted octets
 - ``line_runtime``: Common part of the real-time drivers: steps the protocol machine, dispatches its events
 - ``port_latency``: Latency of a port: how late the first octets after a transmission arrive

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.api.bus.compose import compose
+import dpstack
 from dpstack.api.config.config import Config, load_config, make_config, parse_config
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
@@ -349,7 +349,7 @@ def test_echo_is_found_out_unless_it_is_told(text: str, echo: bool | None) -> No
     config = parse_config(BUS + 'driver = "asyncio"\n' + (f"echo = {text}\n" if text else ""))
     assert config.bus.echo is echo
     assert config.with_bus(address=5).bus.echo is echo  # "auto" is not turned into something else on the way
-    runtime = compose(config, lambda _events: None, lambda _exc: None).runtime
+    runtime = dpstack.open_bus(config).runtime
     assert isinstance(runtime, AsyncioRuntime)
     assert runtime.echo is {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}[echo]
 

@@ -16,7 +16,7 @@ import dpstack
 from dpstack import AlarmType, DpSlave, ModuleState, SlaveAlarm, SlaveDescription, Specifier, StatusType
 from dpstack.api.bus.events_json import event_json, severity_of
 from dpstack.api.server.server import ServedSlave
-from dpstack.dpv1.master.alarm_events import AlarmRaised, StatusTold
+from dpstack.dpv1.master.orders import AlarmRaised, StatusTold
 from dpstack.errors import AlarmError, SlaveFault, UsageError
 from dpstack.sim.world import World
 from dpstack.trace import Severity

@@ -15,8 +15,8 @@ from dpstack.dp.master.fault_report import SlaveReports
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.alarm_events import AlarmRaised
 from dpstack.dpv1.master.alarm_handler import AlarmBook, AlarmHandler
+from dpstack.dpv1.master.orders import AlarmRaised
 from dpstack.drivers.process.client import worded
 from dpstack.errors import ConfigError
 from dpstack.gsd.diag_texts import DiagTexts as GsdTexts

@@ -10,7 +10,7 @@ from process_kit import DRIVERS, UNHURRIED, Driver, unhurried
 
 import dpstack
 from dpstack import AlarmType, DpSlave, SlaveDescription, Specifier, StatusType
-from dpstack.dpv1.master.alarm_events import AlarmRaised, StatusTold
+from dpstack.dpv1.master.orders import AlarmRaised, StatusTold
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process", "diagnostic"))
 

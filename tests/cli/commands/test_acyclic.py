@@ -12,11 +12,11 @@ from cli_kit import acyclic as run
 
 import dpstack
 from dpstack import DpSlave, Im0, Im1, SlaveDescription
-from dpstack.api.bus.bus import OnEvent
 from dpstack.api.config.config import Config
 from dpstack.api.control.commands import Order
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import through_run
+from dpstack.api.streams import OnEvent
 from dpstack.cli.commands import acyclic
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_table import RecordTable

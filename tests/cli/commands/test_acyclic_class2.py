@@ -10,11 +10,11 @@ import pytest
 from ms2_kit import Ms2Server, ms2_in, served
 
 import dpstack
-from dpstack.api.bus.bus import OnEvent
 from dpstack.api.config.config import Config
 from dpstack.api.control.commands import Order
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import through_run
+from dpstack.api.streams import OnEvent
 from dpstack.cli.commands import acyclic
 from dpstack.cli.main import main
 from dpstack.dp.master.commands import Mode, SetMode

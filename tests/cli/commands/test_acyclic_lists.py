@@ -13,11 +13,11 @@ from cli_kit import acyclic as run
 
 import dpstack
 from dpstack import DpSlave, SlaveDescription
-from dpstack.api.bus.bus import OnEvent
 from dpstack.api.config.config import Config
 from dpstack.api.control.commands import Order
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import through_run
+from dpstack.api.streams import OnEvent
 from dpstack.cli.commands import acyclic
 from dpstack.cli.main import main
 from dpstack.profile.record47 import (

@@ -12,7 +12,7 @@ from baud_rig import Sent, exchange, lone_token
 from far_ends import FarEnd, PtyFarEnd, TcpFarEnd, open_slave, until
 from memory_port import memory_pair
 
-from dpstack.drivers.line.baud_search import search_baud
+from dpstack.api.bus.find_baud import search_baud
 from dpstack.drivers.segment.hub import Segment
 from dpstack.errors import BaudError, PortError
 from dpstack.fdl.baud_evidence import Confidence
