@@ -43,11 +43,6 @@ class Collector:
         gc.freeze()
         gc.disable()
 
-    def end(self) -> None:
-        """Restore the interpreter's automatic collection."""
-        gc.unfreeze()
-        gc.enable()
-
     def idle(self, now: int, until: int) -> None:
         """No work is expected before ``until`` (ns): collect the oldest generation that is due and fits."""
         young = gc.get_count()[0]

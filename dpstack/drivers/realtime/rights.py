@@ -7,13 +7,9 @@ from __future__ import annotations
 
 import ctypes
 import os
-import sys
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
-
-from dpstack.errors import ConfigError
 
 #: Of SCHED_FIFO: above all ordinary processes, below the 50 of Linux's threaded interrupts: those of UART and USB
 #: controller deliver the octets.
@@ -80,36 +76,28 @@ def rights() -> Rights:
     return Rights(is_privileged(), limit("RLIMIT_RTPRIO"), limit("RLIMIT_MEMLOCK"))
 
 
-def become_real_time(processors: Iterable[int] = (), *, pty: bool = False) -> list[str]:
-    """Request all rights of a bus process, ``processors`` only when given. Returns the notices of the refusals.
+def become_real_time(*, pty: bool = False) -> list[str]:
+    """Request all rights of a bus process. Returns the notices of the refusals. Linux only.
 
     ``pty``: its port is a pty, whose octets pass through an ordinary worker of the kernel. Beside a SCHED_FIFO process
     that worker was late: ten slaves at 500 kbit/s took 15.7 ms a rotation, with a niceness of -20 11.5 to 12.1 ms,
     a loop without any protocol 11.4 (``bench rotation`` on two processors).
     """
-    wanted = sorted(set(processors))
-    asked = [
-        set_niceness() if pty else set_priority(),
-        lock_memory(),
-        exact_timers(),
-        stay_on(wanted) if wanted else "",
-    ]
-    return [notice for notice in asked if notice]
+    refusals = (set_niceness() if pty else set_priority(), lock_memory(), exact_timers())
+    return [refusal for refusal in refusals if refusal]
 
 
 def set_niceness() -> str:
     """Highest precedence among ordinary processes."""
     try:
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
-    except (AttributeError, OSError) as exc:
+    except OSError as exc:
         return f"no niceness of {NICENESS} ({exc}): a busy computer holds the bus up; {SET_UP}; {_CONTAINER}"
     return ""
 
 
 def set_priority(priority: int = PRIORITY) -> str:
     """SCHED_FIFO at ``priority``, or at the limit if lower; child processes do not inherit it."""
-    if sys.platform != "linux":
-        return "no real-time priority: that is asked for on Linux only"
     mine = rights()
     if mine.no_priority():
         return f"{mine.no_priority()}; {SET_UP}; {_CONTAINER}"
@@ -127,8 +115,6 @@ def set_priority(priority: int = PRIORITY) -> str:
 
 def lock_memory() -> str:
     """Keep present and future memory from being swapped out."""
-    if sys.platform != "linux":
-        return "memory is not locked: that is asked for on Linux only"
     mine = rights()
     if mine.no_memory():
         return f"{mine.no_memory()}; {SET_UP}; {_CONTAINER}"
@@ -143,26 +129,7 @@ def lock_memory() -> str:
 
 def exact_timers() -> str:
     """Timer slack of this thread 1 ns instead of 50 us; it counts without real-time priority."""
-    if sys.platform != "linux":
-        return "timers are as exact as the system makes them: asked for on Linux only"
     lib = ctypes.CDLL(None, use_errno=True)
     if lib.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0):
         return f"timers stay up to 50 us late (PR_SET_TIMERSLACK: {os.strerror(ctypes.get_errno())})"
-    return ""
-
-
-def stay_on(processors: Iterable[int]) -> str:
-    """Run on ``processors`` only. Raises ConfigError for numbers that do not exist."""
-    wanted = set(processors)
-    if not hasattr(os, "sched_setaffinity"):
-        return "runs on any processor: which ones is asked for on Linux only"
-    absent = sorted(wanted - set(range(os.cpu_count() or 1)))
-    if absent or not wanted:
-        raise ConfigError(f"no processor {absent[0] if absent else 'given'}: they are 0 to {(os.cpu_count() or 1) - 1}")
-    try:
-        os.sched_setaffinity(0, wanted)
-    except OSError as exc:
-        allowed = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
-        names = ", ".join(map(str, sorted(wanted)))
-        return f"runs on any processor: {names} refused ({exc.strerror}); it may be on {allowed} (cpuset, taskset)"
     return ""

@@ -57,12 +57,11 @@ class Timeline(Protocol):
 class _Attached:
     """An attached timeline. ``offset``: the loop's time less the timeline's, ns."""
 
-    __slots__ = ("offset", "timeline", "users")
+    __slots__ = ("offset", "timeline")
 
     def __init__(self, timeline: Timeline, now: int) -> None:
         self.timeline = timeline
         self.offset = now - timeline.now
-        self.users = 0
 
     def next_at(self) -> int:
         at = self.timeline.next_at()
@@ -115,23 +114,12 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return self._at_ns if running is None else running.timeline.now + running.offset
 
     def attach(self, timeline: Timeline) -> None:
-        """Advance ``timeline`` with the loop's time. May be repeated; detach as often."""
-        for attached in self._attached:
-            if attached.timeline is timeline:
-                attached.users += 1
-                return
-        attached = _Attached(timeline, self._at_ns)
-        attached.users = 1
-        self._attached.append(attached)
+        """Advance ``timeline`` with the loop's time."""
+        self._attached.append(_Attached(timeline, self._at_ns))
 
     def detach(self, timeline: Timeline) -> None:
-        """Undo one :meth:`attach`; after the last one ``timeline`` stands still."""
-        for attached in self._attached:
-            if attached.timeline is timeline:
-                attached.users -= 1
-                if not attached.users:
-                    self._attached.remove(attached)
-                return
+        """Undo :meth:`attach`: ``timeline`` stands still."""
+        self._attached = [attached for attached in self._attached if attached.timeline is not timeline]
 
     # --- asyncio's methods, which note callbacks, threads and signals ---
     def call_soon(

@@ -10,19 +10,17 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from time import monotonic_ns
-from typing import Final, Protocol
+from typing import Final
 
 from dpstack.drivers.futures import ActsAtOnce
 from dpstack.drivers.line.port_latency import PortLatency
-from dpstack.drivers.runtime import IN_PARENT, BehindRealTime, OnEvents
-from dpstack.drivers.virtual.loop import Timeline, VirtualLoop
+from dpstack.drivers.runtime import IN_PARENT, BehindRealTime, OnEvents, OnFailure
+from dpstack.drivers.virtual.loop import VirtualLoop
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.interface import BusStation
+from dpstack.sim.world import World
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ns_to_s
-
-#: Called with the exception of a protocol machine: a defect in dpstack, the simulated bus stands still.
-OnFailure = Callable[[Exception], None]
 
 #: In an ordinary loop: shortest and longest pause between two portions, and the computing time of a portion.
 _TICK_NS: Final = NS_PER_MS
@@ -38,17 +36,6 @@ _KEEPS_UP: Final = 0.97
 _MUCH: Final = 2
 
 
-class SimulatedBus(Timeline, Protocol):
-    """A simulated bus as the driver uses it; :class:`dpstack.sim.world.World` implements it."""
-
-    def add(
-        self, station: BusStation, *, name: str | None = None, on_events: Callable[[list[Event]], None] | None = None
-    ) -> None: ...
-    def remove(self, station: BusStation) -> None: ...
-    def command(self, station: BusStation, command: object) -> None:
-        """Hand ``command`` to the station and let it act."""
-
-
 class VirtualRuntime(ActsAtOnce):
     """Keeps ``station`` running on ``world``; implements :class:`dpstack.drivers.runtime.Runtime`.
 
@@ -61,7 +48,7 @@ class VirtualRuntime(ActsAtOnce):
 
     def __init__(
         self,
-        world: SimulatedBus,
+        world: World,
         station: BusStation,
         on_events: OnEvents,
         *,
@@ -185,7 +172,7 @@ class Pace:
 class _Clockwork:
     """Advances the time of one world for all runtimes on it; itself a Timeline."""
 
-    def __init__(self, world: SimulatedBus, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, world: World, loop: asyncio.AbstractEventLoop) -> None:
         self.loop = loop
         self._world = world
         self._users: list[VirtualRuntime] = []
@@ -286,10 +273,10 @@ class _Clockwork:
 
 
 #: worlds whose time goes
-_clockworks: dict[SimulatedBus, _Clockwork] = {}
+_clockworks: dict[World, _Clockwork] = {}
 
 
-def _clockwork(world: SimulatedBus, loop: asyncio.AbstractEventLoop) -> _Clockwork:
+def _clockwork(world: World, loop: asyncio.AbstractEventLoop) -> _Clockwork:
     clockwork = _clockworks.get(world)
     if clockwork is None or clockwork.loop.is_closed():
         return _Clockwork(world, loop)

@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 
 from dpstack.drivers.realtime import rights
-from dpstack.drivers.realtime.rights import MEMORY, PRIORITY, Rights, become_real_time, stay_on
-from dpstack.errors import ConfigError
+from dpstack.drivers.realtime.rights import MEMORY, PRIORITY, Rights, become_real_time
 
 SCRIPT = """
 import ctypes, json, os, resource, sys
@@ -25,7 +24,7 @@ if priority >= 0:
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (8 << 20, 8 << 20))
 if as_nobody and os.geteuid() == 0:
     os.setuid(65534)
-notices = rights.become_real_time([min(os.sched_getaffinity(0))])
+notices = rights.become_real_time()
 child = os.fork()
 if not child:
     os._exit(os.sched_getscheduler(0))
@@ -35,7 +34,6 @@ print(json.dumps({
     "fifo": os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO,
     "priority": os.sched_getparam(0).sched_priority,
     "locked": "VmLck:\\t       0 kB" not in status,
-    "processors": len(os.sched_getaffinity(0)),
     "slack": ctypes.CDLL(None).prctl(30, 0, 0, 0, 0),
     "of_child": os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]),
 }))
@@ -68,7 +66,6 @@ def test_without_rights_each_refusal_says_what_to_do() -> None:
         assert "--cap-add SYS_NICE" in notice
     assert not found["fifo"]
     assert not found["locked"]
-    assert found["processors"] == 1
 
 
 def test_a_priority_within_the_limit_is_taken() -> None:
@@ -134,8 +131,6 @@ def test_refusals_of_the_system_in_spite_of_the_limits(monkeypatch: pytest.Monke
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     notice = rights.set_priority()
     assert f"SCHED_FIFO {PRIORITY} is refused (Operation not permitted) although the limits allow it" in notice
-    monkeypatch.setattr(os, "sched_setaffinity", refuse)
-    assert "0 refused (Operation not permitted)" in stay_on([0])
 
 
 def test_in_front_of_a_pty_it_is_preferred_and_stays_an_ordinary_process(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,18 +149,3 @@ def test_in_front_of_a_pty_it_is_preferred_and_stays_an_ordinary_process(monkeyp
     (notice,) = become_real_time(pty=True)
     assert "no niceness of -20 ([Errno 13] Permission denied)" in notice
     assert "tools/setup_adapter.sh" in notice
-
-
-def test_elsewhere_each_says_that_it_needs_linux(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "platform", "darwin")
-    monkeypatch.delattr(os, "sched_setaffinity")
-    notices = become_real_time([0])
-    assert len(notices) == 4
-    assert all("on Linux only" in notice for notice in notices)
-
-
-def test_a_processor_that_is_not_there_is_misuse() -> None:
-    with pytest.raises(ConfigError, match="no processor 4711: they are 0 to"):
-        stay_on([4711])
-    with pytest.raises(ConfigError, match="no processor given"):
-        stay_on([])
