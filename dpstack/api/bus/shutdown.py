@@ -17,7 +17,7 @@ import signal
 import sys
 import threading
 import weakref
-from collections.abc import AsyncGenerator, Callable, Coroutine, Iterable, Iterator
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterable
 from pathlib import Path
 from time import monotonic
 from types import FrameType
@@ -214,8 +214,7 @@ class OrderedEnd:
         if self._step is not None:
             _set(self._step)
 
-    @contextlib.contextmanager
-    def _interrupts_deferred(self) -> Iterator[None]:
+    def _interrupts_deferred(self) -> contextlib.AbstractContextManager[object]:
         """Defer a Ctrl-C that would raise KeyboardInterrupt in the middle of the end until after it.
 
         One that comes later than :data:`SAME_SIGNAL_S` after the beginning hurries the end. Handlers of signals that
@@ -223,16 +222,13 @@ class OrderedEnd:
         """
         loop = asyncio.get_running_loop()
         before = signal.getsignal(signal.SIGINT) if threading.current_thread() is threading.main_thread() else None
-        if not _raises(before):
-            yield
-            return
-        assert callable(before)
-        deferred = _DeferredSignals((signal.SIGINT,), lambda: loop.call_soon_threadsafe(self.hurry_bus))
-        try:
-            yield
-        finally:
-            if deferred.restore():
-                loop.call_soon(before, signal.SIGINT, None)
+        if not callable(before) or not _raises(before):
+            return contextlib.nullcontext()
+        return _DeferredSignals(
+            (signal.SIGINT,),
+            late=lambda: loop.call_soon_threadsafe(self.hurry_bus),
+            raise_again=lambda number: loop.call_soon(before, number, None),
+        )
 
     # --- without a loop -----------------------------------------------------------------------------------------
 
@@ -247,16 +243,13 @@ class OrderedEnd:
         if os.getpid() != self._pid or bus.is_left:
             return
         where = f"the bus on {printable(bus.runtime.port_name)}"
-        deferred = _DeferredSignals(_ENDING_SIGNALS, self._hurry_in_thread)
-        try:
+        with _DeferredSignals(_ENDING_SIGNALS, late=self._hurry_in_thread):
             if loop is not None and loop.is_running():  # in another thread, which ends with the interpreter
                 with contextlib.suppress(Exception):
                     asyncio.run_coroutine_threadsafe(self._close(), loop).result(bus.end_limit_s)
                     _log.warning("%s was still open as the program ended and was closed then", where)
                     return
             self._end_now(f"{where} was not closed before its event loop was (use `async with`)")
-        finally:
-            deferred.raise_again()
 
     def _hurry_in_thread(self) -> None:
         loop = self._loop
@@ -302,11 +295,8 @@ class OrderedEnd:
                 )
             ending.result()
         else:
-            deferred = _DeferredSignals(_ENDING_SIGNALS, lambda: None)
-            try:
+            with _DeferredSignals(_ENDING_SIGNALS):
                 self._end_now(f"the bus on {self._bus.runtime.port_name} was closed in another event loop than its own")
-            finally:
-                deferred.raise_again()
         return True
 
     def _drop_keeper(self) -> None:
@@ -349,19 +339,30 @@ def _raises(handler: object) -> bool:
 
 
 class _DeferredSignals:
-    """Keeps signals of ``numbers`` until :meth:`restore`, whichever thread receives them.
+    """Keeps signals of ``numbers`` inside the block, whichever thread receives them; afterwards ``raise_again`` is
+    called with each of them once.
 
     Nothing is changed in threads other than the main one, where no handler runs, and for ignored signals.
     ``late`` is called by one that comes more than :data:`SAME_SIGNAL_S` after the beginning.
     """
 
-    def __init__(self, numbers: Iterable[int], late: Callable[[], object]) -> None:
+    def __init__(
+        self,
+        numbers: Iterable[int],
+        *,
+        late: Callable[[], object] = lambda: None,
+        raise_again: Callable[[int], object] = signal.raise_signal,
+    ) -> None:
+        self._numbers = numbers
+        self._late = late
+        self._raise_again = raise_again
         self._caught: list[int] = []
         self._before: dict[int, object] = {}
-        self._late = late
         self._begun = monotonic()
+
+    def __enter__(self) -> None:
         if threading.current_thread() is threading.main_thread():
-            for number in numbers:
+            for number in self._numbers:
                 self._defer(number)
 
     def _defer(self, number: int) -> None:
@@ -379,17 +380,12 @@ class _DeferredSignals:
         if monotonic() - self._begun >= SAME_SIGNAL_S:
             self._late()
 
-    def raise_again(self) -> None:
-        """Restore the earlier handlers and raise the kept signals again."""
-        for number in self.restore():
-            signal.raise_signal(number)
-
-    def restore(self) -> list[int]:
-        """Restore the earlier handlers. Returns the kept signals, each once."""
+    def __exit__(self, *_exc: object) -> None:
         for number, before in self._before.items():
             if callable(before) or isinstance(before, signal.Handlers):
                 signal.signal(number, before)
-        return list(dict.fromkeys(self._caught))
+        for number in dict.fromkeys(self._caught):
+            self._raise_again(number)
 
 
 def _separate(watched_fd: int) -> None:
@@ -416,14 +412,11 @@ def _in_child() -> None:
 
 def _at_exit() -> None:
     """End all open buses; a signal that comes meanwhile ends the program afterwards."""
-    deferred = _DeferredSignals(_ENDING_SIGNALS, lambda: None)
-    for end in list(_open):
-        end.at_exit()
-    deferred.raise_again()
+    with _DeferredSignals(_ENDING_SIGNALS):
+        for end in list(_open):
+            end.at_exit()
 
 
 atexit.register(_at_exit)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_in_child)
-
-__all__ = ["OrderedEnd", "hurry_all"]
