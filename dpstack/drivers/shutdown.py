@@ -201,11 +201,11 @@ def end_on_port(port: Port, station: ActiveStation, echo: Echo) -> str:
         for event in events:
             ending.on_event(event)
 
-    runtime = SelectRuntime(loop, port, station, on_events, echo=echo)
+    runtime = SelectRuntime(port, station, on_events, echo=echo)
 
     def give(order: EndOrder) -> None:
         if isinstance(order, Shutdown):  # before the first step, which might find that the token was lost long ago
-            runtime.take_over(order)
+            runtime.take_over(loop, order)
         else:
             runtime.command(order)
 

@@ -36,14 +36,14 @@ class PlainBeside:
 
     def __init__(self, port: Port, machine: Machine, on_events: OnEvents, **options: Any) -> None:
         self.loop = SelectLoop(report=self._report)
-        self.plain = SelectRuntime(self.loop, port, machine, on_events, **options)
+        self.plain = SelectRuntime(port, machine, on_events, **options)
         self._running: asyncio.Task[None] | None = None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.plain, name)
 
     async def open(self) -> None:
-        self.plain.open()
+        self.plain.open(self.loop)
         self._running = asyncio.create_task(self._run())
 
     async def close(self) -> None:

@@ -235,8 +235,8 @@ class Driven:
         else:
             patch.setattr(select_loop, "select", _Select(kernel))
             self._loop = loop = SelectLoop()
-            runtime = SelectRuntime(loop, port, machine, self.events.extend, echo=Echo.OFF, held_up=held_up)
-            runtime.open()
+            runtime = SelectRuntime(port, machine, self.events.extend, echo=Echo.OFF, held_up=held_up)
+            runtime.open(loop)
             self._run = partial(_run_plain, loop)
             self.stop = loop.stop
         self.runtime = runtime

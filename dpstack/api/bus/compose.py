@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.api.bus.driver_choice import PROCESS, driver_for
 from dpstack.api.bus.plan_checks import adapter_notes, data_control_ns, other_masters, refuse_misfit, with_t_tr
@@ -32,6 +32,11 @@ from dpstack.ports import Delivery, Port, open_port
 from dpstack.profile import registry
 from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS
+
+if TYPE_CHECKING:
+    from dpstack.drivers.process.client import ProcessRuntime
+
+__all__ = ["Case", "Plan"]  # for the command line
 
 ECHO: Final = {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}
 
@@ -85,7 +90,6 @@ def patience_for(config: Config, port: Port) -> Patience:
 class Parts:
     """The objects of one bus, whether its machines run in this process or in a bus process."""
 
-    config: Config
     plan: Plan
     view: View
     runtime: Runtime
@@ -143,42 +147,43 @@ def compose(
     driver = driver_for(config, port)
     # on a pty the waiting times allow for a stalled computer; host_slack_ms of the user is never tuned
     tune = port is not None and port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None
-    if driver == PROCESS:
-        return in_process(config, plan, spec, on_events, on_failure, on_refused, tune=tune)
-    stack = build_stack(spec)
-    station = stack.station
     bench = None
+    view: View
     runtime: Runtime
-    if port is not None:
-        runtime = AsyncioRuntime(
-            port,
-            station,
-            on_events,
-            echo=ECHO[config.bus.echo],
-            on_failure=on_failure,
-            tune=station.set_patience if tune else None,
-            held_up=station.held_up,
-        )
+    if driver == PROCESS:
+        view = runtime = remote = _process_runtime(config, spec, on_events, on_failure, on_refused, tune=tune)
+        plugins = {s.address: remote_plugin(remote, s) for s in config.slaves if plugin_of(s) is not None}
+        attach_new = partial(attach_remote, remote)
     else:
-        if world is None:
-            world = World(referee=False)
-            bench = VirtualBench(world, plan.params)
-            for slave in config.slaves:
-                bench.add(slave)
-        runtime = VirtualRuntime(world, station, on_events, on_failure=on_failure)
-    attach = partial(attach_core, stack.master, simulated=bench is not None)
-    view = StackView(stack, runtime)
-
-    async def attach_new(slave: SlaveConfig) -> DrivePlugin | None:
-        return attach(slave)
-
+        stack = build_stack(spec)
+        station = stack.station
+        if port is not None:
+            runtime = AsyncioRuntime(
+                port,
+                station,
+                on_events,
+                echo=ECHO[config.bus.echo],
+                on_failure=on_failure,
+                tune=station.set_patience if tune else None,
+                held_up=station.held_up,
+            )
+        else:
+            if world is None:
+                world = World(referee=False)
+                bench = VirtualBench(world, plan.params)
+                for slave in config.slaves:
+                    bench.add(slave)
+            runtime = VirtualRuntime(world, station, on_events, on_failure=on_failure)
+        view = StackView(stack, runtime)
+        attach = partial(attach_core, stack.master, simulated=bench is not None)
+        plugins = {s.address: plugin for s in config.slaves if (plugin := attach(s)) is not None}
+        attach_new = partial(_at_once, attach)
     return Parts(
-        config=config,
         plan=plan,
         view=view,
         runtime=runtime,
         driver=driver,
-        plugins={slave.address: plugin for slave in config.slaves if (plugin := attach(slave)) is not None},
+        plugins=plugins,
         attach=attach_new,
         rounds=Rounds(view),
         world=world,
@@ -186,21 +191,23 @@ def compose(
     )
 
 
-def in_process(
+async def _at_once(attach: Callable[[SlaveConfig], DrivePlugin | None], slave: SlaveConfig) -> DrivePlugin | None:
+    return attach(slave)
+
+
+def _process_runtime(
     config: Config,
-    plan: Plan,
     spec: StackSpec,
     on_events: OnEvents,
     on_failure: OnFailure,
     on_refused: OnRefused,
     *,
     tune: bool,
-) -> Parts:
-    """The parts of a bus in a bus process. Raises ConfigError for plugins without an entry point."""
+) -> ProcessRuntime:
+    """The runtime of a bus in a bus process. Raises ConfigError for plugins without an entry point."""
     from dpstack.drivers.process.client import ProcessRuntime
     from dpstack.drivers.process.messages import SetUp  # imports msgspec, which only the process driver needs
 
-    plugins = {slave.address: ref for slave in config.slaves if (ref := plugin_of(slave)) is not None}
     setup = SetUp(
         port=config.port,
         event_char=config.bus.event_char,
@@ -208,20 +215,10 @@ def in_process(
         echo=ECHO[config.bus.echo],
         tune=tune,
         stack=spec,
-        plugins=plugins,
+        plugins={slave.address: ref for slave in config.slaves if (ref := plugin_of(slave)) is not None},
         preload=tuple(registry.places().values()),  # drives that may be added while the bus runs
     )
-    runtime = ProcessRuntime(setup, on_events, on_failure, on_refused)
-    return Parts(
-        config=config,
-        plan=plan,
-        view=runtime,
-        runtime=runtime,
-        driver=PROCESS,
-        plugins={slave.address: remote_plugin(runtime, slave) for slave in config.slaves if slave.address in plugins},
-        attach=partial(attach_remote, runtime),
-        rounds=Rounds(runtime),
-    )
+    return ProcessRuntime(setup, on_events, on_failure, on_refused)
 
 
 def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> DrivePlugin | None:
@@ -234,16 +231,3 @@ def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> Drive
         return None
     master.handlers[slave.address].image.unit = core
     return DrivePlugin(core, core.status)
-
-
-__all__ = [
-    "ECHO",
-    "Case",
-    "Parts",
-    "Plan",
-    "attach_core",
-    "compose",
-    "patience_for",
-    "plan_bus",
-    "port_of",
-]

@@ -34,7 +34,7 @@ from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoi
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_MS, NS_PER_US
 
-#: events that the command line uses, beside the functions and classes of this module
+#: for the command line
 __all__ = [
     "AddressCollision",
     "AlarmRaised",
@@ -42,7 +42,6 @@ __all__ = [
     "Event",
     "FaultKind",
     "Found",
-    "Injected",
     "MasterSeen",
     "MasterStopped",
     "Notice",
@@ -53,8 +52,6 @@ __all__ = [
     "SlaveState",
     "SlaveStateChanged",
     "Stalled",
-    "event_json",
-    "severity_of",
 ]
 
 

@@ -242,11 +242,6 @@ class BusBase:
         """Tell ``message`` as an event."""
         self._events.tell(Notice(t_ns=self.runtime.now(), source=source, message=message, severity=severity))
 
-    @property
-    def collided(self) -> bool:
-        """Another station uses this one's address."""
-        return self.collision is not None
-
     # --- the end ------------------------------------------------------------------------------------------------
 
     @property

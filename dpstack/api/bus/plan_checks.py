@@ -14,6 +14,8 @@ from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text, ms_text
 
+__all__ = ["Verdict"]  # for the command line
+
 #: time (ns) of an exchange and of the token over an adapter with a latency timer of 1 ms (docs/bus-parameters.md)
 _ADAPTER_EXCHANGE: Final = 2 * NS_PER_MS
 _ADAPTER_TOKEN: Final = NS_PER_MS
@@ -106,15 +108,3 @@ def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveParams]) -> 
     numbers = {slave.address: number for number, slave in enumerate(config.slaves)}
     path = ("slave", numbers[address]) if address in numbers else ("bus", "cycle_ms")
     raise config.source.error(path, what, todo)
-
-
-__all__ = [
-    "Verdict",
-    "adapter_notes",
-    "cycle_rates",
-    "data_control_ns",
-    "new_plan_texts",
-    "other_masters",
-    "refuse_misfit",
-    "with_t_tr",
-]

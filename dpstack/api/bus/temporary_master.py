@@ -33,7 +33,7 @@ async def joined(make_bus: MakeBus, address: int | None = None, *, avoid: Collec
         try:
             await bus.open()
         except BusError:
-            if bus.collided and address is None and tries < _TRIES:
+            if bus.collision is not None and address is None and tries < _TRIES:
                 continue
             raise
         break

@@ -14,7 +14,7 @@ from dpstack.params import BusParams
 from dpstack.sim.io_station import IoStation
 from dpstack.sim.world import World
 
-__all__ = ["IoStation", "World", "run_virtual", "simulate"]
+__all__ = ["IoStation", "World"]  # for the package dpstack and the command line
 
 T = TypeVar("T")
 

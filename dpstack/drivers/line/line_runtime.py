@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
 from time import monotonic_ns
-from typing import Final, TypedDict
+from typing import Final
 
 from dpstack.drivers.line.answer_timing import Answers
 from dpstack.drivers.line.echo import Echo, EchoFilter
@@ -42,16 +42,6 @@ _BURST: Final = 8
 OnHeldUp = Callable[[HeldUp, int], bool]
 
 
-class LineOptions(TypedDict, total=False):
-    """Keyword arguments of :class:`LineRuntime`."""
-
-    echo: Echo
-    on_failure: OnFailure | None
-    tune: Tune | None
-    held_up: OnHeldUp | None
-    backoff_ns: tuple[int, int]
-
-
 def _filter(echo: Echo) -> EchoFilter | None:
     return None if echo is Echo.OFF else EchoFilter(echo)
 
@@ -70,6 +60,8 @@ class LineRuntime(ABC):
     blocked_by = "the process was stopped, or had no processor"
     #: longest wait within a step that is spun
     spin_ns = SPIN_NS
+    #: the timer is set this much before a deadline, the rest is spun
+    early_ns = SPIN_NS
 
     def __init__(
         self,
@@ -93,7 +85,7 @@ class LineRuntime(ABC):
         self._held_up = held_up
         self._stepped_at = 0  # end of the last step
         self._suspended_ns = 0  # sleep of the computer that the machine has been told of
-        self._spin_ns = self._early_ns = self.spin_ns  # the timer fires _early_ns before a deadline, the rest is spun
+        self._spin_ns, self._early_ns = self.spin_ns, self.early_ns
         self._backoff_ns = backoff_ns
         self._attempts: ReopenAttempts | None = None  # while the port is lost
         self._echo_wanted = echo

@@ -151,15 +151,6 @@ class SelectLoop:
         self._signals[sig] = callback
         signal.signal(sig, self._signalled)
 
-    def remove_signal_handler(self, sig: int) -> bool:
-        """Restore the system's default; whether there was a handler."""
-        if self._signals.pop(sig, None) is None:
-            return False
-        signal.signal(sig, signal.SIG_DFL)
-        if not self._signals:
-            signal.set_wakeup_fd(-1)
-        return True
-
     def is_closed(self) -> bool:
         return self._closed
 
@@ -201,8 +192,11 @@ class SelectLoop:
         """Release the loop's own descriptors. Raises UsageError while it runs. May be called again."""
         if self._is_running:
             raise UsageError("the loop is running: stop it first")
-        for sig in list(self._signals):
-            self.remove_signal_handler(sig)
+        for sig in self._signals:
+            signal.signal(sig, signal.SIG_DFL)
+        if self._signals:
+            signal.set_wakeup_fd(-1)
+        self._signals.clear()
         self._closed = True
         self._soon.clear()
         self._alarms.clear()

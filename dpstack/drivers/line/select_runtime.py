@@ -8,15 +8,11 @@ from __future__ import annotations
 import threading
 from functools import partial
 from time import monotonic_ns
-from typing import Unpack
 
-from dpstack.drivers.line.line_runtime import LineOptions, LineRuntime
+from dpstack.drivers.line.line_runtime import LineRuntime
 from dpstack.drivers.line.rate import ReopenAttempts
 from dpstack.drivers.line.select_loop import Alarm, SelectLoop
-from dpstack.drivers.runtime import OnEvents
 from dpstack.errors import PortError
-from dpstack.machine import Machine
-from dpstack.ports import Port
 from dpstack.units import NEVER, NS_PER_US
 
 
@@ -27,48 +23,44 @@ class SelectRuntime(LineRuntime):
     without a file descriptor.
     """
 
+    _loop: SelectLoop  # set by open()
+    _retry: Alarm | None = None
+    _connecting: threading.Thread | None = None
+
     #: A turn of the loop costs 8 us more than spinning, measured at 500 kbit/s, where T_ID1 is 74 us and most of it is
     #: left when an answer has been decoded. Shorter than any slot time.
     spin_ns = 70 * NS_PER_US
+    #: the loop itself polls before a deadline
+    early_ns = 0
 
-    def __init__(
-        self,
-        loop: SelectLoop,
-        port: Port,
-        machine: Machine,
-        on_events: OnEvents,
-        **options: Unpack[LineOptions],
-    ) -> None:
-        super().__init__(port, machine, on_events, **options)
-        self._loop = loop
-        self._budget = loop.budget
-        self._early_ns = 0  # the loop itself polls before a deadline
-        self._retry: Alarm | None = None
-        self._connecting: threading.Thread | None = None
-
-    def open(self) -> None:
+    def open(self, loop: SelectLoop) -> None:
         """Open the port and begin. Raises PortError; ConfigError when the port knows none of the machine's rates."""
         self._may_open()
         if self._connecting is not None:  # begun before the last close; ends within seconds
             self._connecting.join()
             self._connecting = None
         self._port.open_now()
-        self._begin(self._loop, self._loop.alarm(self._timer_due))
+        self._begin_in(loop)
 
-    def take_over(self, command: object) -> None:
+    def take_over(self, loop: SelectLoop, command: object) -> None:
         """Continue with the open port and the machine of another driver that has stopped; first hand it ``command``.
 
         Raises as ``open``; the port is closed then.
         """
         self._may_open()
         self._machine.command(command, monotonic_ns())
-        self._begin(self._loop, self._loop.alarm(self._timer_due))
+        self._begin_in(loop)
+
+    def _begin_in(self, loop: SelectLoop) -> None:
+        self._loop = loop
+        self._begin(loop, loop.alarm(self._timer_due))
 
     def close(self) -> None:
         """Stop, release the port and dispatch the machine's last events. May be called again."""
         was_open = self._at is not None
         self._halt()
-        self._expect(NEVER, 0)
+        if was_open:
+            self._expect(NEVER, 0)
         if self._retry is not None:
             self._retry.close()
             self._retry = None
@@ -81,12 +73,13 @@ class SelectRuntime(LineRuntime):
         loop.hush(self._port.fd, quiet_until)
 
     def _waited(self, spun_ns: int, now: int) -> None:
-        self._budget.spun(spun_ns, now)
-        if not self._budget.may_spin(now):
+        budget = self._loop.budget
+        budget.spun(spun_ns, now)
+        if not budget.may_spin(now):
             self._spin_ns = 0
 
     def _timer_due(self) -> None:
-        if not self._spin_ns and self._budget.may_spin(monotonic_ns()):
+        if not self._spin_ns and self._loop.budget.may_spin(monotonic_ns()):
             self._spin_ns = self.spin_ns
         super()._timer_due()
 

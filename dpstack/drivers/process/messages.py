@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import inspect
-import math
+import json
 import signal
 import socket
 from collections.abc import Iterator, Mapping
@@ -330,25 +330,15 @@ def checked_arguments(args: Mapping[str, object]) -> dict[str, object]:
     return {key: _checked(value) for key, value in args.items()}
 
 
-def _is_utf8(text: str) -> bool:
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
 def _checked(value: object) -> object:
     """Lists and tables by their members."""
     match value:
-        case str() if _is_utf8(value):
-            return value
-        case int() | None:
-            return value
-        case float() if math.isfinite(value):
-            return value
         case list() | tuple():
             return [_checked(one) for one in value]
         case dict() if all(isinstance(key, str) for key in value):
             return {key: _checked(one) for key, one in value.items()}
-    return repr(value)
+    try:
+        json.dumps(value, allow_nan=False, ensure_ascii=False).encode()
+    except (TypeError, ValueError):  # bytes and objects; infinite numbers, text that is no UTF-8
+        return repr(value)
+    return value

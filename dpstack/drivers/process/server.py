@@ -81,7 +81,6 @@ class Host:
         port = open_port(setup.port, setup.stack.params.baud, event_char=setup.event_char, rs485=setup.rs485)
         self._port = port
         self.runtime = SelectRuntime(
-            loop,
             port,
             self._station,
             self.on_events,
@@ -115,7 +114,7 @@ class Host:
         """
         self._master.on_round = self._on_round
         self._master.on_begin = self._take_outputs
-        self.runtime.open()
+        self.runtime.open(self._loop)
         self._image.heartbeat.value = monotonic_ns()
         self._count()
         hello = Answer(0, value=Hello(self.runtime.port_name, self.runtime.paced))

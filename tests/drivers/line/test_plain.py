@@ -84,9 +84,9 @@ def test_the_driver_tells_its_loop_when_an_answer_is_expected() -> None:
     loop = SelectLoop()
     near, far = memory_pair(500_000)
     machine = Script()
-    driver = SelectRuntime(loop, near, machine, lambda _events: None, echo=Echo.OFF)
+    driver = SelectRuntime(near, machine, lambda _events: None, echo=Echo.OFF)
     far.open_now()
-    driver.open()
+    driver.open(loop)
     driver.command(REQUEST)
     assert loop.expected_at == NEVER
     far.write(TOKEN)
@@ -112,8 +112,8 @@ def test_a_driver_without_budget_waits_by_timer_and_is_never_early() -> None:
             machine.deadline = now + 10 * NS_PER_US
 
     machine.on_wake = again
-    driver = SelectRuntime(loop, near, machine, lambda _events: None, echo=Echo.OFF)
-    driver.open()
+    driver = SelectRuntime(near, machine, lambda _events: None, echo=Echo.OFF)
+    driver.open(loop)
     driver.command(10 * NS_PER_US)
     run_until(loop, lambda: len(machine.did("wake")) == 30)
     assert all(now >= deadline for _, deadline, now in machine.did("wake"))
@@ -138,8 +138,8 @@ def test_at_every_rate_a_bus_goes_on_when_the_budget_is_used_up(baud: int) -> No
         params, [SlaveParams(address=3, name="s", ident=0x0696, config=b"\xf3\xf1")], MasterSettings(watchdog_ms=1000)
     )
     station = ActiveStation(params, [master], patience=patience_of(port), now=monotonic_ns())
-    driver = SelectRuntime(loop, port, station, lambda _events: None, echo=Echo.OFF)
-    driver.open()
+    driver = SelectRuntime(port, station, lambda _events: None, echo=Echo.OFF)
+    driver.open(loop)
     driver._waited(1, monotonic_ns())  # as after a spin that was the last
     with Responder(driver.port_name, ["3:0696:f3f1:12:12"]):
         driver.command(GoOnline())
@@ -153,9 +153,9 @@ def test_at_every_rate_a_bus_goes_on_when_the_budget_is_used_up(baud: int) -> No
 
 @pytest.mark.parametrize("port", [open_port("rfc2217://127.0.0.1:7000", 500_000), PySerialPort("COM3", 500_000)])
 def test_a_port_that_needs_asyncio_is_refused(port: Port) -> None:
-    driver = SelectRuntime(SelectLoop(), port, Script(), lambda _events: None)
+    driver = SelectRuntime(port, Script(), lambda _events: None)
     with pytest.raises(PortError, match='works with the asyncio driver only: set driver = "asyncio"'):
-        driver.open()
+        driver.open(SelectLoop())
 
 
 class SlowLine:
@@ -179,8 +179,8 @@ class SlowLine:
 def test_a_lost_connection_is_made_again_while_the_loop_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     line = SlowLine(monkeypatch)
     loop, machine, events = SelectLoop(), Script(), list[Event]()
-    driver = SelectRuntime(loop, line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
-    driver.open()
+    driver = SelectRuntime(line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
+    driver.open(loop)
     line.far.hang_up()
     run_until(loop, lambda: any(isinstance(event, PortLost) for event in events))
     turns = 0
@@ -209,8 +209,8 @@ def test_a_connection_that_comes_about_too_late_is_closed(
 ) -> None:
     line = SlowLine(monkeypatch)
     loop, events = SelectLoop(), list[Event]()
-    driver = SelectRuntime(loop, line.port, Script(), events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
-    driver.open()
+    driver = SelectRuntime(line.port, Script(), events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
+    driver.open(loop)
     line.far.hang_up()
 
     def connecting() -> list[threading.Thread]:
@@ -234,13 +234,13 @@ def test_a_connection_that_comes_about_too_late_is_closed(
 def test_opened_again_while_an_old_attempt_connects(monkeypatch: pytest.MonkeyPatch) -> None:
     line = SlowLine(monkeypatch)
     loop, events, machine = SelectLoop(), list[Event](), Script()
-    driver = SelectRuntime(loop, line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
-    driver.open()
+    driver = SelectRuntime(line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
+    driver.open(loop)
     line.far.hang_up()
     run_until(loop, lambda: driver._connecting is not None)
     driver.close()
     line.go.set()
-    driver.open()
+    driver.open(loop)
     turns = monotonic_ns() + 5 * NS_PER_MS
     run_until(loop, lambda: monotonic_ns() > turns)  # the outcome of the old attempt comes now, and changes nothing
     assert line.port.fd is not None
@@ -254,8 +254,8 @@ def test_notices_of_the_port_are_told_at_open() -> None:
     loop, events = SelectLoop(), list[Event]()
     near, _far = memory_pair(500_000)
     near.notices = ["has no parity bit"]
-    driver = SelectRuntime(loop, near, Script(), events.extend)
-    driver.open()
+    driver = SelectRuntime(near, Script(), events.extend)
+    driver.open(loop)
     assert [event.text for event in events if isinstance(event, Notice)] == [f"{near.name}: has no parity bit"]
     driver.close()
     driver.close()
