@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -58,6 +59,19 @@ class Stream(AsyncIterator[T]):
             self._more.clear()
             await self._more.wait()
         return self._waiting.popleft()
+
+
+def when_dropped(owner: object, callback: Callable[..., object], *args: object) -> weakref.finalize[..., object]:
+    """Have this event loop call ``callback(*args)`` once nothing refers to ``owner`` any more."""
+    loop = asyncio.get_running_loop()
+
+    def call_later() -> None:  # in any thread
+        with contextlib.suppress(RuntimeError):  # the loop is over, and the bus with it
+            loop.call_soon_threadsafe(callback, *args)
+
+    finalizer = weakref.finalize(owner, call_later)
+    finalizer.atexit = False
+    return finalizer
 
 
 class EventStream(Stream[Event]):

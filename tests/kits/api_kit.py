@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Coroutine
-from typing import Any, TypeVar
+import functools
+from collections.abc import Callable, Coroutine
+from typing import Any, ParamSpec, TypeVar
 
 import dpstack
 from dpstack.dp.slave.application import SlaveApp, make_slave
@@ -14,6 +15,7 @@ from dpstack.params import BusParams
 from dpstack.sim.world import World
 
 T = TypeVar("T")
+P = ParamSpec("P")
 RAW: dict[str, object] = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
 HOIST: dict[str, object] = {"name": "hoist", "address": 3, "drive": "demag-dedrive"}
 FAN: dict[str, object] = {"name": "fan", "address": 4, "drive": "fuji-frenic", "telegram": "PPO3"}
@@ -21,6 +23,16 @@ FAN: dict[str, object] = {"name": "fan", "address": 4, "drive": "fuji-frenic", "
 
 def virtual(program: Coroutine[Any, Any, T]) -> T:
     return dpstack.run_virtual(program)
+
+
+def in_virtual_time(test: Callable[P, Coroutine[Any, Any, None]]) -> Callable[P, None]:
+    """A test that runs in the event loop of a simulated bus."""
+
+    @functools.wraps(test)
+    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+        virtual(test(*args, **kwargs))
+
+    return run
 
 
 def bus_of(*slaves: dict[str, object], **more: Any) -> dpstack.Bus:

@@ -24,6 +24,7 @@ from dpstack.dpv1.master.orders import (
     RecordDone,
     RecordOrder,
 )
+from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.drivers.stack import acyclic_services
@@ -205,7 +206,7 @@ class Ms2Bus:
     def order_open(self, address: int = 4, send_timeout_ns: int = 200 * MS, **more: Any) -> int:
         """Ordered only."""
         token = self.token()
-        self.send(OpenConnection(token, address, send_timeout_ns, **more))
+        self.send(OpenConnection(token, address, InitiateReq(send_timeout_ns), **more))
         return token
 
     def open(self, address: int = 4, **more: Any) -> InitiateDone:
@@ -271,6 +272,13 @@ class Ms2Bus:
             self.bus.run(MS)
         for slave in self.slaves.values():
             assert slave.mute or not slave.sessions, "the slave keeps a connection"
+
+
+def connected(**more: Any) -> Ms2Bus:
+    """A bus with connection 1 to slave 4, opened with ``more``."""
+    kit = Ms2Bus()
+    kit.open(**more)
+    return kit
 
 
 class Ms2App(SlaveApp):

@@ -28,11 +28,12 @@ Element = int | float | bool | str
 class ListEntry(abc.ABC):
     """One parameter of a list; without values and with the reason in ``unreadable`` where it could not be read.
 
-    ``read_only``: an actual value or a property of the drive. ``KEYS``: those of its line in a file, with the types
-    that they may have; ``VALUES``: the keys of the values; ``OMITTED``: keys that the line leaves out at this value.
+    ``read_only``: an actual value or a property of the drive. ``KEYS``: the keys of its line in a file, with their
+    types (a whole number may stand for a float); ``VALUES``: those of its values; ``OMITTED``: keys that the line
+    leaves out at these values.
     """
 
-    KEYS: ClassVar[Mapping[str, tuple[type, ...]]]
+    KEYS: ClassVar[Mapping[str, type]]
     VALUES: ClassVar[tuple[str, ...]]
     OMITTED: ClassVar[Mapping[str, object]]
 
@@ -163,10 +164,10 @@ class SavedList(abc.ABC, Generic[E]):
         if not isinstance(entry, Mapping):
             cls.refuse(where, "is no table")
         for key, value in entry.items():
-            types = cls.ENTRY.KEYS.get(key)
-            if types is None:
+            wanted = cls.ENTRY.KEYS.get(key)
+            if wanted is None:
                 cls.refuse(where, f"there is no key {key!r}; there are {', '.join(cls.ENTRY.KEYS)}")
-            if type(value) not in types:
+            if type(value) is not wanted and not (wanted is float and type(value) is int):
                 cls.refuse(where, f"{key} = {value!r} is of the wrong type")
         if not all(key in entry for key in needs):
             cls.refuse(where, f"needs {' and '.join(needs)}")

@@ -31,16 +31,16 @@ class SavedParam(ListEntry):
     """One parameter of a drive: ``value`` in ``unit``, or None."""
 
     KEYS: ClassVar = {
-        "name": (str,),
-        "number": (int,),
-        "subindex": (int,),
-        "data_set": (int,),
-        "index": (int,),
-        "value": (int, float),
-        "unit": (str,),
-        "unreadable": (str,),
-        "read_only": (bool,),
-        "title": (str,),
+        "name": str,
+        "number": int,
+        "subindex": int,
+        "data_set": int,
+        "index": int,
+        "value": float,
+        "unit": str,
+        "unreadable": str,
+        "read_only": bool,
+        "title": str,
     }
     VALUES = "value", "unit"
     OMITTED: ClassVar = {"subindex": 0, "data_set": None, "index": None, "read_only": False}

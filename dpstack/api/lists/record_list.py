@@ -26,14 +26,7 @@ from dpstack.profile.record47 import ReadParameter
 class ListedValues(ListEntry):
     """One parameter of a device with all its ``values`` in ``format``, or without any."""
 
-    KEYS: ClassVar = {
-        "number": (int,),
-        "name": (str,),
-        "format": (str,),
-        "values": (list,),
-        "unreadable": (str,),
-        "read_only": (bool,),
-    }
+    KEYS: ClassVar = {"number": int, "name": str, "format": str, "values": list, "unreadable": str, "read_only": bool}
     VALUES = "values", "format"
     OMITTED: ClassVar = {"name": "", "read_only": False}
 

@@ -15,7 +15,7 @@ from collections.abc import AsyncIterator, Callable, Iterable
 from typing import Any, Final
 
 from dpstack.api.slave.service_errors import error_of
-from dpstack.api.streams import Stream
+from dpstack.api.streams import Stream, when_dropped
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier, Status
 from dpstack.dp.pdu.diagnosis import Diagnosis
@@ -109,8 +109,7 @@ class AlarmStream(AsyncIterator[SlaveAlarm]):
         self._listener = _Listener()
         desk.listen(address, self._listener)
         # a program may leave an ``async for`` without close(): the slave must not wait for it
-        self._leave = weakref.finalize(self, desk.leave_later, address, self._listener, asyncio.get_running_loop())
-        self._leave.atexit = False
+        self._leave = when_dropped(self, desk.leave, address, self._listener)
 
     def close(self) -> None:
         """End the stream; its unread alarms are acknowledged. May be repeated."""
@@ -131,31 +130,20 @@ class AlarmStream(AsyncIterator[SlaveAlarm]):
         return alarm
 
 
-class StatusStream(Stream[Status]):
-    """Status messages of one slave, an async iterator. Ends as AlarmStream."""
-
-    def __init__(self) -> None:
-        super().__init__(_STATUSES)
-
-
 class AlarmListeners:
     """The alarm and status listeners of one bus."""
 
     def __init__(self, command: Callable[[object], None]) -> None:
         self._command = command
         self._listeners: dict[int, list[_Listener]] = {}
-        self._statuses: dict[int, weakref.WeakSet[StatusStream]] = {}
+        self._statuses: dict[int, weakref.WeakSet[Stream[Status]]] = {}
         #: alarms that are not acknowledged yet, by address and number
         self._held: dict[tuple[int, int], SlaveAlarm] = {}
         self._over: DpError | None = None
 
-    def alarms(self, address: int, *, acknowledge: bool) -> AlarmStream:
-        """See :meth:`dpstack.api.slave.slave.Slave.alarms`."""
-        return AlarmStream(self, address, acknowledge)
-
-    def statuses(self, address: int) -> StatusStream:
+    def statuses(self, address: int) -> Stream[Status]:
         """See :meth:`dpstack.api.slave.slave.Slave.status_messages`."""
-        stream = StatusStream()
+        stream = Stream[Status](_STATUSES)
         self._statuses.setdefault(address, weakref.WeakSet()).add(stream)
         if self._over is not None:
             stream.end()
@@ -179,11 +167,6 @@ class AlarmListeners:
             self.release(alarm, listener)
         if not listeners:
             self._order(HoldAlarms(address, False))
-
-    def leave_later(self, address: int, listener: _Listener, loop: asyncio.AbstractEventLoop) -> None:
-        """For a finalizer, which may run in any thread."""
-        with contextlib.suppress(RuntimeError):  # the loop is over, and the bus with it
-            loop.call_soon_threadsafe(self.leave, address, listener)
 
     def release(self, alarm: SlaveAlarm, listener: _Listener) -> None:
         """``listener`` has given ``alarm`` to the application, or is gone."""
@@ -272,4 +255,4 @@ class AlarmListeners:
                 self._done(*key, alarm._end or Outcome(failure=ServiceFailure.LINE, text=text))
 
 
-__all__ = ["AlarmListeners", "AlarmStream", "SlaveAlarm", "StatusStream"]
+__all__ = ["AlarmListeners", "AlarmStream", "SlaveAlarm"]

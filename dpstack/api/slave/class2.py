@@ -22,6 +22,7 @@ from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_data import Value
 from dpstack.dpv1.master.orders import OpenConnection
+from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
 from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import ConfigError, PduError, UsageError
 from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
@@ -158,13 +159,15 @@ class Class2(Sealed):
         order = OpenConnection(
             self._bus.services.token(),
             address,
-            silence,
+            InitiateReq(
+                silence,
+                profile_features=profile_features,
+                profile_ident=profile_ident,
+                source=_initiate_address("source", source),
+                destination=_initiate_address("destination", destination),
+            ),
             response,
-            profile_features=profile_features,
-            profile_ident=profile_ident,
-            source=octets("source", source),
-            destination=octets("destination", destination),
-            channels=limits.c2_max_count_channels,
+            limits.c2_max_count_channels,
             timeout_ns=time_of(usual_timeout(response) if timeout is None else timeout),
         )
         return Connecting(
@@ -229,3 +232,10 @@ class Class2(Sealed):
         said = block_texts(found, texts, dpv1=known is not None and known.setup.dpv1 is not None)
         plain = {one.name: getattr(found, one.name) for one in fields(found)}
         return ReadDiagnosis(**plain, diagnosis_texts=found.texts + said)
+
+
+def _initiate_address(what: str, given: bytes) -> Address:
+    data = octets(what, given)
+    if len(data) < 2:
+        raise UsageError(f"an address in Initiate has API and access level, {len(data)} octets are given")
+    return Address(data[0], data[1], data[2:])

@@ -13,19 +13,12 @@ from typing import Final, NamedTuple
 
 from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue, Readable
 from dpstack.api.slave.host import Host
+from dpstack.api.slave.record_parameters import drive_error
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Stream
 from dpstack.argcheck import Sealed
 from dpstack.dp.master.commands import DriveCommand, Mode
-from dpstack.errors import (
-    BusError,
-    DpError,
-    DriveError,
-    DriveFault,
-    DriveTimeout,
-    ParameterError,
-    UsageError,
-)
+from dpstack.errors import BusError, DpError, DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import DriveCore, DriveStatus, ListedParam, per_request
 from dpstack.profile.model.jobs import LARGEST
 
@@ -396,22 +389,15 @@ class Drive(Sealed, Readable):
         return error
 
     def _error(self, payload: Mapping[str, object]) -> DpError:
-        text = f"drive {self.name}: {payload.get('text')}"
-        number = payload.get("number")
-        match payload.get("error"):
-            case "fault":
-                return DriveFault(self.name, text)
-            case "timeout":
-                return DriveTimeout(self.name, text)
-            case "parameter":
-                return ParameterError(self.name, number if isinstance(number, int) else -1, text)
-            case "usage":
-                return UsageError(text)
-            case "lost" if not self._over and self._bus.forced_clear is not None:
-                return DriveError(self.name, f"drive {self.name}: ended: {self._why_silent()}")
-            case "lost" if not self._over and not self.slave.ready_now:
-                return DriveError(self.name, f"{text}: {self._why_silent()}")
-        return DriveError(self.name, text)
+        kind, text = payload.get("error"), payload.get("text")
+        if kind == "usage":
+            return UsageError(f"drive {self.name}: {text}")
+        if kind == "lost" and not self._over:
+            if self._bus.forced_clear is not None:
+                text = f"ended: {self._why_silent()}"
+            elif not self.slave.ready_now:
+                text = f"{text}: {self._why_silent()}"
+        return drive_error(self.name, kind, text, payload.get("number"))
 
 
 def _members(value: object) -> dict[str, object]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import weakref
 from collections.abc import Awaitable, Callable, Generator
 from dataclasses import dataclass, field
 from types import TracebackType
 
 from dpstack.api.slave.records import RecordAccess, RecordWay
 from dpstack.api.slave.services import ConnectionEnd, Services
+from dpstack.api.streams import when_dropped
 from dpstack.argcheck import Sealed
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.layouts import MAX_RECORD
@@ -37,8 +36,7 @@ class Connection(Sealed, RecordAccess):
 
     def __init__(self, made: Connecting, done: InitiateDone, ending: ConnectionEnd) -> None:
         services = made.services
-        self._name = made.name
-        self._diagnosis = made.diagnosis
+        self._made = made
         self._done = done
         self._ending = ending
         longest = min(made.limits.c2_max_data_len or MAX_RECORD, MAX_RECORD, done.max_len)
@@ -53,8 +51,7 @@ class Connection(Sealed, RecordAccess):
             done.token,
         )
         # a program may drop the connection without close()
-        left = weakref.finalize(self, _close_later, services, done.token, ending, asyncio.get_running_loop())
-        left.atexit = False
+        when_dropped(self, services.close_connection, done.token, ending)
         self._seal(Connection)
 
     def _sealed_name(self) -> str:
@@ -63,7 +60,7 @@ class Connection(Sealed, RecordAccess):
     @property
     def name(self) -> str:
         """The slave's name on this bus, or "slave" and its address."""
-        return self._name
+        return self._made.name
 
     @property
     def address(self) -> int:
@@ -110,7 +107,7 @@ class Connection(Sealed, RecordAccess):
 
     async def ident(self) -> int:
         """The slave's ident number, by Slave_Diag."""
-        return (await self._diagnosis(self.address)).ident
+        return (await self._made.diagnosis(self.address)).ident
 
     async def ended(self) -> None:
         """Wait until either side has ended it; then :attr:`reason` says why."""
@@ -142,12 +139,6 @@ class Connection(Sealed, RecordAccess):
             if not str(error).startswith(NO_CONNECTION):
                 raise
             raise ConnectionEnded(self.address, f"slave {self.address}: {error}") from None
-
-
-def _close_later(services: Services, token: int, ending: ConnectionEnd, loop: asyncio.AbstractEventLoop) -> None:
-    """For a finalizer, which may run in any thread."""
-    with contextlib.suppress(RuntimeError):  # the loop is over, and the bus with it
-        loop.call_soon_threadsafe(services.close_connection, token, ending)
 
 
 @dataclass(eq=False)
@@ -199,7 +190,7 @@ class Connecting:
             raise UsageError(f"{who}: its GSD file says C2_Read_Write_supp = 0: it has no class 2 connections")
         try:
             pdu = self.order.request.build()
-        except (PduError, UsageError):
+        except PduError:
             return  # the machine refuses it with the reason
         longest = max(LEAST_INITIATE, self.limits.max_initiate_pdu_length)
         if self.limits.max_initiate_pdu_length and longest < len(pdu):

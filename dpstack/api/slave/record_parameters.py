@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from dpstack.argcheck import whole
 from dpstack.dp.pdu.layouts import MAX_RECORD
-from dpstack.errors import DriveError, DriveTimeout, ParameterError, UsageError
+from dpstack.errors import DriveError, DriveFault, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import CommandError
 from dpstack.profile.record47 import (
     PROGRAM,
@@ -144,19 +144,22 @@ class RecordParameters:
                 result: T = end.value
                 return result
             except CommandError as error:
-                raise self._told(error) from None
+                raise drive_error(self._name, error.kind, error.text, error.number) from None
             finally:
                 transport.close()
 
-    def _told(self, error: CommandError) -> DriveError:
-        text = f"drive {self._name}: {error.text}"
-        match error.kind:
-            case "timeout":
-                return DriveTimeout(self._name, text)
-            case "parameter":
-                return ParameterError(self._name, -1 if error.number is None else error.number, text)
-            case _:
-                return DriveError(self._name, text)
+
+def drive_error(name: str, kind: object, text: object, number: object = None) -> DriveError:
+    """The exception of a failed order to the drive ``name``: of the parameter ``number``, where ``kind`` says so."""
+    message = f"drive {name}: {text}"
+    match kind:
+        case "fault":
+            return DriveFault(name, message)
+        case "timeout":
+            return DriveTimeout(name, message)
+        case "parameter":
+            return ParameterError(name, number if isinstance(number, int) else -1, message)
+    return DriveError(name, message)
 
 
 def _wanted(items: Iterable[Address | Item | int]) -> list[Address | Item]:

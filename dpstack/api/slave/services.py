@@ -65,11 +65,8 @@ class Services:
         #: class 2 connections by the token that opened them
         self.connections: dict[int, ConnectionEnd] = {}
         self.alarms = AlarmListeners(command)
-        self._im_calls: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
-
-    def im_call(self, address: int) -> asyncio.Lock:
-        """The lock of the slave at ``address``, see :class:`~dpstack.api.slave.records.RecordWay`."""
-        return self._im_calls[address]
+        #: of the slave at each address, see :class:`~dpstack.api.slave.records.RecordWay`
+        self.im_calls: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
 
     def token(self) -> int:
         return next(self._tokens)

@@ -7,15 +7,17 @@ from collections.abc import Iterator, Mapping
 from typing import Unpack
 
 from dpstack.api.config.slave import Changes, SlaveConfig, changed
-from dpstack.api.slave.alarms import AlarmStream, StatusStream
+from dpstack.api.slave.alarms import AlarmStream
 from dpstack.api.slave.host import Host
 from dpstack.api.slave.records import RecordAccess, RecordWay
+from dpstack.api.streams import Stream
 from dpstack.argcheck import Sealed
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, ReparameteriseSlave
 from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.scanner import Found, SlaveView
+from dpstack.dp.pdu.alarm_blocks import Status
 from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
@@ -347,9 +349,9 @@ class Slave(Sealed, RecordAccess):
         """
         self._bus.check_open()
         need_dpv1(self.setup, read_only=self._bus.view.read_only)
-        return self._bus.services.alarms.alarms(self.address, acknowledge=acknowledge)
+        return AlarmStream(self._bus.services.alarms, self.address, acknowledge)
 
-    def status_messages(self) -> StatusStream:
+    def status_messages(self) -> Stream[Status]:
         """Status messages, module status, PrmCmdAck ... from now on (:class:`~dpstack.dp.pdu.alarm_blocks.Status`): an
         async iterator; nobody acknowledges them, of a reader that does not read the oldest are dropped.
 
@@ -371,7 +373,7 @@ class Slave(Sealed, RecordAccess):
         longest = dpv1.c1_max_data_len
         limit = f"its GSD file says C1_Max_Data_Len = {longest}: write less"
         response_ns = dpv1.c1_response_timeout_ns
-        return RecordWay(services, address, self.who, longest, limit, response_ns, services.im_call(address))
+        return RecordWay(services, address, self.who, longest, limit, response_ns, services.im_calls[address])
 
     async def deactivate(self) -> None:
         """Take it out of service: safe outputs for 50 ms, Unlock, then nothing is sent to it until :meth:`activate`.

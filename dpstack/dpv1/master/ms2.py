@@ -84,11 +84,12 @@ class Ms2(Connections):
             raise UsageError("the bus is being closed: no connection is opened any more")
         if len(self.connections) >= CAPACITY:
             raise UsageError(f"{CAPACITY} class 2 connections are open already: close one first")
-        if order.send_timeout_ns <= 0:
+        if order.request.send_timeout_ns <= 0:
             raise UsageError("a send time-out of 0 s or less ends a connection at once: 0.01 s is the least")
         if order.response_ns < 0:
             raise UsageError(f"{ns_to_s(order.response_ns):g} s is no time for an answer: 0 for as long as is usual")
-        connection = MasterConnection(order.token, order.address, order.send_timeout_ns, order.response_ns)
+        send_timeout_ns = order.request.send_timeout_ns
+        connection = MasterConnection(order.token, order.address, send_timeout_ns, order.response_ns)
         job = InitiateJob(connection, self, order)
         self.connections[order.token] = connection
         return job
@@ -157,8 +158,8 @@ class Ms2(Connections):
         """End the connections that were; whether there were any."""
         if not self.connections:
             return False
-        open_ones = [c for c in self.connections.values() if c.phase is Phase.OPEN]
-        silent = [c for c in open_ones if now >= c.heard_at + c.send_timeout_ns]
+        connections = self.connections.values()
+        silent = [c for c in connections if c.phase is Phase.OPEN and now >= c.heard_at + c.send_timeout_ns]
         for connection in silent:
             seconds = ns_to_s(connection.send_timeout_ns)
             reason = f"nothing was heard of the slave for {seconds:g} s (the send time-out)"

@@ -17,14 +17,7 @@ from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text
 from dpstack.dpv1.master.orders import ConnectionOver, ConnectionsClosed, RecordDone
 from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Polling, Reply, classify, service_outcome
-from dpstack.dpv1.pdu.ms2 import (
-    HEAD,
-    IDLE,
-    Abort,
-    AbortReason,
-    Instance,
-    ResourceManagerRes,
-)
+from dpstack.dpv1.pdu.ms2 import HEAD, IDLE, Abort, AbortReason, Instance, ResourceManagerRes
 from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, Service
 from dpstack.dpv1.timeouts import RESPONSE_TIMEOUT, service_timeout
 from dpstack.errors import PduError
@@ -253,18 +246,15 @@ class ConnectionJob(Job):
                 lost = False
                 polling.restart_limit()
 
-    @property
-    def unfetched(self) -> Polling | None:
-        """The service that was given up without its answer, if any: before the master fetches that answer, the slave
-        takes no other service."""
-        return self.connection.last if self.connection.outstanding else None
-
-    def fetch_earlier_answer(self, earlier: Polling) -> Steps[Outcome | None]:
-        """Drop the answer to the service that was given up. An Outcome is the end of this job, too."""
-        found = yield from self.exchange(earlier, b"", "a service that was given up")
-        if isinstance(found, Outcome):
-            return found
-        self.connection.stale += 1
+    def fetch_earlier_answer(self) -> Steps[Outcome | None]:
+        """Fetch and drop the answer to a service that was given up, if any: before that, the slave takes no other
+        service. An Outcome is the end of this job, too."""
+        connection = self.connection
+        if connection.outstanding and connection.last is not None:
+            found = yield from self.exchange(connection.last, b"", "a service that was given up")
+            if isinstance(found, Outcome):
+                return found
+            connection.stale += 1
         return None
 
     # --- ends ---------------------------------------------------------------------------------------------------
@@ -345,10 +335,9 @@ class ServiceJob(ConnectionJob):
         """Fetch the answer that an earlier service left, send the request, then poll."""
         connection = self.connection
         before = connection.stale
-        if self.unfetched is not None:
-            failed = yield from self.fetch_earlier_answer(self.unfetched)
-            if failed is not None:
-                return failed
+        failed = yield from self.fetch_earlier_answer()
+        if failed is not None:
+            return failed
         polling = self.polling(self._answer)
         octets = self._octets
         self._sent = True
@@ -384,8 +373,8 @@ class IdleJob(ConnectionJob):
 
     def steps(self) -> Steps[Outcome]:
         """Idle, or the answer to a service that was given up."""
-        if self.unfetched is not None:
-            return (yield from self.fetch_earlier_answer(self.unfetched)) or Outcome()
+        if self.connection.outstanding:
+            return (yield from self.fetch_earlier_answer()) or Outcome()
         found = yield from self.exchange(self.polling(), IDLE)
         if isinstance(found, Outcome):
             return found

@@ -51,9 +51,10 @@ class InitiateJob(ConnectionJob):
 
     def __init__(self, connection: MasterConnection, ms2: Connections, order: OpenConnection) -> None:
         super().__init__(connection, ms2)
+        request = order.request
         self._channels = order.channels
-        self._octets = order.request.build()
-        self._answer = _INITIATE_RES + len(order.source) + len(order.destination)
+        self._octets = request.build()
+        self._answer = _INITIATE_RES + len(request.source.build()) + len(request.destination.build())
         self._response: InitiateRes | None = None
 
     def steps(self) -> Steps[Outcome]:
@@ -203,8 +204,6 @@ class InitiateJob(ConnectionJob):
                 server_sap=connection.server_sap,
                 send_timeout_ns=connection.send_timeout_ns,
                 max_len=connection.max_len,
-                features=response.features,
-                profile_features=response.profile_features,
                 profile_ident=response.profile_ident,
             )
         ]

@@ -15,17 +15,14 @@ from dpstack.dp.pdu.alarm_blocks import Alarm, Status
 from dpstack.dp.pdu.diag_texts import DiagTexts, texts_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.layouts import MAX_RECORD
-from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
+from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, Service, WriteReq
 from dpstack.dpv1.timeouts import SERVICE_TIMEOUT, least_send_timeout
-from dpstack.errors import UsageError
 from dpstack.machine import Order
 from dpstack.trace import Event
 
-#: the send time-out to ask for by default
-SEND_TIMEOUT: Final = least_send_timeout(500_000)
-#: API and access level: the shortest address in Initiate
-_ADDRESS: Final = 2
+#: Initiate with the send time-out to ask for by default
+_USUAL_REQUEST: Final = InitiateReq(least_send_timeout(500_000))
 
 
 # --- Read, Write, Data_Transport ---------------------------------------------------------------------------------
@@ -102,41 +99,19 @@ class RecordDone(ServiceEnd):
 
 @dataclass(frozen=True, slots=True)
 class OpenConnection(Order):
-    """Open a connection to the slave at ``address`` (Initiate); its end is the InitiateDone with ``token``.
+    """Open a connection to the slave at ``address`` by the Initiate ``request``; its end is the InitiateDone with
+    ``token``. The slave may have a longer send time-out than that in the request.
 
-    ``send_timeout_ns``: to ask for (the slave may have a longer one); ``response_ns``: the time in which the slave
-    answers a service (C2_Response_Timeout), 0: not known. ``profile_features``, ``profile_ident``, ``source`` and
-    ``destination`` (API, access level, then up to 6 octets of network address and the MAC address) as in Initiate.
-    ``channels``: number of connections that the slave has (C2_Max_Count_Channels), 0: not known.
+    ``response_ns``: the time in which the slave answers a service (C2_Response_Timeout), 0: not known. ``channels``:
+    number of connections that the slave has (C2_Max_Count_Channels), 0: not known.
     """
 
     token: int
     address: int
-    send_timeout_ns: int = SEND_TIMEOUT
+    request: InitiateReq = _USUAL_REQUEST
     response_ns: int = 0
-    profile_features: int = 0
-    profile_ident: int = 0
-    source: bytes = bytes(2)
-    destination: bytes = bytes(2)
     channels: int = 0
     timeout_ns: int = SERVICE_TIMEOUT
-
-    @property
-    def request(self) -> InitiateReq:
-        """Raises UsageError for an address that is too short."""
-        return InitiateReq(
-            self.send_timeout_ns,
-            profile_features=self.profile_features,
-            profile_ident=self.profile_ident,
-            source=_address_of(self.source),
-            destination=_address_of(self.destination),
-        )
-
-
-def _address_of(octets: bytes) -> Address:
-    if len(octets) < _ADDRESS:
-        raise UsageError(f"an address in Initiate has API and access level, {len(octets)} octets are given")
-    return Address(octets[0], octets[1], octets[_ADDRESS:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,8 +138,6 @@ class InitiateDone(ServiceEnd):
     server_sap: int = 0
     send_timeout_ns: int = 0
     max_len: int = 0
-    features: int = 0
-    profile_features: int = 0
     profile_ident: int = 0
 
     @property

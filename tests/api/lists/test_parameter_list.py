@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from api_kit import RAW, bus_of, virtual
+from api_kit import RAW, bus_of, in_virtual_time, virtual
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -197,69 +197,62 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", DRIVES)
-def test_each_drive_is_dumped_and_compared(kind: str, tmp_path: Path) -> None:
+@in_virtual_time
+async def test_each_drive_is_dumped_and_compared(kind: str, tmp_path: Path) -> None:
     count, name, value, data_set = DRIVES[kind]
     path = tmp_path / "it.toml"
-
-    async def program() -> None:
-        async with bus_with(kind, RAW) as bus:
-            await bus.operate()
-            await bus.ready()
-            it = bus.drive("it")
-            seen: list[int] = []
-            cycles = bus.stats.slaves[9].exchanges
-            found = await it.dump(path, on_parameter=lambda number, of, one: seen.append(number))
-            assert ParameterList.load(path) == found
-            assert len(found.parameters) == count == len(seen)
-            orders = (count - len(found.unreadable)) // it.per_request  # record 47 takes several
-            assert bus.stats.slaves[9].exchanges >= cycles + orders  # the bus went on
-            same = await it.compare(path, read_only=True)
-            assert same.differences == ()
-            assert same.same == count - len(found.unreadable)
-            await it.write(name, value, data_set=data_set)
-            (found_one,) = (await it.compare(found)).differences
-            assert found_one.saved.name == name
-            assert (found_one.saved.data_set, found_one.found.value) == (data_set, value)
-            assert f"drive {value!r}" in found_one.text
-
-    virtual(program())
+    async with bus_with(kind, RAW) as bus:
+        await bus.operate()
+        await bus.ready()
+        it = bus.drive("it")
+        seen: list[int] = []
+        cycles = bus.stats.slaves[9].exchanges
+        found = await it.dump(path, on_parameter=lambda number, of, one: seen.append(number))
+        assert ParameterList.load(path) == found
+        assert len(found.parameters) == count == len(seen)
+        orders = (count - len(found.unreadable)) // it.per_request  # record 47 takes several
+        assert bus.stats.slaves[9].exchanges >= cycles + orders  # the bus went on
+        same = await it.compare(path, read_only=True)
+        assert same.differences == ()
+        assert same.same == count - len(found.unreadable)
+        await it.write(name, value, data_set=data_set)
+        (found_one,) = (await it.compare(found)).differences
+        assert found_one.saved.name == name
+        assert (found_one.saved.data_set, found_one.found.value) == (data_set, value)
+        assert f"drive {value!r}" in found_one.text
 
 
-def test_what_cannot_be_read_says_why_and_is_not_compared(tmp_path: Path) -> None:
-    async def program() -> None:
-        async with bus_with("demag-dedrive") as bus:
-            await bus.operate()
-            it = bus.drive("it")
-            found = await it.dump(data_set=2)
-            assert {one.data_set for one in found.parameters} == {None, 2}
-            texts = [(one.number, one.unreadable) for one in found.unreadable]
-            assert texts == [(n, "it is a text, which the parameter channel cannot carry") for n in (281, 284)]
-            result = await it.compare(found)
-            reasons = {why for one, why in result.skipped if one.data_set in (1, 3, 4)}
-            assert reasons == {"it is not in the file"}
-            assert {why for one, why in result.skipped if one.number == 270} == {"it is read only"}
-            made_up = SavedParam(name="moonlight", number=1, value=3)
-            other = await it.compare(replace(found, parameters=(made_up,)), data_set=2)
-            assert (made_up, "the plugin does not know it") in other.skipped
-            (unit,) = [one for one in found.parameters if one.number == 400]
-            (wrong,) = (await it.compare(replace(found, parameters=(replace(unit, unit="Hz"),)))).differences
-            assert wrong.text.endswith("file 2 Hz, drive 2 kHz")
-            with pytest.raises(UsageError, match=r"demag-dedrive has no data set 7; it has 1..4"):
-                await it.dump(data_set=7)
-            with pytest.raises(ConfigError, match="the list holds the parameters of a keb-f5"):
-                await it.compare(replace(found, drive="keb-f5"))
-
-    virtual(program())
+@in_virtual_time
+async def test_what_cannot_be_read_says_why_and_is_not_compared(tmp_path: Path) -> None:
+    async with bus_with("demag-dedrive") as bus:
+        await bus.operate()
+        it = bus.drive("it")
+        found = await it.dump(data_set=2)
+        assert {one.data_set for one in found.parameters} == {None, 2}
+        texts = [(one.number, one.unreadable) for one in found.unreadable]
+        assert texts == [(n, "it is a text, which the parameter channel cannot carry") for n in (281, 284)]
+        result = await it.compare(found)
+        reasons = {why for one, why in result.skipped if one.data_set in (1, 3, 4)}
+        assert reasons == {"it is not in the file"}
+        assert {why for one, why in result.skipped if one.number == 270} == {"it is read only"}
+        made_up = SavedParam(name="moonlight", number=1, value=3)
+        other = await it.compare(replace(found, parameters=(made_up,)), data_set=2)
+        assert (made_up, "the plugin does not know it") in other.skipped
+        (unit,) = [one for one in found.parameters if one.number == 400]
+        (wrong,) = (await it.compare(replace(found, parameters=(replace(unit, unit="Hz"),)))).differences
+        assert wrong.text.endswith("file 2 Hz, drive 2 kHz")
+        with pytest.raises(UsageError, match=r"demag-dedrive has no data set 7; it has 1..4"):
+            await it.dump(data_set=7)
+        with pytest.raises(ConfigError, match="the list holds the parameters of a keb-f5"):
+            await it.compare(replace(found, drive="keb-f5"))
 
 
-def test_a_telegram_without_a_channel_is_refused_at_once(tmp_path: Path) -> None:
-    async def program() -> None:
-        async with bus_of({**slave("demag-dedrive"), "telegram": "PPO3"}) as bus:
-            with pytest.raises(UsageError, match="PPO3 of demag-dedrive has no parameter channel"):
-                await bus.drive("it").dump(tmp_path / "it.toml")
-        assert list(tmp_path.iterdir()) == []
-
-    virtual(program())
+@in_virtual_time
+async def test_a_telegram_without_a_channel_is_refused_at_once(tmp_path: Path) -> None:
+    async with bus_of({**slave("demag-dedrive"), "telegram": "PPO3"}) as bus:
+        with pytest.raises(UsageError, match="PPO3 of demag-dedrive has no parameter channel"):
+            await bus.drive("it").dump(tmp_path / "it.toml")
+    assert list(tmp_path.iterdir()) == []
 
 
 def no_room(file: FileToBe, octets: bytes) -> None:
@@ -322,26 +315,23 @@ class Mute:
         return bytes.fromhex("7102 0100 0000 0011") if octets[:4] == bytes.fromhex("1102 0100") else bytes(8)
 
 
-def test_a_drive_that_does_not_answer_some() -> None:
+@in_virtual_time
+async def test_a_drive_that_does_not_answer_some() -> None:
     """Reads that are refused stand in the list; a few that time out as well, three in a row end it."""
-
-    async def program() -> None:
-        async with bus_with("fuji-frenic") as bus:
-            await bus.operate()
-            it = bus.drive("it")
-            assert bus.bench is not None
-            device = bus.bench.device(5)
-            assert isinstance(device, DriveDevice)
-            device.channel = Mute()
-            found: list[SavedParam] = []
-            with pytest.raises(dpstack.DriveTimeout, match="did not answer"):
-                await it.dump(on_parameter=lambda n, of, one: found.append(one))
-            assert [one.name for one in found[:2]] == ["S01", "S05"]
-            assert str(found[0].unreadable).endswith(": error 17, cannot be read now")
-            assert str(found[1].unreadable).endswith(": the drive did not answer in its parameter channel in time")
-            assert len(found) == 3
-
-    virtual(program())
+    async with bus_with("fuji-frenic") as bus:
+        await bus.operate()
+        it = bus.drive("it")
+        assert bus.bench is not None
+        device = bus.bench.device(5)
+        assert isinstance(device, DriveDevice)
+        device.channel = Mute()
+        found: list[SavedParam] = []
+        with pytest.raises(dpstack.DriveTimeout, match="did not answer"):
+            await it.dump(on_parameter=lambda n, of, one: found.append(one))
+        assert [one.name for one in found[:2]] == ["S01", "S05"]
+        assert str(found[0].unreadable).endswith(": error 17, cannot be read now")
+        assert str(found[1].unreadable).endswith(": the drive did not answer in its parameter channel in time")
+        assert len(found) == 3
 
 
 async def _compared(line: str, telegram: str = "PPO1") -> object:

@@ -7,7 +7,7 @@ import re
 from typing import Any
 
 import pytest
-from api_kit import virtual
+from api_kit import in_virtual_time, virtual
 
 import dpstack
 from dpstack import AlarmType, DpSlave, RecordRefused, SlaveDescription, UsageError
@@ -22,20 +22,18 @@ def odd(value: object) -> Any:
     return value
 
 
-def test_what_is_meant_well() -> None:
-    async def main() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
-            await bus.ready()
-            pump = bus.slave("pump").parameters()
-            assert await pump.read([930, 918]) == await pump.read([Address(930), Address(918)])
-            assert await pump.read(range(930, 931)) == await pump.read([930])
-            for wrong in (930, Address(930), ["p930"]):
-                with pytest.raises(UsageError, match=r"is no list of parameters|is no parameter: give its number"):
-                    await pump.read(odd(wrong))
-            with pytest.raises(UsageError, match=r"give a list of .Address"):
-                await pump.change([odd((Address(930), 5))])
-
-    virtual(main())
+@in_virtual_time
+async def test_what_is_meant_well() -> None:
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
+        await bus.ready()
+        pump = bus.slave("pump").parameters()
+        assert await pump.read([930, 918]) == await pump.read([Address(930), Address(918)])
+        assert await pump.read(range(930, 931)) == await pump.read([930])
+        for wrong in (930, Address(930), ["p930"]):
+            with pytest.raises(UsageError, match=r"is no list of parameters|is no parameter: give its number"):
+                await pump.read(odd(wrong))
+        with pytest.raises(UsageError, match=r"give a list of .Address"):
+            await pump.change([odd((Address(930), 5))])
 
 
 def test_before_the_bus_is_open_nobody_waits_for_messages() -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
-from api_kit import RAW, virtual
+from api_kit import RAW, in_virtual_time, virtual
 from support import WorldFactory
 
 import dpstack
@@ -313,19 +313,17 @@ def test_statuses(world: WorldFactory) -> None:
     assert (line["event"], line["title"], line["data"]) == ("status_message", "status message", "01")
 
 
-def test_misuse(world: WorldFactory) -> None:
-    async def main() -> None:
-        bus = dpstack.open_bus(port="virtual", baud=500_000, slaves=[RAW])
-        with pytest.raises(UsageError, match="the bus is not open"):
+@in_virtual_time
+async def test_misuse(world: WorldFactory) -> None:
+    bus = dpstack.open_bus(port="virtual", baud=500_000, slaves=[RAW])
+    with pytest.raises(UsageError, match="the bus is not open"):
+        bus.slave(9).alarms()
+    async with bus:
+        with pytest.raises(UsageError, match=r"slave 9 \(raw\) is not parameterised for DP-V1"):
             bus.slave(9).alarms()
-        async with bus:
-            with pytest.raises(UsageError, match=r"slave 9 \(raw\) is not parameterised for DP-V1"):
-                bus.slave(9).alarms()
-            with pytest.raises(UsageError, match=r"slave 9 \(raw\) is not parameterised for DP-V1: no status messages"):
-                bus.slave(9).status_messages()
-            assert bus.slave(9).alarm_counts is None
-
-    virtual(main())
+        with pytest.raises(UsageError, match=r"slave 9 \(raw\) is not parameterised for DP-V1: no status messages"):
+            bus.slave(9).status_messages()
+        assert bus.slave(9).alarm_counts is None
 
 
 def test_misuse_beside_one_who_listens(world: WorldFactory) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, slave_in, virtual
+from api_kit import HOIST, RAW, bus_of, in_virtual_time, slave_in
 
 import dpstack
 from dpstack.api.config.config import make_config
@@ -23,61 +23,56 @@ from dpstack.sim.world import World
 NAMED = {**RAW, "config": "21 11", "inputs": {"limit": "bool@0.3", "low": "u8@1"}, "outputs": {"level": "i16@0"}}
 
 
-def test_its_own_slaves_by_name_and_address() -> None:
-    async def program() -> None:
-        async with bus_of(NAMED, HOIST) as bus:
-            await bus.ready()
-            await bus.operate()
-            raw = bus.slave("raw")
-            raw["level"] = 0x0805
-            await asyncio.sleep(0.05)
-            diagnosis = await bus.class2.diagnosis("raw")
-            assert (diagnosis.ident, diagnosis.master) == (0x1234, 2)
-            config = await bus.class2.config(raw)
-            assert (config.octets, config.input_len, config.output_len, config.finding) == (b"\x21\x11", 2, 2, None)
-            assert [part.inputs for part in config.identifiers] == [0, 2]
-            assert await bus.class2.inputs(9) == ProcessData(b"\x08\x05", {"limit": True, "low": 5})
-            assert await bus.class2.outputs(9) == ProcessData(b"\x08\x05", {"level": 0x0805})
-            both = await asyncio.gather(*(bus.class2.diagnosis(a) for a in (3, 9, 3, 9)))
-            assert [d.ident for d in both] == [0x0696, 0x1234, 0x0696, 0x1234]
-            assert all(slave.ready_now and slave.retries == slave.timeouts == 0 for slave in bus.slaves)
-
-    virtual(program())
+@in_virtual_time
+async def test_its_own_slaves_by_name_and_address() -> None:
+    async with bus_of(NAMED, HOIST) as bus:
+        await bus.ready()
+        await bus.operate()
+        raw = bus.slave("raw")
+        raw["level"] = 0x0805
+        await asyncio.sleep(0.05)
+        diagnosis = await bus.class2.diagnosis("raw")
+        assert (diagnosis.ident, diagnosis.master) == (0x1234, 2)
+        config = await bus.class2.config(raw)
+        assert (config.octets, config.input_len, config.output_len, config.finding) == (b"\x21\x11", 2, 2, None)
+        assert [part.inputs for part in config.identifiers] == [0, 2]
+        assert await bus.class2.inputs(9) == ProcessData(b"\x08\x05", {"limit": True, "low": 5})
+        assert await bus.class2.outputs(9) == ProcessData(b"\x08\x05", {"level": 0x0805})
+        both = await asyncio.gather(*(bus.class2.diagnosis(a) for a in (3, 9, 3, 9)))
+        assert [d.ident for d in both] == [0x0696, 0x1234, 0x0696, 0x1234]
+        assert all(slave.ready_now and slave.retries == slave.timeouts == 0 for slave in bus.slaves)
 
 
 @pytest.mark.parametrize("read_only", [False, True])
-def test_the_slaves_of_another_master(read_only: bool) -> None:
+@in_virtual_time
+async def test_the_slaves_of_another_master(read_only: bool) -> None:
     """A read-only bus reads them as well, and nothing that writes leaves it."""
-
-    async def program() -> None:
-        async with bus_of(NAMED, gap=1) as owner:
-            await owner.ready()
-            await owner.operate()
-            owner.slave(9)["level"] = 0x1234
-            await asyncio.sleep(0.05)
-            world = owner.world
-            assert world is not None
-            _, spare = slave_in(world, MirrorDevice(0x4321, b"\x21"), 126)
-            config = make_config("virtual", 500_000, 5, bus={"read_only": read_only})
-            async with dpstack.open_bus(config, world=world) as bus:
-                assert (await bus.class2.diagnosis(9)).master == 2
-                assert (await bus.class2.config(9)).octets == b"\x21\x11"
-                assert await bus.class2.inputs(9) == ProcessData(b"\x12\x34", {})
-                assert (await bus.class2.outputs(9)).octets == b"\x12\x34"
-                with pytest.raises(dpstack.DpError) as caught:
-                    await bus.class2.set_address(9, 7)
-                if read_only:
-                    assert isinstance(caught.value, dpstack.UsageError)
-                    assert str(caught.value).startswith("this bus is read-only: no slave gets another address;")
-                else:
-                    assert isinstance(caught.value, dpstack.SlaveFault)
-                    assert "slave 9 is owned by master 2" in str(caught.value)
-                assert bus.view.link.refused == 0
-            slave = owner.slave(9)
-            assert (slave.ready_now, slave.retries, slave.timeouts) == (True, 0, 0)
-            assert spare.stats.exchanges == 0
-
-    virtual(program())
+    async with bus_of(NAMED, gap=1) as owner:
+        await owner.ready()
+        await owner.operate()
+        owner.slave(9)["level"] = 0x1234
+        await asyncio.sleep(0.05)
+        world = owner.world
+        assert world is not None
+        _, spare = slave_in(world, MirrorDevice(0x4321, b"\x21"), 126)
+        config = make_config("virtual", 500_000, 5, bus={"read_only": read_only})
+        async with dpstack.open_bus(config, world=world) as bus:
+            assert (await bus.class2.diagnosis(9)).master == 2
+            assert (await bus.class2.config(9)).octets == b"\x21\x11"
+            assert await bus.class2.inputs(9) == ProcessData(b"\x12\x34", {})
+            assert (await bus.class2.outputs(9)).octets == b"\x12\x34"
+            with pytest.raises(dpstack.DpError) as caught:
+                await bus.class2.set_address(9, 7)
+            if read_only:
+                assert isinstance(caught.value, dpstack.UsageError)
+                assert str(caught.value).startswith("this bus is read-only: no slave gets another address;")
+            else:
+                assert isinstance(caught.value, dpstack.SlaveFault)
+                assert "slave 9 is owned by master 2" in str(caught.value)
+            assert bus.view.link.refused == 0
+        slave = owner.slave(9)
+        assert (slave.ready_now, slave.retries, slave.timeouts) == (True, 0, 0)
+        assert spare.stats.exchanges == 0
 
 
 class Settable(SlaveApp):
@@ -110,32 +105,29 @@ def settable(world: World, address: int = 126) -> Settable:
     return app
 
 
-def test_a_slave_as_delivered_gets_its_address_and_is_taken_up() -> None:
+@in_virtual_time
+async def test_a_slave_as_delivered_gets_its_address_and_is_taken_up() -> None:
     """The whole commissioning: 126 becomes 9, which the master of the same bus waits for."""
-
-    async def program() -> None:
-        world = World()
-        app = settable(world)
-        async with bus_of(NAMED, world=world) as bus:
-            with pytest.raises(dpstack.SlaveTimeout):
-                await bus.ready(0.5)
-            found = await bus.class2.set_address(126, 9, ident=0x1234)
-            assert found.ident == 0x1234
-            assert app.control.address == 9
-            await bus.ready()
-            with pytest.raises(dpstack.UsageError, match="slave 9 is parameterised by this master"):
-                await bus.class2.set_address(9, 10)
-            await bus.remove(9)
-            await asyncio.sleep(0.5)
-            await bus.class2.set_address(9, 10, no_change=True)
-            with pytest.raises(dpstack.ServiceRefused, match="kept its address; its address was locked") as caught:
-                await bus.class2.set_address(10, 11)
-            assert (caught.value.service, caught.value.status, caught.value.address) == ("Set_Slave_Add", "ignored", 10)
-            assert app.control.address == 10
-        assert world.referee is not None
-        world.referee.check()
-
-    virtual(program())
+    world = World()
+    app = settable(world)
+    async with bus_of(NAMED, world=world) as bus:
+        with pytest.raises(dpstack.SlaveTimeout):
+            await bus.ready(0.5)
+        found = await bus.class2.set_address(126, 9, ident=0x1234)
+        assert found.ident == 0x1234
+        assert app.control.address == 9
+        await bus.ready()
+        with pytest.raises(dpstack.UsageError, match="slave 9 is parameterised by this master"):
+            await bus.class2.set_address(9, 10)
+        await bus.remove(9)
+        await asyncio.sleep(0.5)
+        await bus.class2.set_address(9, 10, no_change=True)
+        with pytest.raises(dpstack.ServiceRefused, match="kept its address; its address was locked") as caught:
+            await bus.class2.set_address(10, 11)
+        assert (caught.value.service, caught.value.status, caught.value.address) == ("Set_Slave_Add", "ignored", 10)
+        assert app.control.address == 10
+    assert world.referee is not None
+    world.referee.check()
 
 
 Call = Callable[[Class2], Coroutine[Any, Any, object]]
@@ -160,62 +152,54 @@ Call = Callable[[Class2], Coroutine[Any, Any, object]]
         (lambda c: c.diagnosis(77, timeout=0.0), dpstack.SlaveTimeout, "was not over after 0 s"),
     ],
 )
-def test_every_error_is_typed(call: Call, kind: type[dpstack.DpError], text: str) -> None:
-    async def program() -> None:
-        async with bus_of(NAMED) as bus:
-            await bus.ready()
-            assert bus.world is not None
-            slave_in(bus.world, MirrorDevice(0x4321, b"\x21"), 20)
-            with pytest.raises(kind, match=text) as caught:
-                await call(bus.class2)
-            assert type(caught.value) is kind
-            assert bus.slave(9).ready_now
-
-    virtual(program())
+@in_virtual_time
+async def test_every_error_is_typed(call: Call, kind: type[dpstack.DpError], text: str) -> None:
+    async with bus_of(NAMED) as bus:
+        await bus.ready()
+        assert bus.world is not None
+        slave_in(bus.world, MirrorDevice(0x4321, b"\x21"), 20)
+        with pytest.raises(kind, match=text) as caught:
+            await call(bus.class2)
+        assert type(caught.value) is kind
+        assert bus.slave(9).ready_now
 
 
-def test_too_many_at_a_time() -> None:
-    async def program() -> None:
-        async with bus_of(NAMED) as bus:
-            await bus.ready()
-            ends = await asyncio.gather(*(bus.class2.config(9) for _ in range(40)), return_exceptions=True)
-            good = [end for end in ends if isinstance(end, Configuration)]
-            bad = [end for end in ends if isinstance(end, dpstack.UsageError)]
-            assert (len(good), len(bad)) == (32, 8)
-            assert str(bad[0]) == "32 class 2 services are waiting already: await their results first"
-            assert (await bus.class2.config(9)).octets == b"\x21\x11"
-
-    virtual(program())
+@in_virtual_time
+async def test_too_many_at_a_time() -> None:
+    async with bus_of(NAMED) as bus:
+        await bus.ready()
+        ends = await asyncio.gather(*(bus.class2.config(9) for _ in range(40)), return_exceptions=True)
+        good = [end for end in ends if isinstance(end, Configuration)]
+        bad = [end for end in ends if isinstance(end, dpstack.UsageError)]
+        assert (len(good), len(bad)) == (32, 8)
+        assert str(bad[0]) == "32 class 2 services are waiting already: await their results first"
+        assert (await bus.class2.config(9)).octets == b"\x21\x11"
 
 
-def test_the_bus_is_closed_meanwhile_and_before() -> None:
-    async def program() -> None:
-        bus = bus_of(NAMED)
-        with pytest.raises(dpstack.UsageError, match="the bus is not open"):
-            await bus.class2.config(9)
-        async with bus:
-            await bus.ready()
-            waiting = [asyncio.create_task(bus.class2.diagnosis(77)) for _ in range(30)]
-            await asyncio.sleep(0)
-        ends = await asyncio.gather(*waiting, return_exceptions=True)
-        assert all(isinstance(end, (dpstack.UsageError, dpstack.SlaveTimeout)) for end in ends)
-        assert "the bus is closed" in {str(end) for end in ends}
-        with pytest.raises(dpstack.UsageError, match="the bus is not open"):
-            await bus.class2.config(9)
-
-    virtual(program())
+@in_virtual_time
+async def test_the_bus_is_closed_meanwhile_and_before() -> None:
+    bus = bus_of(NAMED)
+    with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+        await bus.class2.config(9)
+    async with bus:
+        await bus.ready()
+        waiting = [asyncio.create_task(bus.class2.diagnosis(77)) for _ in range(30)]
+        await asyncio.sleep(0)
+    ends = await asyncio.gather(*waiting, return_exceptions=True)
+    assert all(isinstance(end, (dpstack.UsageError, dpstack.SlaveTimeout)) for end in ends)
+    assert "the bus is closed" in {str(end) for end in ends}
+    with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+        await bus.class2.config(9)
 
 
-def test_a_caller_that_gives_up_leaves_nothing_behind() -> None:
-    async def program() -> None:
-        async with bus_of(NAMED) as bus:
-            await bus.ready()
-            with pytest.raises(TimeoutError):
-                async with asyncio.timeout(0.001):
-                    await asyncio.gather(*(bus.class2.diagnosis(77) for _ in range(32)))
-            assert (await bus.class2.config(9)).octets == b"\x21\x11"
-
-    virtual(program())
+@in_virtual_time
+async def test_a_caller_that_gives_up_leaves_nothing_behind() -> None:
+    async with bus_of(NAMED) as bus:
+        await bus.ready()
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.001):
+                await asyncio.gather(*(bus.class2.diagnosis(77) for _ in range(32)))
+        assert (await bus.class2.config(9)).octets == b"\x21\x11"
 
 
 def test_identifier_octets_that_cannot_be_read() -> None:
@@ -225,13 +209,11 @@ def test_identifier_octets_that_cannot_be_read() -> None:
     assert Configuration.of(b"\x21\xc0").octets == b"\x21\xc0"
 
 
-def test_services_do_not_fill_the_history() -> None:
-    async def program() -> None:
-        told: list[dpstack.Event] = []
-        async with bus_of(NAMED, on_event=told.append) as bus:
-            await bus.ready()
-            for _ in range(5):
-                await bus.class2.inputs(9)
-            assert not [event for event in told if "RD_Inp" in event.text]
-
-    virtual(program())
+@in_virtual_time
+async def test_services_do_not_fill_the_history() -> None:
+    told: list[dpstack.Event] = []
+    async with bus_of(NAMED, on_event=told.append) as bus:
+        await bus.ready()
+        for _ in range(5):
+            await bus.class2.inputs(9)
+        assert not [event for event in told if "RD_Inp" in event.text]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
-from api_kit import RAW, bus_of, virtual
+from api_kit import RAW, bus_of, in_virtual_time, virtual
 from ms2_kit import Ms2Server, ms2_in, served
 
 import dpstack
@@ -115,28 +115,26 @@ def test_everything_over_one_connection_beside_the_slaves_own_master() -> None:
     }
 
 
-def test_its_own_slave_too_and_several_at_once() -> None:
-    async def main() -> None:
-        world = World()
-        server = ms2_in(world)
-        async with bus_of(RAW, world=world) as bus:
-            await bus.ready()
-            first = await bus.class2.connect("raw")
-            second = await bus.class2.connect(bus.slave(9))
-            assert (first.name, first.server_sap, second.server_sap) == ("raw", 48, 47)
-            with pytest.raises(ServiceRefused, match="2 of them from here") as caught:
-                await bus.class2.connect(9)
-            assert (caught.value.service, caught.value.status) == ("Initiate", "RS")
-            await first.close()
-            assert await second.read(3, 4) == b"\3\4"
-            third = await bus.class2.connect(9)
-            assert third.server_sap == 48
-            assert bus.slave(9).ready_now
-        # the bus was closed with both of them open
-        assert not server.sessions
-        assert (second.reason, third.is_open) == ("the bus was closed here", False)
-
-    virtual(main())
+@in_virtual_time
+async def test_its_own_slave_too_and_several_at_once() -> None:
+    world = World()
+    server = ms2_in(world)
+    async with bus_of(RAW, world=world) as bus:
+        await bus.ready()
+        first = await bus.class2.connect("raw")
+        second = await bus.class2.connect(bus.slave(9))
+        assert (first.name, first.server_sap, second.server_sap) == ("raw", 48, 47)
+        with pytest.raises(ServiceRefused, match="2 of them from here") as caught:
+            await bus.class2.connect(9)
+        assert (caught.value.service, caught.value.status) == ("Initiate", "RS")
+        await first.close()
+        assert await second.read(3, 4) == b"\3\4"
+        third = await bus.class2.connect(9)
+        assert third.server_sap == 48
+        assert bus.slave(9).ready_now
+    # the bus was closed with both of them open
+    assert not server.sessions
+    assert (second.reason, third.is_open) == ("the bus was closed here", False)
 
 
 def test_im() -> None:
@@ -294,69 +292,65 @@ def test_a_service_that_is_given_up_leaves_the_connection() -> None:
     beside(program)
 
 
-def test_the_bus_ends_meanwhile() -> None:
-    async def main() -> None:
-        world = World()
-        server = ms2_in(world)
-        bus = bus_of(RAW, world=world)
-        async with bus:
-            await bus.ready()
-            connection = await bus.class2.connect(9)
-            server.serve = lambda pdu: None
-            waiting = [asyncio.create_task(connection.read(1, n)) for n in range(3)]
-            opening = asyncio.create_task(_connected(bus, 77))
-            await asyncio.sleep(0.01)
-        for end in await asyncio.gather(*waiting, opening, return_exceptions=True):
-            assert isinstance(end, (ConnectionEnded, SlaveTimeout)), end
-        assert not server.sessions
-        await connection.close()
-        with pytest.raises(ConnectionEnded, match="the bus was closed here"):
-            await connection.read(1, 2)
-        with pytest.raises(UsageError, match="the bus is not open"):
-            await bus.class2.connect(9)
-
-    virtual(main())
+@in_virtual_time
+async def test_the_bus_ends_meanwhile() -> None:
+    world = World()
+    server = ms2_in(world)
+    bus = bus_of(RAW, world=world)
+    async with bus:
+        await bus.ready()
+        connection = await bus.class2.connect(9)
+        server.serve = lambda pdu: None
+        waiting = [asyncio.create_task(connection.read(1, n)) for n in range(3)]
+        opening = asyncio.create_task(_connected(bus, 77))
+        await asyncio.sleep(0.01)
+    for end in await asyncio.gather(*waiting, opening, return_exceptions=True):
+        assert isinstance(end, (ConnectionEnded, SlaveTimeout)), end
+    assert not server.sessions
+    await connection.close()
+    with pytest.raises(ConnectionEnded, match="the bus was closed here"):
+        await connection.read(1, 2)
+    with pytest.raises(UsageError, match="the bus is not open"):
+        await bus.class2.connect(9)
 
 
 async def _connected(bus: dpstack.Bus, address: int) -> Connection:
     return await bus.class2.connect(address)
 
 
-def test_what_the_gsd_file_says() -> None:
-    async def main() -> None:
-        world = World()
-        server = ms2_in(world)
-        dpv1 = DpV1(
-            slave=True,
-            c2_read_write=True,
-            c2_max_data_len=32,
-            c2_response_timeout=20,
-            c2_max_count_channels=1,
-            max_initiate_pdu_length=24,
-        )
-        async with bus_of(RAW, world=world) as bus:
-            slave = bus.slave(9)
-            slave.config = _with(slave.config, Device(dpv1=dpv1))
-            async with bus.class2.connect(9) as connection:
-                assert connection.max_data_len == 32
-                await connection.read(1, 2)
-                assert (48, b"\x5e\x01\x02\x20") in server.heard
-                with pytest.raises(UsageError, match="33 octets, it takes 32 in one service"):
-                    await connection.transport(1, 2, bytes(33))
-                server.free.clear()
-                with pytest.raises(ServiceRefused, match="C2_Max_Count_Channels = 1, 1 of them from here"):
-                    await bus.class2.connect(9)
-                server.free.append(47)
-                server.serve = lambda pdu: None
-                with pytest.raises(SlaveTimeout, match=r"within 0.2 s \(its C2_Response_Timeout\)"):
-                    await connection.read(1, 2)
-            with pytest.raises(UsageError, match="Max_Initiate_PDU_Length = 24: leave network addresses out"):
-                await bus.class2.connect(9, destination=bytes(9))
-            slave.config = _with(slave.config, Device(dpv1=DpV1(slave=True)))
-            with pytest.raises(UsageError, match="C2_Read_Write_supp = 0: it has no class 2 connections"):
+@in_virtual_time
+async def test_what_the_gsd_file_says() -> None:
+    world = World()
+    server = ms2_in(world)
+    dpv1 = DpV1(
+        slave=True,
+        c2_read_write=True,
+        c2_max_data_len=32,
+        c2_response_timeout=20,
+        c2_max_count_channels=1,
+        max_initiate_pdu_length=24,
+    )
+    async with bus_of(RAW, world=world) as bus:
+        slave = bus.slave(9)
+        slave.config = _with(slave.config, Device(dpv1=dpv1))
+        async with bus.class2.connect(9) as connection:
+            assert connection.max_data_len == 32
+            await connection.read(1, 2)
+            assert (48, b"\x5e\x01\x02\x20") in server.heard
+            with pytest.raises(UsageError, match="33 octets, it takes 32 in one service"):
+                await connection.transport(1, 2, bytes(33))
+            server.free.clear()
+            with pytest.raises(ServiceRefused, match="C2_Max_Count_Channels = 1, 1 of them from here"):
                 await bus.class2.connect(9)
-
-    virtual(main())
+            server.free.append(47)
+            server.serve = lambda pdu: None
+            with pytest.raises(SlaveTimeout, match=r"within 0.2 s \(its C2_Response_Timeout\)"):
+                await connection.read(1, 2)
+        with pytest.raises(UsageError, match="Max_Initiate_PDU_Length = 24: leave network addresses out"):
+            await bus.class2.connect(9, destination=bytes(9))
+        slave.config = _with(slave.config, Device(dpv1=DpV1(slave=True)))
+        with pytest.raises(UsageError, match="C2_Read_Write_supp = 0: it has no class 2 connections"):
+            await bus.class2.connect(9)
 
 
 def _with(config: SlaveConfig, device: Device) -> SlaveConfig:
@@ -368,32 +362,27 @@ def test_send_timeouts_by_rate() -> None:
     assert [least_send_timeout(rate) // 1_000_000 for rate in rates] == [1_000, 1_000, 2_000, 4_000, 4_000]
 
 
-def test_a_read_only_bus_opens_none() -> None:
-    async def main() -> None:
-        world = World()
-        ms2_in(world)
-        config = make_config("virtual", 500_000, 5, bus={"read_only": True})
-        async with dpstack.open_bus(config, world=world) as bus:
-            with pytest.raises(UsageError, match="this bus is read-only: no connection is opened"):
-                await bus.class2.connect(9)
-
-    virtual(main())
+@in_virtual_time
+async def test_a_read_only_bus_opens_none() -> None:
+    world = World()
+    ms2_in(world)
+    config = make_config("virtual", 500_000, 5, bus={"read_only": True})
+    async with dpstack.open_bus(config, world=world) as bus:
+        with pytest.raises(UsageError, match="this bus is read-only: no connection is opened"):
+            await bus.class2.connect(9)
 
 
-def test_the_parameter_channel_over_a_connection() -> None:
+@in_virtual_time
+async def test_the_parameter_channel_over_a_connection() -> None:
     """Record 47 of the simulated LS S100, while its own master uses it over MS1."""
-
-    async def main() -> None:
-        pump = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}
-        async with bus_of(pump) as bus:
-            await bus.ready()
-            async with bus.class2.connect("pump") as connection:
-                parameters = connection.parameters()
-                address, own = Address(965, 0, 0), await bus.slave("pump").parameters().read([Address(965, 0, 0)])
-                assert await parameters.read([address]) == own
-                assert isinstance(own[0], Values)
-                assert (await connection.im()) == await bus.slave("pump").im()
-                assert await connection.ident() == bus.slave("pump").setup.ident
-            assert bus.class2.connections == 0
-
-    virtual(main())
+    pump = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}
+    async with bus_of(pump) as bus:
+        await bus.ready()
+        async with bus.class2.connect("pump") as connection:
+            parameters = connection.parameters()
+            address, own = Address(965, 0, 0), await bus.slave("pump").parameters().read([Address(965, 0, 0)])
+            assert await parameters.read([address]) == own
+            assert isinstance(own[0], Values)
+            assert (await connection.im()) == await bus.slave("pump").im()
+            assert await connection.ident() == bus.slave("pump").setup.ident
+        assert bus.class2.connections == 0

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from api_kit import bus_of, virtual
+from api_kit import bus_of, in_virtual_time, virtual
 from support import WorldFactory
 
 import dpstack
@@ -116,27 +116,22 @@ def test_what_cannot_be_changes_nothing(world: WorldFactory, given: Any, text: s
     assert rig(world(), program) == ["80 00 00"]
 
 
-def test_the_gsd_file_is_asked(world: WorldFactory) -> None:
-    async def program() -> None:
-        async with bus_of({"name": "told", "address": 8, "gsd": str(FILES / "slots.gsd")}) as bus:
-            await bus.ready()
-            with pytest.raises(ConfigError, match="its GSD file says DPV1_Slave = 0"):
-                await bus.slave("told").reparameterise(dpv1=True)
-
-    virtual(program())
+@in_virtual_time
+async def test_the_gsd_file_is_asked(world: WorldFactory) -> None:
+    async with bus_of({"name": "told", "address": 8, "gsd": str(FILES / "slots.gsd")}) as bus:
+        await bus.ready()
+        with pytest.raises(ConfigError, match="its GSD file says DPV1_Slave = 0"):
+            await bus.slave("told").reparameterise(dpv1=True)
 
 
-def test_a_drive_plugin_keeps_its_way_to_the_parameters() -> None:
+@in_virtual_time
+async def test_a_drive_plugin_keeps_its_way_to_the_parameters() -> None:
     pump: dict[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}
-
-    async def program() -> None:
-        async with bus_of(pump) as bus:
-            await bus.operate()
-            await bus.ready()
-            slave, drive = bus.slave("pump"), bus.drive("pump")
-            with pytest.raises(UsageError, match="remove the slave and add it with another dpv1"):
-                await slave.reparameterise(dpv1=False)
-            await slave.reparameterise(dpv1={"response_timeout_ms": 700})
-            assert await drive.read(965) == 0x0328
-
-    virtual(program())
+    async with bus_of(pump) as bus:
+        await bus.operate()
+        await bus.ready()
+        slave, drive = bus.slave("pump"), bus.drive("pump")
+        with pytest.raises(UsageError, match="remove the slave and add it with another dpv1"):
+            await slave.reparameterise(dpv1=False)
+        await slave.reparameterise(dpv1={"response_timeout_ms": 700})
+        assert await drive.read(965) == 0x0328

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from api_kit import virtual
+from api_kit import in_virtual_time, virtual
 
 import dpstack
 from dpstack import ParameterError, ParameterPlace, UsageError
@@ -160,14 +160,12 @@ def test_elements_of_an_array_are_one_address() -> None:
     with_drive(drive_at("ls-s100", "PPO1"), program)
 
 
-def test_a_drive_that_is_gone_is_no_entry() -> None:
-    async def main() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[drive_at("ls-s100", "ST1")]) as bus:
-            await bus.operate()
-            await bus.ready()
-            assert bus.bench is not None
-            bus.bench.power(6, False)
-            with pytest.raises((DriveError, TimeoutError)):
-                await bus.drive("it").read_many([918, 930], timeout=0.5)
-
-    virtual(main())
+@in_virtual_time
+async def test_a_drive_that_is_gone_is_no_entry() -> None:
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[drive_at("ls-s100", "ST1")]) as bus:
+        await bus.operate()
+        await bus.ready()
+        assert bus.bench is not None
+        bus.bench.power(6, False)
+        with pytest.raises((DriveError, TimeoutError)):
+            await bus.drive("it").read_many([918, 930], timeout=0.5)

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import AsyncIterator
 
 import pytest
-from api_kit import virtual
+from api_kit import in_virtual_time
 from support import WorldFactory
 
 import dpstack
@@ -49,35 +49,30 @@ async def mixing(bench: World) -> AsyncIterator[dpstack.Bus]:
         yield bus
 
 
-def test_1000_parameters_with_progress(world: WorldFactory) -> None:
+@in_virtual_time
+async def test_1000_parameters_with_progress(world: WorldFactory) -> None:
     """With the referee on the wire."""
-
-    async def main() -> None:
-        bench = world()
-        async with mixing(bench) as bus:
-            told: list[tuple[int, int]] = []
-            found = await bus.slave(9).parameters().read_out(described=False, progress=lambda *one: told.append(one))
-            assert len(found) == 1000
-            assert found[-1].values == (7,)
-            assert told[-1] == (1000, 1000)
-            assert bus.slave(9).retries == bus.slave(9).timeouts == 0
-
-    virtual(main())
+    bench = world()
+    async with mixing(bench) as bus:
+        told: list[tuple[int, int]] = []
+        found = await bus.slave(9).parameters().read_out(described=False, progress=lambda *one: told.append(one))
+        assert len(found) == 1000
+        assert found[-1].values == (7,)
+        assert told[-1] == (1000, 1000)
+        assert bus.slave(9).retries == bus.slave(9).timeouts == 0
 
 
-def test_a_lost_request_is_written_again(world: WorldFactory) -> None:
-    async def main() -> None:
-        bench = world()
-        async with mixing(bench) as bus:
-            parameters = bus.slave(9).parameters()
-            bench.faults.drop(lambda tx: b"\x33\x33\x5f" in tx.octets, times=2)  # and its repetition
-            assert await parameters.read([Address(1)]) == [Values(6, (1,))]
-            assert parameters.counters.repeated == 1
-            bench.faults.drop(lambda tx: b"\x33\x33\x5f" in tx.octets, times=2)
-            with pytest.raises(dpstack.DriveTimeout, match="it may have been carried out: read it back"):
-                await parameters.change([(Address(1), Values(6, (2,)))])
-
-    virtual(main())
+@in_virtual_time
+async def test_a_lost_request_is_written_again(world: WorldFactory) -> None:
+    bench = world()
+    async with mixing(bench) as bus:
+        parameters = bus.slave(9).parameters()
+        bench.faults.drop(lambda tx: b"\x33\x33\x5f" in tx.octets, times=2)  # and its repetition
+        assert await parameters.read([Address(1)]) == [Values(6, (1,))]
+        assert parameters.counters.repeated == 1
+        bench.faults.drop(lambda tx: b"\x33\x33\x5f" in tx.octets, times=2)
+        with pytest.raises(dpstack.DriveTimeout, match="it may have been carried out: read it back"):
+            await parameters.change([(Address(1), Values(6, (2,)))])
 
 
 def test_a_drive_by_name_in_a_telegram_without_a_channel() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any, cast
 
 import pytest
-from api_kit import RAW, bus_of, virtual
+from api_kit import RAW, bus_of, in_virtual_time, virtual
 from support import WorldFactory
 
 import dpstack
@@ -226,22 +226,20 @@ def test_the_slave_goes_while_it_is_read(world: WorldFactory) -> None:
     rig(world(), program)
 
 
-def test_a_slave_without_dpv1(world: WorldFactory) -> None:
-    async def program() -> None:
-        async with bus_of(RAW) as bus:
-            await bus.ready()
-            with pytest.raises(dpstack.UsageError, match=r"slave 9 \(raw\) is not parameterised for DP-V1"):
-                await bus.slave(9).read(0, 0)
-        with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+@in_virtual_time
+async def test_a_slave_without_dpv1(world: WorldFactory) -> None:
+    async with bus_of(RAW) as bus:
+        await bus.ready()
+        with pytest.raises(dpstack.UsageError, match=r"slave 9 \(raw\) is not parameterised for DP-V1"):
             await bus.slave(9).read(0, 0)
-        # asked for, but the (simulated) slave has none of it
-        async with bus_of(RAW | {"dpv1": True, "user_prm": "00 00 00"}) as bus:
-            await bus.ready()
-            with pytest.raises(dpstack.ServiceRefused, match="SAP 51 is closed") as caught:
-                await bus.slave(9).read(0, 0)
-            assert (caught.value.service, caught.value.status) == ("Read", "RS")
-
-    virtual(program())
+    with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+        await bus.slave(9).read(0, 0)
+    # asked for, but the (simulated) slave has none of it
+    async with bus_of(RAW | {"dpv1": True, "user_prm": "00 00 00"}) as bus:
+        await bus.ready()
+        with pytest.raises(dpstack.ServiceRefused, match="SAP 51 is closed") as caught:
+            await bus.slave(9).read(0, 0)
+        assert (caught.value.service, caught.value.status) == ("Read", "RS")
 
 
 def test_only_what_is_served(world: WorldFactory) -> None:

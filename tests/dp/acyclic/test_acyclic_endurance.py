@@ -30,6 +30,7 @@ from dpstack.dpv1.master.orders import (
     RecordOrder,
 )
 from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
@@ -156,7 +157,7 @@ class Plant(SimBus):
             case "write":
                 order = RecordOrder(token, Function.WRITE, slot, index, data=bytes(r.randrange(1, 60)), address=address)
             case "open" if len(self.open) < len(ADDRESSES) * CONNECTIONS:
-                order = OpenConnection(token, address, S, LIMIT)
+                order = OpenConnection(token, address, InitiateReq(S), LIMIT)
             case "close" if self.open and r.random() < 0.05:
                 self.send(CloseConnection(r.choice(self.open)))
                 return
@@ -246,7 +247,7 @@ def idle(world: WorldFactory, seconds: int, seed: int) -> None:
     for address in ADDRESSES * CONNECTIONS:
         plant.tokens += 1
         plant.owed[plant.tokens] = "open"
-        plant.send(OpenConnection(plant.tokens, address, 2 * S, S))
+        plant.send(OpenConnection(plant.tokens, address, InitiateReq(2 * S), S))
     plant.world.run_for(4 * S)
     assert len(plant.open) == len(ADDRESSES) * CONNECTIONS
     plant.lose(0.02)

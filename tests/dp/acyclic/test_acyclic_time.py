@@ -12,7 +12,7 @@ from itertools import pairwise
 import pytest
 from ms1_kit import Ms1Bus, answer
 from ms1_kit import status as ms1_status
-from ms2_kit import DL, MS, SC, Ms2Bus, sd1, sd2
+from ms2_kit import DL, MS, SC, Ms2Bus, connected, sd1, sd2
 from octet_slave import NR, RR, UE
 from ring_bus import RingBus
 
@@ -76,8 +76,7 @@ def test_a_slaves_time_ends_at_every_step_of_ms1(to_request: str, to_poll: str) 
 
 @pytest.mark.parametrize(("to_request", "to_poll"), NEVER_DONE)
 def test_a_slaves_time_ends_at_every_step_over_a_connection(to_request: str, to_poll: str) -> None:
-    kit = Ms2Bus()
-    kit.open(send_timeout_ns=2_000 * MS, response_ns=LIMIT)
+    kit = connected(send_timeout_ns=2_000 * MS, response_ns=LIMIT)
     begun = kit.bus.now
     kit.slave.says[48] = over_ms2(48, to_request, to_poll, "5E 09 09 01 11")
     done = kit.read(1)
@@ -137,8 +136,7 @@ def busy_at_ms1(limit: int) -> tuple[int, list[int], int]:
 
 def busy_over_ms2(limit: int) -> tuple[int, list[int], int]:
     """The same over a connection."""
-    kit = Ms2Bus()
-    kit.open(send_timeout_ns=2_000 * MS, response_ns=limit)
+    kit = connected(send_timeout_ns=2_000 * MS, response_ns=limit)
     kit.slave.says[48] = lambda octets: SC
     since = kit.bus.now
     end = kit.read(1).t_ns
@@ -204,8 +202,7 @@ def test_polls_get_rarer_at_ms1() -> None:
 
 
 def test_polls_get_rarer_over_a_connection() -> None:
-    kit = Ms2Bus()
-    kit.open(send_timeout_ns=2_000 * MS)
+    kit = connected(send_timeout_ns=2_000 * MS)
     kit.slave.says[48] = lambda octets: SC
     begun = kit.bus.now
     kit.order_read(1)
@@ -225,8 +222,7 @@ def test_polls_get_rarer_at_the_resource_manager() -> None:
 
 def test_a_silent_slave_is_asked_more_and_more_seldom() -> None:
     """Over a connection the slave is polled for what it may have taken, until its time is over."""
-    kit = Ms2Bus()
-    kit.open(send_timeout_ns=1_000 * MS, response_ns=600 * MS)
+    kit = connected(send_timeout_ns=1_000 * MS, response_ns=600 * MS)
     kit.slave.mute = True
     begun = kit.bus.now
     kit.order_read(1)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from alarm_kit import ALL, AlarmBus, block
 from ms1_kit import Ms1Bus, answer, first_an_old_one
-from ms2_kit import DL, MS, RS, SC, Ms2Bus, sd1, sd2
+from ms2_kit import DL, MS, RS, SC, Ms2Bus, connected, sd1, sd2
 from octet_slave import RR
 
 from dpstack.dp.acyclic.job import ServiceFailure
@@ -79,8 +79,7 @@ def test_what_the_station_asks_on_its_own_waits_as_long_as_a_programs_service() 
 
 def test_an_idle_that_is_sent_again_is_not_taken_at_once() -> None:
     """Lost with every attempt, and "not now" when it comes again."""
-    kit = Ms2Bus()
-    kit.open(send_timeout_ns=600 * MS)
+    kit = connected(send_timeout_ns=600 * MS)
     idles = 0
 
     def say(octets: bytes) -> bytes | None:

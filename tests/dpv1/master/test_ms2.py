@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
-from ms2_kit import DL, MS, SC, Ms2Bus, OctetMs2Slave, connections_of, sd1, sd2, served
+from ms2_kit import DL, MS, SC, Ms2Bus, OctetMs2Slave, connected, connections_of, sd1, sd2, served
 from octet_slave import NR, RR, UE
 
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
-from dpstack.dpv1.master.orders import (
-    ConnectionOver,
-    InitiateDone,
-    OpenConnection,
-    RecordDone,
-    RecordOrder,
-)
+from dpstack.dpv1.master.orders import ConnectionOver, InitiateDone, OpenConnection, RecordDone, RecordOrder
+from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError
 
@@ -33,7 +29,7 @@ def test_literal_telegrams() -> None:
     kit.slave.timeout = b"\x00\x64"
     start = len(kit.bus.log)
     done = kit.open(send_timeout_ns=2_000 * MS)
-    assert (done.server_sap, done.send_timeout_ns, done.max_len, done.features) == (48, 2_000 * MS, 240, 0x0100)
+    assert (done.server_sap, done.send_timeout_ns, done.max_len) == (48, 2_000 * MS, 240)
     assert said(kit, start) == [
         # SRD high, DSAP 49, SSAP 50: Initiate with a send time-out of 200 x 10 ms, DPV1_RW, S_Len and D_Len 2
         "68 19 19 68 84 82 6d 31 32 57 00 00 00 00 c8 01 00 00 00 00 00 00 02 00 02 00 00 00 00 fa 16",
@@ -139,8 +135,7 @@ def test_a_request_that_is_not_taken_now_is_repeated(busy: int, sap: int) -> Non
 
 def test_old_data_are_given_away_first() -> None:
     """RDL: old data, and the request was not taken (docs/protocol.md#function-code)."""
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     usual, times = usual_of(kit.slave), [2]
 
     def say(octets: bytes) -> bytes | None:
@@ -155,8 +150,7 @@ def test_old_data_are_given_away_first() -> None:
 
 
 def test_idle_from_the_master() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.bus.run(500 * MS)
     idles = [pdu for sap, pdu in kit.slave.heard if pdu[:1] == b"\x48"]
     assert idles == [b"\x48\x01"] * 7  # every third of 200 ms
@@ -166,8 +160,7 @@ def test_idle_from_the_master() -> None:
 
 
 def test_services_are_signs_of_life() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     for _ in range(10):
         kit.read(1)
         kit.bus.run(50 * MS)
@@ -206,8 +199,7 @@ def test_an_idle_that_is_lost_is_sent_again(answers: bool) -> None:
 
 
 def test_idle_that_is_not_answered_ends_it() -> None:
-    kit = Ms2Bus()
-    kit.open(response_ns=200 * MS)
+    kit = connected(response_ns=200 * MS)
     kit.slave.serve = lambda pdu: None
     assert kit.over(1).reason == "Idle had no answer in time"
     kit.freed()
@@ -215,8 +207,7 @@ def test_idle_that_is_not_answered_ends_it() -> None:
 
 def test_idle_from_the_slave_gives_it_more_time() -> None:
     """A slave that works at it for 400 ms, with 120 ms for an answer, and says so every 80 ms."""
-    kit = Ms2Bus()
-    kit.open(response_ns=120 * MS, send_timeout_ns=400 * MS)
+    kit = connected(response_ns=120 * MS, send_timeout_ns=400 * MS)
     begun = kit.bus.now
     idled = [0]
 
@@ -237,8 +228,7 @@ def test_idle_from_the_slave_gives_it_more_time() -> None:
 
 def test_a_service_that_is_given_up_leaves_the_connection() -> None:
     """The answer is fetched before anything else is asked: the slave takes one service at a time."""
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.slave.polls = 12
     for order in ({}, {"timeout_ns": 20 * MS}):
         token = kit.order_read(1, **order)
@@ -255,8 +245,7 @@ def test_a_service_that_is_given_up_leaves_the_connection() -> None:
 
 def test_the_answer_to_a_given_up_service_is_fetched_where_nothing_else_is_asked() -> None:
     """At once, not with the next Idle."""
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.slave.polls = 7
     token = kit.order_read(1)
     kit.bus.run(5 * MS)
@@ -268,8 +257,7 @@ def test_the_answer_to_a_given_up_service_is_fetched_where_nothing_else_is_asked
 
 
 def test_a_cancelled_service_that_was_never_sent_owes_nothing() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     first, second = kit.order_read(1), kit.order_read(1, 5, 6)
     kit.send(CancelService(second))
     assert kit.end(second, RecordDone).outcome.failure is ServiceFailure.CANCELLED
@@ -279,8 +267,7 @@ def test_a_cancelled_service_that_was_never_sent_owes_nothing() -> None:
 
 def test_a_cancelled_service_that_the_slave_did_not_take_owes_nothing() -> None:
     """It said "not now": waiting for the answer would end the connection."""
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.slave.says[48] = lambda octets: sd1(2, 4, 0x02)
     token = kit.order_read(1)
     kit.bus.run(5 * MS)
@@ -294,8 +281,7 @@ def test_a_cancelled_service_that_the_slave_did_not_take_owes_nothing() -> None:
 @pytest.mark.parametrize("lost", [(0,), (1,), (0, 1), (1, 2), (2,), (3,), (2, 3)])
 def test_telegrams_of_a_read_are_lost(lost: tuple[int, ...]) -> None:
     """It ends once; a request that was lost with its repetition ends the connection, for it may have been taken."""
-    kit = Ms2Bus()
-    kit.open(response_ns=200 * MS)
+    kit = connected(response_ns=200 * MS)
     kit.lose(lost)
     done = kit.read(1)
     if lost == (0, 1):
@@ -329,8 +315,7 @@ def test_several_to_several_slaves_and_to_one() -> None:
 
 
 def test_a_slow_connection_holds_no_other_one_up() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.open()
     kit.slave.serve = lambda pdu: None if pdu[1:3] == b"\1\1" else served(pdu)
     slow = kit.order_read(1, 1, 1)
@@ -360,11 +345,10 @@ def test_misuse_raises_at_once() -> None:
     for wrong, what in [
         (OpenConnection(9, 127), "127 is no address of a slave"),
         (OpenConnection(9, 2), "2 is the address of this master itself"),
-        (OpenConnection(9, 4, 700_000 * MS), r"a send time-out of 700 s is not possible: 0\.\.655\.35 s"),
-        (OpenConnection(9, 4, 0), "a send time-out of 0 s or less ends a connection at once"),
+        (OpenConnection(9, 4, InitiateReq(700_000 * MS)), r"a send time-out of 700 s is not possible: 0\.\.655\.35 s"),
+        (OpenConnection(9, 4, InitiateReq(0)), "a send time-out of 0 s or less ends a connection at once"),
         (OpenConnection(9, 4, response_ns=-MS), "-0.001 s is no time for an answer"),
-        (OpenConnection(9, 4, source=b"\0"), "an address in Initiate has API and access level"),
-        (OpenConnection(9, 4, profile_ident=70_000), "profile_ident"),
+        (OpenConnection(9, 4, InitiateReq(MS, profile_ident=70_000)), "profile_ident"),
         (RecordOrder(9, Function.READ, 0, 0, connection=7), "there is no open class 2 connection 7; open a new one"),
         (RecordOrder(9, Function.READ, 255, 0, 8, connection=1), "slot 255 does not exist"),
         (RecordOrder(9, Function.READ, 0, 256, 8, connection=1), "index 256 does not exist"),
@@ -394,6 +378,8 @@ def test_addresses_and_profile_go_out_as_they_are_given() -> None:
     kit = Ms2Bus()
     net = bytes.fromhex("05 06 01 02 03 04 05 06 07")
     token = kit.token()
-    kit.send(OpenConnection(token, 4, profile_ident=0x9700, profile_features=0x0102, source=b"\7\x08", destination=net))
+    profile: Any = {"profile_ident": 0x9700, "profile_features": 0x0102}
+    request = InitiateReq(2_000 * MS, source=Address(7, 8), destination=Address(5, 6, net[2:]), **profile)
+    kit.send(OpenConnection(token, 4, request))
     kit.end(token, InitiateDone)
     assert kit.slave.heard[0][1] == bytes.fromhex("57 000000 00C8 0100 0102 9700 00 02 01 09 07 08") + net

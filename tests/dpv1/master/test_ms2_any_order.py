@@ -22,6 +22,7 @@ from dpstack.dpv1.master.orders import (
     RecordDone,
     RecordOrder,
 )
+from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOffline, GoOnline
@@ -113,7 +114,7 @@ def test_slaves_that_answer_anything(answers: list[bytes | None], steps: list[st
         match step:
             case "o":
                 opened.append(token)
-                order(OpenConnection(token, 4, 200 * MS, LIMIT, timeout_ns=1_000 * MS), token)
+                order(OpenConnection(token, 4, InitiateReq(200 * MS), LIMIT, timeout_ns=1_000 * MS), token)
             case "r":
                 order(RecordOrder(token, Function.READ, 1, 2, 8, connection=ref, timeout_ns=1_000 * MS), token)
             case "w":

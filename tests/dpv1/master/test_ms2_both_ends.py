@@ -29,6 +29,7 @@ from dpstack.dpv1.master.orders import (
     RecordDone,
     RecordOrder,
 )
+from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.errors import UsageError
@@ -65,7 +66,7 @@ class Both(SimBus):
         order: object
         match what:
             case "open":
-                order = OpenConnection(token, address, S, LIMIT, timeout_ns=S)
+                order = OpenConnection(token, address, InitiateReq(S), LIMIT, timeout_ns=S)
             case "read":
                 order = RecordOrder(token, Function.READ, slot, index, 3, address=address, timeout_ns=S)
             case "write":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from ms2_kit import MS, Ms2Bus, connections_of, served
+from ms2_kit import MS, Ms2Bus, connected, connections_of, served
 from ring_bus import Sent
 
 from dpstack.dp.acyclic.job import ServiceFailure
@@ -43,8 +43,7 @@ _ABORTS = [
 
 @pytest.mark.parametrize(("abort", "text"), _ABORTS)
 def test_the_slave_aborts(abort: str, text: str) -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     octets = b"\x58" + bytes.fromhex(abort)
     kit.slave.serve = lambda pdu: octets
     first, second = kit.order_read(1), kit.order_read(1)
@@ -65,8 +64,7 @@ def test_the_slave_aborts(abort: str, text: str) -> None:
 
 def test_a_server_sap_that_is_closed_at_once() -> None:
     """A slave that was restarted knows nothing of the connection."""
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.slave.sessions.clear()
     done = kit.read(1)
     assert done.outcome.failure is ServiceFailure.ABORTED
@@ -80,8 +78,7 @@ def test_a_server_sap_that_is_closed_at_once() -> None:
     ["5E 01 02 05 01 02", "5E 01 02 00 01", "5E", "5E 01 02 F1" + " 55" * 240, "DE 80", "00", "57 00", "56 30 00 64"],
 )
 def test_lengths_that_lie_end_it(answer: str) -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.slave.serve = lambda pdu: bytes.fromhex(answer)
     done = kit.read(1)
     assert done.outcome.failure is ServiceFailure.LENGTH
@@ -91,8 +88,7 @@ def test_lengths_that_lie_end_it(answer: str) -> None:
 
 
 def test_more_than_was_asked_for() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.slave.serve = lambda pdu: b"\x5e\x01\x02\x03\x01\x02\x03"
     done = kit.read(1, length=2)
     assert "with 3 octets, 2 were asked for" in done.text
@@ -101,8 +97,7 @@ def test_more_than_was_asked_for() -> None:
 
 
 def test_a_negative_answer_ends_the_service_only() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.slave.serve = lambda pdu: bytes((pdu[0] | 0x80, 0x80, 0xB5, 7))
     for done in (kit.read(1), kit.write(1, 1, 2, b"\1"), kit.transport(1, 1, 2, b"")):
         assert (done.outcome.failure, done.outcome.codes) == (ServiceFailure.NEGATIVE, (0x80, 0xB5, 7))
@@ -112,8 +107,7 @@ def test_a_negative_answer_ends_the_service_only() -> None:
 
 
 def test_answers_to_other_requests_are_dropped() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     session = kit.slave.sessions[48]
 
     def serve(pdu: bytes) -> bytes:
@@ -128,8 +122,7 @@ def test_answers_to_other_requests_are_dropped() -> None:
 
 
 def test_a_slave_that_never_answers_a_service() -> None:
-    kit = Ms2Bus()
-    kit.open(response_ns=400 * MS)
+    kit = connected(response_ns=400 * MS)
     kit.slave.serve = lambda pdu: None
     begun = kit.bus.now
     done = kit.read(1)
@@ -145,8 +138,7 @@ def test_a_slave_that_never_answers_a_service() -> None:
 
 
 def test_a_write_without_an_answer_may_have_been_carried_out() -> None:
-    kit = Ms2Bus()
-    kit.open(response_ns=100 * MS)
+    kit = connected(response_ns=100 * MS)
     kit.slave.serve = lambda pdu: None
     assert kit.write(1, 1, 2, b"\1").text.endswith("; it may have been carried out")
     kit.over(1)
@@ -167,8 +159,7 @@ def test_a_write_without_an_answer_may_have_been_carried_out() -> None:
 
 
 def test_the_slave_vanishes() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.slave.mute = True
     begun = kit.bus.now
     done = kit.read(1)
@@ -180,8 +171,7 @@ def test_the_slave_vanishes() -> None:
 
 
 def test_the_slave_vanishes_while_nothing_is_asked() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.slave.mute = True
     begun = kit.bus.now
     assert kit.over(1).reason == "nothing was heard of the slave for 0.2 s (the send time-out)"
@@ -193,8 +183,7 @@ def test_the_slave_vanishes_while_nothing_is_asked() -> None:
 
 
 def test_closed_with_services_waiting() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.slave.polls = 100
     tokens = [kit.order_read(1) for _ in range(3)]
     kit.bus.run(10 * MS)
@@ -210,8 +199,7 @@ def test_closed_with_services_waiting() -> None:
 
 
 def test_an_abort_that_is_lost_is_sent_again() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     dropped: list[bytes] = []
 
     def drop(sent: Sent) -> bool:
@@ -245,8 +233,7 @@ def test_all_are_closed() -> None:
 
 def test_the_port_vanishes_and_comes_back() -> None:
     """The slave still holds it: it is told."""
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     token = kit.order_read(1)
     opening = kit.order_open()
     kit.bus.run(2 * MS)
@@ -261,16 +248,14 @@ def test_the_port_vanishes_and_comes_back() -> None:
 
 
 def test_the_port_vanishes_for_good() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.send(LineDown("unplugged"))
     kit.over(1)
     assert connections_of(kit.acyclic) == kit.acyclic.waiting == 0
 
 
 def test_the_station_leaves_the_ring() -> None:
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     token = kit.order_read(1)
     kit.send(GoOffline())
     done = kit.end(token, RecordDone)

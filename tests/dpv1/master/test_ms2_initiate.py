@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from ms2_kit import DL, MS, SC, Ms2Bus, sd2
+from ms2_kit import DL, MS, SC, Ms2Bus, connected, sd2
 from ring_bus import Sent
 
 from dpstack.dp.acyclic.job import ServiceFailure
@@ -194,8 +194,7 @@ def initiates(kit: Ms2Bus) -> int:
 
 def test_an_initiate_that_was_acknowledged_is_not_sent_again_when_a_poll_is_lost() -> None:
     """It would be another connection."""
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.close(1)
     kit.slave.requests.clear()
     slow_manager(kit, 4)
@@ -347,8 +346,7 @@ def test_the_next_initiate_waits_until_one_that_was_given_up_is_given_back(step:
 
 def test_a_server_sap_in_use_is_not_given_back_for_one_that_was_given_up() -> None:
     """The slave still names the server SAP that it gave out last."""
-    kit = Ms2Bus()
-    kit.open()
+    kit = connected()
     kit.slave.says[49] = lambda octets: SC
     token = kit.order_open()
     kit.bus.run(3 * MS)

@@ -32,6 +32,7 @@ from dpstack.dpv1.master.orders import (
     RecordDone,
     RecordOrder,
 )
+from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError
 from dpstack.fdl.codec import decode
@@ -185,7 +186,7 @@ class Attack:
                 )
             case 3:
                 self.opened.append(token)
-                self.order(OpenConnection(token, 4, 200 * MS, 60 * MS, timeout_ns=500 * MS), token)
+                self.order(OpenConnection(token, 4, InitiateReq(200 * MS), 60 * MS, timeout_ns=500 * MS), token)
             case 4:
                 self.order(RecordOrder(token, Function.READ, 1, 2, 8, connection=ref, timeout_ns=500 * MS), token)
             case 5:

@@ -32,6 +32,7 @@ from dpstack.dpv1.master.orders import (
     RecordDone,
     RecordOrder,
 )
+from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.drivers.process import messages as m
 from dpstack.drivers.snapshots import Counters
@@ -278,7 +279,7 @@ def test_a_slave_of_dp_v1_and_its_records_survive_the_way() -> None:
 def test_class_2_connections_survive_the_way() -> None:
     outcome = Outcome(failure=ServiceFailure.ABORTED, text="no", codes=(0, 1, 3))
     for order in (
-        OpenConnection(1, 2, 3, 4, source=b"\1\2", destination=bytes(9)),
+        OpenConnection(1, 2, InitiateReq(3, source=Address(1, 2), destination=Address(net=bytes(7))), 4),
         RecordOrder(1, Function.READ, 3, 4, connection=2),
         RecordOrder(1, Function.WRITE, 3, 4, data=b"\xff", connection=2),
         RecordOrder(1, Function.DATA_TRANSPORT, 3, 4, data=b"\xff", connection=2),
