@@ -22,11 +22,11 @@ from dpstack.errors import BusError, DpError, DriveError, DriveTimeout, Paramete
 from dpstack.profile import DriveCore, DriveStatus, ListedParam, per_request
 from dpstack.profile.model.jobs import LARGEST
 
-#: the plugin judges time-outs once a rotation; this much later nobody can have judged them
+#: the plugin checks time-outs once a rotation; so many seconds later its answer is overdue
 _GRACE: Final = 0.25
-#: orders that go out whatever was refused before
+#: orders that go out although a set point before was refused
 _STOPS: Final = ("stop", "quick_stop", "coast")
-#: so many notices of a drive are kept
+#: kept notices of a drive
 _NOTICES: Final = 5
 _tokens = itertools.count(1)
 
@@ -46,8 +46,8 @@ class DriveNotice(NamedTuple):
 
 
 class DrivePlugin(NamedTuple):
-    """The plugin of a drive for its application: ``core`` knows ranges, references and parameters, ``status`` gives
-    what the one that runs told last."""
+    """The plugin of a drive for its application: ``core`` knows ranges, references and parameters, ``status`` returns
+    the last status of the plugin that runs."""
 
     core: DriveCore
     status: Callable[[], DriveStatus]
@@ -58,13 +58,13 @@ class Drive(Sealed, Readable):
 
     def __init__(self, bus: Host, slave: Slave, plugin: DrivePlugin) -> None:
         self._bus = bus
-        self._core, self._told = plugin
+        self._core, self._last_status = plugin
         self._pending: dict[int, asyncio.Future[dict[str, object]]] = {}
         self._readers: list[Stream[DriveStatus]] = []
         self._seen = b""
         self._over = False
-        self._setpoints: dict[int, float] = {}  # those given that the plugin has not answered, by token
-        self._refused: DpError | None = None  # a set point that it did not take
+        self._setpoints: dict[int, float] = {}  # that the plugin has not answered yet, by token
+        self._refused: DpError | None = None  # why the plugin did not take a set point
         self._notices: deque[DriveNotice] = deque(maxlen=_NOTICES)
         #: the slave behind it
         self.slave = slave
@@ -94,7 +94,7 @@ class Drive(Sealed, Readable):
     @property
     def status(self) -> DriveStatus:
         """The latest status of the drive; offline while the bus does not run."""
-        status = self._told()
+        status = self._last_status()
         if self._setpoints:
             status = dataclasses.replace(status, setpoint=[*self._setpoints.values()][-1])
         return status if self._bus.runtime.not_running is None else status.unknown()
@@ -169,9 +169,9 @@ class Drive(Sealed, Readable):
         await self._order("reached", timeout, tolerance=tolerance)
 
     async def settled(self, timeout: float = 5.0) -> None:
-        """Wait until :attr:`status` is about what the drive is given now, and a fault has its name.
+        """Wait until :attr:`status` answers the present set point, and a fault has its name.
 
-        Straight after data exchange began it may still be about the time before. Raises DriveError.
+        Right after data exchange began the status may still be older. Raises DriveError.
         """
         await self._order("settled", timeout)
 

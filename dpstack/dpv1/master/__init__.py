@@ -2,7 +2,7 @@
 
 - ``alarm_ack``: Alarm_Ack of a class 1 master (MS1): to SAP 51 between Read and Write
 - ``alarm_handler``: Alarms of one slave at its master: recognised in its diagnoses, delivered once, acknowledged
-- ``alarm_repeats``: An acknowledged alarm that stands in the diagnosis once more: still, or is it the next one
+- ``alarm_repeats``: Acknowledged alarms that are in the diagnosis again: still the old alarm, or a new one
 - ``ms1``: MS1 of a class 1 master: Read and Write, and the steps that every MS1 service has
 - ``ms2``: Class 2 connections (MS2) of a master: opened through the resource manager of a slave (DSAP 49)
 - ``ms2_connection``: State of a class 2 connection, and the jobs over it: services, Idle, Abort

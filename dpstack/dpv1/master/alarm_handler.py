@@ -25,44 +25,44 @@ from dpstack.dpv1.pdu.error_codes import AGAIN
 from dpstack.errors import PduError
 from dpstack.units import NEVER, NS_PER_MS
 
-#: alarms of one slave that are open, or not taken by the application; those of a slave that keeps the rules are 32
+#: limit of the alarms of one slave that are open, or not yet taken by the application; by the rules there are up to 32
 MAX_OPEN: Final = 64
-#: before an acknowledgement is sent again for the first time, the second ...
+#: pauses before the first, the second ... repetition of an acknowledgement
 _AGAIN: Final = (100 * NS_PER_MS, 200 * NS_PER_MS, 500 * NS_PER_MS, 1000 * NS_PER_MS)
 _NO: Final = (ServiceFailure.NEGATIVE, ServiceFailure.REFUSED, ServiceFailure.LENGTH, ServiceFailure.GUARDED)
 
 
 class Stage(Enum):
-    """Where an open alarm is."""
+    """The stage of an open alarm."""
 
-    HELD = "held"  # the application has it, or will
-    WAITING = "waiting"  # to be acknowledged
+    HELD = "held"  # waits for the application
+    WAITING = "waiting"  # waits for its acknowledgement
     ASKED = "asked"  # its acknowledgement is under way
 
 
 @dataclass(slots=True, eq=False)
 class OpenAlarm:
-    """One that is not acknowledged yet; ``octets`` are its block."""
+    """An alarm without an acknowledgement; ``octets``: its block in the diagnosis."""
 
     number: int
     alarm: Alarm
     octets: bytes
     stage: Stage
-    #: nothing but that it stands in the diagnosis tells it from the one before
+    #: its block and the last one are equal: it may be the last one, still in the diagnosis
     doubtful: bool = False
     #: acknowledgements begun
     attempts: int = 0
-    #: one of them had no answer
+    #: an acknowledgement had no answer
     unanswered: bool = False
     not_before: int = 0
-    #: the diagnosis may hold the next one with its numbers: read again when it is over
+    #: the diagnosis may hold another alarm with the same numbers: read it again when this one is over
     shown: bool = False
-    #: the response came after its acknowledgement was over
+    #: the response came after the job of its acknowledgement had ended
     answered: bool = False
 
     @property
     def maybe_taken(self) -> bool:
-        """The slave may have had its acknowledgement."""
+        """The slave may have received its acknowledgement."""
         return self.unanswered or self.stage is Stage.ASKED
 
 
@@ -91,10 +91,10 @@ class AlarmHandler(DiagObserver):
         setup = self._setup = handler.setup
         sent = setup.user_octets(None)
         self._enabled = sent[1]
-        #: in all; 0: one of each type
+        #: alarms at a time; 0: one of each type
         self._limit = ALARM_LIMITS[sent[2] & ALARM_MODE]
         self._has_extra_sap = setup.dpv1 is not None and setup.dpv1.extra_alarm_sap
-        #: they are acknowledged at SAP 50
+        #: SAP 50 takes the acknowledgements, not SAP 51
         self.extra_sap = self._has_extra_sap
         self._extra_sap_took = False
         self._reports = handler.reports
@@ -106,9 +106,9 @@ class AlarmHandler(DiagObserver):
         self._dropped = False
         self._silence_told = False
         self._last: Diagnosis | None = None
-        #: blocks that say nothing new
+        #: blocks of the last diagnosis: they bring no new alarm
         self._before: set[bytes] = set()
-        #: exchanges at the last reading; what was not answered since leaves the slave in doubt whether it was read
+        #: exchanges at the last diagnosis; after a later request without an answer the slave may offer it again
         self._read_after = 0
         self._unsure = False
         self._statuses: dict[tuple[int, int], bytes] = {}
@@ -116,7 +116,7 @@ class AlarmHandler(DiagObserver):
     # --- from the diagnosis -------------------------------------------------------------------------------------
 
     def opened(self, last: Diagnosis | None, now: int) -> None:
-        """Data exchange begins: what stands in the last diagnosis before it counts from now on."""
+        """Data exchange begins: status messages in the last diagnosis before it count, alarms in it are read again."""
         for message, octets in self._messages(last, now):
             if isinstance(message, Status):
                 self._on_status(message, octets, now)
@@ -187,7 +187,7 @@ class AlarmHandler(DiagObserver):
             self._new(alarm, octets, diagnosis, doubtful=doubtful, now=now)
 
     def _conclude(self, alarm: Alarm, octets: bytes, now: int) -> None:
-        """What ``alarm`` says of others whose acknowledgement had no answer."""
+        """``alarm`` replaces others whose acknowledgement had no answer: the slave has taken it."""
         for known in tuple(self._open.values()):
             alike = not self._limit and known.alarm.type == alarm.type
             instead = known.octets != octets and (alike or Key.of(known.alarm) == Key.of(alarm))
@@ -240,12 +240,12 @@ class AlarmHandler(DiagObserver):
 
     @property
     def counts(self) -> AlarmCounts:
-        """What came of them, under other parameters before too."""
+        """Counted since the start, also under other parameters."""
         return self._book.counts
 
     @property
     def busy(self) -> bool:
-        """There is something to be looked at by :meth:`next_ack`, now or later."""
+        """True while :meth:`next_ack` may return an alarm, now or later."""
         return bool(self._open) or self._settling.look_at != NEVER
 
     def next_ack(self, now: int) -> OpenAlarm | None:
@@ -288,7 +288,7 @@ class AlarmHandler(DiagObserver):
         elif refused:
             self._book.count("refused")
             if self._book.counts.refused == 1:
-                self._reports.remark(_REFUSED.format(why=self._said(outcome)), now)
+                self._reports.remark(_REFUSED.format(why=self._remark_of(outcome)), now)
             self._over(known, outcome, now)
         else:
             known.stage = Stage.WAITING
@@ -297,10 +297,10 @@ class AlarmHandler(DiagObserver):
                 known.unanswered = True
                 if not self._silence_told:
                     self._silence_told = True
-                    self._reports.remark(f"{self._said(outcome)}; it is acknowledged again until it answers", now)
+                    self._reports.remark(f"{self._remark_of(outcome)}; it is acknowledged again until it answers", now)
 
-    def _said(self, outcome: Outcome) -> str:
-        """Without the slave, which stands in front of every remark."""
+    def _remark_of(self, outcome: Outcome) -> str:
+        """The text without the slave, which every remark begins with."""
         return outcome.text.removeprefix(f"slave {self._setup.address} ")
 
     def _over(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
@@ -318,7 +318,7 @@ class AlarmHandler(DiagObserver):
         self._reports.event(AlarmDone, now, number=known.number, outcome=outcome)
 
     def _make_room(self, now: int) -> None:
-        """What was dropped may still stand in its diagnosis."""
+        """A dropped alarm may still be in the diagnosis."""
         if self._dropped and len(self._open) + len(self._book.untaken) < MAX_OPEN:
             self._dropped = False
             self._want_diagnosis(now)
@@ -326,7 +326,7 @@ class AlarmHandler(DiagObserver):
     # --- the end ------------------------------------------------------------------------------------------------
 
     def closed(self, now: int) -> None:
-        """Data exchange is over, and with it all that is open."""
+        """Data exchange is over: its open alarms are void."""
         self.extra_sap = self._has_extra_sap
         text = f"slave {self._setup.address} ({self._setup.name}) left data exchange: its alarms are void"
         for known in self._open.values():

@@ -1,6 +1,6 @@
-"""An acknowledged alarm that stands in the diagnosis once more: still, or is it the next one, exactly alike?
+"""Acknowledged alarms that are in the diagnosis again: still the old alarm, or a new one with equal octets?
 
-Slaves differ; which of the two is assumed when: docs/decisions/alarms.md#the-same-alarm-again.
+Slaves differ. The rules: docs/decisions/alarms.md#the-same-alarm-again.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.units import NEVER, NS_PER_MS
 
-#: a slave has so long to take an acknowledged alarm out of its diagnosis
+#: time in which a slave takes an acknowledged alarm out of its diagnosis
 SETTLE: Final = 100 * NS_PER_MS
 
 
 class Key(NamedTuple):
-    """What is one alarm while it is open."""
+    """The identity of an open alarm."""
 
     type: int
     slot: int
@@ -25,12 +25,11 @@ class Key(NamedTuple):
 
     @classmethod
     def of(cls, alarm: Alarm) -> Key:
-        """Of ``alarm``."""
         return cls(alarm.type, alarm.slot, alarm.sequence)
 
 
 class Asked(NamedTuple):
-    """The slave asked for ``diagnosis``, where ``alarm`` stands; ``octets`` are its block."""
+    """The slave asked for ``diagnosis``, which holds ``alarm``; ``octets``: its block."""
 
     alarm: Alarm
     octets: bytes
@@ -39,24 +38,24 @@ class Asked(NamedTuple):
 
 @dataclass(slots=True)
 class _Settled:
-    """Acknowledged, and in every diagnosis since."""
+    """An acknowledged alarm that every diagnosis since has held."""
 
     octets: bytes
     until: int
-    #: delivered only because it stood there
+    #: delivered although its block was equal to the last one
     again: bool
-    #: the slave asked to be read since
+    #: the slave has asked for a diagnosis since then
     asked: Asked | None = None
 
 
 class Settling:
-    """Those of one slave; ``in_order``: its Alarm_Mode is a sequence mode."""
+    """The acknowledged alarms of one slave; ``in_order``: its Alarm_Mode is a sequence mode."""
 
     def __init__(self, in_order: bool) -> None:
         self._settled: dict[Key, _Settled] = {}
         self._counting = in_order
         self._keeps = False
-        #: the diagnosis has to be read again then
+        #: time to read the diagnosis again
         self.look_at: int = NEVER
 
     def raised(self, alarm: Alarm) -> None:
@@ -64,16 +63,17 @@ class Settling:
         self._settled.pop(Key.of(alarm), None)
 
     def over(self, key: Key, octets: bytes, again: bool, now: int) -> None:
-        """Its acknowledgement had its end; ``again``: :meth:`still` had doubts about it."""
+        """The slave took its acknowledgement; ``again``: :meth:`doubtful` was true of it."""
         self._settled[key] = _Settled(octets, now + SETTLE, again)
 
     def displaced(self, keys: set[Key]) -> list[Asked]:
-        """``keys`` are in the diagnosis, the others are gone; those of them that were the next ones after all."""
+        """Drop the alarms that are no longer in the diagnosis, which holds ``keys``. Returns those of them that were
+        new alarms after all."""
         gone = [self._settled.pop(key).asked for key in [key for key in self._settled if key not in keys]]
         return [asked for asked in gone if asked is not None and keys]
 
     def still(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, flagged: bool, now: int) -> bool:
-        """The old one. ``flagged``: the slave asked for this diagnosis."""
+        """True if ``alarm`` is the acknowledged one, still there. ``flagged``: the slave asked for this diagnosis."""
         settled = self._settled.get(Key.of(alarm))
         if settled is None or settled.octets != octets:
             return False
@@ -90,7 +90,7 @@ class Settling:
         return self._keeps
 
     def doubtful(self, key: Key, octets: bytes) -> bool:
-        """The one that is not :meth:`still` the old one has nothing to tell it by."""
+        """True if nothing but :meth:`still` tells a new alarm from the acknowledged one."""
         settled = self._settled.get(key)
         return settled is not None and settled.octets == octets and settled.asked is None
 

@@ -2,8 +2,8 @@
 SAP that it gives out, ended by Abort (docs/protocol.md#ms2).
 
 They take nothing away from the slave's own master, and need none. Every connection of a master asks from SSAP 50
-(Felser: its only SAP for MS2); the slave's server SAP tells several of them apart. What is to be asked when is
-:mod:`dpstack.dp.acyclic.queue`'s, the telegrams are :mod:`dpstack.dpv1.master.ms2_connection`'s.
+(Felser: its only SAP for MS2); the slave's server SAP tells several of them apart. The order of requests:
+:mod:`dpstack.dp.acyclic.queue`; the telegrams: :mod:`dpstack.dpv1.master.ms2_connection`.
 
 Decisions where the sources leave something open: docs/decisions/ms2.md#connections-at-the-master.
 """
@@ -33,7 +33,7 @@ from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Telegram
 from dpstack.units import NEVER, ns_to_s
 
-#: how the refusal of a service over a connection that is over begins
+#: begin of the refusal of a service over a connection that is over
 NO_CONNECTION: Final = "there is no open class 2 connection"
 #: connections at a time, to all slaves
 CAPACITY: Final = 64
@@ -116,7 +116,7 @@ class Ms2(Connections):
     # --- from the queue -------------------------------------------------------------------------------------------
 
     def ask(self, now: int) -> None:
-        """What connections want over which nothing goes: Idle, or the answer to a service that was given up."""
+        """Idle over quiet connections, or the poll for the answer to a service that was given up."""
         if not self.connections:
             return
         busy = self.queue.lanes()
@@ -142,12 +142,12 @@ class Ms2(Connections):
         return isinstance(request.tag, MasterConnection) and request.tag.outstanding
 
     def line_down(self, reason: str, now: int) -> None:
-        """The port vanished. Slaves are told when it is back before they give the connections up themselves."""
+        """The port vanished. When it is back, slaves that still hold a connection get Abort."""
         for connection in tuple(self.connections.values()):
             self.end(connection, f"the port vanished ({reason})", NOT_WANTED, now)
 
     def wake_at(self) -> int:
-        """When a connection was silent for too long."""
+        """The time at which an open connection will have been silent for too long."""
         if not self.connections:
             return NEVER
         return min(
@@ -155,7 +155,7 @@ class Ms2(Connections):
         )
 
     def tick(self, now: int) -> bool:
-        """End the connections that were; whether there were any."""
+        """End the silent connections; True if there were any."""
         if not self.connections:
             return False
         connections = self.connections.values()

@@ -1,5 +1,5 @@
-"""Read and Write of a cyclic unit (a drive plugin) to its own slave: it puts orders into a queue, the station carries
-them out by MS1 between the services of the application, one at a time for a slave.
+"""Queue of the Reads and Writes of a cyclic unit (a drive plugin) to its own slave. The station carries them out by MS1
+between the services of the application, one at a time for a slave.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class PendingRecord:
 
 
 class RecordQueue:
-    """What a unit asks its slave, oldest first. It stands in the unit's attribute ``records``."""
+    """The requests of a unit to its slave, oldest first: the unit's attribute ``records``."""
 
     __slots__ = ("_waiting",)
 
@@ -37,12 +37,12 @@ class RecordQueue:
         return pending
 
     def cancel(self, pending: PendingRecord) -> None:
-        """Give one up; one that was taken goes on, and nobody looks at what comes of it."""
+        """Give a request up; one that is under way goes on, and its outcome is ignored."""
         if pending in self._waiting:
             self._waiting.remove(pending)
 
     def take(self) -> PendingRecord | None:
-        """The next one, for whoever carries it out."""
+        """The next request, for the station."""
         return self._waiting.popleft() if self._waiting else None
 
     def clear(self) -> None:
@@ -54,6 +54,6 @@ class RecordQueue:
 
 
 def queue_at(unit: object) -> RecordQueue | None:
-    """The queue of a cyclic ``unit`` that wants something now."""
+    """The queue of a cyclic ``unit``, if it holds a request."""
     queue = getattr(unit, "records", None)
     return queue if isinstance(queue, RecordQueue) and queue else None

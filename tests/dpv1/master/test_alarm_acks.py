@@ -195,7 +195,7 @@ def test_busy_and_then_refused_is_refused() -> None:
     assert (kit.counts.refused, kit.counts.acknowledged) == (1, 0)
 
 
-def test_a_refused_one_is_over_and_told_once() -> None:
+def test_a_refused_acknowledgement_ends_the_alarm_and_is_reported_once() -> None:
     kit = AlarmBus()
     slave = kit.alarm_slave
     slave.refuses = ["B2", "B2"]
@@ -247,7 +247,7 @@ def test_answers_to_others_and_not_now_come_before_it() -> None:
 
 
 @pytest.mark.parametrize("offers_again", [False, True])
-def test_the_next_one_exactly_alike_long_after_silence_right_behind_a_diagnosis(offers_again: bool) -> None:
+def test_equal_alarms_after_a_lost_telegram_behind_the_diagnosis(offers_again: bool) -> None:
     """What a slave may offer again it offers in the first exchange after the silence; what comes later is new."""
     kit = AlarmBus()
     slave = kit.alarm_slave

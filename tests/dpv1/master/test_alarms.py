@@ -59,7 +59,7 @@ def test_every_type(kind: int, specifier: int) -> None:
 @pytest.mark.parametrize(
     "octets", ["05 07 03 01 00", "05 02 ff 01 00", "05 00 01 01 00", "05 7f 01 01 00", "03 02 01", "3f 01 02"]
 )
-def test_what_is_neither_alarm_nor_status_is_told_once_and_counted(octets: str) -> None:
+def test_malformed_device_blocks_are_reported_once_and_counted(octets: str) -> None:
     kit = AlarmBus()
     kit.alarm_slave.changes(bytes.fromhex(octets))
     kit.run(50)
@@ -137,7 +137,7 @@ def test_channels_of_the_same_diagnosis_come_along() -> None:
 # --- what a diagnosis says again ----------------------------------------------------------------------------------
 
 
-def test_a_slave_that_is_slow_to_take_it_out_of_its_diagnosis() -> None:
+def test_an_acknowledged_alarm_that_stays_in_the_diagnosis_for_a_while() -> None:
     kit = AlarmBus()
     slave = kit.alarm_slave
     slave.keeps = True
@@ -151,7 +151,7 @@ def test_a_slave_that_is_slow_to_take_it_out_of_its_diagnosis() -> None:
     assert kit.blocks == [PROCESS]
 
 
-def test_one_with_a_number_that_stays_in_the_diagnosis() -> None:
+def test_numbered_alarms_that_stay_in_the_diagnosis() -> None:
     kit = AlarmBus()
     slave = kit.alarm_slave
     slave.keeps = True
@@ -164,7 +164,7 @@ def test_one_with_a_number_that_stays_in_the_diagnosis() -> None:
     assert kit.blocks == blocks
 
 
-def test_numbers_that_stand_still_and_a_diagnosis_that_is_always_read() -> None:
+def test_unnumbered_alarms_in_a_static_diagnosis() -> None:
     kit = AlarmBus()
     slave = kit.alarm_slave
     slave.keeps = True
@@ -188,7 +188,7 @@ class _Changing(AlarmSlave):
 
 
 @pytest.mark.parametrize("behind", [[], [block(126, 1)]])
-def test_the_next_one_exactly_alike_with_other_news_in_the_same_diagnosis(behind: list[bytes]) -> None:
+def test_equal_alarms_beside_other_changes_of_the_diagnosis(behind: list[bytes]) -> None:
     kit = AlarmBus(kind=_Changing)
     slave = kit.alarm_slave
     slave.raises(PROCESS, PROCESS, *behind)  # the last one takes the place of the second at once
@@ -197,7 +197,7 @@ def test_the_next_one_exactly_alike_with_other_news_in_the_same_diagnosis(behind
 
 
 @pytest.mark.parametrize("mode", [0, 3])
-def test_the_next_one_exactly_alike(mode: int) -> None:
+def test_equal_alarms_one_after_the_other(mode: int) -> None:
     kit = AlarmBus(dpv1=Dpv1(alarms=ALL, alarm_mode=mode))
     slave = kit.alarm_slave
     slave.raises(*[PROCESS] * 5)
@@ -236,7 +236,7 @@ def test_class_2_reads_the_diagnosis_before_its_master_does() -> None:
 # --- too much, and the end ----------------------------------------------------------------------------------------
 
 
-def test_a_storm_is_told_once_and_data_exchange_goes_on() -> None:
+def test_a_storm_of_alarms_is_reported_once_and_data_exchange_goes_on() -> None:
     kit = AlarmBus((4, 5))
     slave = kit.alarm_slave
     slave.at_a_time = 2000  # it does not care for what was agreed
@@ -258,7 +258,7 @@ def test_a_storm_is_told_once_and_data_exchange_goes_on() -> None:
     assert len(slave.taken) == MAX_OPEN + 1
 
 
-def test_the_next_one_over_one_that_is_not_acknowledged() -> None:
+def test_an_alarm_that_replaces_an_unacknowledged_one() -> None:
     kit = AlarmBus()
     slave = kit.alarm_slave
     slave.at_a_time = 2000  # it does not care for what was agreed
@@ -289,7 +289,7 @@ def leaves(kit: AlarmBus) -> None:
 
 @pytest.mark.parametrize("after_ms", [0, 2, 4, 6, 8, 10, 12, 14])
 @pytest.mark.parametrize("hold", [False, True])
-def test_it_leaves_data_exchange_at_every_step(after_ms: int, hold: bool) -> None:
+def test_the_slave_leaves_data_exchange_at_every_step_of_an_alarm(after_ms: int, hold: bool) -> None:
     kit = AlarmBus()
     slave = kit.alarm_slave
     if hold:
@@ -311,7 +311,7 @@ def test_it_leaves_data_exchange_at_every_step(after_ms: int, hold: bool) -> Non
     assert kit.ends[-1].outcome.failure is None
 
 
-def test_what_nobody_takes_is_bounded_over_many_lives_of_the_slave() -> None:
+def test_untaken_alarms_are_bounded_over_many_restarts_of_the_slave() -> None:
     kit = AlarmBus()
     kit.hold()
     for _ in range(3):
@@ -327,7 +327,7 @@ def test_what_nobody_takes_is_bounded_over_many_lives_of_the_slave() -> None:
     kit.until(lambda: kit.blocks[-1] == PROCESS)
 
 
-def test_one_that_stood_there_before_data_exchange() -> None:
+def test_an_alarm_that_was_in_the_diagnosis_before_data_exchange() -> None:
     kit = AlarmBus()
     slave = kit.alarm_slave
     slave.mute = True

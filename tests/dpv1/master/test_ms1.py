@@ -63,7 +63,7 @@ def test_answered_in_the_request_itself() -> None:
 
 
 @pytest.mark.parametrize("not_yet", [SC, status(4, NR), status(4, 0x00), status(4, RR), status(4, UE)])
-def test_not_yet(not_yet: bytes) -> None:
+def test_the_slave_answers_not_yet(not_yet: bytes) -> None:
     kit = Ms1Bus()
 
     def ms1(data: bytes) -> bytes:
@@ -95,7 +95,7 @@ def test_a_request_that_is_not_taken_now_is_repeated(busy: int) -> None:
         ("5E", ServiceFailure.LENGTH, "octet 2 (slot) is missing"),
     ],
 )
-def test_answers_that_are_an_end(octets: str, failure: ServiceFailure, text: str) -> None:
+def test_negative_and_unreadable_answers(octets: str, failure: ServiceFailure, text: str) -> None:
     kit = Ms1Bus()
     polled(kit.slave, octets)
     done = kit.read(1, 2, 8)
@@ -171,7 +171,7 @@ def test_a_slave_that_is_busy_all_the_time() -> None:
     assert "it was busy all the time; try again" in kit.read().outcome.text
 
 
-def test_what_was_not_fetched_is_fetched_before_the_next_request() -> None:
+def test_a_late_answer_is_fetched_before_the_next_request() -> None:
     """The answer comes after its time-out: it is not taken for the next one, though it looks the same."""
     kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
     assert kit.read().outcome.failure is ServiceFailure.LATE
@@ -181,7 +181,7 @@ def test_what_was_not_fetched_is_fetched_before_the_next_request() -> None:
     assert kit.read().stale == 0
 
 
-def test_what_is_owed_outlives_a_service_that_was_cancelled_while_it_fetched() -> None:
+def test_an_unfetched_answer_survives_a_cancelled_service() -> None:
     kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
     assert kit.read().outcome.failure is ServiceFailure.LATE
     token = kit.order_read()
@@ -192,7 +192,7 @@ def test_what_is_owed_outlives_a_service_that_was_cancelled_while_it_fetched() -
     assert (kit.read().outcome.data, old) == (b"\x22", [])
 
 
-def test_nothing_comes_of_what_was_owed_and_the_next_is_asked_all_the_same() -> None:
+def test_an_unfetched_answer_that_never_comes() -> None:
     kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
     assert kit.read().outcome.failure is ServiceFailure.LATE
     kit.slave.ms1 = lambda data: answer(4, "5E 01 02 01 22") if data else SC

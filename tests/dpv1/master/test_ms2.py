@@ -85,7 +85,7 @@ def test_every_server_sap(sap: int) -> None:
 
 
 @pytest.mark.parametrize("not_yet", [SC, sd1(2, 4, NR), sd1(2, 4, 0), sd1(2, 4, RR), sd1(2, 4, UE)])
-def test_not_yet_and_not_now(not_yet: bytes) -> None:
+def test_the_slave_answers_not_yet_or_not_now(not_yet: bytes) -> None:
     """Each answer of the slave comes after ten polls that say so, in four ways."""
     kit = Ms2Bus()
     usual, turns = usual_of(kit.slave), [0]
@@ -198,7 +198,7 @@ def test_an_idle_that_is_lost_is_sent_again(answers: bool) -> None:
     assert kit.read(connection).outcome.failure is None
 
 
-def test_idle_that_is_not_answered_ends_it() -> None:
+def test_unanswered_idle_ends_the_connection() -> None:
     kit = connected(response_ns=200 * MS)
     kit.slave.serve = lambda pdu: None
     assert kit.over(1).reason == "Idle had no answer in time"
@@ -256,7 +256,7 @@ def test_the_answer_to_a_given_up_service_is_fetched_where_nothing_else_is_asked
     assert all(pdu[:1] != b"\x48" for _, pdu in kit.slave.heard)
 
 
-def test_a_cancelled_service_that_was_never_sent_owes_nothing() -> None:
+def test_a_cancelled_service_that_was_never_sent_leaves_no_answer() -> None:
     kit = connected()
     first, second = kit.order_read(1), kit.order_read(1, 5, 6)
     kit.send(CancelService(second))
@@ -265,7 +265,7 @@ def test_a_cancelled_service_that_was_never_sent_owes_nothing() -> None:
     assert kit.read(1, 7, 8).stale == 0
 
 
-def test_a_cancelled_service_that_the_slave_did_not_take_owes_nothing() -> None:
+def test_a_cancelled_service_that_the_slave_did_not_take_leaves_no_answer() -> None:
     """It said "not now": waiting for the answer would end the connection."""
     kit = connected()
     kit.slave.says[48] = lambda octets: sd1(2, 4, 0x02)

@@ -39,7 +39,7 @@ def test_no_connection_left_or_none_at_all() -> None:
     assert kit.open().server_sap == 48
 
 
-def test_nobody_there() -> None:
+def test_initiate_to_an_absent_slave() -> None:
     kit = Ms2Bus(())
     done = failed(kit)
     assert done.outcome.failure is ServiceFailure.SILENT
@@ -72,7 +72,7 @@ def test_a_slave_of_dp_v0_is_there_and_has_no_connections() -> None:
         ("5E 01 02 00", ServiceFailure.LENGTH, "octet 1 is 0x5E"),
     ],
 )
-def test_the_resource_manager_says_something_else(answer: str, failure: ServiceFailure, text: str) -> None:
+def test_other_answers_of_the_resource_manager(answer: str, failure: ServiceFailure, text: str) -> None:
     kit = Ms2Bus()
     kit.slave.says[49] = lambda octets: SC if octets[9:-2] else sd2(2, 4, DL, 50, 49, bytes.fromhex(answer))
     done = kit.open()
@@ -134,7 +134,7 @@ def test_a_resource_manager_that_never_answers() -> None:
     assert "its resource manager has no answer to Initiate within 0.3 s" in done.text
 
 
-def test_a_server_sap_given_out_twice_stays_whose_it_is() -> None:
+def test_a_server_sap_given_out_twice_stays_with_its_connection() -> None:
     kit = Ms2Bus()
     kit.slave.free = [48, 48]
     kit.open()
@@ -261,7 +261,7 @@ def test_an_answer_to_an_earlier_master_is_given_away_first() -> None:
 
 
 @pytest.mark.parametrize("step", range(24))
-def test_cancelled_or_closed_at_every_step(step: int) -> None:
+def test_initiate_cancelled_or_closed_at_every_step(step: int) -> None:
     """Of Initiate and the Read after it: the slave keeps nothing, and gives out all its connections again."""
     for order in (CancelService, CloseConnection):
         kit = Ms2Bus()
@@ -278,7 +278,7 @@ def test_cancelled_or_closed_at_every_step(step: int) -> None:
         assert len(kit.told(ConnectionOver)) == (done.outcome.failure is None)
 
 
-def test_closed_at_every_moment() -> None:
+def test_initiate_closed_at_every_moment() -> None:
     """Also between handing on and sending: what the link layer has already goes out. One that was open ends as such,
     one that was not is never told as open."""
     opened = 0
@@ -296,7 +296,7 @@ def test_closed_at_every_moment() -> None:
     assert 0 < opened < 100
 
 
-def test_initiate_has_its_time() -> None:
+def test_initiate_times_out() -> None:
     kit = Ms2Bus()
     kit.slave.polls = 1 << 20
     token = kit.order_open(timeout_ns=50 * MS)

@@ -110,7 +110,7 @@ def _acyclic(sent: Transmission) -> bool:
 
 @examples(16)
 @given(st.lists(st.one_of(_orders, _orders, _runs, _faults), min_size=8, max_size=30), st.integers(0, 10_000))
-def test_one_end_each_with_loss(steps: list[tuple[str, int, int, int]], seed: int) -> None:
+def test_every_service_ends_once_with_lost_telegrams(steps: list[tuple[str, int, int, int]], seed: int) -> None:
     both = Both(seed)
     world = both.world
     both.take("open", 0, 0, 0)

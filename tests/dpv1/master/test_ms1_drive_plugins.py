@@ -66,7 +66,7 @@ def test_write_and_read_are_no_events() -> None:
     assert bus.done == []
 
 
-def test_a_negative_answer_and_what_cannot_be() -> None:
+def test_negative_answers_and_impossible_requests() -> None:
     bus, queue = bus_with_unit()
     bus.slave.ms1 = lambda data: answer(4, "DE 80 B5 00", DL)
     refused = end(bus, queue.submit(ReadReq(1, 47, 240)))

@@ -77,7 +77,7 @@ def test_a_server_sap_that_is_closed_at_once() -> None:
     "answer",
     ["5E 01 02 05 01 02", "5E 01 02 00 01", "5E", "5E 01 02 F1" + " 55" * 240, "DE 80", "00", "57 00", "56 30 00 64"],
 )
-def test_lengths_that_lie_end_it(answer: str) -> None:
+def test_wrong_lengths_end_the_connection(answer: str) -> None:
     kit = connected()
     kit.slave.serve = lambda pdu: bytes.fromhex(answer)
     done = kit.read(1)
@@ -87,7 +87,7 @@ def test_lengths_that_lie_end_it(answer: str) -> None:
     kit.freed()
 
 
-def test_more_than_was_asked_for() -> None:
+def test_more_octets_than_requested() -> None:
     kit = connected()
     kit.slave.serve = lambda pdu: b"\x5e\x01\x02\x03\x01\x02\x03"
     done = kit.read(1, length=2)
@@ -215,7 +215,7 @@ def test_an_abort_that_is_lost_is_sent_again() -> None:
     kit.freed()
 
 
-def test_all_are_closed() -> None:
+def test_close_all_connections() -> None:
     kit = Ms2Bus((4, 5))
     kit.send(CloseConnections())
     assert len(kit.told(ConnectionsClosed)) == 1  # there were none

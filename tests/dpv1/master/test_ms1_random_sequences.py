@@ -118,7 +118,7 @@ def _ms1(sent: Transmission) -> bool:
 @examples(14)
 @example([("line", 1, 0, 0), ("lose all", 4, 0, 0)], 0)
 @given(st.lists(st.one_of(_orders, _orders, _runs, _faults), max_size=25), st.integers(0, 10_000))
-def test_both_ends_with_loss(steps: list[tuple[str, int, int, int]], seed: int) -> None:
+def test_reads_and_writes_with_lost_telegrams(steps: list[tuple[str, int, int, int]], seed: int) -> None:
     world = World(seed=seed)
     params = BusParams.preset(187_500, address=2, gap=0)
     devices = {address: Patient() for address in (3, 4)}

@@ -22,7 +22,7 @@ _MODES = st.sampled_from([(0, 0), (1, 2), (3, 8), (7, 32)])
 @given(
     _MODES, _ALARMS, _LOSSES, st.integers(-1, 5), st.booleans(), st.booleans(), st.lists(st.integers(0, 9), max_size=8)
 )
-def test_with_loss(
+def test_alarms_with_lost_telegrams(
     mode: tuple[int, int],
     alarms: list[tuple[int, int, int, str]],
     losses: list[str],
