@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from dpstack.api.bus.virtual import IoStation, World, run_virtual, simulate
     from dpstack.api.config.config import Config, load_config
     from dpstack.api.lists.parameter_list import ParameterPlace
-    from dpstack.api.server.server import SlaveServer, serve_slave, serve_slaves
-    from dpstack.api.server.slave_from_gsd import slave_from_gsd
+    from dpstack.api.server.server import SlaveServer, serve_slave, serve_slaves, slave_from_gsd
     from dpstack.api.slave.alarms import SlaveAlarm
     from dpstack.api.slave.drive import Drive
     from dpstack.api.slave.ms2_connection import Connection
@@ -158,8 +157,7 @@ _PLACES: Final = {
     "api.bus.virtual": "run_virtual simulate World IoStation",
     "api.config.config": "Config load_config",
     "api.lists.parameter_list": "ParameterPlace",
-    "api.server.server": "SlaveServer serve_slave serve_slaves",
-    "api.server.slave_from_gsd": "slave_from_gsd",
+    "api.server.server": "SlaveServer serve_slave serve_slaves slave_from_gsd",
     "api.slave.alarms": "SlaveAlarm",
     "api.slave.drive": "Drive",
     "api.slave.ms2_connection": "Connection",

@@ -156,6 +156,6 @@ async def test_on_ptys_beside_a_foreign_class_1_master(tmp_path: Path) -> None:
                 visitor.class2.connect(8, timeout=20, response_timeout=20) as connection,
             ):
                 await everything(connection, 20)
-                assert simulation.slaves[0].unit.app.master == 2
+                assert simulation.slaves[0].app.master == 2
             assert plant.slave("io").ready_now
             assert await plant.slave("io").read(1, 1, timeout=20) == b"\x03"

@@ -18,7 +18,7 @@ from dpstack.api.control.drive_orders import drive_order
 from dpstack.api.control.record_orders import acyclic_order
 from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.server.simulation import Segment, Simulation
-from dpstack.api.server.virtual_bench import Bench, silence_text, station_status
+from dpstack.api.server.virtual_bench import Bench, silence_text
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.process_data import as_json
@@ -137,10 +137,7 @@ def run_status(bus: Bus) -> dict[str, object]:
         if slave.address in drives:
             entry["drive"] = drive_dict(bus, drives[slave.address])
         if bus.bench is not None:
-            entry |= station_status(bus.bench.device(slave.address))
-            injected = bus.bench.injected(slave.address)
-            if injected:
-                entry["injected"] = injected
+            entry |= bus.bench.status_of(slave.address)
         slaves[str(slave.address)] = entry
     return {
         "seconds": round(bus.seconds, 3),

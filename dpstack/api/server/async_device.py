@@ -8,22 +8,18 @@ from typing import TypeVar
 
 from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dpv1.pdu.error_codes import Code
-from dpstack.dpv1.pdu.read_write import DataTransport, ReadReq, WriteReq
+from dpstack.dpv1.pdu.read_write import DataTransport, ReadReq
 from dpstack.dpv1.slave.record_requests import RecordRequest
-from dpstack.dpv1.slave.user_slave import OnRead, OnTransport, OnWrite
+from dpstack.dpv1.slave.user_slave import DpSlave
 
 T = TypeVar("T")
 
 
 class AsyncRecords:
-    """The record functions of a :class:`~dpstack.dpv1.slave.user_slave.DpSlave`; a request without one is refused."""
+    """Serves records and Data_Transport by the functions of ``device``; a request without a function is refused."""
 
-    def __init__(
-        self, on_read: OnRead | None, on_write: OnWrite | None, on_transport: OnTransport | None = None
-    ) -> None:
-        self._on_read = on_read
-        self._on_write = on_write
-        self._on_transport = on_transport
+    def __init__(self, device: DpSlave) -> None:
+        self._device = device
         self._tasks: set[asyncio.Task[None]] = set()
 
     def ask(self, request: RecordRequest) -> None:
@@ -46,16 +42,12 @@ class AsyncRecords:
 
     async def _serve(self, request: RecordRequest) -> None:
         service = request.service
-        function: Callable[..., Awaitable[object]] | None
-        result, refusal = "", Code.ACCESS_DENIED
-        match service:
-            case ReadReq():
-                name, function, result = "on_read", self._on_read, "a record"
-            case WriteReq():
-                name, function = "on_write", self._on_write
-            case DataTransport():
-                name, function, result = "on_transport", self._on_transport, "what goes back"
-                refusal = Code.FEATURE_NOT_SUPPORTED
+        name, result, refusal = "on_write", "", Code.ACCESS_DENIED
+        if isinstance(service, ReadReq):
+            name, result = "on_read", "a record"
+        elif isinstance(service, DataTransport):
+            name, result, refusal = "on_transport", "what goes back", Code.FEATURE_NOT_SUPPORTED
+        function: Callable[..., Awaitable[object]] | None = getattr(self._device, name)
         if function is None:
             request.refuse(refusal)
             return

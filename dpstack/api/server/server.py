@@ -1,12 +1,15 @@
-"""Server for the user's own slaves (:func:`serve_slave`): on a real port, or in a virtual world."""
+"""The user's own slaves: made from a GSD file, and served on a real port or in a virtual world."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from types import TracebackType
+from typing import Unpack
 
+from dpstack.api.gsd_info import read_gsd
 from dpstack.api.server.async_device import AsyncRecords
 from dpstack.api.streams import OnEvent, Waiters, hand_to
 from dpstack.argcheck import Sealed, octets, whole
@@ -14,17 +17,19 @@ from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Specifier, Status, m
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, SlaveAppStats
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, Raised
-from dpstack.dpv1.slave.device import Device
+from dpstack.dpv1.slave.description_from_gsd import slave_description
+from dpstack.dpv1.slave.device import Device, OnCycle
 from dpstack.dpv1.slave.resource_manager import ServedConnection, ms2_of
-from dpstack.dpv1.slave.user_slave import DpSlave
+from dpstack.dpv1.slave.user_slave import DpSlave, SlaveOptions
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.virtual.runtime import VirtualRuntime
-from dpstack.errors import AlarmError, BusError, ConfigError, SlaveTimeout, UsageError
+from dpstack.errors import AlarmError, BusError, ConfigError, GsdError, SlaveTimeout, UsageError
 from dpstack.fdl.commands import AtStation
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.passive.station import PassiveStation
+from dpstack.gsd.configuration import configure, default_modules
 from dpstack.machine import LineDown
 from dpstack.params import UNADDRESSED, BusParams
 from dpstack.phy.patience import EXACT, Patience
@@ -34,6 +39,33 @@ from dpstack.trace import Event
 from dpstack.units import baud_text
 
 
+def slave_from_gsd(
+    path: str | Path,
+    on_cycle: OnCycle,
+    modules: Sequence[int | str] | None = None,
+    *,
+    name: str = "",
+    **options: Unpack[SlaveOptions],
+) -> DpSlave:
+    """The slave that the GSD file at ``path`` describes, doing what ``on_cycle(outputs, elapsed)`` does.
+
+    ``modules``: names or reference numbers of those that are plugged, in slot order, "" for an empty slot; then it
+    accepts only this configuration. None: any that the file allows, and Get_Cfg returns ``config``, the file's preset,
+    or its first module. ``on_cycle`` must give inputs for each of them. ``options`` are those of :class:`DpSlave`. A
+    bundled drive's GSD file is found by the drive's name. Raises ConfigError.
+    """
+    device = read_gsd(path).device
+    try:
+        chosen = None if modules is None else configure(device, modules)
+        preset = configure(device) if chosen is None and default_modules(device) is not None else None
+        description = slave_description(device, chosen, name=name)
+    except GsdError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    if preset is not None and options.get("config") is None:
+        options["config"] = preset.config
+    return DpSlave(description, on_cycle, **options)
+
+
 class ServedSlave(Sealed):
     """One served slave. ``restart()`` and ``initial_reset()`` raise UsageError within its own functions."""
 
@@ -41,7 +73,7 @@ class ServedSlave(Sealed):
         self.device = device
         self._records: AsyncRecords | None = None
         if isinstance(device, DpSlave) and (device.on_read or device.on_write or device.on_transport):
-            self._records = AsyncRecords(device.on_read, device.on_write, device.on_transport)
+            self._records = AsyncRecords(device)
             device.serve_records(self._records)
             device.transport = self._records.ask
         self._app = SlaveApp(device, address=address, address_fixed=fixed)

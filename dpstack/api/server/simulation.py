@@ -11,20 +11,18 @@ from typing import Final, Literal
 from dpstack.api.bus.compose import ECHO, port_of
 from dpstack.api.bus.events_json import Injected
 from dpstack.api.config.config import AUTO, Config, rate_findings
-from dpstack.api.server.virtual_bench import Bench, Unit, rates_of, set_rate, station_status
+from dpstack.api.server.virtual_bench import Bench, SimulatedSlave, rates_of, set_rate
 from dpstack.api.streams import OnEvent, hand_to
-from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dp.slave.auto_baud import BaudState, PortBaudChanged, SearchingPort
 from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.line.rate import settle_ns_of
-from dpstack.drivers.segment.hub import Segment, default_directory
+from dpstack.drivers.segment.hub import Segment
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.params import MAX_STATION, UNADDRESSED, BusParams
 from dpstack.phy.neighbours import t_sl_of_answers
-from dpstack.sim.io_station import NAME, IoStation
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
@@ -33,49 +31,11 @@ __all__ = [
     "Segment",
     "SimulatedSlave",
     "Simulation",
-    "SlaveAppState",
-    "default_directory",
     "sim_event_json",
 ]
 
 #: where neither the arguments nor the configuration name a rate
 DEFAULT_BAUD: Final = 500_000
-
-
-class SimulatedSlave:
-    """One slave of a simulation, for status and reports."""
-
-    def __init__(self, unit: Unit) -> None:
-        self.unit = unit
-        self.name = unit.config.name
-        profile, description = unit.config.profile, unit.config.description
-        what = f"mirror, {description.name}" if description else "mirror"
-        self.kind = profile.name if profile else NAME if isinstance(unit.device, IoStation) else what
-
-    @property
-    def address(self) -> int:
-        """Its station address now: Set_Slave_Add may have changed that of the configuration."""
-        return self.unit.station.address
-
-    @property
-    def state(self) -> SlaveAppState:
-        """Wait_Prm, Wait_Cfg or Data_Exch."""
-        return self.unit.app.state
-
-    @property
-    def exchanges(self) -> int:
-        """Data exchanges since it was switched on."""
-        return self.unit.app.stats.exchanges
-
-    @property
-    def watchdogs(self) -> int:
-        """Expiries of its watchdog since it was switched on."""
-        return self.unit.app.stats.watchdogs
-
-    @property
-    def too_late(self) -> int:
-        """Answers that were not sent because the next telegram had already begun."""
-        return self.unit.station.stats.dropped
 
 
 class Simulation(Bench):
@@ -105,16 +65,15 @@ class Simulation(Bench):
         self._params = params = BusParams.preset(start)
         #: T_SL in bit times that a real master needs for these slaves behind this port, 0: any T_SL will do
         self.t_sl = t_sl_of_answers(params, patience)
-        units = [Unit(slave, params, patience) for slave in config.slaves]
-        for unit in units:
-            if unit.config.address == UNADDRESSED and not unit.device.set_slave_add:
+        self.slaves = tuple(SimulatedSlave(slave, params, patience) for slave in config.slaves)
+        for slave in self.slaves:
+            if slave.address == UNADDRESSED and not slave.device.set_slave_add:
                 raise ConfigError(
-                    f"slave {unit.config.name} has no Set_Slave_Add: nobody could give it another address than "
+                    f"slave {slave.name} has no Set_Slave_Add: nobody could give it another address than "
                     f"{UNADDRESSED} over the bus; give it one of 0..{MAX_STATION}"
                 )
-        self.slaves = tuple(SimulatedSlave(unit) for unit in units)
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._line = Multidrop([unit.station for unit in units], params, patience=patience)
+        self._line = Multidrop([slave.station for slave in self.slaves], params, patience=patience)
         self._search: SearchingPort | None = None
         self._was_found = False
         if baud == AUTO:
@@ -172,19 +131,10 @@ class Simulation(Bench):
     def status(self) -> dict[str, object]:
         slaves: dict[str, object] = {}
         for slave in self.slaves:
-            entry: dict[str, object] = {
-                "name": slave.name,
-                "kind": slave.kind,
-                "state": slave.state.value if slave.unit.powered else "off",
-                "exchanges": slave.exchanges,
-                "watchdogs": slave.watchdogs,
-                "too_late": slave.too_late,
-                **station_status(slave.unit.device),
-            }
-            injected = self.injected(slave.address)
-            if injected:
-                entry["injected"] = injected
-            slaves[str(slave.address)] = entry
+            entry = {"name": slave.name, "kind": slave.kind, **slave.as_dict()}
+            if not slave.powered:
+                entry["state"] = "off"
+            slaves[str(slave.address)] = entry | self.status_of(slave.address)
         status: dict[str, object] = {"seconds": round(self.seconds, 3), "baud": self.baud}
         status |= {"telegrams": self.telegrams, "bad": self.bad}
         if self._search is not None:
@@ -192,8 +142,8 @@ class Simulation(Bench):
         return status | {"slaves": slaves}
 
     @property
-    def units(self) -> Mapping[int, Unit]:
-        return {slave.address: slave.unit for slave in self.slaves}
+    def units(self) -> Mapping[int, SimulatedSlave]:
+        return {slave.address: slave for slave in self.slaves}
 
     def silence(self, address: int, for_ns: int | None) -> None:
         if self.units[address].powered:
@@ -209,9 +159,9 @@ class Simulation(Bench):
 
     def _switch(self, address: int, on: bool) -> None:
         if on:
-            unit = self.units[address]
-            unit.renew(self._line.params)
-            self._line.add(unit.station)
+            slave = self.units[address]
+            slave.renew(self._line.params)
+            self._line.add(slave.station)
         else:
             self._line.remove(address)
 
@@ -241,11 +191,11 @@ class Simulation(Bench):
 
     def _watched(self) -> bool:
         """Whether the watchdog of any slave runs."""
-        return any(slave.unit.app.watchdog.time_ns and slave.unit.powered for slave in self.slaves)
+        return any(slave.app.watchdog.time_ns and slave.powered for slave in self.slaves)
 
     def _rate_lost(self, now: int) -> None:
         for slave in self.slaves:
-            slave.unit.app.rate_lost(now)
+            slave.app.rate_lost(now)
 
     def _failed(self, error: Exception) -> None:
         failure = BusError(f"the simulation was stopped by a defect in dpstack ({type(error).__name__}: {error})")

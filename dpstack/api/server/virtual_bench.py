@@ -18,7 +18,7 @@ from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.profile import DriveDevice
-from dpstack.sim.io_station import IDENT, IoStation
+from dpstack.sim.io_station import IDENT, NAME, IoStation
 from dpstack.sim.world import World
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
@@ -50,11 +50,6 @@ def _own(slave: SlaveConfig, description: SlaveDescription) -> SlaveDescription:
     return dataclasses.replace(description, name=slave.name, ident=description.ident if ident is None else ident)
 
 
-def station_status(device: Device) -> dict[str, object]:
-    """Additional keys of ``status`` for a simulated slave: ``slots`` of an I/O station."""
-    return {"slots": device.as_dict()} if isinstance(device, IoStation) else {}
-
-
 def silence_text(left_ns: int) -> str:
     """Text of a silence for another ``left_ns``; NEVER: until a command ends it."""
     return "silence until resume" if left_ns >= NEVER // 2 else f"silence for {ns_to_s(left_ns):.1f} s more"
@@ -71,7 +66,7 @@ def set_rate(slave: SlaveConfig) -> int | None:
     return rates_of(slave)[0] if fixed else None
 
 
-class Unit:
+class SimulatedSlave:
     """One simulated slave: station, application and device, created again by :meth:`renew`.
 
     It keeps an address of Set_Slave_Add. A drive keeps its EEPROM and takes its address from there; an I/O station
@@ -90,6 +85,38 @@ class Unit:
         self._searching = searching
         self.device: Device = device_of(config)
         self._stand(params)
+
+    @property
+    def name(self) -> str:
+        return self.config.name
+
+    @property
+    def kind(self) -> str:
+        """Its drive, the I/O station, or a mirror, for people."""
+        profile, description = self.config.profile, self.config.description
+        if profile is not None:
+            return profile.name
+        if isinstance(self.device, IoStation):
+            return NAME
+        return "mirror" if description is None else f"mirror, {description.name}"
+
+    @property
+    def address(self) -> int:
+        """Its station address now: Set_Slave_Add may have changed that of the configuration."""
+        return self.station.address
+
+    def as_dict(self) -> dict[str, object]:
+        """State and counters since it was switched on. ``watchdogs``: expiries of its watchdog. ``too_late``: answers
+        that were not sent because the next telegram had already begun.
+        """
+        stats = self.app.stats
+        return {
+            "name": self.name,
+            "state": self.app.state.value,
+            "exchanges": stats.exchanges,
+            "watchdogs": stats.watchdogs,
+            "too_late": self.station.stats.dropped,
+        }
 
     def renew(self, params: BusParams) -> None:
         before, self.device = self.device, device_of(self.config)
@@ -122,7 +149,7 @@ class Bench(ABC):
 
     @property
     @abstractmethod
-    def units(self) -> Mapping[int, Unit]: ...
+    def units(self) -> Mapping[int, SimulatedSlave]: ...
 
     @abstractmethod
     def silence(self, address: int, for_ns: int | None) -> None:
@@ -158,6 +185,12 @@ class Bench(ABC):
         found = ["power-off"] if not unit.powered else [silence_text(left_ns)] if left_ns > 0 else []
         return found + list(unit.device.injected if isinstance(unit.device, (DriveDevice, IoStation)) else ())
 
+    def status_of(self, address: int) -> dict[str, object]:
+        """Keys of ``status`` for a simulated slave: ``slots`` of an I/O station, ``injected`` faults."""
+        device, injected = self.device(address), self.injected(address)
+        slots = {"slots": device.as_dict()} if isinstance(device, IoStation) else {}
+        return slots | ({"injected": injected} if injected else {})
+
 
 class VirtualBench(Bench):
     """The simulated slaves of a bus in virtual time, at the rate of ``params``; None: they detect it."""
@@ -166,7 +199,7 @@ class VirtualBench(Bench):
         self._world = world
         self._params = params or BusParams.preset(BAUD_RATES[0])
         self._searching = params is None
-        self._units: dict[int, Unit] = {}
+        self._units: dict[int, SimulatedSlave] = {}
         self._silent: dict[int, int] = {}  # until when, in ns
 
     def add(self, config: SlaveConfig) -> None:
@@ -175,11 +208,11 @@ class VirtualBench(Bench):
         if before is not None and before.powered:
             self._unplug(config.address)
         self._silent.pop(config.address, None)
-        unit = self._units[config.address] = Unit(config, self._params, searching=self._searching)
+        unit = self._units[config.address] = SimulatedSlave(config, self._params, searching=self._searching)
         self._world.add(unit.on_bus, name=config.name)
 
     @property
-    def units(self) -> Mapping[int, Unit]:
+    def units(self) -> Mapping[int, SimulatedSlave]:
         return self._units
 
     def silence(self, address: int, for_ns: int | None) -> None:

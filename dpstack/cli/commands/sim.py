@@ -113,23 +113,14 @@ def _printer(simulation: Simulation, json: bool) -> Callable[[Event], None]:
 
 def print_summary(simulation: Simulation, json: bool) -> None:
     if json:
-        slaves = {
-            str(s.address): {
-                "name": s.name,
-                "state": s.state.value,
-                "exchanges": s.exchanges,
-                "watchdogs": s.watchdogs,
-                "too_late": s.too_late,
-            }
-            for s in simulation.slaves
-        }
+        slaves = {str(slave.address): slave.as_dict() for slave in simulation.slaves}
         heard = {"telegrams": simulation.telegrams, "bad": simulation.bad}
         output.json_line({"event": "summary", "t": round(simulation.seconds, 3), **heard, "slaves": slaves})
         return
-    rows = [(s.address, s.name, s.state.value, s.exchanges, s.watchdogs, s.too_late) for s in simulation.slaves]
+    rows = [(slave.address, *slave.as_dict().values()) for slave in simulation.slaves]
     columns = ("address", "name", "state", "exchanges", "watchdog expired", "answers too late")
     output.table("Slaves", columns, rows)
-    if any(s.too_late for s in simulation.slaves):
+    if any(slave.station.stats.dropped for slave in simulation.slaves):
         output.line(
             "answers too late were not sent, because another telegram was there already: this computer was busy for "
             "longer than the master waits, or another master talked at the same time"

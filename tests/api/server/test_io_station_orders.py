@@ -14,8 +14,7 @@ from dpstack.api.config.config import slave_config
 from dpstack.api.control.commands import KINDS, find
 from dpstack.api.control.handlers import run_status, slave_handlers
 from dpstack.api.control.server import Handler
-from dpstack.api.server.simulation import SimulatedSlave
-from dpstack.api.server.virtual_bench import Unit
+from dpstack.api.server.virtual_bench import SimulatedSlave
 from dpstack.cli.commands import ctl
 from dpstack.errors import UsageError
 from dpstack.params import BusParams
@@ -207,5 +206,5 @@ def test_orders_that_cannot_be(order: str, says: str) -> None:
 
 def test_what_the_simulation_calls_it() -> None:
     params = BusParams.preset(500_000)
-    kinds = [SimulatedSlave(Unit(slave_config(table), params)).kind for table in (IO, RAW)]
+    kinds = [SimulatedSlave(slave_config(table), params).kind for table in (IO, RAW)]
     assert kinds == ["io-station", "mirror"]

@@ -12,7 +12,7 @@ from api_kit import off_and_on
 import dpstack
 from dpstack.api.config.config import make_config, slave_config
 from dpstack.api.server.simulation import Simulation
-from dpstack.api.server.virtual_bench import Unit
+from dpstack.api.server.virtual_bench import SimulatedSlave
 from dpstack.params import BusParams
 
 PUMP: Mapping[str, object] = {"name": "pump", "address": 5, "drive": "imo-hd2"}
@@ -110,7 +110,7 @@ def test_i5_it_hears_only_the_rate_it_is_set_to() -> None:
 
 
 def test_i5_where_all_search_it_waits_at_its_rate() -> None:
-    unit = Unit(slave_config(PUMP), BusParams.preset(9_600), searching=True)
+    unit = SimulatedSlave(slave_config(PUMP), BusParams.preset(9_600), searching=True)
     assert unit.on_bus is unit.station
     assert unit.station.baud == 1_500_000
     unit.renew(BusParams.preset(9_600))

@@ -15,7 +15,7 @@ async def test_the_summary_says_why_answers_were_too_late(capsys: pytest.Capture
     simulation = Simulation(make_config("pty", 500_000, 2, [raw]), "pty", 500_000)
     sim.print_summary(simulation, json=False)
     assert "another master talked" not in capsys.readouterr().out
-    simulation.slaves[0].unit.station.stats.dropped = 3
+    simulation.slaves[0].station.stats.dropped = 3
     sim.print_summary(simulation, json=False)
     table, _, text = capsys.readouterr().out.partition("answers too late were not sent, ")
     assert table.rstrip().endswith("0                 3")

@@ -7,7 +7,7 @@ from bus_kit import IDENT, PPO1, setup
 from support import MS, S, WorldFactory
 
 from dpstack.api.config.config import slave_config
-from dpstack.api.server.virtual_bench import Unit
+from dpstack.api.server.virtual_bench import SimulatedSlave
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -183,7 +183,7 @@ def test_a_port_that_returns_begins_the_search_anew() -> None:
 
 def test_a_simulated_drive_finds_those_rates_that_its_device_knows() -> None:
     config = slave_config({"name": "hoist", "address": 3, "drive": "demag-dedrive"})
-    station = Unit(config, BusParams.preset(500_000), searching=True).on_bus
+    station = SimulatedSlave(config, BusParams.preset(500_000), searching=True).on_bus
     assert isinstance(station, SearchingSlave)
     heard_at: set[int] = set()
     wire = Wire(station)
