@@ -148,35 +148,35 @@ __all__ = [
     "slave_from_gsd",
 ]
 
-#: public names by module; all others are in errors
-_PLACES: Final = {
-    "api.bus.bus": "Bus",
-    "api.bus.cycles": "Cycle",
-    "api.bus.find_baud": "BaudReport find_baud",
-    "api.bus.open_bus": "open_bus",
-    "api.bus.virtual": "run_virtual simulate World IoStation",
-    "api.config.config": "Config load_config",
-    "api.lists.parameter_list": "ParameterPlace",
-    "api.server.server": "SlaveServer serve_slave serve_slaves slave_from_gsd",
-    "api.slave.alarms": "SlaveAlarm",
-    "api.slave.drive": "Drive",
-    "api.slave.ms2_connection": "Connection",
-    "api.slave.slave": "Slave",
-    "dp.master.commands": "Mode",
-    "dp.master.events": "SlaveState",
-    "dp.pdu.alarm_blocks": "AlarmType ModuleState Specifier StatusType",
-    "dp.pdu.diag_blocks": "UserDiag channel_block device_block identifier_block revision_block",
-    "dp.pdu.prm_blocks": "PrmBlock",
-    "dp.slave.application": "SlaveApp SlaveAppState",
-    "dp.slave.events": "DeviceFailed RequestRefused",
-    "dpv1.pdu.im": "Im0 Im1 Im2 Im3 Im4",
-    "dpv1.pdu.ms2": "InitiateReq",
-    "dpv1.slave.description": "SlaveDescription SlaveModule",
-    "dpv1.slave.user_slave": "DpSlave",
-    "profile": "DriveStatus",
-    "trace": "Event",
-}
-_WHERE: Final = {name: module for module, names in _PLACES.items() for name in names.split()}
+#: module and its public names; all others are in errors
+_PLACES: Final = """
+api.bus.bus Bus
+api.bus.cycles Cycle
+api.bus.find_baud BaudReport find_baud
+api.bus.open_bus open_bus
+api.bus.virtual run_virtual simulate World IoStation
+api.config.config Config load_config
+api.lists.parameter_list ParameterPlace
+api.server.server SlaveServer serve_slave serve_slaves slave_from_gsd
+api.slave.alarms SlaveAlarm
+api.slave.drive Drive
+api.slave.ms2_connection Connection
+api.slave.slave Slave
+dp.master.commands Mode
+dp.master.events SlaveState
+dp.pdu.alarm_blocks AlarmType ModuleState Specifier StatusType
+dp.pdu.diag_blocks UserDiag channel_block device_block identifier_block revision_block
+dp.pdu.prm_blocks PrmBlock
+dp.slave.application SlaveApp SlaveAppState
+dp.slave.events DeviceFailed RequestRefused
+dpv1.pdu.im Im0 Im1 Im2 Im3 Im4
+dpv1.pdu.ms2 InitiateReq
+dpv1.slave.description SlaveDescription SlaveModule
+dpv1.slave.user_slave DpSlave
+profile DriveStatus
+trace Event
+"""
+_WHERE: Final = {name: module for module, *names in map(str.split, _PLACES.strip().splitlines()) for name in names}
 
 
 def __getattr__(name: str) -> object:

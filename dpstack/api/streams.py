@@ -30,8 +30,8 @@ _FLAP_REPORT_S: Final = 1.0
 
 
 class Stream(AsyncIterator[T]):
-    """An async iterator over items that others :meth:`put`. Beyond ``depth`` (None: any number) it drops the oldest items
-    and counts them in ``dropped``; with a depth of 1 the latest item wins.
+    """An async iterator over items that others :meth:`put`. Beyond ``depth`` (None: any number) it drops the oldest
+    ones and counts them in ``dropped``; with a depth of 1 the latest item wins.
     """
 
     def __init__(self, depth: int | None, backlog: Iterable[T] = ()) -> None:

@@ -8,6 +8,7 @@ keeps its parsed value.
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import Final
 
 from dpstack.gsd.model import Ranges
@@ -34,22 +35,20 @@ _COMMON: Final[dict[str, int]] = {
 }
 
 
+@dataclass(slots=True, eq=False)
 class Statement:
     """One statement. ``keyword`` in lower case, ``written`` as in the file; ``index`` and ``value`` are stripped.
 
     ``item``: its parsed value, kept because the same line may come again; False where a block cannot parse it.
     """
 
-    __slots__ = ("equals", "index", "item", "keyword", "text", "value", "written")
-
-    def __init__(self, written: str, index: str | None, equals: bool, value: str, text: str) -> None:
-        self.written = written
-        self.keyword = written.lower()
-        self.index = index
-        self.equals = equals
-        self.value = value
-        self.text = text
-        self.item: object = None
+    written: str
+    keyword: str
+    index: str | None
+    equals: bool
+    value: str
+    text: str
+    item: object = None
 
     @property
     def column(self) -> int:
@@ -63,12 +62,13 @@ def lex(line: str) -> Statement | None:
     match = _LINE.match(line)
     if match is None:  # cannot be: every part may be missing
         return None
-    keyword, index, equals, value = match.groups()
-    if keyword is None:
+    written, index, equals, value = match.groups()
+    if written is None:
         if index is None and not equals and not value:
             return None
-        keyword = ""
-    return Statement(keyword, index if index is None else index.strip(), equals is not None, value.rstrip(), line)
+        written = ""
+    index = None if index is None else index.strip()
+    return Statement(written, written.lower(), index, equals is not None, value.rstrip(), line)
 
 
 def number(text: str) -> int | None:
@@ -88,22 +88,16 @@ def _int(text: str) -> int:
 
 def numbers(text: str) -> list[int] | None:
     """Numbers with commas (or only blanks) between; None where one of them is none. Empty text: an empty list."""
-    parts = text.split(",")
     try:
-        return [_COMMON[part] for part in parts]
+        return [_COMMON[part] for part in text.split(",")]
     except KeyError:
         pass
     found: list[int] = []
-    for part in parts:
-        value = number(part)
+    for word in text.replace(",", " ").split():
+        value = number(word)
         if value is None:
-            for word in part.split():
-                value = number(word)
-                if value is None:
-                    return None
-                found.append(value)
-        else:
-            found.append(value)
+            return None
+        found.append(value)
     return found
 
 

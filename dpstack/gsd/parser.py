@@ -39,7 +39,7 @@ _CLOSING: Final = {end.lower(): end for end in (*(end for _, end in BLOCKS.value
 _KNOWN: Final = OTHERS.union(
     KEYWORDS, RAW_BLOCKS, _CLOSING, BLOCKS, DeviceBlock.handlers, *(kind.handlers for kind, _ in BLOCKS.values())
 )
-_MISSING: Final = Statement("", None, False, "", "")
+_MISSING: Final = Statement("", "", None, False, "", "")
 
 
 def load_gsd(octets: bytes, name: str = "GSD file") -> GsdFile:

@@ -105,7 +105,7 @@ def probe(path: str) -> Abilities:
             port.open_now()
         fd = port.fd
         if fd is not None:
-            found.low_latency = _answers(tuning.get_low_latency, fd)
+            found.low_latency = _answers(tuning.low_latency, fd)
             found.rs485 = _answers(tuning.get_rs485, fd)
             found.counters = _answers(tuning.uart_errors, fd)
             _baud, found.parity, found.marks = termios2.set_raw(fd, None, marks=True)

@@ -62,6 +62,9 @@ class Port(ABC):
     """
 
     delivery: Delivery = Delivery.HOST
+    #: writes octets and returns the number of those written; raises BlockingIOError, or one of ``_failures``
+    _send: Callable[[bytes], int]
+    _failures: tuple[type[Exception], ...] = (OSError,)
     #: opening it may take seconds
     connects = False
 
@@ -88,9 +91,16 @@ class Port(ABC):
     def read_now(self) -> bytes:
         """The octets that have arrived and were not delivered yet. Never blocks, never raises."""
 
-    @abstractmethod
     def write(self, octets: bytes) -> bool:
         """Write a telegram; False when it was dropped (and counted). Never blocks, never raises."""
+        try:
+            if self._send(octets) == len(octets):
+                return True
+        except BlockingIOError:
+            pass
+        except self._failures as exc:
+            self._lose_soon(reason_of(exc))
+        return self._drop()
 
     @abstractmethod
     def close(self) -> None:
@@ -178,3 +188,8 @@ def host_and_port(name: str, scheme: str) -> tuple[str, int]:
     if not colon or not host or port is None or not 0 < port < 65_536:
         raise PortError(f"{name}: write it as {scheme}://host:port, for instance {scheme}://192.168.0.10:7000")
     return host, port
+
+
+def reason_of(exc: Exception) -> str:
+    """The text of an error of the operating system."""
+    return getattr(exc, "strerror", None) or str(exc) or type(exc).__name__

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from dpstack.ports.base import Loop, Port
+from dpstack.ports.base import Loop, Port, reason_of
 
 #: Octets of one read at most; a telegram has up to 255 octets. Small enough for Python's own allocator.
 CHUNK: Final = 470
@@ -35,7 +35,7 @@ class FdPort(Port):
         super().__init__(name, baud, paced=paced)
         self._fd = -1
         self._read: Callable[[int], bytes] = _read_nothing
-        self._send: Callable[[bytes], int] = _write_nothing
+        self._send = _write_nothing
 
     @property
     def fd(self) -> int | None:
@@ -66,16 +66,6 @@ class FdPort(Port):
             self.discarded += size
             if size < CHUNK:
                 return
-
-    def write(self, octets: bytes) -> bool:
-        try:
-            if self._send(octets) == len(octets):
-                return True
-        except BlockingIOError:
-            pass
-        except OSError as exc:
-            self._lose_soon(reason_of(exc))
-        return self._drop()
 
     def close(self) -> None:
         self.detach()
@@ -132,8 +122,3 @@ class FdPort(Port):
 
     def _hung_up(self, reason: str) -> None:
         self._lose(reason)
-
-
-def reason_of(exc: OSError) -> str:
-    """The text of an error of the operating system."""
-    return exc.strerror or str(exc) or type(exc).__name__

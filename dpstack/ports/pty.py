@@ -12,8 +12,8 @@ import select
 
 from dpstack.errors import BaudError, PortError
 from dpstack.ports import posix, termios2
-from dpstack.ports.base import Loop
-from dpstack.ports.fdport import FdPort, reason_of
+from dpstack.ports.base import Loop, reason_of
+from dpstack.ports.fdport import FdPort
 from dpstack.ports.posix import termios
 
 

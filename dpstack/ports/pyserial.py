@@ -31,6 +31,7 @@ class PySerialPort(Port):
     """A serial port by its name in the system: ``COM3``, ``/dev/cu.usbserial-1420``."""
 
     delivery = Delivery.ADAPTER
+    _failures = _FAILURES
 
     def __init__(self, name: str, baud: int, *, paced: bool = True) -> None:
         super().__init__(name, baud, paced=paced)
@@ -70,17 +71,6 @@ class PySerialPort(Port):
         except _FAILURES:  # the reader in the loop notices a loss
             return b""
 
-    def write(self, octets: bytes) -> bool:
-        if self._serial is not None:
-            try:
-                if self._send(octets) == len(octets):
-                    return True
-            except (BlockingIOError, serial.SerialTimeoutException):
-                pass
-            except _FAILURES as exc:
-                self._lose_soon(str(exc))
-        return self._drop()
-
     def close(self) -> None:
         """Detach and close. A transport releases the descriptor in the next iteration of the loop."""
         self.detach()
@@ -96,8 +86,13 @@ class PySerialPort(Port):
             transport.abort()
 
     def _send(self, octets: bytes) -> int:
+        if self._serial is None:
+            return 0
         if sys.platform == "win32":
-            return self._serial.write(octets) or 0
+            try:
+                return self._serial.write(octets) or 0
+            except serial.SerialTimeoutException:
+                return 0
         return os.write(self._serial.fileno(), octets)
 
     def _open_serial(self, parity: str) -> Any:

@@ -57,6 +57,7 @@ class Rfc2217Port(Port):
     """A serial port served by an RFC 2217 server (``pyserial``'s examples, ser2net, terminal servers)."""
 
     delivery = Delivery.ADAPTER
+    _failures = (OSError, ValueError)
 
     def __init__(self, name: str, baud: int, *, paced: bool = True) -> None:
         super().__init__(name, baud, paced=paced)
@@ -86,17 +87,13 @@ class Rfc2217Port(Port):
             self._inbox.clear()
         return octets
 
-    def write(self, octets: bytes) -> bool:
+    def _send(self, octets: bytes) -> int:
         port = self._serial
-        if port is not None:
-            try:
-                # pyserial has no time-out for writing here: ask before. A socket that is ready takes a telegram whole.
-                if select.select((), (port._socket,), (), 0)[1]:
-                    port.write(octets)
-                    return True
-            except (OSError, ValueError) as exc:
-                self._lose_soon(str(exc))
-        return self._drop()
+        # pyserial has no time-out for writing here: ask before. A socket that is ready takes a telegram whole.
+        if port is None or not select.select((), (port._socket,), (), 0)[1]:
+            return 0
+        port.write(octets)
+        return len(octets)
 
     def close(self) -> None:
         """Detach and hang up (in a thread: pyserial sleeps 0.3 s over it)."""

@@ -13,8 +13,8 @@ import socket
 from collections.abc import Iterator
 
 from dpstack.errors import PortError
-from dpstack.ports.base import host_and_port
-from dpstack.ports.fdport import FdPort, reason_of
+from dpstack.ports.base import host_and_port, reason_of
+from dpstack.ports.fdport import FdPort
 
 _CONNECT_S = 5.0
 

@@ -13,8 +13,8 @@ from typing import Final
 
 from dpstack.errors import BaudError, PortBusyError, PortError
 from dpstack.ports import termios2
-from dpstack.ports.base import Delivery
-from dpstack.ports.fdport import FdPort, reason_of
+from dpstack.ports.base import Delivery, reason_of
+from dpstack.ports.fdport import FdPort
 from dpstack.ports.holders import holder_of, holder_of_path
 from dpstack.ports.posix import fcntl, grp, termios
 from dpstack.ports.sysfs import SYSFS, Adapter

@@ -10,11 +10,13 @@ from __future__ import annotations
 import contextlib
 import struct
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Final, TypeVar
 
-from dpstack.ports.fdport import reason_of
+from dpstack.ports.base import reason_of
 from dpstack.ports.posix import fcntl
 from dpstack.ports.sysfs import Adapter
+
+T = TypeVar("T")
 
 #: every telegram with data ends with ED; SC and the token do not, and ED within data only causes an early packet
 ED: Final = 0x16
@@ -41,29 +43,13 @@ TIOCGICOUNT: Final = 0x545D
 _ICOUNT: Final = struct.Struct("=20I")
 
 
-class UartErrors(NamedTuple):
-    """Characters with an error since the driver was loaded, modulo 2**32."""
-
-    frame: int
-    overrun: int
-    parity: int
-    brk: int
-    buf_overrun: int
-
-    def since(self, before: UartErrors) -> dict[str, int]:
-        """The counts since ``before``, by name."""
-        return {name: (now - then) % (1 << 32) for name, now, then in zip(self._fields, self, before, strict=True)}
+#: its sixth to tenth counters
+_CAUSES: Final = ("frame", "overrun", "parity", "brk", "buf_overrun")
 
 
-def get_low_latency(fd: int) -> bool:
-    """Whether the driver delivers octets at once."""
-    return set_low_latency(fd, None)
-
-
-def set_low_latency(fd: int, on: bool | None) -> bool:
-    """Switch low latency (FTDI: 1 ms instead of 16) on or off (None: leave it); returns the old state."""
-    buffer = bytearray(_SERIAL_SIZE)
-    fcntl.ioctl(fd, TIOCGSERIAL, buffer, True)
+def low_latency(fd: int, on: bool | None = None) -> bool:
+    """Whether the driver delivers octets at once (FTDI: after 1 ms instead of 16); ``on`` switches that on or off."""
+    buffer = _query(fd, TIOCGSERIAL, _SERIAL_SIZE)
     (flags,) = _FLAGS.unpack_from(buffer, _FLAGS_AT)
     was = bool(flags & ASYNC_LOW_LATENCY)
     if on is not None and was is not on:
@@ -74,19 +60,22 @@ def set_low_latency(fd: int, on: bool | None) -> bool:
 
 def get_rs485(fd: int) -> tuple[int, ...]:
     """The eight words of the RS-485 mode, flags first."""
-    buffer = bytearray(_RS485.size)
-    fcntl.ioctl(fd, TIOCGRS485, buffer, True)
-    return _RS485.unpack(buffer)
+    return _RS485.unpack(_query(fd, TIOCGRS485, _RS485.size))
 
 
 def set_rs485(fd: int, words: tuple[int, ...]) -> None:
     fcntl.ioctl(fd, TIOCSRS485, bytearray(_RS485.pack(*words)), True)
 
 
-def uart_errors(fd: int) -> UartErrors:
-    buffer = bytearray(_ICOUNT.size)
-    fcntl.ioctl(fd, TIOCGICOUNT, buffer, True)
-    return UartErrors(*_ICOUNT.unpack(buffer)[6:11])
+def uart_errors(fd: int) -> dict[str, int]:
+    """Characters with an error since the driver was loaded, modulo 2**32, by cause."""
+    return dict(zip(_CAUSES, _ICOUNT.unpack(_query(fd, TIOCGICOUNT, _ICOUNT.size))[6:11], strict=True))
+
+
+def _query(fd: int, request: int, size: int) -> bytearray:
+    buffer = bytearray(size)
+    fcntl.ioctl(fd, request, buffer, True)
+    return buffer
 
 
 class Tuning:
@@ -99,16 +88,16 @@ class Tuning:
 
     def __init__(self, fd: int, adapter: Adapter, *, event_char: bool = False, rs485: bool = True) -> None:
         self.notices: list[str] = []
-        self.errors: UartErrors | None = None
         self._fd = fd
         self._adapter = adapter
         self._undo: list[Callable[[], object]] = []
         self._missing: list[str] = []
-        self._low_latency()
+        if self._try("low-latency mode", lambda: low_latency(fd, True)) is False:
+            self._undo.append(lambda: low_latency(fd, False))
         self._latency_timer()
         if rs485:
             self._rs485()
-        self._counters()
+        self.errors = self._try("error counters", lambda: uart_errors(fd))
         if event_char:
             self._event_char()
         if self._missing:
@@ -126,18 +115,18 @@ class Tuning:
         if self.errors is None:
             return {}
         try:
-            return uart_errors(self._fd).since(self.errors)
+            now = uart_errors(self._fd)
         except OSError:  # the device was unplugged
             return {}
+        return {cause: (now[cause] - then) % (1 << 32) for cause, then in self.errors.items()}
 
-    def _low_latency(self) -> None:
+    def _try(self, what: str, step: Callable[[], T]) -> T | None:
+        """The result of ``step``; None where the driver does not have ``what``, which is noted."""
         try:
-            was = set_low_latency(self._fd, True)
+            return step()
         except OSError:
-            self._missing.append("low-latency mode")
-            return
-        if not was:
-            self._undo.append(lambda: set_low_latency(self._fd, False))
+            self._missing.append(what)
+            return None
 
     def _latency_timer(self) -> None:
         """FTDI's latency timer: newer kernels set it with the low-latency mode, for others sysfs may."""
@@ -171,12 +160,6 @@ class Tuning:
             self.notices.append(f"its driver refuses the RS-485 mode ({reason_of(exc)}): who switches the direction?")
             return
         self._undo.append(lambda: set_rs485(self._fd, before))
-
-    def _counters(self) -> None:
-        try:
-            self.errors = uart_errors(self._fd)
-        except OSError:
-            self._missing.append("error counters")
 
     def _event_char(self) -> None:
         try:

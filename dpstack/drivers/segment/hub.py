@@ -30,7 +30,7 @@ from dpstack.drivers.segment.station import SegmentStation
 from dpstack.errors import ConfigError, PortBusyError, PortError, UsageError
 from dpstack.params import T_SYN
 from dpstack.phy.noise import BitNoise
-from dpstack.ports.fdport import reason_of
+from dpstack.ports.base import reason_of
 from dpstack.ports.holders import holder_of
 from dpstack.ports.pacing import PacedWire
 from dpstack.ports.posix import check, fcntl
