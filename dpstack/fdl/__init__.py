@@ -3,8 +3,7 @@
 - ``active/``: The active station: token, exchange, ring
 - ``passive/``: Passive stations
 - ``allowance``: The share of the bus time that polls of addresses may take where nobody may be
-- ``baud_evidence``: What a baud rate is recognised by: the confidence rule
-- ``baud_search``: Finding the baud rate by listening only
+- ``baud_search``: Finding the baud rate by listening only, and the rule by which it is recognised
 - ``codec``: Telegrams to octets and back: SD1, SD2, SD3, SD4 and SC, the FC octet, address extension octets, FCS
 - ``commands``: Orders to a station: to an active one's link layer, and what is done at a passive one itself
 - ``decoder``: Octets as they arrive to telegrams: incremental, driven by length, resynchronising octet by octet

@@ -81,23 +81,36 @@ def encode_sd2(da: int, sa: int, fc: int, data: bytes = b"", dsap: int | None = 
 
 
 @lru_cache(_KEPT_HEADS)
-def _head(da: int, sa: int, fc: int, size: int, dsap: int | None, ssap: int | None) -> tuple[bytes, int]:
+def _head(
+    da: int, sa: int, fc: int, size: int, dsap: int | None, ssap: int | None, *segments: int | None
+) -> tuple[bytes, int]:
     """What stands before the ``size`` octets of data, and its part of the FCS: made once, the data are added to it.
 
-    In data exchange only FCB, data and FCS change from one request to the next.
+    In data exchange only FCB, data and FCS change from one request to the next. ``segments``: DSEG and SSEG.
     """
     if not (0 <= da <= BROADCAST and 0 <= sa <= UNADDRESSED and 0 <= fc <= 0xFF):
         raise _misuse(da, sa, fc)
-    if dsap is None:
-        body = bytes((da, sa, fc) if ssap is None else (da, sa | _EXTENDED, fc, _sap(ssap)))
-    elif ssap is None:
-        body = bytes((da | _EXTENDED, sa, fc, _sap(dsap)))
-    elif 0 <= dsap <= _VALUE and 0 <= ssap <= _VALUE:
-        body = bytes((da | _EXTENDED, sa | _EXTENDED, fc, dsap, ssap))
-    else:
-        raise ValueError(f"SAPs {dsap} and {ssap}: both must be 0..63")
-    le = _checked_le(len(body) + size)
+    dseg, sseg = segments or (None, None)
+    destination, source = _extension(dsap, dseg), _extension(ssap, sseg)
+    da |= _EXTENDED if destination else 0
+    sa |= _EXTENDED if source else 0
+    body = bytes((da, sa, fc)) + destination + source
+    le = len(body) + size
+    if le < MIN_LE:
+        raise ValueError("an SD2 telegram without a data unit (LE = 3) is never sent: use SD1")
+    if le > MAX_LE:
+        raise ValueError(f"LE = {le}: the data unit has {le - 3} octets, {MAX_LE - 3} fit")
     return bytes((_SD2, le, le, _SD2)) + body, sum(body)
+
+
+def _extension(sap: int | None, segment: int | None) -> bytes:
+    """The extension octets of one address; the region/segment address stands before the SAP."""
+    for name, value in (("SAP", sap), ("region/segment address", segment)):
+        if value is not None and not 0 <= value <= _VALUE:
+            raise ValueError(f"{name} {value}: must be 0..63")
+    if segment is None:
+        return b"" if sap is None else bytes((sap,))
+    return bytes((_SEGMENT | segment,)) if sap is None else bytes((_MORE | _SEGMENT | segment, sap))
 
 
 def encode_token(da: int, sa: int) -> bytes:
@@ -123,52 +136,14 @@ def encode(telegram: Telegram) -> bytes:
                 raise ValueError("an SD1 telegram carries no data unit: use SD2")
             return encode_sd1(da, sa, fc)
         case Kind.SD2:
-            if dseg is None and sseg is None:
-                return encode_sd2(da, sa, fc, data, dsap, ssap)
-            return _encode_segments(telegram)
+            head, check = _head(da, sa, fc, len(data), dsap, ssap, dseg, sseg)
+            return head + data + _TAILS[(check + sum(data)) & 0xFF]
         case Kind.SD4:
             return encode_token(da, sa)
         case Kind.SC:
             return SC_OCTETS
         case _:
             raise ValueError("SD3 telegrams are accepted but never sent: use SD2")
-
-
-def _encode_segments(telegram: Telegram) -> bytes:
-    _, da, sa, fc, dsap, ssap, data, dseg, sseg = telegram
-    if not (0 <= da <= BROADCAST and 0 <= sa <= UNADDRESSED and 0 <= fc <= 0xFF):
-        raise _misuse(da, sa, fc)
-    extensions = _extension(dsap, dseg) + _extension(ssap, sseg)
-    da |= _EXTENDED if not dsap is dseg is None else 0
-    sa |= _EXTENDED if not ssap is sseg is None else 0
-    body = bytes((da, sa, fc)) + extensions + data
-    le = _checked_le(len(body))
-    return bytes((_SD2, le, le, _SD2)) + body + _TAILS[sum(body) & 0xFF]
-
-
-def _extension(sap: int | None, segment: int | None) -> bytes:
-    """The extension octets of one address; the region/segment address stands before the SAP."""
-    if segment is None:
-        return b"" if sap is None else bytes((_sap(sap),))
-    if not 0 <= segment <= _VALUE:
-        raise ValueError(f"region/segment address {segment}: must be 0..63")
-    if sap is None:
-        return bytes((_SEGMENT | segment,))
-    return bytes((_MORE | _SEGMENT | segment, _sap(sap)))
-
-
-def _checked_le(le: int) -> int:
-    if le < MIN_LE:
-        raise ValueError("an SD2 telegram without a data unit (LE = 3) is never sent: use SD1")
-    if le > MAX_LE:
-        raise ValueError(f"LE = {le}: the data unit has {le - 3} octets, {MAX_LE - 3} fit")
-    return le
-
-
-def _sap(sap: int) -> int:
-    if not 0 <= sap <= _VALUE:
-        raise ValueError(f"SAP {sap}: must be 0..63")
-    return sap
 
 
 def _misuse(da: int, sa: int, fc: int) -> ValueError:

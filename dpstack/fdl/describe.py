@@ -11,6 +11,7 @@ from typing import Final
 from dpstack.fdl.codec import Flaw, decode, parse
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import (
+    COUNTED,
     FC_FCB,
     FC_FCV,
     SAP_CHK_CFG,
@@ -27,10 +28,10 @@ from dpstack.fdl.telegram import (
     SAP_SLAVE_DIAG,
     SSAP_MASTER_MASTER,
     SSAP_MS2,
+    UNANSWERED,
     Kind,
     Req,
     Resp,
-    StationType,
     Telegram,
 )
 from dpstack.params import BROADCAST
@@ -69,16 +70,6 @@ _SHORT_NAMES: Final[dict[int, str]] = {
     Req.SDN_HIGH: "SDN high",
     Req.SRD_LOW: "SRD low",
     Req.SRD_HIGH: "SRD high",
-}
-
-#: requests that carry a frame count
-_CONFIRMED: Final = frozenset((Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD))
-
-_STATION: Final[dict[StationType, str]] = {
-    StationType.SLAVE: "slave",
-    StationType.MASTER_NOT_READY: "master not ready",
-    StationType.MASTER_READY: "master ready",
-    StationType.MASTER_IN_RING: "master in ring",
 }
 
 #: Global_Control octet 1, in the order of the bits; Operate is the absence of Clear_Data
@@ -156,7 +147,7 @@ def describe(telegram: Telegram, inside: Inside = _nothing) -> str:
 
 
 def _unanswered(telegram: Telegram) -> bool:
-    return telegram.is_request and telegram.function in (Req.SDN_LOW, Req.SDN_HIGH, Req.TIME_EVENT)
+    return telegram.is_request and telegram.function in UNANSWERED
 
 
 def _side(telegram: Telegram) -> str:
@@ -170,14 +161,14 @@ def _control(telegram: Telegram) -> str:
     function = telegram.function
     if not telegram.is_request:
         known = function in Resp.__members__.values()
-        return f"{Resp(function).name if known else f'status {function}'}, {_STATION[telegram.station_type]}"
+        return f"{Resp(function).name if known else f'status {function}'}, {telegram.station_type.text}"
     bits = []
     if function in _SHORT_NAMES:
         bits.append(_SHORT_NAMES[function])
     elif function not in _BY_FUNCTION:
         bits.append(f"function {function}")
     fcv, fcb = bool(telegram.fc & FC_FCV), bool(telegram.fc & FC_FCB)
-    if fcv or fcb or function in _CONFIRMED:
+    if fcv or fcb or function in COUNTED:
         bits.append(f"FCV={fcv:d} FCB={fcb:d}")
     return ", ".join(bits) or f"FC {telegram.fc:#04x}"
 

@@ -83,7 +83,7 @@ class StationFound(Event):
     def _text(self) -> str:
         if self.kind is None:
             return f"station {self.address} no longer answers"
-        return f"station {self.address} found: {self.kind.name.lower().replace('_', ' ')}"
+        return f"station {self.address} found: {self.kind.text}"
 
 
 def le3_notice(source: str, sender: int, now: int) -> Notice:

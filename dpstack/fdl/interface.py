@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, Protocol
 from dpstack.fdl.telegram import MAX_DATA, Req, Resp, Telegram
 from dpstack.machine import Machine
 from dpstack.trace import Event
-from dpstack.units import NS_PER_S
+from dpstack.units import NEVER, NS_PER_S
 
 #: ``extra_ns`` of a request to nobody known that is waited for as if somebody were there, as far as there is room
 LONG_NS: Final = NS_PER_S
@@ -61,11 +61,15 @@ class Failure(Enum):
 
 
 class LinkUser(Protocol):
-    """A user of an active station's link layer. All calls come from within the station's pump."""
+    """A user of an active station's link layer. All calls come from within the station's pump.
+
+    A user derived from this class has no commands, no deadlines and no events, unless it says so.
+    """
 
     def token_received(self, now: int) -> None:
         """A token hold begins, or the next cycle in one that was kept for it
         (:mod:`dpstack.fdl.active.cycle_window`)."""
+        return
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """The next request of this token hold, or None when there is nothing more in this hold.
@@ -76,6 +80,7 @@ class LinkUser(Protocol):
 
     def started(self, request: Request, at: int) -> None:
         """The first bit of ``request`` (of its first attempt) is on the wire at ``at``."""
+        return
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request: the answer (SC included), or why there is none.
@@ -85,18 +90,22 @@ class LinkUser(Protocol):
 
     def command(self, command: object, now: int) -> bool:
         """An order of the application; False when it is none of this user's."""
+        return False
 
     def wake_at(self) -> int:
         """When this user wants :meth:`tick`, in ns, or NEVER. (Deadlines that are not tied to the token.)
 
         Asked after a token receipt, a tick, a command and an abandoned request: only these may move it.
         """
+        return NEVER
 
     def tick(self, now: int) -> None:
         """The time asked for has come."""
+        return
 
     def take_events(self) -> list[Event]:
-        """What this user has to tell, oldest first; the station hands it on in its own take_events()."""
+        """The events of this user, oldest first; the station hands them on in its own take_events()."""
+        return []
 
 
 class Reply(NamedTuple):
@@ -135,26 +144,30 @@ class StationControl(Protocol):
 class Responder(Protocol):
     """The application of a passive station.
 
-    NOTE for implementers: ``attached`` and ``take_events`` belong to the contract (the station calls both).
+    An application derived from this class has no deadlines and no events, and ignores SDN, unless it says so.
     """
 
     def attached(self, station: StationControl) -> None:
-        """Told once, when a station is built around this application: keep ``station`` for min T_SDR and address."""
+        """Called once, when a station is built around this application: keep ``station`` for min T_SDR and address."""
 
     def take_events(self) -> list[Event]:
-        """What the application has to tell since the last call, oldest first; asked after every step: be quick."""
+        """The events of the application since the last call, oldest first; asked after every step: be quick."""
+        return []
 
     def serve(self, request: Telegram, now: int) -> Reply | None:
         """A new request to this station (SDA, SRD, ident); a repetition never gets here. None = stay silent."""
 
     def indicate(self, telegram: Telegram, now: int) -> None:
         """An SDN to this station or to all."""
+        return
 
     def wake_at(self) -> int:
         """When the application wants :meth:`tick` (its watchdog, its physics), or NEVER."""
+        return NEVER
 
     def tick(self, now: int) -> None:
         """The time asked for has come."""
+        return
 
 
 @dataclass(slots=True)

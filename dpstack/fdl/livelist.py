@@ -13,12 +13,12 @@ from typing import Final, NamedTuple
 
 from dpstack.fdl.allowance import Allowance
 from dpstack.fdl.events import StationFound
-from dpstack.fdl.interface import Failure, Request
+from dpstack.fdl.interface import Failure, LinkUser, Request
 from dpstack.fdl.telegram import Req, StationType, Telegram
 from dpstack.params import UNADDRESSED, BusParams
 from dpstack.phy.patience import Patience
 from dpstack.trace import Event
-from dpstack.units import BITS_PER_CHAR, NEVER, NS_PER_MS
+from dpstack.units import BITS_PER_CHAR, NS_PER_MS
 
 #: 126 is the address of a slave as delivered; 127 is nobody's
 ALL_ADDRESSES: Final = range(UNADDRESSED + 1)
@@ -59,7 +59,7 @@ def long_look(params: BusParams, patience: Patience) -> LongLook | None:
     return LongLook(poll_ns + patience.unknown_ns // 2, extra_ns, patience.known_ns - patience.unknown_ns)
 
 
-class LiveList:
+class LiveList(LinkUser):
     """The stations of a bus as a ``LinkUser``; ``own`` is the asking station's address and is left out.
 
     ``addresses`` are asked in turn, the silent ones in ``passes`` passes: one damaged answer or a host that stalls
@@ -208,15 +208,6 @@ class LiveList:
             return newcomers > 0
         self._extra_ns = min(max(look.extra_ns, self._latest_ns), look.most_ns) if self._busy else 0
         return self._busy
-
-    def command(self, command: object, now: int) -> bool:
-        return False
-
-    def wake_at(self) -> int:
-        """Everything here is tied to the token."""
-        return NEVER
-
-    def tick(self, now: int) -> None: ...
 
     def take_events(self) -> list[Event]:
         events, self._events = self._events, []

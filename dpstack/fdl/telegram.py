@@ -76,6 +76,10 @@ class StationType(IntEnum):
     MASTER_READY = 2
     MASTER_IN_RING = 3
 
+    @property
+    def text(self) -> str:
+        return self.name.lower().replace("_", " ")
+
 
 class Telegram(NamedTuple):
     """One decoded telegram.

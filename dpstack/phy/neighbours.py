@@ -14,7 +14,7 @@ from typing import Final
 
 from dpstack.params import MAX_T_SL, BusParams
 from dpstack.phy.patience import ADAPTER, Patience
-from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text
+from dpstack.units import BAUD_RATES, NS_PER_S, baud_text, ms_text
 
 #: T_SL is at least so much more than the longest time to the first bit (as max T_SDR + 15 <= T_SL)
 _MARGIN: Final = 15
@@ -65,13 +65,13 @@ class Neighbours:
             return ""
         how = "assumed until it is measured" if self.patience == ADAPTER else "measured, or host_slack_ms"
         why = (
-            f"over this port the first octet after a token comes up to {_ms(self.patience.unknown_ns)} late ({how}), "
-            f"where they wait {_ms(params.ns(params.t_sl))}"
+            f"over this port the first octet after a token comes up to {ms_text(self.patience.unknown_ns)} late "
+            f"({how}), where they wait {ms_text(params.ns(params.t_sl))}"
         )
         if self.silence_ns > self.t_to_ns:
             why += (
-                f", and while it waits {_ms(self.silence_ns)} for a silent station "
-                f"master {self.lowest} claims the token after {_ms(self.t_to_ns)}"
+                f", and while it waits {ms_text(self.silence_ns)} for a silent station "
+                f"master {self.lowest} claims the token after {ms_text(self.t_to_ns)}"
             )
         at = baud_text(params.baud)
         if need > MAX_T_SL:
@@ -79,8 +79,8 @@ class Neighbours:
             slower = f", or {baud_text(fits)} at most" if fits else ""
             return f"no other master can share the bus at {at}: {why}; take an adapter that is faster{slower}"
         return (
-            f"other masters need t_sl = {need} ({_ms(params.ns(need))} at {at}) or more, this one has {params.t_sl}: "
-            f"{why}; set t_sl on all of them"
+            f"other masters need t_sl = {need} ({ms_text(params.ns(need))} at {at}) or more, this one has "
+            f"{params.t_sl}: {why}; set t_sl on all of them"
         )
 
     def fastest(self) -> int:
@@ -94,7 +94,3 @@ class Neighbours:
 
 def _bits_up(ns: int, baud: int) -> int:
     return -(-ns * baud // NS_PER_S)
-
-
-def _ms(ns: int) -> str:
-    return f"{ns / NS_PER_MS:.3g} ms"

@@ -16,6 +16,7 @@ from dpstack.params import BROADCAST
 from dpstack.phy.uart import Receiver, waveform
 from dpstack.sim.faults import Faults
 from dpstack.sim.nodes import Node, Nodes
+from dpstack.sim.referee import Referee
 from dpstack.sim.transmission import Heard, Transmission, complete, garbled, receive
 from dpstack.trace import WireEntry, WireLog
 from dpstack.units import NEVER, chars_to_ns
@@ -30,16 +31,6 @@ EDGES: Final = 3 << 60
 
 _LENGTHS: Final = 256
 _NEW: Final = tuple.__new__  # NamedTuple's own constructor costs twice as much
-
-
-class Watcher(Protocol):
-    """Checks the transmissions (see :mod:`dpstack.sim.referee`)."""
-
-    def heard(self, tx: Transmission) -> None:
-        """``tx`` has ended (whole, damaged, cut off or collided); the watcher may add to its notes."""
-
-    def collision(self, late: Transmission, early: Transmission, heard_ns: int) -> None:
-        """``late`` began while ``early`` was on the wire; the last readable octet of it ended at ``heard_ns``."""
 
 
 class Scheduler(Protocol):
@@ -84,7 +75,7 @@ class Medium:
     """One line. ``transmissions`` counts those begun on it, ``baud`` is the rate of the last one."""
 
     def __init__(
-        self, scheduler: Scheduler, nodes: Nodes, log: WireLog, faults: Faults, watcher: Watcher | None, seed: int
+        self, scheduler: Scheduler, nodes: Nodes, log: WireLog, faults: Faults, referee: Referee | None, seed: int
     ) -> None:
         self.transmissions = 0
         self.baud = 0
@@ -94,7 +85,7 @@ class Medium:
         self._nodes = nodes
         self._log = log
         self._faults = faults
-        self._watcher = watcher
+        self._referee = referee
         self._rng = Random(seed)
         self._durations: dict[int, list[int]] = {}
         self._current: Transmission | None = None  # the one on the wire that ends last
@@ -213,10 +204,10 @@ class Medium:
             self._hand_telegram(tx)
 
     def _record(self, tx: Transmission) -> None:
-        if self._watcher is not None and not tx.lost:
+        if self._referee is not None and not tx.lost:
             if not tx.whole:
                 tx.heard_ns = self._octet_ns
-            self._watcher.heard(tx)
+            self._referee.heard(tx)
         notes = "; ".join(tx.notes) if tx.notes else ""
         self._log.add(_NEW(WireEntry, (tx.start_ns, tx.end_ns, tx.octets, tx.sender, notes)))
 
@@ -295,8 +286,8 @@ class Medium:
     def _collide(self, late: Transmission, early: Transmission) -> None:
         """Both are garbled from here to the end of the longer one."""
         now = late.start_ns
-        if self._watcher is not None:
-            self._watcher.collision(late, early, now if early.whole else self._octet_ns)
+        if self._referee is not None:
+            self._referee.collision(late, early, now if early.whole else self._octet_ns)
         if not early.collided:
             early.collided = True
             early.notes.append("collision")

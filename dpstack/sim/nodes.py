@@ -7,7 +7,6 @@ loop over one is not disturbed when a station comes or goes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import InitVar, dataclass, field
 
 from dpstack.fdl.interface import BusStation
 from dpstack.machine import Transmit
@@ -15,7 +14,6 @@ from dpstack.trace import Event
 from dpstack.units import NEVER
 
 
-@dataclass(slots=True, eq=False)
 class Node:
     """One station on the medium with its scheduling.
 
@@ -25,36 +23,22 @@ class Node:
     cannot hear while it sends.
     """
 
-    station: BusStation
-    label: InitVar[str | None]
-    on_events: Callable[[list[Event]], None] | None
-    now: InitVar[int]
-    address: int = field(init=False)
-    baud: int = field(init=False)
-    hears_all: bool = field(init=False)
-    #: a port, without telegrams and edges: it gets octets, each at its end
-    by_octets: bool = field(init=False)
-    named: bool = field(init=False)
-    name: str = field(init=False)
-    hears_from: int = field(init=False)
-    sending_until: int = field(init=False)
-    mute_until: int = field(init=False)
-    on_bus: bool = field(default=True, init=False)
-    due: int = field(default=NEVER, init=False)
-    order: int = field(default=0, init=False)
-    entry: int = field(default=NEVER, init=False)
-    later: list[int] = field(default_factory=list, init=False)
-    deadline: int = field(default=NEVER, init=False)
-    transmit: Transmit = field(init=False)
-
-    def __post_init__(self, label: str | None, now: int) -> None:
-        station = self.station
+    def __init__(
+        self, station: BusStation, label: str | None, on_events: Callable[[list[Event]], None] | None, now: int
+    ) -> None:
+        self.station = station
+        self.on_events = on_events
         self.address, self.baud, self.hears_all = station.address, station.baud, station.hears_all
-        self.by_octets = getattr(station, "by_octets", False)
+        #: a port, without telegrams and edges: it gets octets, each at its end
+        self.by_octets: bool = getattr(station, "by_octets", False)
         self.named = label is not None
         self.name = str(station.address) if label is None else label
         self.hears_from = self.sending_until = self.mute_until = now
-        self.transmit = _not_connected
+        self.on_bus = True
+        self.deadline = self.due = self.entry = NEVER
+        self.order = 0
+        self.later: list[int] = []
+        self.transmit: Transmit = _not_connected
 
 
 def _not_connected(octets: bytes, now: int) -> int:
@@ -62,8 +46,6 @@ def _not_connected(octets: bytes, now: int) -> int:
 
 
 class Nodes:
-    __slots__ = ("_by_station", "by_address", "by_rate", "listeners", "ports")
-
     def __init__(self) -> None:
         self._by_station: dict[int, Node] = {}
         #: passive stations by address; two may have the same one

@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 from dpstack.dpv1.describe import render
 from dpstack.errors import DpError
 from dpstack.fdl.codec import decode
-from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
+from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, UNANSWERED, Kind, Telegram
 from dpstack.params import BROADCAST, T_SYN, BusParams
-from dpstack.sim.token_watch import Finding, Rule, TokenWatch
+from dpstack.sim.token_watch import Rule, TokenWatch
 from dpstack.sim.transmission import Transmission, receive
 from dpstack.trace import WireEntry, WireLog
 from dpstack.units import bits_to_ns, ns_to_bits
@@ -28,7 +28,6 @@ _SHOWN_VIOLATIONS: Final = 20
 _SHOWN_ENTRIES: Final = 60
 _IDLE: Final = Rule.IDLE
 _SD4: Final = Kind.SD4
-_UNANSWERED: Final = frozenset((Req.TIME_EVENT, Req.SDN_LOW, Req.SDN_HIGH))
 #: called with the same few times for every transmission
 _ns: Final = lru_cache(256)(bits_to_ns)
 
@@ -145,14 +144,14 @@ class Referee:
         if late.forced or early.forced or late.start_ns - heard_ns >= bits_to_ns(T_SYN, late.baud):
             return
         overlap = ns_to_bits(early.end_ns - late.start_ns, late.baud)
-        self._found(late, Finding(Rule.COLLISION, f"begins {overlap} bits before {early.sender} ends"))
+        self._found(late, Rule.COLLISION, f"begins {overlap} bits before {early.sender} ends")
 
     def heard(self, tx: Transmission) -> None:
         telegram = tx.telegram
         self._baud = tx.baud
         if tx.collided or tx.cut or telegram is None:
             if telegram is None and not (tx.collided or tx.cut or tx.forced):
-                self._found(tx, Finding(Rule.BROKEN, "the octets are not one telegram without gaps"))
+                self._found(tx, Rule.BROKEN, "the octets are not one telegram without gaps")
             self._pending = None
             after = _After.GARBAGE
         elif telegram.kind is _SD4:
@@ -174,8 +173,8 @@ class Referee:
         sa = telegram.sa
         self._idle(tx, sa)
         if self.token_rules and (finding := self.tokens.request(sa, tx.node)) is not None:
-            self._found(tx, finding)
-        if telegram.da == BROADCAST or telegram.fc & FC_FUNCTION in _UNANSWERED:
+            self._found(tx, *finding)
+        if telegram.da == BROADCAST or telegram.fc & FC_FUNCTION in UNANSWERED:
             self._pending = None
             return _QUIET
         self._pending = _Pending(sa, telegram.da, tx.end_ns)
@@ -192,7 +191,7 @@ class Referee:
                 lacks = f"after {ns_to_bits(silence, tx.baud)} bits of silence; its T_TO is {times.t_to}"
         self._idle(tx, sa)
         if self.token_rules and (finding := self.tokens.token(sa, telegram.da, tx.node, lacks)) is not None:
-            self._found(tx, finding)
+            self._found(tx, *finding)
         self._pending = None
         return _TOKEN
 
@@ -200,20 +199,20 @@ class Referee:
         pending = self._pending
         self._pending = None
         if pending is None:
-            self._found(tx, Finding(Rule.UNASKED, "no request is open"))
+            self._found(tx, Rule.UNASKED, "no request is open")
             return _ANSWER
         if telegram.fc >= 0 and (telegram.sa != pending.da or telegram.da != pending.sa):
             text = f"{telegram.sa} answers {telegram.da}, the request was {pending.sa} -> {pending.da}"
-            self._found(tx, Finding(Rule.UNASKED, text))
+            self._found(tx, Rule.UNASKED, text)
             return _ANSWER
         waited = tx.start_ns - pending.end_ns
         if waited < _ns(MIN_TSDR, tx.baud):
             text = f"{ns_to_bits(waited, tx.baud)} bits after the request; min T_SDR is {MIN_TSDR}"
-            self._found(tx, Finding(Rule.EARLY, text))
+            self._found(tx, Rule.EARLY, text)
         times = self._masters.get(pending.sa)
         if times is not None and waited >= _ns(times.t_sl, tx.baud):
             text = f"{ns_to_bits(waited, tx.baud)} bits after the request; T_SL of {pending.sa} is {times.t_sl}"
-            self._found(tx, Finding(Rule.LATE, text))
+            self._found(tx, Rule.LATE, text)
         return _ANSWER
 
     def _idle(self, tx: Transmission, sa: int) -> None:
@@ -233,7 +232,7 @@ class Referee:
         silence = tx.start_ns - self._last_end
         if silence < _ns(need, tx.baud):
             text = f"begins after {ns_to_bits(silence, tx.baud)} bits of silence; {name} is {need}"
-            self._found(tx, Finding(rule, text))
+            self._found(tx, rule, text)
 
     def _waits(self, sa: int) -> bool:
         """Whether ``sa`` waits for an answer, or for its successor to use the token."""
@@ -250,10 +249,9 @@ class Referee:
             self._excused_until = tx.end_ns + bits_to_ns(_DISORDER * t_sl, tx.baud)
             tx.notes.append(f"heard as the token {heard.sa} -> {heard.da}")
 
-    def _found(self, tx: Transmission, finding: Finding) -> None:
+    def _found(self, tx: Transmission, rule: Rule, text: str) -> None:
         if tx.forced or tx.start_ns < self._excused_until:
             return
-        rule, text = finding
         violation = Violation(tx.start_ns, rule, tx.sender, text)
         tx.notes.append(rule.value.upper())
         left = self._allow.get(rule, 0)

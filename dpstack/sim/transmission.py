@@ -27,24 +27,6 @@ class Transmission:
     its rate. ``heard_ns``: the end of its last readable octet.
     """
 
-    __slots__ = (
-        "baud",
-        "collided",
-        "cut",
-        "end_ns",
-        "flips",
-        "forced",
-        "heard_ns",
-        "lost",
-        "node",
-        "notes",
-        "octets",
-        "sender",
-        "start_ns",
-        "telegram",
-        "whole",
-    )
-
     def __init__(self, node: Node | None, sender: str, octets: bytes, baud: int, start_ns: int, end_ns: int) -> None:
         self.node = node
         self.sender = sender

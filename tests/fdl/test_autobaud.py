@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpstack.errors import ConfigError, UsageError
-from dpstack.fdl.baud_evidence import Confidence, Evidence
-from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound, Missing
+from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound, Confidence, Evidence, Missing
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.machine import LineDown, LineUp, pump
 from dpstack.units import BAUD_RATES, NEVER, NS_PER_MS, NS_PER_S

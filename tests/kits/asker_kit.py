@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from typing import Final
 
-from dpstack.fdl.interface import Failure, Request
+from dpstack.fdl.interface import Failure, LinkUser, Request
 from dpstack.fdl.telegram import Req, Telegram
-from dpstack.trace import Event
-from dpstack.units import NEVER
 
 BAUD: Final = 500_000
 ANSWER: Final = bytes.fromhex("68 0F 0F 68 02 03 08 00 00 00 00 00 00 00 00 00 00 00 00 0D 16")
 SHORT: Final = bytes.fromhex("10 02 03 03 08 16")  # RS: the service is not activated
 
 
-class Asker:
+class Asker(LinkUser):
     """Asks station 3 once a token hold."""
 
     def __init__(self) -> None:
@@ -28,18 +26,5 @@ class Asker:
         asks, self._asks = self._asks, False
         return Request(3, Req.SRD_HIGH, bytes(12), patient=True) if asks else None
 
-    def started(self, request: Request, at: int) -> None: ...
-
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         self.outcomes.append(outcome)
-
-    def command(self, command: object, now: int) -> bool:
-        return False
-
-    def wake_at(self) -> int:
-        return NEVER
-
-    def tick(self, now: int) -> None: ...
-
-    def take_events(self) -> list[Event]:
-        return []

@@ -20,13 +20,12 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.services import positive
 from dpstack.fdl.commands import AttachUser
 from dpstack.fdl.events import StationFound
-from dpstack.fdl.interface import Failure, Request
+from dpstack.fdl.interface import Failure, LinkUser, Request
 from dpstack.fdl.livelist import LiveList, live_allowance, long_look
 from dpstack.fdl.telegram import SAP_GET_CFG, SAP_SLAVE_DIAG, SSAP_MS0, Req, StationType, Telegram
 from dpstack.params import BusParams
 from dpstack.phy.patience import Patience
 from dpstack.trace import Event
-from dpstack.units import NEVER
 
 #: three first requests and the probe with FCV = 1 that finds slaves which know nothing else
 #: (docs/protocol.md#slaves-that-know-only-fcv-1)
@@ -70,7 +69,7 @@ class Found:
 
     @property
     def text(self) -> str:
-        words = [f"station {self.address}: {self.kind.name.lower().replace('_', ' ')}"]
+        words = [f"station {self.address}: {self.kind.text}"]
         if self.ident is not None:
             words.append(f"ident 0x{self.ident:04X}")
         if self.state is not None:
@@ -125,7 +124,7 @@ class _Question:
     tries: int = _ATTEMPTS
 
 
-class Scanner:
+class Scanner(LinkUser):
     """A ``LinkUser`` on top of ``live``; ``own`` is the asking station's address.
 
     ``configs``: ask for the identifier octets too. ``skip``: addresses whose slaves are not asked (those of the DP
@@ -212,15 +211,6 @@ class Scanner:
             self._events.append(
                 ScanDone(t_ns=now, stations=len(found), token=self._token, found=found, unreadable=unreadable)
             )
-
-    def command(self, command: object, now: int) -> bool:
-        return False
-
-    def wake_at(self) -> int:
-        """Everything here is tied to the token."""
-        return NEVER
-
-    def tick(self, now: int) -> None: ...
 
     def take_events(self) -> list[Event]:
         """Stations found, changed and lost."""

@@ -22,11 +22,6 @@ class CycleWindow:
     ``held_back`` counts the waits (once for each request and cycle), ``forced`` what was sent without fitting in.
     """
 
-    __slots__ = (
-        "_cycle", "_forced_in", "_waiting", "alone", "forced", "held_back", "next_at", "overdrawn",
-        "silent",
-    )  # fmt: skip
-
     def __init__(self) -> None:
         self.next_at = NEVER
         self.held_back = 0

@@ -33,8 +33,6 @@ class Ring:
     ``ns`` and ``ps`` are the next and previous station (``ts`` itself when alone).
     """
 
-    __slots__ = ("_last_self", "_order", "_rotation", "_self_tokens", "learned", "members", "ns", "ps", "ts")
-
     def __init__(self, ts: int) -> None:
         self.ts = ts
         self.members: set[int] = set()
@@ -130,21 +128,6 @@ class Gap:
 
     docs/protocol.md#gap-update. ``stations`` are those that answered, with their type.
     """
-
-    __slots__ = (
-        "_cost_ns",
-        "_cursor",
-        "_hsa",
-        "_next_pass_at",
-        "_ns",
-        "_patience",
-        "_t_gud_ns",
-        "_ts",
-        "allowance",
-        "enabled",
-        "skipped",
-        "stations",
-    )
 
     def __init__(self, params: BusParams) -> None:
         self._ts = params.address

@@ -15,8 +15,7 @@ from memory_port import memory_pair
 from dpstack.api.bus.find_baud import search_baud
 from dpstack.drivers.segment.hub import Segment
 from dpstack.errors import BaudError, PortError
-from dpstack.fdl.baud_evidence import Confidence
-from dpstack.fdl.baud_search import BaudFound, BaudNotFound, Missing
+from dpstack.fdl.baud_search import BaudFound, BaudNotFound, Confidence, Missing
 from dpstack.ports import open_port, termios2
 from dpstack.ports.tty import TtyPort
 from dpstack.units import NS_PER_MS, NS_PER_S
