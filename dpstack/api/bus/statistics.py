@@ -41,6 +41,8 @@ class SlaveStats:
     inputs_valid: bool
     inputs_age: float | None
     outputs: bytes
+    #: different from ``outputs`` outside data exchange and in Clear
+    outputs_sent: bytes
     #: the effective watchdog, 0 when off
     watchdog_ms: int
     link: StationStats
@@ -231,6 +233,7 @@ def collect(bus: BusBase) -> BusStats:
                 inputs_valid=slave.inputs_valid,
                 inputs_age=slave.inputs_age,
                 outputs=slave.outputs_held,
+                outputs_sent=slave.outputs_sent,
                 watchdog_ms=slave.watchdog_ms,
                 link=link.station(slave.address),
                 master=slave.found.master if slave.found is not None else None,

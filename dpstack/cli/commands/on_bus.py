@@ -64,15 +64,16 @@ def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
         return Bus(config, on_event=once(tell), watched=False)
 
     def tell(event: Event) -> None:
-        warn_of(event)
-        if isinstance(event, MasterSeen) and event.present and not args.json:
+        if severity_of(event) is not Severity.INFO:
+            output.warn(event.text)
+        elif isinstance(event, MasterSeen) and event.present and not args.json:
             output.warn(f"master {event.address} is on this bus: {args.command} waits until it is let into the ring")
 
     return make_bus
 
 
 def warn_of(event: Event) -> None:
-    """Warn of what is wrong; `dpstack run` and `dpstack plan` show the findings of the plan."""
+    """Print a warning or error; not the findings of the plan, which `dpstack run` and `dpstack plan` show."""
     if severity_of(event) is not Severity.INFO and not (isinstance(event, Notice) and event.source == "plan"):
         output.warn(event.text)
 

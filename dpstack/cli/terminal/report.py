@@ -242,16 +242,20 @@ def _list(found: object) -> list[Any]:
 
 
 def _process_data(slaves: Iterable[SlaveStats]) -> None:
-    octets = [(s.address, s.name, _inputs(s), s.outputs.hex()) for s in slaves]
+    """Write the last process data, marked where they are not those of now."""
+    octets = []
+    for s in slaves:
+        inputs = _marked(s.inputs, "" if s.inputs_valid else " (not valid)")
+        outputs = _marked(s.outputs, "" if s.outputs_sent == s.outputs else " (not sent)")
+        octets.append((s.address, s.name, inputs, outputs))
     output.table("Process data", ("address", "name", "inputs", "outputs"), octets)
     named = [(s.address, s.name, key, value) for s in slaves for key, value in s.fields.items()]
     if named:
         output.table("Named inputs and outputs", ("address", "name", "field", "value"), named)
 
 
-def _inputs(s: SlaveStats) -> str:
-    """The last inputs, marked where they are not valid now."""
-    return f"{s.inputs.hex()} (not valid)" if s.inputs and not s.inputs_valid else s.inputs.hex()
+def _marked(octets: bytes, mark: str) -> str:
+    return octets.hex() + (mark if octets else "")
 
 
 def _slave_row(s: SlaveStats) -> tuple[object, ...]:

@@ -169,8 +169,9 @@ def test_the_tables_at_the_end_mark_what_is_old(capsys: pytest.CaptureFixture[st
     Reporter(json=False).summary(good)
     told = capsys.readouterr().out
     assert "not valid" not in told
+    assert "not sent" not in told
     assert "counters are" not in told
     Reporter(json=False).summary(dataclasses.replace(bad, age=1.5, stale=True))
     told = capsys.readouterr().out
-    assert "00 (not valid)" in told
+    assert "00 (not valid)  00 (not sent)" in told
     assert "the counters are 1.5 s old" in told
