@@ -4,4 +4,5 @@
 - ``terminal/``: Output, reports and signals
 - ``main``: Entry point: command line, error output, exit codes
 - ``options``: Options and argument types that several commands share
+- ``parser``: ``Parser``: command lines, their errors and help
 """

@@ -7,16 +7,14 @@ line, without a traceback.
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import sys
 from collections.abc import Sequence
-from typing import Any, NoReturn
 
 from dpstack import __version__
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError, DpError, UsageError
-from dpstack.text import printable
 
 #: what each command does; the module of the same name in dpstack.cli.commands has its options and is imported when the
 #: command is used
@@ -42,27 +40,6 @@ _INTERRUPTED = 130
 _DEBUG = "DPSTACK_DEBUG"
 
 
-class Parser(argparse.ArgumentParser):
-    """An argument parser that prints errors in one line and imports a command's module when it is used."""
-
-    #: the command whose module still has to add its arguments; empty afterwards
-    command = ""
-
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Also called for the help of a command."""
-        if self.command:
-            importlib.import_module(f"dpstack.cli.commands.{self.command}").add_to(self)
-            self.command = ""
-        return super().parse_known_args(args, namespace)
-
-    def error(self, message: str) -> NoReturn:
-        """One line on stderr, exit code 2."""
-        self.exit(2, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
-
-    def _print_message(self, message: str, file: Any = None) -> None:
-        super()._print_message("\n".join(map(printable, message.split("\n"))), file)
-
-
 def build_parser() -> Parser:
     parser = Parser(
         prog="dpstack",
@@ -72,10 +49,7 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"dpstack {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
     for name, text in _COMMANDS.items():
-        one = commands.add_parser(
-            name, help=text, description=text, formatter_class=argparse.RawDescriptionHelpFormatter
-        )
-        one.command = name
+        commands.add_parser(name, help=text, description=text).command = name
     return parser
 
 

@@ -7,38 +7,20 @@ import contextlib
 import functools
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import Final, TypeVar
 
 from dpstack.api.config.bus import AUTO
+from dpstack.cli.parser import Parser
 from dpstack.text import decimal, shortened
 from dpstack.units import BAUD_RATES
-
-if TYPE_CHECKING:
-    Commands = argparse._SubParsersAction[argparse.ArgumentParser]
 
 _N = TypeVar("_N", bound=float)
 
 
-def command(commands: Commands, name: str, text: str, example: str) -> argparse.ArgumentParser:
-    return commands.add_parser(
-        name,
-        help=text,
-        description=text,
-        epilog=f"example: {example}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-
-
-def add_other_port(parser: argparse.ArgumentParser) -> None:
+def add_other_port(parser: Parser) -> None:
     """``--port`` and ``--baud`` instead of those of the configuration."""
-    parser.add_argument("--port", metavar="P", help="another port")
-    parser.add_argument("--baud", metavar="B|auto", type=baud_or_auto, help='another rate; "auto": listens')
-
-
-def run_by(parser: argparse.ArgumentParser, execute: Callable[[argparse.Namespace], int]) -> None:
-    """``execute`` runs the command; the last option is ``--json``."""
-    parser.add_argument("--json", action="store_true", help="print JSON lines")
-    parser.set_defaults(execute=execute)
+    parser.value("--port", "P", "another port")
+    parser.value("--baud", "B|auto", 'another rate; "auto": listens', type=baud_or_auto)
 
 
 def baud(text: str) -> int:

@@ -34,6 +34,7 @@ from dpstack.api.slave.slave import Slave
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
 from dpstack.cli.commands.lists import FILES, show_comparison, show_dump, show_list
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.drawing import progress_bar
 from dpstack.cli.terminal.signals import StopSignal
@@ -45,7 +46,7 @@ _WORDS: Final = (*WORDS, TRANSPORT, *FILES)
 _BESIDE: Final = "; or ask beside that master with --class 2, where the slave has it"
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = (
         "example: dpstack acyclic plant.toml 8 read 1 47\n"
         "         dpstack acyclic plant.toml valves write 1 47 00FF\n"
@@ -54,28 +55,28 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "         dpstack acyclic plant.toml 8 dump pump.toml\n\norders:\n"
         + "\n".join(f"  {f'{spec.name} {spec.usage}':29} {spec.text}" for spec in _WORDS)
     )
-    parser.add_argument("config", metavar="CONFIG", help="configuration file")
-    parser.add_argument("slave", metavar="ADDRESS", help="the slave, by its address or its name there")
-    parser.add_argument("order", metavar="ORDER", help="read, write, im ..., see below")
-    parser.add_argument("args", metavar="ARG", nargs="*", help="what belongs to it; numbers 47 or 0x2F")
-    parser.add_argument("--all", action="store_true", help="compare: what is read only, too")
-    parser.add_argument(
+    parser.value("config", "CONFIG", "configuration file")
+    parser.value("slave", "ADDRESS", "the slave, by its address or its name there")
+    parser.value("order", "ORDER", "read, write, im ..., see below")
+    parser.value("args", "ARG", "what belongs to it; numbers 47 or 0x2F", nargs="*")
+    parser.flag("--all", "compare: what is read only, too")
+    parser.value(
         "--class",
+        "1|2",
+        "of master; 2: over a connection of its own (MS2), beside the slave's master, without parameterising it",
         dest="master",
-        metavar="1|2",
         type=int,
         choices=(1, 2),
         default=1,
-        help="of master; 2: over a connection of its own (MS2), beside the slave's master, without parameterising it",
     )
-    parser.add_argument(
+    parser.value(
         "--address",
-        metavar="A",
+        "A",
+        "class 2 in the foreground: ask from this address (default: the lowest not heard)",
         type=options.address,
-        help="class 2 in the foreground: ask from this address (default: the lowest not heard)",
     )
     options.add_other_port(parser)
-    options.run_by(parser, execute)
+    parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:

@@ -8,20 +8,19 @@ import asyncio
 from dpstack.api.bus.temporary_master import joined
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.signals import StopSignal
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack address 126 5 --ident 0x0696 --port /dev/ttyUSB0 --baud 500000"
-    parser.add_argument("old", metavar="OLD", type=options.slave_address, help="its address, 126 as delivered")
-    parser.add_argument("new", metavar="NEW", type=options.address, help="its new address, 0..125")
-    parser.add_argument("--ident", metavar="I", type=options.ident, help="only the device with this ident number")
-    parser.add_argument(
-        "--no-change", action="store_true", help="for good: it shall refuse any further change of its address"
-    )
+    parser.value("old", "OLD", "its address, 126 as delivered", type=options.slave_address)
+    parser.value("new", "NEW", "its new address, 0..125", type=options.address)
+    parser.value("--ident", "I", "only the device with this ident number", type=options.ident)
+    parser.flag("--no-change", "for good: it shall refuse any further change of its address")
     on_bus.add_port(parser)
-    options.run_by(parser, execute)
+    parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:

@@ -7,21 +7,22 @@ import asyncio
 
 from dpstack.api.bus.find_baud import SILENCE_S, find_baud
 from dpstack.cli import options
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.signals import StopSignal
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack baud --port /dev/ttyUSB0"
-    parser.add_argument("--port", metavar="P", required=True, help="the port")
-    parser.add_argument(
+    parser.value("--port", "P", "the port", required=True)
+    parser.value(
         "--timeout",
-        metavar="S",
+        "S",
+        f"give up after so many seconds (default {SILENCE_S:g})",
         type=options.seconds,
         default=SILENCE_S,
-        help=f"give up after so many seconds (default {SILENCE_S:g})",
     )
-    options.run_by(parser, execute)
+    parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:

@@ -7,23 +7,23 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from dpstack.api.control.client import Help, connect
-from dpstack.cli import options
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 
 #: longest line (characters) in which an entry is shown whole
 _LINE: Final = 130
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack ctl /tmp/bus/0 trip 3 F2100\n         dpstack ctl /tmp/bus noise 1e-4"
-    parser.add_argument(
+    parser.value(
         "port",
-        metavar="PORT",
-        help="the port of run or sim, the directory of segment, or virtual (of several runs there: virtual:PID)",
+        "PORT",
+        "the port of run or sim, the directory of segment, or virtual (of several runs there: virtual:PID)",
     )
-    parser.add_argument("order", metavar="COMMAND", nargs="?", default="help", help="what to do")
-    parser.add_argument("args", metavar="ARG", nargs="*", help="its arguments")
-    options.run_by(parser, execute)
+    parser.value("order", "COMMAND", "what to do", nargs="?", default="help")
+    parser.value("args", "ARG", "its arguments", nargs="*")
+    parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:

@@ -21,6 +21,7 @@ from dpstack.api.control.handlers import slave_handlers
 from dpstack.api.slave.drive import Drive
 from dpstack.cli import options
 from dpstack.cli.commands.demo_stories import OTHERS, STORIES
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import drawing, output
 from dpstack.cli.terminal.report import Reporter, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
@@ -41,12 +42,12 @@ _SHOWN = 15
 _BAR = 6
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack demo --seconds 20"
-    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="go on for so long at least")
-    parser.add_argument("--baud", metavar="B", type=options.baud, default=_BAUD, help=f"the rate (default {_BAUD})")
-    parser.add_argument("--fast", action="store_true", help="as fast as this computer can, not in real time")
-    options.run_by(parser, execute)
+    parser.value("--seconds", "S", "go on for so long at least", type=options.seconds)
+    parser.value("--baud", "B", f"the rate (default {_BAUD})", type=options.baud, default=_BAUD)
+    parser.flag("--fast", "as fast as this computer can, not in real time")
+    parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import argparse
 
 from dpstack.api.doctor import Level, examine
-from dpstack.cli import options
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 
 _STYLES = {Level.OK: "", Level.NOTE: "yellow", Level.FINDING: "red"}
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack doctor --port /dev/ttyUSB0"
-    parser.add_argument("--port", metavar="P", help="only this port (default: every adapter)")
-    options.run_by(parser, execute)
+    parser.value("--port", "P", "only this port (default: every adapter)")
+    parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:

@@ -30,6 +30,7 @@ from dpstack.api.slave.drive import Drive, declared_parameters
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
 from dpstack.cli.commands.lists import tell_comparison, tell_dump
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.drawing import progress_bar
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
@@ -56,24 +57,24 @@ _FOR: Final = {
 _STATUS_S: Final = 2.0
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = (
         "example: dpstack drive plant.toml hoist status\n"
         "         dpstack drive plant.toml hoist start speed 0.5 reached\n"
         "         dpstack drive plant.toml hoist dump hoist.toml\n\norders, one or several, in turn:\n"
         + "\n".join(f"  {f'{spec.name} {spec.usage}':13} {spec.text}" for spec in _WORDS)
     )
-    parser.add_argument("config", metavar="CONFIG", help="configuration file")
-    parser.add_argument("name", metavar="NAME", help="the drive, by its name there or its address")
-    parser.add_argument("orders", metavar="ORDER", nargs="+", help="what it is to do, see below")
+    parser.value("config", "CONFIG", "configuration file")
+    parser.value("name", "NAME", "the drive, by its name there or its address")
+    parser.value("orders", "ORDER", "what it is to do, see below", nargs="+")
     options.add_other_port(parser)
-    parser.add_argument("--data-set", metavar="N", type=options.whole, help="of read, write, dump and compare")
-    parser.add_argument("--index", metavar="N", type=options.whole, help="of read and write: the element of an array")
-    parser.add_argument("--ram", action="store_true", help="write: do not store it in the EEPROM")
-    parser.add_argument("--timeout", metavar="S", type=options.seconds, help="for each order that takes its time")
-    parser.add_argument("--all", dest="read_only", action="store_true", help="compare: what is read only, too")
-    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="in the foreground: end after so long")
-    options.run_by(parser, execute)
+    parser.value("--data-set", "N", "of read, write, dump and compare", type=options.whole)
+    parser.value("--index", "N", "of read and write: the element of an array", type=options.whole)
+    parser.flag("--ram", "write: do not store it in the EEPROM")
+    parser.value("--timeout", "S", "for each order that takes its time", type=options.seconds)
+    parser.flag("--all", "compare: what is read only, too", dest="read_only")
+    parser.value("--seconds", "S", "in the foreground: end after so long", type=options.seconds)
+    parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:

@@ -23,8 +23,8 @@ from dpstack.api.gsd_info import (
     requires,
     supports,
 )
-from dpstack.cli import options
 from dpstack.cli.commands import gsd_configure
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
@@ -36,42 +36,40 @@ from dpstack.units import baud_text
 _STYLES = {Severity.INFO: "dim", Severity.WARNING: "yellow", Severity.ERROR: "bold red"}
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack gsd show valves.gsd"
     inner = parser.add_subparsers(dest="gsd_command", metavar="COMMAND", required=True)
-    shower = options.command(inner, "show", "what a GSD file says", "dpstack gsd show valves.gsd --json")
-    shower.add_argument("file", metavar="FILE", help="GSD file, or a drive that has one here (demag-dedrive, keb-f5)")
-    options.run_by(shower, show)
-    checker = options.command(
-        inner,
+
+    def command(name: str, text: str, example: str) -> Parser:
+        return inner.add_parser(name, help=text, description=text, epilog=f"example: dpstack gsd {example}")
+
+    shower = command("show", "what a GSD file says", "show valves.gsd --json")
+    shower.value("file", "FILE", "GSD file, or a drive that has one here (demag-dedrive, keb-f5)")
+    shower.run_by(show)
+    checker = command(
         "check",
         "what is wrong or odd in GSD files, with a summary for a directory; exit code 1 where one is damaged",
-        "dpstack gsd check *.gsd",
+        "check *.gsd",
     )
-    checker.add_argument("files", metavar="FILE|DIR", nargs="+", help="GSD files, or directories of them")
-    options.run_by(checker, check_files)
-    chooser = options.command(
-        inner,
+    checker.value("files", "FILE|DIR", "GSD files, or directories of them", nargs="+")
+    checker.run_by(check_files)
+    chooser = command(
         "configure",
         "ask the way from a GSD file to a [[slave]] table on stdout",
-        "dpstack gsd configure valves.gsd >> plant.toml",
+        "configure valves.gsd >> plant.toml",
     )
-    chooser.add_argument("file", metavar="FILE", help="GSD file, as the configuration will name it")
-    chooser.add_argument(
-        "--config",
-        metavar="CONFIG",
-        help="configuration that the table is for: its names and addresses are taken, FILE is named as seen from it",
-    )
-    chooser.set_defaults(execute=configure)
-    copier = options.command(
-        inner,
+    chooser.value("file", "FILE", "GSD file, as the configuration will name it")
+    seen = "configuration that the table is for: its names and addresses are taken, FILE is named as seen from it"
+    chooser.value("--config", "CONFIG", seen)
+    chooser.run_by(configure, json=False)
+    copier = command(
         "copy",
         "write the GSD file that dpstack brings for a drive (from its manual, not the vendor's) or for io-station",
-        "dpstack gsd copy demag-dedrive hoist.gsd",
+        "copy demag-dedrive hoist.gsd",
     )
-    copier.add_argument("drive", metavar="DRIVE", help="name of the drive, or io-station")
-    copier.add_argument("file", metavar="FILE", help="where to; a new file")
-    copier.set_defaults(execute=copy)
+    copier.value("drive", "DRIVE", "name of the drive, or io-station")
+    copier.value("file", "FILE", "where to; a new file")
+    copier.run_by(copy, json=False)
 
 
 def show(args: argparse.Namespace) -> int:

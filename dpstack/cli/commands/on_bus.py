@@ -14,6 +14,7 @@ from dpstack.api.bus.temporary_master import MakeBus
 from dpstack.api.config.config import AUTO, Config, make_config
 from dpstack.api.control.server import ControlServer
 from dpstack.cli import options
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import BusError, PortError, UsageError
 from dpstack.units import baud_text
@@ -22,18 +23,16 @@ from dpstack.units import baud_text
 READY_S: Final = 10.0
 
 
-def add_port(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--port", metavar="P", required=True, help="the port")
-    parser.add_argument(
+def add_port(parser: Parser) -> None:
+    parser.value("--port", "P", "the port", required=True)
+    parser.value(
         "--baud",
-        metavar="B|auto",
+        "B|auto",
+        "the rate (default auto: found by listening, where a master is on the bus)",
         type=options.baud_or_auto,
         default=AUTO,
-        help="the rate (default auto: found by listening, where a master is on the bus)",
     )
-    parser.add_argument(
-        "--address", metavar="A", type=options.address, help="ask from this address (default: the lowest not heard)"
-    )
+    parser.value("--address", "A", "ask from this address (default: the lowest not heard)", type=options.address)
 
 
 def check_port(args: argparse.Namespace) -> None:

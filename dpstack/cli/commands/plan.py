@@ -10,6 +10,7 @@ from dpstack.api.bus.compose import Case, Plan, plan_bus
 from dpstack.api.bus.plan_checks import Verdict, cycle_rates
 from dpstack.api.config.config import Config, load_config
 from dpstack.cli import options
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError
 from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text, ms_text
@@ -25,17 +26,13 @@ _HOW: Final = {
 _CASES: Final = {Case.SHORTEST: "shortest", Case.TYPICAL: "typical", Case.LONGEST: "longest"}
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack plan plant.toml --baud all --cycle-ms 4"
-    parser.add_argument("config", metavar="CONFIG", help="configuration file")
-    parser.add_argument("--baud", metavar="B|all", type=_baud_or_all, help="another rate, or all of them")
-    parser.add_argument(
-        "--cycle-ms", metavar="X", type=options.milliseconds, help="judge this cycle, and tell which rate it needs"
-    )
-    parser.add_argument(
-        "--octets", action="store_true", help="the octets of Set_Prm and Chk_Cfg of each slave, as they will be sent"
-    )
-    options.run_by(parser, execute)
+    parser.value("config", "CONFIG", "configuration file")
+    parser.value("--baud", "B|all", "another rate, or all of them", type=_baud_or_all)
+    parser.value("--cycle-ms", "X", "judge this cycle, and tell which rate it needs", type=options.milliseconds)
+    parser.flag("--octets", "the octets of Set_Prm and Chk_Cfg of each slave, as they will be sent")
+    parser.run_by(execute)
 
 
 def _baud_or_all(text: str) -> int | str:

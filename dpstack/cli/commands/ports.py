@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 
 from dpstack.api.doctor import list_adapters
-from dpstack.cli import options
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack ports --json"
-    options.run_by(parser, execute)
+    parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:

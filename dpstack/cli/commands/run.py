@@ -12,6 +12,7 @@ from dpstack.api.control.handlers import PTY, address_of, clear_since, control_r
 from dpstack.api.control.server import ControlServer
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable, refuse_application_watchdog
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.report import Reporter, clear_text, not_exchanging
@@ -19,36 +20,33 @@ from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import UsageError
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = (
         "example: dpstack run plant.toml --outputs valves=07 9=00FF --seconds 10\n"
         "         dpstack run plant.toml --read-only --address 1"
     )
     # optional, because --outputs may stand before it
-    parser.add_argument("config", metavar="CONFIG", nargs="?", help="configuration file")
+    parser.value("config", "CONFIG", "configuration file", nargs="?")
     options.add_other_port(parser)
-    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds in the ring")
-    parser.add_argument("--rotations", metavar="N", type=options.count, help="end after so many rotations")
-    parser.add_argument("--driver", choices=("auto", "asyncio", "process"), help="what keeps the bus going")
-    parser.add_argument(
-        "--address", metavar="N", type=options.address, help="another station address of the master, 0..125"
-    )
-    parser.add_argument(
+    parser.value("--seconds", "S", "end after so many seconds in the ring", type=options.seconds)
+    parser.value("--rotations", "N", "end after so many rotations", type=options.count)
+    parser.value("--driver", None, "what keeps the bus going", choices=("auto", "asyncio", "process"))
+    parser.value("--address", "N", "another station address of the master, 0..125", type=options.address)
+    parser.value(
         "--outputs",
-        metavar="SLAVE=HEX",
+        "SLAVE=HEX",
+        "initial output octets of slaves by address or name; a drive that gets some is run without its plugin",
         nargs="+",
         action="extend",
         default=[],
-        help="initial output octets of slaves by address or name; a drive that gets some is run without its plugin",
     )
-    parser.add_argument("--clear", action="store_true", help="stay in Clear: read inputs, outputs are zero")
-    parser.add_argument(
+    parser.flag("--clear", "stay in Clear: read inputs, outputs are zero")
+    parser.flag(
         "--read-only",
-        action="store_true",
-        help="join the token ring as one more master, show who is there and in what state, write nothing to any slave; "
+        "join the token ring as one more master, show who is there and in what state, write nothing to any slave; "
         "with --address beside the master that has the same file",
     )
-    options.run_by(parser, execute)
+    parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:

@@ -8,18 +8,18 @@ import asyncio
 from dpstack.api.bus.config_from_scan import config_skeleton, drive_of
 from dpstack.api.bus.events_json import Found
 from dpstack.api.bus.temporary_master import LiveListResult, scan_port
-from dpstack.cli import options
 from dpstack.cli.commands import on_bus
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.signals import StopSignal
 from dpstack.units import baud_text
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack scan --port /dev/ttyUSB0 --baud 500000 --config > plant.toml"
     on_bus.add_port(parser)
-    parser.add_argument("--config", action="store_true", help="print a configuration file of what was found")
-    options.run_by(parser, execute)
+    parser.flag("--config", "print a configuration file of what was found")
+    parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:

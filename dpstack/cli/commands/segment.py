@@ -12,6 +12,7 @@ from dpstack.api.control.handlers import control_segment
 from dpstack.api.server.simulation import DEFAULT_BAUD, Segment
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.signals import StopSignal
@@ -20,29 +21,23 @@ from dpstack.units import ns_to_s
 _COLUMNS = ("path", "sent", "received", "dropped", "overrun", "telegrams", "damaged", "erased")
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack segment --stations 2 --dir /tmp/bus"
-    parser.add_argument("--stations", metavar="N", type=options.count, default=2, help="how many ptys (default 2)")
-    parser.add_argument("--dir", metavar="DIR", help="where the links 0, 1 ... are made")
-    parser.add_argument(
-        "--baud",
-        metavar="B",
-        type=options.baud,
-        default=DEFAULT_BAUD,
-        help="the rate of a tty nobody set, and of --paced",
-    )
-    parser.add_argument("--paced", action="store_true", help="octets take their time on the wire")
-    parser.add_argument("--echo", action="store_true", help="a station hears itself")
-    parser.add_argument(
+    parser.value("--stations", "N", "how many ptys (default 2)", type=options.count, default=2)
+    parser.value("--dir", "DIR", "where the links 0, 1 ... are made")
+    parser.value("--baud", "B", "the rate of a tty nobody set, and of --paced", type=options.baud, default=DEFAULT_BAUD)
+    parser.flag("--paced", "octets take their time on the wire")
+    parser.flag("--echo", "a station hears itself")
+    parser.value(
         "--error-rate",
-        metavar="P",
+        "P",
+        "probability that a bit is inverted",
         type=options.number(float, 0, 1, "probability, 0 up to 1"),
         default=0.0,
-        help="probability that a bit is inverted",
     )
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the noise")
-    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
-    options.run_by(parser, execute)
+    parser.value("--seed", "N", "of the noise", type=int, default=0)
+    parser.value("--seconds", "S", "end after so many seconds", type=options.seconds)
+    parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:

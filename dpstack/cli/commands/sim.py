@@ -13,6 +13,7 @@ from dpstack.api.control.handlers import control_sim
 from dpstack.api.server.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.signals import StopSignal
@@ -21,32 +22,28 @@ from dpstack.text import number_or_name
 from dpstack.units import baud_text, ns_to_s
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
+def add_to(parser: Parser) -> None:
     parser.epilog = (
         "example: dpstack sim plant.toml --port pty\n"
         "         dpstack sim --drive fuji-frenic --address 4 --port pty\n"
         '         dpstack sim --gsd io-station --modules "8 DI" "8 DO" --address 8 --port pty\n'
         "         dpstack sim --drive demag-dedrive --address 126 --port pty"
     )
-    parser.add_argument("config", metavar="CONFIG", nargs="?", help="configuration file")
-    parser.add_argument("--drive", metavar="NAME", help="one simulated drive instead of a configuration")
-    parser.add_argument("--gsd", metavar="FILE", help="one device of this GSD file; io-station is brought along")
-    parser.add_argument(
-        "--modules", metavar="M", nargs="+", help="what is plugged into it, by name or reference number"
-    )
-    parser.add_argument(
+    parser.value("config", "CONFIG", "configuration file", nargs="?")
+    parser.value("--drive", "NAME", "one simulated drive instead of a configuration")
+    parser.value("--gsd", "FILE", "one device of this GSD file; io-station is brought along")
+    parser.value("--modules", "M", "what is plugged into it, by name or reference number", nargs="+")
+    parser.value(
         "--address",
-        metavar="A",
+        "A",
+        "its address; 126: as delivered, until `dpstack address` gives it another one",
         type=options.slave_address,
-        help="its address; 126: as delivered, until `dpstack address` gives it another one",
     )
-    parser.add_argument("--telegram", metavar="T", help="its telegram")
-    parser.add_argument("--port", metavar="P", required=True, help='the port; "pty" makes one and prints its path')
-    parser.add_argument(
-        "--baud", metavar="B|auto", type=options.baud_or_auto, help="the rate, else the configuration's; auto: listens"
-    )
-    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
-    options.run_by(parser, execute)
+    parser.value("--telegram", "T", "its telegram")
+    parser.value("--port", "P", 'the port; "pty" makes one and prints its path', required=True)
+    parser.value("--baud", "B|auto", "the rate, else the configuration's; auto: listens", type=options.baud_or_auto)
+    parser.value("--seconds", "S", "end after so many seconds", type=options.seconds)
+    parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:

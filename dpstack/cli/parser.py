@@ -1,0 +1,48 @@
+"""``Parser``: command lines of the program, their errors and help."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+from dpstack.text import printable
+
+
+class Parser(argparse.ArgumentParser):
+    """Prints errors in one line, and imports the module of a command when it is used."""
+
+    #: the command whose module still has to add its arguments; empty afterwards
+    command = ""
+
+    def __init__(self, **how: Any) -> None:
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **how)
+
+    def value(self, name: str, metavar: str | None, text: str, **how: Any) -> None:
+        """Add an argument or option with a value; ``text`` is its help, ``how`` as ``add_argument`` has it."""
+        self.add_argument(name, metavar=metavar, help=text, **how)
+
+    def flag(self, name: str, text: str, **how: Any) -> None:
+        """Add an option without a value; otherwise as :meth:`value`."""
+        self.add_argument(name, action="store_true", help=text, **how)
+
+    def run_by(self, execute: Callable[[argparse.Namespace], int], *, json: bool = True) -> None:
+        """``execute`` runs the command; the last option is ``--json``."""
+        if json:
+            self.flag("--json", "print JSON lines")
+        self.set_defaults(execute=execute)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Also called for the help of a command."""
+        if self.command:
+            importlib.import_module(f"dpstack.cli.commands.{self.command}").add_to(self)
+            self.command = ""
+        return super().parse_known_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        """One line on stderr, exit code 2."""
+        self.exit(2, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        super()._print_message("\n".join(map(printable, message.split("\n"))), file)
