@@ -22,6 +22,8 @@ _SILENT: Final = 3
 
 #: called after each parameter: how many are read, of how many, the last one
 OnParameter = Callable[[int, int, "SavedParam"], None]
+#: fields of a declared parameter that its entry has, too
+_DECLARED: Final = ("name", "number", "title", "subindex", "data_set", "index", "read_only")
 #: the key of a parameter: its name in lower case, and the data set or the element where there are several
 Place = tuple[str, int | None, int | None]
 
@@ -55,18 +57,10 @@ class SavedParam(ListEntry):
     @classmethod
     def of(cls, listed: ListedParam, found: ParameterValue | None = None, why: str | None = None) -> SavedParam:
         """``found`` or the reason ``why`` not, of a parameter that the drive's plugin declares."""
-        return cls(
-            name=listed.name,
-            number=listed.number,
-            title=listed.title,
-            subindex=listed.subindex,
-            data_set=listed.data_set,
-            index=listed.index,
-            value=None if found is None else found.value,
-            unit="" if found is None else found.unit,
-            read_only=listed.read_only,
-            unreadable=(why or listed.why_not or "it was not read") if found is None else None,
-        )
+        declared = {key: getattr(listed, key) for key in _DECLARED}
+        if found is None:
+            return cls(**declared, unreadable=why or listed.why_not or "it was not read")
+        return cls(**declared, value=found.value, unit=found.unit)
 
     @property
     def place(self) -> Place:

@@ -131,17 +131,11 @@ class RecordDifference(Difference[ListedValues]):
 RecordComparison = ListComparison[RecordDifference, ListedValues]
 
 
-def list_of(told: Mapping[str, Any]) -> RecordList:
-    """The list in the answer to the order ``parameters`` (:mod:`dpstack.api.control.record_commands`)."""
-    return RecordList(
-        name=told["slave"],
-        address=told["address"],
-        ident=told["ident"],
-        slot=told["slot"],
-        object=told["object"],
-        time=time_now(),
-        parameters=tuple(ListedValues.from_dict(one) for one in told["parameters"]),
-    )
+def list_of(answer: Mapping[str, Any]) -> RecordList:
+    """The list in the ``answer`` to the order ``parameters`` (:mod:`dpstack.api.control.record_orders`)."""
+    place = {key: answer[key] for key in ("address", "ident", "slot", "object")}
+    entries = tuple(ListedValues.from_dict(one) for one in answer["parameters"])
+    return RecordList(name=answer["slave"], time=time_now(), parameters=entries, **place)
 
 
 def compared(

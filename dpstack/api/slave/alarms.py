@@ -116,9 +116,6 @@ class AlarmStream(AsyncIterator[SlaveAlarm]):
         self._leave.detach()
         self._desk.leave(self._address, self._listener)
 
-    def __aiter__(self) -> AlarmStream:
-        return self
-
     async def __anext__(self) -> SlaveAlarm:
         listener = self._listener
         try:

@@ -149,7 +149,7 @@ class Class2(Sealed):
         where the end is not on this bus. ``timeout`` as of its services. Raises ServiceRefused (no connection left, or
         none at all), ConnectionEnded (the slave aborts), SlaveTimeout, SlaveFault, UsageError, BusError.
         """
-        address = slave.address if isinstance(slave, SlaveConfig) else self._address(slave)
+        address = self._address(slave)
         on_bus = self._slaves.get(address)
         known = slave if isinstance(slave, SlaveConfig) else None if on_bus is None else on_bus.config
         limits = NO_GSD if known is None else known.gsd_dpv1
@@ -199,7 +199,7 @@ class Class2(Sealed):
         fields = known.config.input_fields if service is Service.INPUTS else known.config.output_fields
         return ProcessData(data, fields.values(data))
 
-    def _address(self, slave: Slave | str | int) -> int:
+    def _address(self, slave: Slave | SlaveConfig | str | int) -> int:
         """Addresses 0..126, whether this bus knows the slave or not; those it knows also by name."""
         if isinstance(slave, int) and not isinstance(slave, bool):
             return slave

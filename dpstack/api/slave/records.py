@@ -6,10 +6,10 @@ import abc
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from dpstack.api.slave.record_parameters import RecordParameters
-from dpstack.api.slave.services import time_of
+from dpstack.api.slave.services import Services, time_of
 from dpstack.argcheck import octets, whole
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.master.orders import RecordDone, RecordOrder
@@ -20,9 +20,6 @@ from dpstack.dpv1.timeouts import service_timeout
 from dpstack.errors import AcyclicError, PduError, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
 from dpstack.profile.record47 import Refused, Silent
 from dpstack.units import ns_to_s
-
-if TYPE_CHECKING:
-    from dpstack.api.slave.services import Services
 
 T = TypeVar("T")
 #: in seconds: limit for a slave that is not ready for a call, first and longest pause between two tries

@@ -26,7 +26,8 @@ from dpstack.dpv1.master.ms2_connection import (
 )
 from dpstack.dpv1.master.ms2_initiate import InitiateJob
 from dpstack.dpv1.master.orders import CloseConnection, CloseConnections, OpenConnection, RecordOrder
-from dpstack.dpv1.pdu.read_write import ReadReq
+from dpstack.dpv1.master.srd_polling import Reply, classify
+from dpstack.dpv1.pdu.read_write import Function, ReadReq
 from dpstack.dpv1.timeouts import QUIET_SHARE
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.interface import Failure, Request
@@ -128,14 +129,16 @@ class Ms2(Connections):
                     self.queue.put(job, job.timeout_ns, now)
 
     def started(self, request: Request) -> None:
-        """A request is on the wire."""
-        if isinstance(request.tag, MasterConnection):
-            request.tag.started(request)
+        """The first bit of a request is on the wire."""
+        if request.data and isinstance(request.tag, MasterConnection):
+            request.tag.outstanding = request.data[0] != Function.ABORT
 
     def heard(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request to any station."""
         if isinstance(request.tag, MasterConnection) and isinstance(outcome, Telegram):
-            request.tag.answered(request, outcome, now)
+            request.tag.heard_at = now
+            if request.data and classify(outcome, requested=True) is Reply.AGAIN:
+                request.tag.outstanding = False
 
     def may_be_taken(self, request: Request) -> bool:
         """Whether a request that was given up may have reached the slave: it is not to be sent again."""

@@ -16,7 +16,7 @@ from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, Provider, ServiceFail
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text
 from dpstack.dpv1.master.orders import ConnectionOver, ConnectionsClosed, RecordDone
-from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Polling, Reply, classify, service_outcome
+from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Polling, Reply, service_outcome
 from dpstack.dpv1.pdu.ms2 import HEAD, IDLE, Abort, AbortReason, Instance, ResourceManagerRes
 from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, Service
 from dpstack.dpv1.timeouts import RESPONSE_TIMEOUT, service_timeout
@@ -91,17 +91,6 @@ class MasterConnection:
     def limit_text(self) -> str:
         of = "its C2_Response_Timeout" if self.response_ns else "no C2_Response_Timeout is known of it"
         return f"{ns_to_s(self.limit_ns):g} s ({of})"
-
-    def started(self, request: Request) -> None:
-        """The first bit of one of its requests is on the wire."""
-        if request.data:
-            self.outstanding = request.data[0] != Function.ABORT
-
-    def answered(self, request: Request, answer: Telegram, now: int) -> None:
-        """The slave answered one of its requests."""
-        self.heard_at = now
-        if request.data and classify(answer, requested=True) is Reply.AGAIN:
-            self.outstanding = False
 
 
 class Connections(Provider):

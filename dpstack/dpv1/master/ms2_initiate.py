@@ -146,15 +146,24 @@ class InitiateJob(ConnectionJob):
 
     def _unmanaged(self, reply: Reply, last: Telegram | Failure) -> Outcome:
         """No server SAP; ``last``: the slave's last answer."""
-        if not isinstance(last, Telegram):
-            return self._unanswered(last)
-        if reply is Reply.CLOSED:
-            return self._no_service(last)
-        text = (
-            f"slave {self.address}: its resource manager has no answer to Initiate within "
-            f"{self.connection.limit_text}; try again, or give it longer (response_timeout)"
-        )
-        return Outcome(failure=ServiceFailure.LATE, text=text)
+        who = f"slave {self.address}"
+        match last:
+            case Telegram():
+                if reply is Reply.CLOSED:
+                    return self._no_service(last)
+                limit = self.connection.limit_text
+                todo = "try again, or give it longer (response_timeout)"
+                text = f"{who}: its resource manager has no answer to Initiate within {limit}; {todo}"
+                return Outcome(failure=ServiceFailure.LATE, text=text)
+            case Failure.REFUSED:
+                self.connection.taken = False
+                text = f"{who}: Initiate was not sent; this bus is read-only"
+            case Failure.NO_ANSWER:
+                text = f"{who} does not answer Initiate; check address and power"
+            case _:
+                todo = "look for a second station with its address, and at cable and termination"
+                text = f"{who} gives no readable answer to Initiate; {todo}"
+        return Outcome(failure=NO_ANSWERS[last], text=text)
 
     def _no_service(self, answer: Telegram) -> Outcome:
         """RS: the resource manager is closed for good, or has no server SAP left (Felser)."""
@@ -169,17 +178,6 @@ class InitiateJob(ConnectionJob):
             "wait until another master does"
         )
         return Outcome(failure=ServiceFailure.REFUSED, text=text, status=status)
-
-    def _unanswered(self, why: Failure) -> Outcome:
-        if why is Failure.REFUSED:
-            self.connection.taken = False
-            text = f"slave {self.address}: Initiate was not sent; this bus is read-only"
-        elif why is Failure.NO_ANSWER:
-            text = f"slave {self.address} does not answer Initiate; check address and power"
-        else:
-            what = "look for a second station with its address, and at cable and termination"
-            text = f"slave {self.address} gives no readable answer to Initiate; {what}"
-        return Outcome(failure=NO_ANSWERS[why], text=text)
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """One event; the slave gets a connection back that nobody can use."""
