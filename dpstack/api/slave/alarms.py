@@ -17,7 +17,7 @@ from typing import Any, Final
 from dpstack.api.slave.service_errors import error_of
 from dpstack.api.streams import Stream, when_dropped
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
-from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier, Status
+from dpstack.dp.pdu.alarm_blocks import Specifier, Status
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
 from dpstack.dpv1.pdu.read_write import Function
@@ -61,10 +61,6 @@ class SlaveAlarm:
 
     def __repr__(self) -> str:
         return f"<SlaveAlarm {self.text}>"
-
-    @property
-    def alarm(self) -> Alarm:
-        return self._raised.alarm
 
     @property
     def appears(self) -> bool:

@@ -6,6 +6,7 @@ import asyncio
 import json
 
 import pytest
+from api_kit import in_virtual_time
 
 import dpstack
 from dpstack.api.config.config import parse_config
@@ -63,50 +64,45 @@ SAYS = {
 }
 
 
-def test_each_drive_is_refused_and_the_status_of_the_run_says_why() -> None:
-    async def program() -> None:
-        async with dpstack.open_bus(parse_config(PLANT, "plant.toml")) as bus:
-            await bus.operate()
-            await bus.ready()
-            for name, says in SAYS.items():
-                with pytest.raises(DriveFault, match=f"drive {name}: .*{says}"):
-                    await bus.drive(name).start()
-                assert not bus.drive(name).status.running
-            await bus.drive("blower").start()
-            slaves = json.loads(json.dumps(run_status(bus)))["slaves"]
-            for address, (name, says) in enumerate(SAYS.items(), 3):
-                told = slaves[str(address)]["drive"]
-                assert told["settings"] == "different", name
-                assert any(says in text for text in told["settings_texts"])
-            assert slaves["8"]["drive"]["settings"] == "not_checked"
-            assert "PPO3 has no parameter channel" in slaves["8"]["drive"]["settings_texts"][0]
-
-    dpstack.run_virtual(program())
+@in_virtual_time
+async def test_each_drive_is_refused_and_the_status_of_the_run_says_why() -> None:
+    async with dpstack.open_bus(parse_config(PLANT, "plant.toml")) as bus:
+        await bus.operate()
+        await bus.ready()
+        for name, says in SAYS.items():
+            with pytest.raises(DriveFault, match=f"drive {name}: .*{says}"):
+                await bus.drive(name).start()
+            assert not bus.drive(name).status.running
+        await bus.drive("blower").start()
+        slaves = json.loads(json.dumps(run_status(bus)))["slaves"]
+        for address, (name, says) in enumerate(SAYS.items(), 3):
+            told = slaves[str(address)]["drive"]
+            assert told["settings"] == "different", name
+            assert any(says in text for text in told["settings_texts"])
+        assert slaves["8"]["drive"]["settings"] == "not_checked"
+        assert "PPO3 has no parameter channel" in slaves["8"]["drive"]["settings_texts"][0]
 
 
-def test_a_drive_that_comes_back_with_other_settings_is_refused() -> None:
+@in_virtual_time
+async def test_a_drive_that_comes_back_with_other_settings_is_refused() -> None:
     """Switched off and on, it is set otherwise now: the comparison begins again with data exchange."""
-
-    async def program() -> None:
-        fan = {"name": "fan", "address": 4, "drive": "fuji-frenic"}
-        async with dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[fan]) as bus:
-            await bus.operate()
-            await bus.ready()
-            drive = bus.drive("fan")
+    fan = {"name": "fan", "address": 4, "drive": "fuji-frenic"}
+    async with dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[fan]) as bus:
+        await bus.operate()
+        await bus.ready()
+        drive = bus.drive("fan")
+        await drive.start()
+        await drive.stop()
+        assert bus.bench is not None
+        device = bus.bench.device(4)
+        assert isinstance(device, DriveDevice)
+        assert device.store is not None
+        device.store.install("F03", 100)
+        bus.bench.silence(4, 500_000_000)
+        await bus.until(lambda: not bus.slave("fan").ready_now, 5)
+        await bus.ready()
+        await asyncio.sleep(0.2)
+        assert drive.status.settings == "different"
+        await drive.acknowledge()  # Er5: its watchdog ended data exchange
+        with pytest.raises(DriveFault, match="F03 is 100 Hz, not 60 Hz"):
             await drive.start()
-            await drive.stop()
-            assert bus.bench is not None
-            device = bus.bench.device(4)
-            assert isinstance(device, DriveDevice)
-            assert device.store is not None
-            device.store.install("F03", 100)
-            bus.bench.silence(4, 500_000_000)
-            await bus.until(lambda: not bus.slave("fan").ready_now, 5)
-            await bus.ready()
-            await asyncio.sleep(0.2)
-            assert drive.status.settings == "different"
-            await drive.acknowledge()  # Er5: its watchdog ended data exchange
-            with pytest.raises(DriveFault, match="F03 is 100 Hz, not 60 Hz"):
-                await drive.start()
-
-    dpstack.run_virtual(program())

@@ -7,7 +7,7 @@ import asyncio
 from collections.abc import Mapping
 
 import pytest
-from api_kit import off_and_on
+from api_kit import in_virtual_time, off_and_on
 
 import dpstack
 from dpstack.api.config.config import make_config, slave_config
@@ -19,76 +19,71 @@ PUMP: Mapping[str, object] = {"name": "pump", "address": 5, "drive": "imo-hd2"}
 SET = {"options": {"baud_index": 5, "set_map": True}}
 
 
-def test_a_users_program() -> None:
-    async def program() -> None:
-        async with dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[PUMP]) as bus:
-            pump = bus.drive("pump")
-            assert bus.bench is not None
-            await bus.ready()
-            await bus.operate()
-            with pytest.raises(dpstack.DriveFault, match=r"none is 1; set P15\.02 to 1"):
-                await pump.start()
-            await pump.write_map(outputs="set_frequency torque", inputs="frequency current torque fault_code")
-            pump.frequency = 25.0
+@in_virtual_time
+async def test_a_users_program() -> None:
+    async with dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[PUMP]) as bus:
+        pump = bus.drive("pump")
+        assert bus.bench is not None
+        await bus.ready()
+        await bus.operate()
+        with pytest.raises(dpstack.DriveFault, match=r"none is 1; set P15\.02 to 1"):
             await pump.start()
-            await pump.reached()
-            await asyncio.sleep(0.5)
-            status = pump.status
-            assert status.speed == pytest.approx(0.5, abs=0.01)
-            assert status.current is not None
-            assert 0.3 < status.current < 0.6
-            assert status.torque == pytest.approx(0.2, abs=0.02)
-            assert await pump.order("output", number="torque", value=50.0) == 50.0
-            with pytest.raises(dpstack.UsageError, match=r"torque 400 % is outside -300\.\.300 %"):
-                await pump.order("output", number="torque", value=400.0)
-            with pytest.raises(dpstack.UsageError, match="no quick stop ramp"):
-                await pump.quick_stop()
-            with pytest.raises(dpstack.UsageError, match=r"outside 0\.\.50 Hz"):
-                pump.speed = 1.5
-            with pytest.raises(dpstack.ParameterError, match="cannot be changed while the drive runs") as refused:
-                await pump.write("P15.01", 7)
-            assert refused.value.number == 8
-            device = bus.bench.device(5)
-            assert isinstance(device, dpstack.profile.DriveDevice)
-            device.trip("OC1")
-            async for told in pump.statuses():
-                if told.fault == "OC1 (code 4)":
-                    break
-            with pytest.raises(dpstack.DriveFault, match=r"OC1 \(code 4\); acknowledge it first"):
-                await pump.start()
-            await pump.acknowledge()
+        await pump.write_map(outputs="set_frequency torque", inputs="frequency current torque fault_code")
+        pump.frequency = 25.0
+        await pump.start()
+        await pump.reached()
+        await asyncio.sleep(0.5)
+        status = pump.status
+        assert status.speed == pytest.approx(0.5, abs=0.01)
+        assert status.current is not None
+        assert 0.3 < status.current < 0.6
+        assert status.torque == pytest.approx(0.2, abs=0.02)
+        assert await pump.order("output", number="torque", value=50.0) == 50.0
+        with pytest.raises(dpstack.UsageError, match=r"torque 400 % is outside -300\.\.300 %"):
+            await pump.order("output", number="torque", value=400.0)
+        with pytest.raises(dpstack.UsageError, match="no quick stop ramp"):
+            await pump.quick_stop()
+        with pytest.raises(dpstack.UsageError, match=r"outside 0\.\.50 Hz"):
+            pump.speed = 1.5
+        with pytest.raises(dpstack.ParameterError, match="cannot be changed while the drive runs") as refused:
+            await pump.write("P15.01", 7)
+        assert refused.value.number == 8
+        device = bus.bench.device(5)
+        assert isinstance(device, dpstack.profile.DriveDevice)
+        device.trip("OC1")
+        async for told in pump.statuses():
+            if told.fault == "OC1 (code 4)":
+                break
+        with pytest.raises(dpstack.DriveFault, match=r"OC1 \(code 4\); acknowledge it first"):
             await pump.start()
-            await pump.stop()
-            await pump.write("P00.10", 12.5)
-            await off_and_on(bus, 5)
-            assert await pump.read("P00.10") == 12.5  # its EEPROM
-            await pump.start()  # and its map
-
-    dpstack.run_virtual(program())
+        await pump.acknowledge()
+        await pump.start()
+        await pump.stop()
+        await pump.write("P00.10", 12.5)
+        await off_and_on(bus, 5)
+        assert await pump.read("P00.10") == 12.5  # its EEPROM
+        await pump.start()  # and its map
 
 
 @pytest.mark.parametrize("way", ["clear", "stop"])
-def test_a_running_hd2_comes_to_rest(way: str) -> None:
+@in_virtual_time
+async def test_a_running_hd2_comes_to_rest(way: str) -> None:
     """Zeros are no command (docs/drives/imo-hd2.md#control-and-status-word): only 0005 before them ramps it down."""
-
-    async def program() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[{**PUMP, **SET}]) as bus:
-            pump = bus.drive("pump")
-            await bus.ready()
-            await bus.operate()
-            pump.speed = 0.5
-            await pump.start()
-            await pump.reached()
-            await (bus.clear() if way == "clear" else bus.stop())
-            await asyncio.sleep(0.15)
-            await bus.clear()
-            await asyncio.sleep(2)
-            assert bus.slave("pump").inputs[8:12] == bytes.fromhex("41 03 00 00")
-            await bus.operate()
-            await asyncio.sleep(0.5)
-            assert bus.slave("pump").inputs[8:12] == bytes.fromhex("41 03 00 00")
-
-    dpstack.run_virtual(program())
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[{**PUMP, **SET}]) as bus:
+        pump = bus.drive("pump")
+        await bus.ready()
+        await bus.operate()
+        pump.speed = 0.5
+        await pump.start()
+        await pump.reached()
+        await (bus.clear() if way == "clear" else bus.stop())
+        await asyncio.sleep(0.15)
+        await bus.clear()
+        await asyncio.sleep(2)
+        assert bus.slave("pump").inputs[8:12] == bytes.fromhex("41 03 00 00")
+        await bus.operate()
+        await asyncio.sleep(0.5)
+        assert bus.slave("pump").inputs[8:12] == bytes.fromhex("41 03 00 00")
 
 
 def test_i5_it_hears_only_the_rate_it_is_set_to() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from api_kit import off_and_on
+from api_kit import in_virtual_time, off_and_on
 
 import dpstack
 
@@ -51,47 +51,43 @@ def test_a_users_program() -> None:
     dpstack.run_virtual(program(SAW))
 
 
-def test_a_map_in_the_configuration() -> None:
-    async def mapped() -> None:
-        table = {**SAW, "options": {"map_inputs": INPUTS, "map_outputs": "cS.19:long=100 sy.50 sy.52"}}
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
-            saw = bus.drive("saw")
-            await bus.ready()
-            await bus.operate()
-            await saw.write_map()  # the one that the configuration has
-            assert bus.bench is not None
-            await off_and_on(bus, 5)
-            saw.speed = -0.25
+@in_virtual_time
+async def test_a_map_in_the_configuration() -> None:
+    table = {**SAW, "options": {"map_inputs": INPUTS, "map_outputs": "cS.19:long=100 sy.50 sy.52"}}
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
+        saw = bus.drive("saw")
+        await bus.ready()
+        await bus.operate()
+        await saw.write_map()  # the one that the configuration has
+        assert bus.bench is not None
+        await off_and_on(bus, 5)
+        saw.speed = -0.25
+        await saw.start()
+        await saw.reached()
+        values = await saw.order("inputs")
+        assert isinstance(values, dict)
+        assert values["sy.53 (2035h)"] == pytest.approx(-375, abs=8)
+        assert await saw.order("output", number="cS.19", value=100) == 100
+
+
+@in_virtual_time
+async def test_a_fault_on_the_bus_is_named_and_acknowledged() -> None:
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[SAW]) as bus:
+        saw = bus.drive("saw")
+        assert bus.bench is not None
+        await bus.ready()
+        await bus.operate()
+        await saw.start()
+        device = bus.bench.device(5)
+        assert isinstance(device, dpstack.profile.DriveDevice)
+        device.trip("E.OC")
+        async for status in saw.statuses():
+            if status.fault == "inverter state ru.00 = 4 E.OC":
+                break
+        with pytest.raises(dpstack.DriveFault, match=r"ru\.00 = 4 E\.OC"):
             await saw.start()
-            await saw.reached()
-            values = await saw.order("inputs")
-            assert isinstance(values, dict)
-            assert values["sy.53 (2035h)"] == pytest.approx(-375, abs=8)
-            assert await saw.order("output", number="cS.19", value=100) == 100
-
-    dpstack.run_virtual(mapped())
-
-
-def test_a_fault_on_the_bus_is_named_and_acknowledged() -> None:
-    async def fault() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[SAW]) as bus:
-            saw = bus.drive("saw")
-            assert bus.bench is not None
-            await bus.ready()
-            await bus.operate()
-            await saw.start()
-            device = bus.bench.device(5)
-            assert isinstance(device, dpstack.profile.DriveDevice)
-            device.trip("E.OC")
-            async for status in saw.statuses():
-                if status.fault == "inverter state ru.00 = 4 E.OC":
-                    break
-            with pytest.raises(dpstack.DriveFault, match=r"ru\.00 = 4 E\.OC"):
-                await saw.start()
-            await saw.acknowledge()
-            await saw.start()
-
-    dpstack.run_virtual(fault())
+        await saw.acknowledge()
+        await saw.start()
 
 
 def test_on_a_real_port_the_bits_are_the_users(tmp_path: Path) -> None:

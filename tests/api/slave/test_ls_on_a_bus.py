@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from api_kit import off_and_on
+from api_kit import in_virtual_time, off_and_on
 
 import dpstack
 
@@ -15,88 +15,81 @@ PUMP: Mapping[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", 
 LS = {"profile": "ls"}
 
 
-def test_a_users_program() -> None:
-    async def program() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
-            pump = bus.drive("pump")
-            assert bus.bench is not None
-            await bus.ready()
-            await bus.operate()
-            pump.frequency = 30.0
+@in_virtual_time
+async def test_a_users_program() -> None:
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
+        pump = bus.drive("pump")
+        assert bus.bench is not None
+        await bus.ready()
+        await bus.operate()
+        pump.frequency = 30.0
+        await pump.start()
+        await pump.reached()
+        assert pump.status.frequency_hz == pytest.approx(30, abs=0.5)
+        assert await pump.read(918) == 6
+        assert await pump.read("baud_rate") == 4  # 500 kbit/s
+        await pump.write("dr-03", 2.5)
+        device = bus.bench.device(6)
+        assert isinstance(device, dpstack.profile.DriveDevice)
+        device.trip("LV")
+        async for status in pump.statuses():
+            if status.fault == "34 LV":
+                break
+        with pytest.raises(dpstack.DriveFault, match="34 LV; acknowledge it first"):
             await pump.start()
-            await pump.reached()
-            assert pump.status.frequency_hz == pytest.approx(30, abs=0.5)
-            assert await pump.read(918) == 6
-            assert await pump.read("baud_rate") == 4  # 500 kbit/s
-            await pump.write("dr-03", 2.5)
-            device = bus.bench.device(6)
-            assert isinstance(device, dpstack.profile.DriveDevice)
-            device.trip("LV")
-            async for status in pump.statuses():
-                if status.fault == "34 LV":
-                    break
-            with pytest.raises(dpstack.DriveFault, match="34 LV; acknowledge it first"):
-                await pump.start()
-            await pump.acknowledge()
-            await pump.start()
-            await pump.quick_stop()
-            with pytest.raises(dpstack.ParameterError, match="error 0, illegal parameter number"):
-                await pump.read("dr-99")
-            with pytest.raises(dpstack.UsageError, match="dr-20"):
-                pump.speed = 1.5
-            await off_and_on(bus, 6)
-            assert await pump.read("dr-03") == 2.5  # its EEPROM
-
-    dpstack.run_virtual(program())
+        await pump.acknowledge()
+        await pump.start()
+        await pump.quick_stop()
+        with pytest.raises(dpstack.ParameterError, match="error 0, illegal parameter number"):
+            await pump.read("dr-99")
+        with pytest.raises(dpstack.UsageError, match="dr-20"):
+            pump.speed = 1.5
+        await off_and_on(bus, 6)
+        assert await pump.read("dr-03") == 2.5  # its EEPROM
 
 
 @pytest.mark.parametrize("way", ["clear", "stop"])
 @pytest.mark.parametrize(("telegram", "options"), [("PPO3", {}), ("PPO3", LS), ("VENDOR 2/3", {})])
-def test_a_running_drive_comes_to_rest(telegram: str, options: Mapping[str, object], way: str) -> None:
+@in_virtual_time
+async def test_a_running_drive_comes_to_rest(telegram: str, options: Mapping[str, object], way: str) -> None:
     """The safe outputs stop it before Clear, whose zeros PROFIdrive ignores."""
+    table = {**PUMP, "telegram": telegram, "options": options}
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
+        pump = bus.drive("pump")
+        assert bus.bench is not None
+        device = bus.bench.device(6)
+        assert isinstance(device, dpstack.profile.DriveDevice)
+        await bus.ready()
+        await bus.operate()
+        await pump.start()
+        pump.speed = 0.5
+        await pump.reached()
+        await (bus.clear() if way == "clear" else bus.stop())
+        await asyncio.sleep(0.15)
+        await bus.clear()
+        await asyncio.sleep(2)
+        assert device.motor.frequency == 0
+        await bus.operate()
+        await asyncio.sleep(0.5)
+        assert device.motor.frequency == 0
+        assert pump.speed == 0.5  # the set point stays, the run command does not
 
-    async def program() -> None:
-        table = {**PUMP, "telegram": telegram, "options": options}
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
-            pump = bus.drive("pump")
-            assert bus.bench is not None
-            device = bus.bench.device(6)
-            assert isinstance(device, dpstack.profile.DriveDevice)
-            await bus.ready()
-            await bus.operate()
+
+@in_virtual_time
+async def test_the_wrong_profile_is_told_with_the_parameter_to_change() -> None:
+    table = {**PUMP, "options": LS}
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
+        pump = bus.drive("pump")
+        await bus.ready()
+        await bus.operate()
+        await pump.start()
+        await pump.stop()
+        with pytest.raises(dpstack.UsageError, match="no quick stop"):
+            await pump.quick_stop()
+        await pump.write("COM-11", 1)
+        await pump.write("COM-94", 1)
+        with pytest.raises(dpstack.DriveFault, match="set COM-11 to 2 and COM-94 to 1"):
             await pump.start()
-            pump.speed = 0.5
-            await pump.reached()
-            await (bus.clear() if way == "clear" else bus.stop())
-            await asyncio.sleep(0.15)
-            await bus.clear()
-            await asyncio.sleep(2)
-            assert device.motor.frequency == 0
-            await bus.operate()
-            await asyncio.sleep(0.5)
-            assert device.motor.frequency == 0
-            assert pump.speed == 0.5  # the set point stays, the run command does not
-
-    dpstack.run_virtual(program())
-
-
-def test_the_wrong_profile_is_told_with_the_parameter_to_change() -> None:
-    async def program() -> None:
-        table = {**PUMP, "options": LS}
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
-            pump = bus.drive("pump")
-            await bus.ready()
-            await bus.operate()
-            await pump.start()
-            await pump.stop()
-            with pytest.raises(dpstack.UsageError, match="no quick stop"):
-                await pump.quick_stop()
-            await pump.write("COM-11", 1)
-            await pump.write("COM-94", 1)
-            with pytest.raises(dpstack.DriveFault, match="set COM-11 to 2 and COM-94 to 1"):
-                await pump.start()
-
-    dpstack.run_virtual(program())
 
 
 def test_the_configuration_tells_what_is_made_up(tmp_path: Path) -> None:

@@ -75,72 +75,63 @@ async def test_a_lost_request_is_written_again(world: WorldFactory) -> None:
             await parameters.change([(Address(1), Values(6, (2,)))])
 
 
-def test_a_drive_by_name_in_a_telegram_without_a_channel() -> None:
-    async def main() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
-            pump = bus.drive("pump")
-            await bus.operate()
-            assert await pump.read(965) == 0x0328
-            assert await pump.read(918) == 6
-            written = await pump.write("dr-03", 2.5)
-            assert (written.value, written.unit, written.raw) == (2.5, "s", 25)
-            assert await pump.read(964, index=6) == 0x0A6C
-            with pytest.raises(dpstack.ParameterError, match="drive pump: dr-99: error 0, illegal parameter number"):
-                await pump.read("dr-99")
-            im0 = await bus.slave("pump").im()
-            assert isinstance(im0, dpstack.Im0)
-            assert (im0.manufacturer_id, im0.order_id, im0.supported) == (0x0351, "CPDP-S100", 1)
-            several = await bus.slave("pump").parameters().read([Address(n) for n in (918, 922, 930, 1, 963)])
-            assert several == [Values(6, (6,)), Values(6, (1,)), Values(6, (1,)), ErrorValue(0), Values(6, (4,))]
-
-    dpstack.run_virtual(main())
+@in_virtual_time
+async def test_a_drive_by_name_in_a_telegram_without_a_channel() -> None:
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
+        pump = bus.drive("pump")
+        await bus.operate()
+        assert await pump.read(965) == 0x0328
+        assert await pump.read(918) == 6
+        written = await pump.write("dr-03", 2.5)
+        assert (written.value, written.unit, written.raw) == (2.5, "s", 25)
+        assert await pump.read(964, index=6) == 0x0A6C
+        with pytest.raises(dpstack.ParameterError, match="drive pump: dr-99: error 0, illegal parameter number"):
+            await pump.read("dr-99")
+        im0 = await bus.slave("pump").im()
+        assert isinstance(im0, dpstack.Im0)
+        assert (im0.manufacturer_id, im0.order_id, im0.supported) == (0x0351, "CPDP-S100", 1)
+        several = await bus.slave("pump").parameters().read([Address(n) for n in (918, 922, 930, 1, 963)])
+        assert several == [Values(6, (6,)), Values(6, (1,)), Values(6, (1,)), ErrorValue(0), Values(6, (4,))]
 
 
-def test_plugin_and_program_ask_at_the_same_time() -> None:
+@in_virtual_time
+async def test_plugin_and_program_ask_at_the_same_time() -> None:
     """Each gets its own, whoever's request the drive took in between."""
-
-    async def main() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
-            pump = bus.drive("pump")
-            await bus.operate()
-            await bus.ready()
-            parameters = bus.slave("pump").parameters()
-            for _ in range(5):
-                by_name = asyncio.gather(pump.read(965), pump.read("dr-20"))
-                by_number = asyncio.gather(parameters.read([Address(918)]), parameters.read([Address(930)]))
-                assert list(await by_name) == [0x0328, 60.0]
-                assert list(await by_number) == [[Values(6, (6,))], [Values(6, (1,))]]
-
-    dpstack.run_virtual(main())
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
+        pump = bus.drive("pump")
+        await bus.operate()
+        await bus.ready()
+        parameters = bus.slave("pump").parameters()
+        for _ in range(5):
+            by_name = asyncio.gather(pump.read(965), pump.read("dr-20"))
+            by_number = asyncio.gather(parameters.read([Address(918)]), parameters.read([Address(930)]))
+            assert list(await by_name) == [0x0328, 60.0]
+            assert list(await by_number) == [[Values(6, (6,))], [Values(6, (1,))]]
 
 
-def test_without_dp_v1_it_goes_by_pkw_or_says_what_to_do() -> None:
-    async def main() -> None:
-        slaves = [PUMP | {"telegram": "PPO1", "dpv1": False}, PUMP | {"name": "old", "address": 7, "dpv1": False}]
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves) as bus:
-            await bus.operate()
-            assert await bus.drive("pump").read(965) == 0x0328
-            with pytest.raises(dpstack.UsageError, match="ST1 of ls-s100 has no parameter channel"):
-                await bus.drive("old").read(965)
-
-    dpstack.run_virtual(main())
+@in_virtual_time
+async def test_without_dp_v1_it_goes_by_pkw_or_says_what_to_do() -> None:
+    slaves = [PUMP | {"telegram": "PPO1", "dpv1": False}, PUMP | {"name": "old", "address": 7, "dpv1": False}]
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves) as bus:
+        await bus.operate()
+        assert await bus.drive("pump").read(965) == 0x0328
+        with pytest.raises(dpstack.UsageError, match="ST1 of ls-s100 has no parameter channel"):
+            await bus.drive("old").read(965)
 
 
-def test_the_drive_goes_and_comes_in_between() -> None:
-    async def main() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
-            pump = bus.drive("pump")
-            await bus.operate()
-            await bus.slave(6).ready()
-            assert bus.bench is not None
-            reading = asyncio.ensure_future(pump.read(965))
-            await asyncio.sleep(0.002)
-            bus.bench.power(6, False)
-            with pytest.raises(dpstack.DriveError):
-                await reading
-            await bus.until(lambda: not bus.slave(6).ready_now, 5)
-            bus.bench.power(6, True)
-            await bus.slave(6).ready()
-            assert await pump.read(965) == 0x0328
-
-    dpstack.run_virtual(main())
+@in_virtual_time
+async def test_the_drive_goes_and_comes_in_between() -> None:
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
+        pump = bus.drive("pump")
+        await bus.operate()
+        await bus.slave(6).ready()
+        assert bus.bench is not None
+        reading = asyncio.ensure_future(pump.read(965))
+        await asyncio.sleep(0.002)
+        bus.bench.power(6, False)
+        with pytest.raises(dpstack.DriveError):
+            await reading
+        await bus.until(lambda: not bus.slave(6).ready_now, 5)
+        bus.bench.power(6, True)
+        await bus.slave(6).ready()
+        assert await pump.read(965) == 0x0328

@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 from acyclic_kit import octets
+from api_kit import in_virtual_time
 
 import dpstack
 from dpstack.api.slave.record_parameters import RecordParameters
@@ -46,48 +47,42 @@ def drive(busy_ms: int = 10) -> tuple[RecordParameters, ParamStore]:
     return RecordParameters("pump", carry_out, 1), store
 
 
-def test_the_whole_list_with_progress_and_a_change() -> None:
-    async def main() -> None:
-        parameters, store = drive()
-        assert (await parameters.limits()).parameters == 39
-        assert await parameters.defined() == [11, 12, 13]
-        told: list[tuple[int, int]] = []
-        found = await parameters.read_out(progress=lambda done, of: told.append((done, of)))
-        assert [(one.pnu, one.values) for one in found] == [(11, (10,)), (12, (-3, -3, -3, -3)), (13, (70000,))]
-        assert found[1].description is not None
-        assert (found[1].description.name, found[1].description.elements) == ("Offset", 4)
-        assert told == [(3, 3)]
-        outcome = await parameters.change([(Address(12, 1, 2), Values(3, (5, -6))), (Address(13), Values(7, (1,)))])
-        assert outcome == [Values(0x40), ErrorValue(1, 0)]
-        assert [store.value("offset", n) for n in (1, 2, 3, 4)] == [-3, 5, -6, -3]
-        assert parameters.counters.busy > 0
-
-    dpstack.run_virtual(main())
+@in_virtual_time
+async def test_the_whole_list_with_progress_and_a_change() -> None:
+    parameters, store = drive()
+    assert (await parameters.limits()).parameters == 39
+    assert await parameters.defined() == [11, 12, 13]
+    told: list[tuple[int, int]] = []
+    found = await parameters.read_out(progress=lambda done, of: told.append((done, of)))
+    assert [(one.pnu, one.values) for one in found] == [(11, (10,)), (12, (-3, -3, -3, -3)), (13, (70000,))]
+    assert found[1].description is not None
+    assert (found[1].description.name, found[1].description.elements) == ("Offset", 4)
+    assert told == [(3, 3)]
+    outcome = await parameters.change([(Address(12, 1, 2), Values(3, (5, -6))), (Address(13), Values(7, (1,)))])
+    assert outcome == [Values(0x40), ErrorValue(1, 0)]
+    assert [store.value("offset", n) for n in (1, 2, 3, 4)] == [-3, 5, -6, -3]
+    assert parameters.counters.busy > 0
 
 
-def test_tasks_take_turns_and_a_time_ends() -> None:
-    async def main() -> None:
-        parameters, _ = drive(busy_ms=50)
-        both = await asyncio.gather(*(parameters.read([Address(pnu)]) for pnu in (11, 13)))
-        assert both == [[Values(6, (10,))], [Values(7, (70000,))]]
-        slow, _ = drive(busy_ms=500)
-        with pytest.raises(dpstack.DriveTimeout, match="drive pump: record 47 of slot 1: the drive did not answer"):
-            await slow.read([Address(11)], timeout=0.1)
-        assert await slow.read([Address(11)]) == [Values(6, (10,))]  # 0xB5 until the first one is over
-
-    dpstack.run_virtual(main())
+@in_virtual_time
+async def test_tasks_take_turns_and_a_time_ends() -> None:
+    parameters, _ = drive(busy_ms=50)
+    both = await asyncio.gather(*(parameters.read([Address(pnu)]) for pnu in (11, 13)))
+    assert both == [[Values(6, (10,))], [Values(7, (70000,))]]
+    slow, _ = drive(busy_ms=500)
+    with pytest.raises(dpstack.DriveTimeout, match="drive pump: record 47 of slot 1: the drive did not answer"):
+        await slow.read([Address(11)], timeout=0.1)
+    assert await slow.read([Address(11)]) == [Values(6, (10,))]  # 0xB5 until the first one is over
 
 
-def test_a_drive_without_the_record_says_so() -> None:
-    async def main() -> None:
-        async def none(service: ReadReq | WriteReq) -> bytes | Refused:
-            return Refused(0xB0)
+@in_virtual_time
+async def test_a_drive_without_the_record_says_so() -> None:
+    async def none(service: ReadReq | WriteReq) -> bytes | Refused:
+        return Refused(0xB0)
 
-        with pytest.raises(dpstack.ParameterError, match="refuses the request: error B/0, invalid index") as caught:
-            await RecordParameters("pump", none, 1).read_out()
-        assert caught.value.number == 0xB0
-
-    dpstack.run_virtual(main())
+    with pytest.raises(dpstack.ParameterError, match="refuses the request: error B/0, invalid index") as caught:
+        await RecordParameters("pump", none, 1).read_out()
+    assert caught.value.number == 0xB0
 
 
 @pytest.mark.parametrize(
@@ -133,31 +128,27 @@ def test_a_drive_over_its_store_in_octets(request_: str, answer: str) -> None:
     assert server.read_record(1, 47, 240, 0) == octets(answer)
 
 
-def test_texts_of_values_both_ways() -> None:
-    async def main() -> None:
-        store = drive()[1]
-        names = ("off", "on", "by itself, and longer than 16")
-        server = ParameterServer(StoreParameters(store, texts={11: names}))
+@in_virtual_time
+async def test_texts_of_values_both_ways() -> None:
+    store = drive()[1]
+    names = ("off", "on", "by itself, and longer than 16")
+    server = ParameterServer(StoreParameters(store, texts={11: names}))
 
-        async def carry_out(service: ReadReq | WriteReq) -> bytes | Refused:
-            if isinstance(service, WriteReq):
-                return server.write_record(service.slot, service.index, service.data, 0) or b""
-            return server.read_record(service.slot, service.index, service.length, 0)
+    async def carry_out(service: ReadReq | WriteReq) -> bytes | Refused:
+        if isinstance(service, WriteReq):
+            return server.write_record(service.slot, service.index, service.data, 0) or b""
+        return server.read_record(service.slot, service.index, service.length, 0)
 
-        parameters = RecordParameters("pump", carry_out, 1)
-        assert await parameters.texts(11, 3) == ["off", "on", "by itself, and l"]
-        assert await parameters.texts(11, 1, first=1) == ["on"]
-        with pytest.raises(
-            dpstack.ParameterError, match=r"texts of parameter 11: error 3, invalid subindex \(subindex 3"
-        ):
-            await parameters.texts(11, 2, first=2)
-        (told,) = await parameters.describe([11])
-        assert told is not None
-        assert told.text
-        (name,) = await parameters.read([Address(11, 6, 1, 0x20)])
-        assert name == Values(9, (b"Ramp time".ljust(16),))
-
-    dpstack.run_virtual(main())
+    parameters = RecordParameters("pump", carry_out, 1)
+    assert await parameters.texts(11, 3) == ["off", "on", "by itself, and l"]
+    assert await parameters.texts(11, 1, first=1) == ["on"]
+    with pytest.raises(dpstack.ParameterError, match=r"texts of parameter 11: error 3, invalid subindex \(subindex 3"):
+        await parameters.texts(11, 2, first=2)
+    (told,) = await parameters.describe([11])
+    assert told is not None
+    assert told.text
+    (name,) = await parameters.read([Address(11, 6, 1, 0x20)])
+    assert name == Values(9, (b"Ramp time".ljust(16),))
 
 
 def test_a_locked_parameter_and_a_live_value() -> None:
