@@ -19,7 +19,6 @@ class Histogram:
     """
 
     count: int = 0
-    total_ns: int = 0
     min_ns: int = 0
     max_ns: int = 0
     buckets: dict[int, int] = field(default_factory=dict)
@@ -37,7 +36,6 @@ class Histogram:
         if ns < self.min_ns or not self.count:
             self.min_ns = ns
         self.count += 1
-        self.total_ns += ns
 
     def copy(self) -> Histogram:
         return replace(self, buckets=dict(self.buckets))

@@ -9,7 +9,6 @@ import secrets
 import stat
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO, Final
 
 from dpstack.errors import UsageError
@@ -77,9 +76,7 @@ class FileToBe:
         self._writing(b"")
         return self
 
-    def __exit__(
-        self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._remove()
 
     def keep(self, octets: bytes, *, complete: bool = True) -> Path:

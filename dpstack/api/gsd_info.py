@@ -41,24 +41,19 @@ def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
     file = folder / Path(path).expanduser()
     try:
         return read_file(file, MAX_OCTETS)
-    except FileNotFoundError as error:
-        if str(path) in bundled():
-            return _bundled_octets(str(path))
-        near = difflib.get_close_matches(str(path), bundled(), n=1)
-        raise _unreadable(file, error, f"did you mean {near[0]}, or " if near else "") from None
     except (OSError, ValueError) as error:
-        raise _unreadable(file, error) from None
+        todo = "give the path of a GSD file"
+        if isinstance(error, FileNotFoundError):
+            if str(path) in bundled():
+                return _bundled_octets(str(path))
+            near = difflib.get_close_matches(str(path), bundled(), n=1)
+            todo = f"did you mean {near[0]}, or {todo}?" if near else todo
+        raise ConfigError(f"{file}: {getattr(error, 'strerror', None) or error}; {todo}") from None
 
 
 def _bundled_octets(drive: str) -> bytes:
     package, _, name = bundled()[drive].partition(":")
     return (resources.files(package) / name).read_bytes()
-
-
-def _unreadable(file: Path, error: OSError | ValueError, guess: str = "") -> ConfigError:
-    why = error.strerror if isinstance(error, OSError) else None
-    todo = f"{guess}give the path of a GSD file" + ("?" if guess else "")
-    return ConfigError(f"{file}: {why or error}; {todo}")
 
 
 def read_gsd(path: str | Path, folder: Path = Path()) -> GsdFile:

@@ -169,12 +169,8 @@ class ParameterBlock(NumberedBlock):
     head = "a number and a name in quotes"
 
     name: str
-    type: PrmType | None = None
-    default: int = 0
-    allowed: Ranges = ()
-    text_ref: int | None = None
-    changeable: bool = True
-    visible: bool = True
+    #: fields of the Parameter; without ``type`` it cannot be used
+    fields: dict[str, Any] = field(default_factory=dict, init=False)
 
     @classmethod
     def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self | None:
@@ -186,7 +182,8 @@ class ParameterBlock(NumberedBlock):
         """``Unsigned8 0 0-255``, ``Bit(3) 1 0-1``, ``BitArea(0-2) 0 0,1,5``."""
         item = _parsed(statement, _type_item)
         if isinstance(item, tuple):
-            self.type, self.default, self.allowed, problem = item
+            kind, default, allowed, problem = item
+            self.fields |= {"type": kind, "default": default, "allowed": allowed}
         else:
             problem = item or ""
         if problem:
@@ -198,13 +195,10 @@ class ParameterBlock(NumberedBlock):
         if value is None:
             message = f"{statement.written} = {statement.value or 'nothing'} is no number; left out"
             self.warn(statement, line, message)
-        match statement.keyword:
-            case "changeable":
-                self.changeable = value != 0
-            case "visible":
-                self.visible = value != 0
-            case _:
-                self.text_ref = value
+        if statement.keyword in ("changeable", "visible"):
+            self.fields[statement.keyword] = value != 0
+        else:
+            self.fields["text_ref"] = value
 
     handlers = {
         **dict.fromkeys((*_WHOLE, "bit", "bitarea"), typed),
@@ -381,6 +375,8 @@ class DiagBlock(Block):
     def add(self, inner: Block) -> None:
         if isinstance(inner, AreaBlock):
             self.areas.append(DiagArea(inner.first, inner.last, inner.values, inner.helps, inner.line))
+        elif isinstance(inner, (RawBlock, DiagTypeBlock)):
+            self.raws += inner.raws
 
     def diagnosis(self, type_number: int | None = None) -> Diagnosis:
         """The texts read so far. Where a plain and an X_ text have the same number, the X_ text (of DP-V1) counts."""
@@ -511,12 +507,6 @@ class ModuleBlock(PrmUser):
         self.reference = reference
         return True
 
-    def add(self, inner: Block) -> None:
-        if isinstance(inner, RawBlock):
-            self.raws += inner.raws
-        else:
-            super().add(inner)
-
     def finish(self, complete: bool) -> None:
         self.complete = self.complete and complete
 
@@ -591,11 +581,7 @@ class DeviceBlock(PrmUser):
                 self.slots += inner.slots.values()
             case DiagTypeBlock():
                 self.diag_types.append(inner.diagnosis(inner.ref))
-                self.raws += inner.raws
-            case RawBlock():
-                self.raws += inner.raws
-            case _:
-                super().add(inner)
+        super().add(inner)
 
     def _replaces(self, block: NumberedBlock, before: NumberedBlock | None) -> None:
         if before is not None:

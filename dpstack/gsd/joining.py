@@ -51,29 +51,20 @@ def _parameters(
     found: dict[int, Parameter] = {}
     left = MAX_TEXTS
     for ref, block in blocks.items():
-        if block.type is None:
+        text_ref = block.fields.get("text_ref")
+        if "type" not in block.fields:
             findings.warning(block.line, f"ExtUserPrmData {ref} ({block.name!r}) has no readable type; left out")
             continue
-        prm_text = None if block.text_ref is None else texts.get(block.text_ref)
-        if prm_text is None and block.text_ref is not None:
-            message = f"ExtUserPrmData {ref} refers to PrmText {block.text_ref}, which is nowhere defined"
+        prm_text = None if text_ref is None else texts.get(text_ref)
+        if prm_text is None and text_ref is not None:
+            message = f"ExtUserPrmData {ref} refers to PrmText {text_ref}, which is nowhere defined"
             findings.warning(block.line, message)
         if prm_text is not None:
             if left >= 0 and (left := left - len(prm_text.texts)) < 0:
                 findings.error(block.line, f"more than {MAX_TEXTS} texts of parameters: from here on they have none")
             prm_text = prm_text if left >= 0 else None
-        found[ref] = Parameter(
-            ref,
-            block.name,
-            block.type,
-            block.default,
-            block.allowed,
-            block.text_ref,
-            {} if prm_text is None else prm_text.texts,
-            block.changeable,
-            block.visible,
-            block.line,
-        )
+        known = {} if prm_text is None else prm_text.texts
+        found[ref] = Parameter(ref, block.name, **block.fields, texts=known, line=block.line)
     return found
 
 

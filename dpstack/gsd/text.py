@@ -42,19 +42,15 @@ class Text:
 
 def decode(octets: bytes) -> tuple[str, str]:
     """(text, encoding): UTF-8 with BOM, UTF-16 with BOM, strict UTF-8, else CP1252. Never fails."""
-    if octets.startswith(codecs.BOM_UTF8):
-        try:
-            return octets[3:].decode("utf-8"), "utf-8-sig"
-        except UnicodeDecodeError:
-            return codecs.charmap_decode(octets[3:], "strict", _CP1252)[0], "cp1252"
     if octets.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return octets.decode("utf-16", "replace"), "utf-16"
     if octets.isascii():
         return octets.decode("ascii"), "ascii"
+    encoding = "utf-8-sig" if octets.startswith(codecs.BOM_UTF8) else "utf-8"
     try:
-        return octets.decode("utf-8"), "utf-8"
+        return octets.decode(encoding), encoding
     except UnicodeDecodeError:
-        return codecs.charmap_decode(octets, "strict", _CP1252)[0], "cp1252"
+        return codecs.charmap_decode(octets.removeprefix(codecs.BOM_UTF8), "strict", _CP1252)[0], "cp1252"
 
 
 def read_text(octets: bytes) -> Text:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
-from dpstack.api.config.table import Key, Table, is_integer, keys_of
+from dpstack.api.config.table import Key, Source, Table, is_integer, keys_of
 from dpstack.params import LIMITS, MAX_STATION
 from dpstack.units import BAUD_RATES, NS_PER_MS
 
@@ -155,6 +155,6 @@ class BusConfig:
         return 0 if self.cycle_ms is None else round(self.cycle_ms * NS_PER_MS)
 
 
-def read_bus(table: Table) -> BusConfig:
-    """Check it. Raises ConfigError, one line."""
-    return BusConfig(**table.read(keys_of(BusConfig)))
+def read_bus(source: Source, data: object, title: str = "[bus]") -> BusConfig:
+    """Check the table ``data`` of ``source``; ``title`` names it in messages. Raises ConfigError, one line."""
+    return BusConfig(**Table(source, ("bus",), data, title).read(keys_of(BusConfig)))

@@ -42,9 +42,7 @@ class Config:
         given = {key: value for key, value in changes.items() if value is not None}
         if not given:
             return self
-        wanted = dataclasses.asdict(self.bus) | given
-        table = {key: value for key, value in wanted.items() if value is not None}
-        bus = read_bus(Table(Source("argument"), ("bus",), table, "[bus]"))
+        bus = read_bus(Source("argument"), dataclasses.asdict(self.bus) | given)
         return _checked(dataclasses.replace(self, bus=bus))
 
     def find(self, name: str) -> SlaveConfig | None:
@@ -80,7 +78,7 @@ class Config:
 
     def with_slaves(self, slaves: Iterable[Mapping[str, object] | SlaveConfig]) -> Config:
         """A copy with more slaves."""
-        more = tuple(s if isinstance(s, SlaveConfig) else slave_config(s, n) for n, s in enumerate(slaves))
+        more = _slaves(slaves, "open_bus")
         return _checked(dataclasses.replace(self, slaves=self.slaves + more)) if more else self
 
     @property
@@ -146,8 +144,9 @@ def load_config(path: str | Path) -> Config:
     except PermissionError as error:
         raise ConfigError(f"{name}: cannot be read ({error.strerror}); check its permissions") from None
     except (OSError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) else None
-        raise ConfigError(f"{name}: {why or error}; give the path of a configuration file") from None
+        raise ConfigError(
+            f"{name}: {getattr(error, 'strerror', None) or error}; give the path of a configuration file"
+        ) from None
     return parse_config(text, name, file=Path(os.path.realpath(path)))
 
 
@@ -165,7 +164,7 @@ def parse_config(text: str, name: str = "config", *, file: Path | None = None) -
             raise source.error((key,), f"unknown table or key {key!r}", "a configuration has [bus] and [[slave]]")
     if "bus" not in top:
         raise source.error((), "no [bus] table", "add [bus] with port and baud")
-    bus = read_bus(Table(source, ("bus",), data["bus"], "[bus]"))
+    bus = read_bus(source, data["bus"])
     entries = data.get("slave", [])
     if not isinstance(entries, list):
         raise source.error(("slave",), "[slave] must be [[slave]]", "write two brackets: there may be several slaves")
@@ -187,9 +186,11 @@ def make_config(
     """A configuration from a program: ``slaves`` with the keys of [[slave]], ``bus`` with further keys of [bus]."""
     source = Source(where)
     table: dict[str, object] = {"port": port, "baud": baud, "address": address, **(bus or {})}
-    read = read_bus(Table(source, ("bus",), {k: v for k, v in table.items() if v is not None}, "bus"))
-    entries = tuple(s if isinstance(s, SlaveConfig) else slave_config(s, n, where=where) for n, s in enumerate(slaves))
-    return _checked(Config(bus=read, slaves=entries, source=source))
+    return _checked(Config(bus=read_bus(source, table, "bus"), slaves=_slaves(slaves, where), source=source))
+
+
+def _slaves(slaves: Iterable[Mapping[str, object] | SlaveConfig], where: str) -> tuple[SlaveConfig, ...]:
+    return tuple(s if isinstance(s, SlaveConfig) else slave_config(s, n, where=where) for n, s in enumerate(slaves))
 
 
 def slave_config(

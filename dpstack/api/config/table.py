@@ -63,26 +63,26 @@ def keys_of(table: type) -> dict[str, Key]:
     return found
 
 
+@dataclass(frozen=True, slots=True)
 class Source:
     """The source of a configuration: its name for messages, the line numbers of its keys (None: no text), and the
     ``file`` as an absolute path without links, None where it is none.
     """
 
-    def __init__(self, name: str, lines: Mapping[KeyPath, int] | None = None, *, file: Path | None = None) -> None:
-        self.name = name
-        self.file = file
-        self._lines = lines
+    name: str
+    lines: Mapping[KeyPath, int] | None = None
+    file: Path | None = None
 
     def error(self, path: KeyPath, what: str, todo: str) -> ConfigError:
         """``file:line: what; what to do``; without lines just the name."""
         place = self.name
-        if self._lines is not None:
+        if self.lines is not None:
             place += f":{self.line(path)}"
         return ConfigError(f"{place}: {what}; {todo}")
 
     def line(self, path: KeyPath) -> int:
         """The line of ``path``, or of the nearest table around it."""
-        lines = self._lines or {}
+        lines = self.lines or {}
         while path and path not in lines:
             path = path[:-1]
         return lines.get(path, 1)

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Unpack
 
 from dpstack.api.gsd_info import read_gsd
@@ -146,7 +145,7 @@ class ServedSlave(Sealed):
 
         Its master reads an Abort of the user with ``reason`` 0..15. Raises UsageError.
         """
-        ms2_of(self._app).abort(sap, reason, 0 if self.runtime is None else self.runtime.now())
+        ms2_of(self._app).abort(sap, reason, self._now())
 
     @property
     def stats(self) -> SlaveAppStats:
@@ -154,7 +153,7 @@ class ServedSlave(Sealed):
 
     def diagnosis(self) -> Diagnosis:
         """The diagnosis that the master would read."""
-        return self._app.diagnosis(0 if self.runtime is None else self.runtime.now())
+        return self._app.diagnosis(self._now())
 
     def restart(self) -> None:
         """Off and on again: outputs safe, Wait_Prm, no failure, the address kept where the device keeps it."""
@@ -192,8 +191,7 @@ class ServedSlave(Sealed):
         addition. It may be called at any time, any number of times at once; up to 32 alarms wait. Raises AlarmError
         where it cannot be sent or ends otherwise, SlaveTimeout, UsageError, PduError for impossible values.
         """
-        place = whole("type", type), whole("slot", slot), whole("specifier", specifier)
-        alarm = Alarm(*place, data=octets("data", data), add_ack=add_ack)
+        alarm = Alarm(*_numbers(type, slot, specifier), data=octets("data", data), add_ack=add_ack)
         server = self._alarm_server()
         raised = server.alarm(alarm)
         over: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -216,8 +214,7 @@ class ServedSlave(Sealed):
     def status(self, type: int, slot: int = 0, specifier: int = Specifier.NONE, data: bytes = b"") -> None:
         """Send a status message once, without acknowledgement: ``type`` 1..3, 30, 31 (:class:`~dpstack.StatusType`) or
         32..126, the rest as of an alarm. Raises AlarmError where it cannot be sent, UsageError, PduError."""
-        place = whole("type", type), whole("slot", slot), whole("specifier", specifier)
-        self._alarm_server().status(Status(*place, octets("data", data)))
+        self._alarm_server().status(Status(*_numbers(type, slot, specifier), octets("data", data)))
 
     def module_status(self, states: Sequence[ModuleState]) -> None:
         """Send the state of its modules, slot 1 first; otherwise like :meth:`status`."""
@@ -247,6 +244,9 @@ class ServedSlave(Sealed):
         self._app.restart(now)
         self._waiters.check()
 
+    def _now(self) -> int:
+        return 0 if self.runtime is None else self.runtime.now()
+
     def _is_in(self, state: SlaveAppState) -> bool:
         if self._over is not None:
             raise self._over
@@ -273,6 +273,10 @@ class ServedSlave(Sealed):
             again(0)
         else:
             self.runtime.command(AtStation(again))
+
+
+def _numbers(type: int, slot: int, specifier: int) -> tuple[int, int, int]:
+    return whole("type", type), whole("slot", slot), whole("specifier", specifier)
 
 
 def _hint(raised: Raised) -> str:
@@ -352,9 +356,7 @@ class SlaveServer(Sealed):
             await runtime.open()
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._make_safe(BusError("the slaves are served no more"))
         async with contextlib.AsyncExitStack() as all_of_them:  # a cancellation leaves none of them open
             all_of_them.callback(self._tell_rest)

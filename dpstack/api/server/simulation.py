@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Mapping, Sequence
-from types import TracebackType
 from typing import Final, Literal
 
 from dpstack.api.bus.compose import ECHO, port_of
@@ -179,9 +178,7 @@ class Simulation(Bench):
         await self.runtime.open()
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.runtime.close()
 
     def _on_events(self, events: list[Event]) -> None:
