@@ -20,10 +20,9 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from dpstack import profile
-    from dpstack.api.bus.bus import Bus
+    from dpstack.api.bus.bus import Bus, open_bus
     from dpstack.api.bus.cycles import Cycle
     from dpstack.api.bus.find_baud import BaudReport, find_baud
-    from dpstack.api.bus.open_bus import open_bus
     from dpstack.api.bus.virtual import IoStation, World, run_virtual, simulate
     from dpstack.api.config.config import Config, load_config
     from dpstack.api.lists.parameter_list import ParameterPlace
@@ -150,10 +149,9 @@ __all__ = [
 
 #: module and its public names; all others are in errors
 _PLACES: Final = """
-api.bus.bus Bus
+api.bus.bus Bus open_bus
 api.bus.cycles Cycle
 api.bus.find_baud BaudReport find_baud
-api.bus.open_bus open_bus
 api.bus.virtual run_virtual simulate World IoStation
 api.config.config Config load_config
 api.lists.parameter_list ParameterPlace

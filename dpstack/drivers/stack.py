@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol
@@ -45,28 +44,6 @@ class StackSpec:
     watched: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Stack:
-    """The machines: ``station`` is the one to be pumped. ``watcher``: of a read-only bus that is watched."""
-
-    master: Master
-    station: ActiveStation
-    watcher: Scanner | None
-
-
-def build_stack(spec: StackSpec) -> Stack:
-    """Make them. A read-only bus has a guard in front of all that could write. Raises ConfigError."""
-    params, read_only = spec.params, spec.master.read_only
-    master = Master(params, spec.slaves, spec.master)
-    watcher = _watcher(spec) if read_only and spec.watched else None
-    users: list[LinkUser] = [master] if watcher is None else [master, watcher]
-    users.append(acyclic_services(params.address, master))
-    guard = reading_only if read_only else None
-    station = ActiveStation(params, users, patience=spec.patience, guard=guard, budget=master.budget)
-    master.context.ring = lambda: station.las
-    return Stack(master, station, watcher)
-
-
 def acyclic_services(own: int, master: Master | None = None) -> Acyclic:
     """All acyclic services of the station ``own``; ``master``: the class 1 master of the same station, if any."""
     ms1 = Ms1(master)
@@ -102,25 +79,35 @@ class Line(Protocol):
         """The time in ns."""
 
 
-class StackView:
-    """The snapshots of ``stack``, which ``line`` keeps running. A :class:`~dpstack.drivers.snapshots.View`."""
+class Stack:
+    """The machines of ``spec`` and their snapshots. A :class:`~dpstack.drivers.snapshots.View`.
 
-    def __init__(self, stack: Stack, line: Line) -> None:
-        self.stack = stack
-        self._line = line
-        self._master = stack.master
-        self._station = stack.station
+    ``station`` is the machine to be pumped; ``line`` is the driver that does it, set once the driver is there. A
+    read-only bus has a guard in front of all that could write. Raises ConfigError.
+    """
+
+    line: Line
+
+    def __init__(self, spec: StackSpec) -> None:
+        params, read_only = spec.params, spec.master.read_only
+        self.master = master = Master(params, spec.slaves, spec.master)
+        self._watcher = _watcher(spec) if read_only and spec.watched else None
+        users: list[LinkUser] = [master] if self._watcher is None else [master, self._watcher]
+        users.append(acyclic_services(params.address, master))
+        guard = reading_only if read_only else None
+        self.station = station = ActiveStation(params, users, patience=spec.patience, guard=guard, budget=master.budget)
+        master.context.ring = lambda: station.las
 
     @property
     def read_only(self) -> bool:
-        return self._master.context.settings.read_only
+        return self.master.context.settings.read_only
 
     @property
     def setups(self) -> dict[int, SlaveParams]:
-        return {address: handler.setup for address, handler in self._master.handlers.items()}
+        return {address: handler.setup for address, handler in self.master.handlers.items()}
 
     def bus(self) -> BusSnapshot:
-        master, station, watcher = self._master, self._station, self.stack.watcher
+        master, station, watcher = self.master, self.station, self._watcher
         return BusSnapshot(
             mode=master.mode,
             synced=frozenset(master.controls.sync.held),
@@ -134,7 +121,7 @@ class StackView:
         )
 
     def slave(self, address: int) -> SlaveSnapshot:
-        handler = self._master.handlers.get(address)
+        handler = self.master.handlers.get(address)
         if handler is None:
             return SlaveSnapshot()
         return SlaveSnapshot(
@@ -142,15 +129,15 @@ class StackView:
         )
 
     def image(self, setup: SlaveParams) -> ImageSnapshot:
-        handler = self._master.handlers.get(setup.address)
+        handler = self.master.handlers.get(setup.address)
         return no_image(setup) if handler is None else image_snapshot(handler)
 
     def set_outputs(self, address: int, octets: bytes) -> None:
-        self._master.handlers[address].image.outputs = octets
+        self.master.handlers[address].image.outputs = octets
 
     def counted(self) -> Counters:
         """Everything that is counted: not copied, it goes on."""
-        master, station, line = self._master, self._station, self._line
+        master, station, line = self.master, self.station, self.line
         return Counters(
             t_ns=line.now(),
             rotation=master.rotation,
@@ -165,31 +152,22 @@ class StackView:
         )
 
     def counters(self) -> Counters:
-        live = self.counted()
-        return dataclasses.replace(
-            live,
-            rotation=live.rotation.copy(),
-            token_rotation=live.token_rotation.copy(),
-            lateness=live.lateness.copy(),
-            link=copy.deepcopy(live.link),
-            decoder=dataclasses.replace(live.decoder),
-            cycles=copy.deepcopy(live.cycles),
-        )
+        return copy.deepcopy(self.counted())
 
     @property
     def link(self) -> LinkStats:
-        return self._station.stats
+        return self.station.stats
 
     @property
     def rotations(self) -> int:
-        return self._master.rotation_count
+        return self.master.rotation_count
 
     @property
     def cycle(self) -> CycleData | None:
-        return self._master.cycle
+        return self.master.cycle
 
     def watch_rounds(self, on_round: Callable[[], None] | None) -> None:
-        self._master.on_round = None if on_round is None else lambda _now: on_round()
+        self.master.on_round = None if on_round is None else lambda _now: on_round()
 
 
 def image_snapshot(handler: SlaveHandler) -> ImageSnapshot:

@@ -9,7 +9,7 @@ from typing import Any, ParamSpec, TypeVar
 import dpstack
 from dpstack.dp.slave.application import SlaveApp, make_slave
 from dpstack.dpv1.slave.device import Device
-from dpstack.drivers.stack import Stack, StackView
+from dpstack.drivers.stack import Stack
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
 from dpstack.sim.world import World
@@ -59,5 +59,5 @@ async def off_and_on(bus: dpstack.Bus, address: int) -> None:
 def stack_of(bus: dpstack.Bus) -> Stack:
     """The machines of a bus that runs in this process."""
     view = bus.view
-    assert isinstance(view, StackView)
-    return view.stack
+    assert isinstance(view, Stack)
+    return view

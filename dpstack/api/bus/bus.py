@@ -1,4 +1,4 @@
-"""``Bus``: opening, modes, slaves, events and the end of a running bus."""
+"""``open_bus`` and ``Bus``: opening, modes, slaves, events and the end of a running bus."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import dataclasses
 import functools
 from collections.abc import AsyncIterator, Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
+from typing import Literal
 
 from dpstack.api.bus.compose import compose
 from dpstack.api.bus.cycles import Cycle, Cycles
@@ -19,7 +21,7 @@ from dpstack.api.bus.ring_entry import OtherMasterNotices, heard_before_joining,
 from dpstack.api.bus.shutdown import OrderedEnd
 from dpstack.api.bus.statistics import BusStats, collect
 from dpstack.api.bus.sync_freeze import Group, Groups, send_control
-from dpstack.api.config.config import Config, slave_config
+from dpstack.api.config.config import Config, load_config, make_config, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.class2 import Class2
 from dpstack.api.slave.drive import Drive, DrivePlugin
@@ -445,3 +447,45 @@ def _of_ours(found: Found, slave: Slave | None, own: int) -> Found:
         config=slave.setup.config if exchanging else None,
         diagnosis=slave.diagnosis,
     )
+
+
+def open_bus(
+    config: str | Path | Config | None = None,
+    *,
+    port: str | None = None,
+    baud: int | Literal["auto"] | None = None,
+    address: int | None = None,
+    driver: Literal["auto", "asyncio", "process"] | None = None,
+    slaves: Iterable[SlaveTable] = (),
+    on_event: OnEvent | None = None,
+    join_timeout: float | None = None,
+    world: World | None = None,
+    **bus: object,
+) -> Bus:
+    """A bus from a configuration file (``port``, ``baud``, ``address`` override it), or from arguments alone.
+
+    Use it as ``async with open_bus(...) as bus``: entering listens, joins the token ring and begins to bring the slaves
+    up in Clear; ``await bus.operate()`` lets outputs out. ``slaves`` are mappings with the keys of a [[slave]] table,
+    ``bus`` further keys of [bus]. ``driver="process"``: the bus runs in a process of its own, which the application
+    cannot hold up (docs/drivers.md). ``port="virtual"`` simulates the slaves in this process. ``on_event`` is called
+    for every event at once; ``world`` joins an existing simulated bus (see :func:`simulate`). ``join_timeout`` in
+    seconds: how long to wait for the token beside other masters (default: two passes over a GAP like this master's,
+    30 s at least).
+
+    ``baud="auto"``: entering listens for the rate first. Until it is found ``bus.searching`` is true, and what depends
+    on it (``plan``, ``params``, slaves and drives) raises UsageError. After 5 s of silence it gives up: a master that
+    is alone on its bus must give the rate.
+
+    Raises ConfigError here, with "auto" on entering; PortError and BusError on entering.
+    """
+    if config is None:
+        if baud is None:
+            raise ConfigError("open_bus: no baud; give for instance baud=500000, or a configuration file")
+        if port is None and world is None:
+            raise ConfigError('open_bus: no port; give for instance port="/dev/ttyUSB0", or "virtual"')
+        own = 2 if address is None else address
+        made = make_config(port or "virtual", baud, own, slaves, bus={"driver": driver, **bus})
+    else:
+        made = config if isinstance(config, Config) else load_config(config)
+        made = made.with_bus(port=port, baud=baud, address=address, driver=driver, **bus).with_slaves(slaves)
+    return Bus(made, on_event=on_event, join_timeout=join_timeout, world=world)

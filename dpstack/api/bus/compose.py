@@ -1,4 +1,4 @@
-"""Construction of the objects behind a bus from its configuration: plan, master, station and runtime."""
+"""Construction of the objects behind a bus from its configuration: plan, master, station, runtime, drive plugins."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final
 
 from dpstack.api.bus.driver_choice import PROCESS, driver_for
 from dpstack.api.bus.plan_checks import adapter_notes, data_control_ns, other_masters, refuse_misfit, with_t_tr
-from dpstack.api.bus.remote_plugins import attach_remote, core_of, plugin_of, remote_plugin
 from dpstack.api.config.bus import SAFE
 from dpstack.api.config.config import Config, rate_findings
 from dpstack.api.config.slave import SlaveConfig
@@ -19,17 +18,20 @@ from dpstack.api.streams import Rounds
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.plan.plan import Case, Plan, make_plan
+from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import patience_of
+from dpstack.drivers.process.plugins import AttachPlugin
 from dpstack.drivers.runtime import OnEvents, OnFailure, OnRefused, Runtime
 from dpstack.drivers.snapshots import View
-from dpstack.drivers.stack import StackSpec, StackView, build_stack
+from dpstack.drivers.stack import Stack, StackSpec
 from dpstack.drivers.virtual.runtime import VirtualRuntime
+from dpstack.errors import ConfigError
 from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
-from dpstack.profile import registry
+from dpstack.profile import DriveCore, DriveStatus, registry
 from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS
 
@@ -155,10 +157,10 @@ def compose(
         plugins = {s.address: remote_plugin(remote, s) for s in config.slaves if plugin_of(s) is not None}
         attach_new = partial(attach_remote, remote)
     else:
-        stack = build_stack(spec)
+        view = stack = Stack(spec)
         station = stack.station
         if port is not None:
-            runtime = AsyncioRuntime(
+            runtime = stack.line = AsyncioRuntime(
                 port,
                 station,
                 on_events,
@@ -173,8 +175,7 @@ def compose(
                 bench = VirtualBench(world, plan.params)
                 for slave in config.slaves:
                     bench.add(slave)
-            runtime = VirtualRuntime(world, station, on_events, on_failure=on_failure)
-        view = StackView(stack, runtime)
+            runtime = stack.line = VirtualRuntime(world, station, on_events, on_failure=on_failure)
         attach = partial(attach_core, stack.master, simulated=bench is not None)
         plugins = {s.address: plugin for s in config.slaves if (plugin := attach(s)) is not None}
         attach_new = partial(_at_once, attach)
@@ -215,7 +216,7 @@ def _process_runtime(
         echo=ECHO[config.bus.echo],
         tune=tune,
         stack=spec,
-        plugins={slave.address: ref for slave in config.slaves if (ref := plugin_of(slave)) is not None},
+        plugins=tuple(plugin for slave in config.slaves if (plugin := plugin_of(slave)) is not None),
         preload=tuple(registry.places().values()),  # drives that may be added while the bus runs
     )
     return ProcessRuntime(setup, on_events, on_failure, on_refused)
@@ -231,3 +232,64 @@ def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> Drive
         return None
     master.handlers[slave.address].image.unit = core
     return DrivePlugin(core, core.status)
+
+
+def core_of(slave: SlaveConfig, *, simulated: bool = False) -> DriveCore | None:
+    """The drive plugin of ``slave``; None for a slave without one, or whose outputs the application sets as octets.
+
+    ``simulated``: the slave is simulated in this process.
+    """
+    if slave.profile is None or slave.raw:
+        return None
+    records = None if slave.params.dpv1 is None else RecordQueue()
+    return slave.profile.core(slave.name, slave.telegram, slave.options, simulated=simulated, records=records)
+
+
+def plugin_of(slave: SlaveConfig) -> AttachPlugin | None:
+    """The order that attaches the plugin of ``slave`` in the bus process; None for a slave without plugin.
+
+    Raises ConfigError for a plugin that has no entry point to import.
+    """
+    if slave.profile is None or slave.raw:
+        return None
+    place = registry.places().get(slave.profile.name)
+    if place is None:
+        raise ConfigError(
+            f"slave {slave.address} ({slave.name}): its drive plugin {slave.profile.name!r} is an object of this "
+            f"program, and the bus process is handed names only; give it an entry point of the group {registry.GROUP}, "
+            'or take driver = "asyncio"'
+        )
+    return AttachPlugin(
+        address=slave.address,
+        place=place,
+        name=slave.name,
+        telegram=slave.telegram,
+        options=dict(slave.options),
+        records=slave.params.dpv1 is not None,
+    )
+
+
+def remote_plugin(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin:
+    """The drive plugin of ``slave`` in the bus process. A copy in this process knows ranges and references."""
+    core = core_of(slave)
+    assert core is not None
+
+    def status() -> DriveStatus:
+        from dpstack.drivers.process.messages import typed
+
+        told = runtime.drive_status(slave.address)
+        return core.status() if told is None else typed(told, DriveStatus)
+
+    return DrivePlugin(core, status)
+
+
+async def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin | None:
+    """Attach the drive plugin of ``slave`` in the running bus process; None for a slave without plugin.
+
+    Raises ConfigError where it cannot be imported there.
+    """
+    plugin = plugin_of(slave)
+    if plugin is None:
+        return None
+    await runtime.order(plugin)
+    return remote_plugin(runtime, slave)

@@ -9,9 +9,8 @@ from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any, Final, NamedTuple
 
-from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.bus import Bus, open_bus
 from dpstack.api.bus.events_json import AddressCollision, Event, FaultKind, SlaveFaulted
-from dpstack.api.bus.open_bus import open_bus
 from dpstack.api.bus.temporary_master import joined
 from dpstack.api.bus.virtual import World, simulate
 from dpstack.api.config.config import Config, load_config

@@ -12,9 +12,8 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.bus import Bus, open_bus
 from dpstack.api.bus.compose import Case
-from dpstack.api.bus.open_bus import open_bus
 from dpstack.api.bus.virtual import run_virtual
 from dpstack.api.config.config import Config, make_config
 from dpstack.api.control.handlers import slave_handlers

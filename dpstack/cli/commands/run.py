@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from dpstack.api.bus.bus import Bus
-from dpstack.api.bus.open_bus import open_bus
+from dpstack.api.bus.bus import Bus, open_bus
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.control import arguments
 from dpstack.api.control.handlers import PTY, address_of, clear_since, control_run

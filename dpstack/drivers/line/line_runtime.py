@@ -409,19 +409,21 @@ class LineRuntime(ABC):
     def _dropped(self) -> None:
         """A telegram was not sent: a notice at the first, the tenth, the hundredth ..."""
         count = self._port.dropped
-        if self._at is not None and self._attempts is None and str(count).strip("0") == "1":
-            text = f"{count} telegrams dropped: the line takes no more, is anybody reading at the other end?"
-            self._at.call_soon(partial(self._tell, [self._notice(text, Severity.WARNING)]))
+        if self._attempts is None and str(count).strip("0") == "1":
+            self._warn_soon(f"{count} telegrams dropped: the line takes no more, is anybody reading at the other end?")
 
     def _report_flood(self) -> None:
         """Octets were discarded unread: a notice at the first ones, then at ten times as many."""
         count = self._port.discarded
         self._flood_from = 10 * count
+        self._warn_soon(
+            f"the line brings octets faster than this computer can look at them, {count} were thrown away: "
+            f"is a station sending without end?"
+        )
+
+    def _warn_soon(self, text: str) -> None:
+        """Report ``text`` in the next turn of the loop, not in the middle of a step."""
         if self._at is not None:
-            text = (
-                f"the line brings octets faster than this computer can look at them, {count} were thrown away: "
-                f"is a station sending without end?"
-            )
             self._at.call_soon(partial(self._tell, [self._notice(text, Severity.WARNING)]))
 
     def _notice(self, text: str, severity: Severity = Severity.INFO) -> Event:

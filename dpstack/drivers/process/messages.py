@@ -23,7 +23,7 @@ from dpstack import errors
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import SelectLoop
-from dpstack.drivers.process.plugins import PluginRef
+from dpstack.drivers.process.plugins import AttachPlugin
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, DpError
@@ -55,9 +55,9 @@ Named = tuple[str, object]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetUp(Order):
-    """The first message: everything that the bus process is handed.
+    """The first message: everything that the bus process needs.
 
-    ``plugins`` by slave address; ``preload``: places of plugins that may be attached later (importing takes time that
+    ``preload``: places of plugins that may be attached later (importing takes time that
     a running bus does not have). ``echo``, ``tune``: as :class:`dpstack.drivers.line.asyncio_runtime.AsyncioRuntime`
     has them.
     """
@@ -68,16 +68,8 @@ class SetUp(Order):
     echo: Echo
     tune: bool
     stack: StackSpec
-    plugins: dict[int, PluginRef] = field(default_factory=dict)
+    plugins: tuple[AttachPlugin, ...] = ()
     preload: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class AttachPlugin(Order):
-    """Put a drive plugin onto the process image of the slave at ``address``."""
-
-    address: int
-    plugin: PluginRef
 
 
 @dataclass(frozen=True, slots=True)

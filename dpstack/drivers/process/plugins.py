@@ -9,15 +9,18 @@ from dataclasses import dataclass, field
 from dpstack.dp.process_image import CyclicUnit
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.errors import ConfigError
+from dpstack.machine import Order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PluginRef:
-    """The plugin at ``place`` ("package.module:name") for the slave called ``name``; ``options`` are plain data.
+class AttachPlugin(Order):
+    """Put the drive plugin at ``place`` ("package.module:name") onto the process image of the slave at ``address``.
 
-    ``records``: the slave has DP-V1, and the plugin may ask it by Read and Write.
+    ``name``: of the slave; ``options`` are plain data. ``records``: the slave has DP-V1, and the plugin may ask it by
+    Read and Write.
     """
 
+    address: int
     place: str
     name: str
     telegram: str | None = None
@@ -50,7 +53,7 @@ def core_at(place: str) -> Callable[..., CyclicUnit]:
     return make
 
 
-def load(ref: PluginRef) -> CyclicUnit:
-    """The cyclic unit that ``ref`` means. Raises ConfigError."""
-    records = RecordQueue() if ref.records else None
-    return core_at(ref.place)(ref.name, ref.telegram, ref.options, records=records)
+def load(order: AttachPlugin) -> CyclicUnit:
+    """The cyclic unit that ``order`` names. Raises ConfigError."""
+    records = RecordQueue() if order.records else None
+    return core_at(order.place)(order.name, order.telegram, order.options, records=records)

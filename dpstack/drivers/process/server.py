@@ -15,10 +15,8 @@ from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.process_image import SlaveImage
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.line.select_runtime import SelectRuntime
-from dpstack.drivers.process import plugins
 from dpstack.drivers.process.messages import (
     Answer,
-    AttachPlugin,
     CloseBus,
     Frames,
     Hello,
@@ -31,10 +29,11 @@ from dpstack.drivers.process.messages import (
     named,
     order_of,
 )
+from dpstack.drivers.process.plugins import AttachPlugin, core_at, load
 from dpstack.drivers.process.shared_image import Picture, SharedImage
 from dpstack.drivers.shutdown import Ending
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
-from dpstack.drivers.stack import StackView, build_stack, image_snapshot
+from dpstack.drivers.stack import Stack, image_snapshot
 from dpstack.errors import BusError, OrderDropped, UsageError
 from dpstack.fdl.commands import GoOffline
 from dpstack.ports import open_port
@@ -72,12 +71,12 @@ class Host:
         self._frames = Frames(Question)
         self._questions: deque[Question] = deque()
         self._outbox = Outbox(loop, sock)
-        stack = build_stack(setup.stack)
+        self._stack = stack = Stack(setup.stack)
         self._master, self._station = stack.master, stack.station
         for place in setup.preload:
-            plugins.core_at(place)
-        for address, ref in setup.plugins.items():
-            self._master.handlers[address].image.unit = plugins.load(ref)
+            core_at(place)
+        for plugin in setup.plugins:
+            self._handler_image(plugin.address).unit = load(plugin)
         port = open_port(setup.port, setup.stack.params.baud, event_char=setup.event_char, rs485=setup.rs485)
         self._port = port
         self.runtime = SelectRuntime(
@@ -89,7 +88,7 @@ class Host:
             tune=self._station.set_patience if setup.tune else None,
             held_up=self._station.held_up,
         )
-        self._view = StackView(stack, self.runtime)
+        stack.line = self.runtime
         self._ending = Ending(
             loop, self.runtime.command, stack.station, lambda: stack.master.rotation.max_ns, self._finish
         )
@@ -186,8 +185,8 @@ class Host:
 
     def _carry_out(self, order: object) -> object:
         match order:
-            case AttachPlugin(address, ref):
-                self._handler_image(address).unit = plugins.load(ref)
+            case AttachPlugin():
+                self._handler_image(order.address).unit = load(order)
                 self._publish_drives()
             case TakeOutputs():
                 self._take_outputs()
@@ -196,7 +195,7 @@ class Host:
             case CloseBus():
                 if self._has_ended:
                     self.runtime.close()
-                return self._view.counted()
+                return self._stack.counted()
             case _:
                 if isinstance(order, SendControl):  # it acts on the outputs that were set before it
                     self._take_outputs()
@@ -299,10 +298,10 @@ class Host:
 
     def _state(self, news: News) -> None:
         """Put into ``news`` the parts of the state that have changed since the last one."""
-        bus = self._view.bus()
+        bus = self._stack.bus()
         if bus != self._bus:
             self._bus = news.bus = bus
-        slaves = {address: self._view.slave(address) for address in self._master.handlers}
+        slaves = {address: self._stack.slave(address) for address in self._master.handlers}
         if slaves != self._slaves:
             news.slaves = {a: now for a, now in slaves.items() if self._slaves.get(a) != now}
             self._slaves = slaves
@@ -332,7 +331,7 @@ class Host:
 
     def _count(self) -> None:
         """Publish the counters."""
-        self._image.counters.write(self._view.counted())
+        self._image.counters.write(self._stack.counted())
 
     # --- the end ---
 

@@ -36,7 +36,7 @@ from dpstack.ports.pacing import PacedWire
 from dpstack.ports.posix import check, fcntl
 from dpstack.ports.pty import PtyMaster
 from dpstack.ports.runtime_dir import open_own, own_directory, runtime_path
-from dpstack.units import BAUD_RATES, NEVER, NS_PER_S, baud_text, bits_to_ns, chars_to_ns, ns_to_s
+from dpstack.units import BAUD_RATES, NEVER, baud_text, bits_to_ns, chars_to_ns
 
 MAX_STATIONS: Final = 64
 _CHUNK: Final = 4096  # octets read from one station a turn: a quarter of the capacity of a pty
@@ -106,34 +106,25 @@ class Segment:
 
     def silence(self, number: int, for_ns: int | None = None) -> None:
         """Cut station ``number`` off for a time, None: until :meth:`resume`. Raises UsageError."""
-        station = self._connected(number)
-        if for_ns is None or self._loop is None:
-            station.cut_off = True
-        else:
-            station.cut_off = self._loop.call_later(ns_to_s(for_ns), self.resume, number)
+        self._connected(number).silent_until = NEVER if for_ns is None else monotonic_ns() + for_ns
 
     def silenced(self) -> dict[int, int]:
         """Stations that are cut off, with the remaining time in ns; NEVER: until :meth:`resume`."""
-        found = {}
-        for number, station in enumerate(self._stations):
-            if isinstance(station.cut_off, asyncio.TimerHandle) and self._loop is not None:
-                found[number] = round((station.cut_off.when() - self._loop.time()) * NS_PER_S)
-            elif station.cut_off:
-                found[number] = NEVER
-        return found
+        now = monotonic_ns()
+        return {
+            number: NEVER if station.silent_until == NEVER else station.silent_until - now
+            for number, station in enumerate(self._stations)
+            if station.silent_until > now
+        }
 
     def resume(self, number: int) -> None:
         """End the silence of station ``number``. Raises UsageError."""
-        self._connected(number)
+        self._connected(number).silent_until = 0
 
     def _connected(self, number: int) -> SegmentStation:
         if not 0 <= number < len(self._stations):
             raise UsageError(f"no station {number} on this segment; it has 0 to {self._count - 1}")
-        station = self._stations[number]
-        if isinstance(station.cut_off, asyncio.TimerHandle):
-            station.cut_off.cancel()
-        station.cut_off = False
-        return station
+        return self._stations[number]
 
     def stats(self) -> dict[str, object]:
         """``stations``: the StationStats of each; ``damaged``: octets damaged by noise, ``lost`` and ``changed``."""
@@ -214,7 +205,7 @@ class Segment:
 
     def _forward(self, sender: SegmentStation, chunk: bytes) -> None:
         sender.stats.sent += len(chunk)
-        if sender.cut_off:
+        if sender.silent_until > monotonic_ns():
             return
         baud = sender.master.baud() or self.baud
         if self._wire is None:
@@ -225,7 +216,8 @@ class Segment:
 
     def _deliver(self, sender: SegmentStation, chunk: bytes, baud: int) -> None:
         """``chunk`` is on the wire: give it to every other station."""
-        start_ns = self._placed(sender, len(chunk), baud)
+        now = monotonic_ns()
+        start_ns = self._placed(sender, len(chunk), baud, now)
         flips = self._noise.flips(len(chunk))
         heard = sender.put(chunk, flips)
         if flips:
@@ -233,7 +225,7 @@ class Segment:
             self._lost += lost
             self._changed += len(flips) - lost
         for station in self._stations:
-            if (station is sender and not self.echo) or station.cut_off:
+            if (station is sender and not self.echo) or station.silent_until > now:
                 continue
             if not station.present:
                 if station.master.deserted():
@@ -244,10 +236,10 @@ class Segment:
             if octets and not station.give(octets):
                 self._tell(station, "takes no more: what it does not read is dropped")
 
-    def _placed(self, sender: SegmentStation, size: int, baud: int) -> int:
+    def _placed(self, sender: SegmentStation, size: int, baud: int, now: int) -> int:
         """Start of ``size`` octets on the wire: now (paced ones end now), but not before the previous ones end."""
         duration = chars_to_ns(size, baud)
-        start = monotonic_ns() - (duration if self.paced else 0)
+        start = now - (duration if self.paced else 0)
         free = self._line_free_ns
         if self.paced and sender is self._last_sender and start < free + bits_to_ns(T_SYN, baud):
             start = free  # the next slice of one telegram
@@ -305,8 +297,7 @@ class Segment:
         if self._wire is not None:
             self._wire.close()
             self._wire = None
-        for number, station in enumerate(self._stations):
-            self._connected(number)
+        for station in self._stations:
             _remove_link(Path(station.stats.path), station.master.path)
             station.master.close()
         self._stations = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 from dataclasses import dataclass
 
@@ -34,13 +33,23 @@ class StationStats:
 class SegmentStation:
     """A pty of the segment and its state."""
 
-    __slots__ = ("_arrived", "_damaged", "_receiver", "_telegrams", "cut_off", "master", "present", "reported", "stats")
+    __slots__ = (
+        "_arrived",
+        "_damaged",
+        "_receiver",
+        "_telegrams",
+        "master",
+        "present",
+        "reported",
+        "silent_until",
+        "stats",
+    )
 
     def __init__(self, master: PtyMaster, link: str) -> None:
         self.master = master
         self.present = False
-        #: neither sends nor receives until this timer ends it (True: until :meth:`Segment.resume`)
-        self.cut_off: asyncio.TimerHandle | bool = False
+        #: it neither sends nor receives before this time (ns)
+        self.silent_until = 0
         self.stats = StationStats(link)
         #: notices about it, each is reported once
         self.reported: set[str] = set()

@@ -18,7 +18,7 @@ from property_kit import examples
 from rich.cells import cell_len
 from rich.console import Console
 
-from dpstack.api.bus.open_bus import open_bus
+from dpstack.api.bus.bus import open_bus
 from dpstack.api.bus.temporary_master import LiveListResult
 from dpstack.cli.commands import demo, ports, scan
 from dpstack.cli.main import main
