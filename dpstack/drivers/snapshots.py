@@ -56,12 +56,12 @@ class BusSnapshot:
     """
 
     mode: Mode
-    synced: frozenset[int]
-    frozen: frozenset[int]
-    in_ring: bool
-    claimed: bool
-    las: frozenset[int]
     patience: Patience
+    synced: frozenset[int] = frozenset()
+    frozen: frozenset[int] = frozenset()
+    in_ring: bool = False
+    claimed: bool = False
+    las: frozenset[int] = frozenset()
     found: Mapping[int, Found] | None = None
     found_all: bool = False
 

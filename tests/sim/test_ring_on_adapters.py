@@ -93,8 +93,7 @@ def test_how_long_joining_takes() -> None:
 
 def test_a_newcomer_is_told_how_long_and_what_the_others_need_once() -> None:
     params = BusParams.preset(187_500, address=5)
-    none: frozenset[int] = frozenset()
-    bus = BusSnapshot(Mode.CLEAR, none, none, in_ring=False, claimed=False, las=none, patience=ADAPTER)
+    bus = BusSnapshot(Mode.CLEAR, ADAPTER)
     beside = OtherMasterNotices(params, lambda: bus)
     assert list(beside.notices(MasterSeen(t_ns=5, address=2, present=False))) == []
     waiting, advice = beside.notices(MasterSeen(t_ns=7, address=2, present=True))

@@ -2,17 +2,16 @@
 
 - ``bus``: ``open_bus`` and ``Bus``: opening, modes, slaves, events and the end of a running bus
 - ``compose``: Construction of the objects behind a bus: plan, master, station, runtime, drive plugins
-- ``config_from_scan``: A configuration skeleton made from a live list
 - ``cycles``: ``bus.cycles()``: consistent inputs of all slaves, once a round of data exchange
 - ``driver_choice``: The choice of the driver: asyncio, process or virtual
 - ``events_json``: Events of a bus for applications, their severity and their JSON
 - ``find_baud``: Search for the baud rate of a bus: listens at one rate after the other and sends nothing
+- ``live_list``: The live list of a port, asked by a temporary master; a configuration skeleton made from it
 - ``parts``: Base class of ``Bus``: parts, slaves, commands and waiting
 - ``plan_checks``: Inputs of the plan from the configuration, and plans that are refused
 - ``ring_entry``: Joining the token ring of other masters: time limit, failure texts, notices
 - ``shutdown``: The ordered end of a bus: cancellation, signals, finaliser, fork
 - ``statistics``: Counters and rotation times of a bus
 - ``sync_freeze``: SYNC and FREEZE of groups of slaves
-- ``temporary_master``: A temporary master at a free address; the live list of a port
 - ``virtual``: Programs on simulated buses in virtual time
 """

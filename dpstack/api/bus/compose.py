@@ -153,8 +153,22 @@ def compose(
     view: View
     runtime: Runtime
     if driver == PROCESS:
-        view = runtime = remote = _process_runtime(config, spec, on_events, on_failure, on_refused, tune=tune)
-        plugins = {s.address: remote_plugin(remote, s) for s in config.slaves if plugin_of(s) is not None}
+        from dpstack.drivers.process.client import ProcessRuntime
+        from dpstack.drivers.process.messages import SetUp  # imports msgspec, which only the process driver needs
+
+        orders = [(slave, order) for slave in config.slaves if (order := plugin_of(slave)) is not None]
+        setup = SetUp(
+            port=config.port,
+            event_char=config.bus.event_char,
+            rs485=config.bus.rs485,
+            echo=ECHO[config.bus.echo],
+            tune=tune,
+            stack=spec,
+            plugins=tuple(order for _, order in orders),
+            preload=tuple(registry.places().values()),  # drives that may be added while the bus runs
+        )
+        view = runtime = remote = ProcessRuntime(setup, on_events, on_failure, on_refused)
+        plugins = {slave.address: remote_plugin(remote, slave) for slave, _ in orders}
         attach_new = partial(attach_remote, remote)
     else:
         view = stack = Stack(spec)
@@ -194,32 +208,6 @@ def compose(
 
 async def _at_once(attach: Callable[[SlaveConfig], DrivePlugin | None], slave: SlaveConfig) -> DrivePlugin | None:
     return attach(slave)
-
-
-def _process_runtime(
-    config: Config,
-    spec: StackSpec,
-    on_events: OnEvents,
-    on_failure: OnFailure,
-    on_refused: OnRefused,
-    *,
-    tune: bool,
-) -> ProcessRuntime:
-    """The runtime of a bus in a bus process. Raises ConfigError for plugins without an entry point."""
-    from dpstack.drivers.process.client import ProcessRuntime
-    from dpstack.drivers.process.messages import SetUp  # imports msgspec, which only the process driver needs
-
-    setup = SetUp(
-        port=config.port,
-        event_char=config.bus.event_char,
-        rs485=config.bus.rs485,
-        echo=ECHO[config.bus.echo],
-        tune=tune,
-        stack=spec,
-        plugins=tuple(plugin for slave in config.slaves if (plugin := plugin_of(slave)) is not None),
-        preload=tuple(registry.places().values()),  # drives that may be added while the bus runs
-    )
-    return ProcessRuntime(setup, on_events, on_failure, on_refused)
 
 
 def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> DrivePlugin | None:

@@ -9,7 +9,6 @@ from typing import Final
 
 from dpstack.api.config.config import Config
 from dpstack.drivers.realtime.rights import rights
-from dpstack.errors import ConfigError
 from dpstack.ports import Delivery, Port
 
 ASYNCIO: Final = "asyncio"
@@ -23,48 +22,38 @@ def driver_for(config: Config, port: Port | None) -> str:
     Raises ConfigError where "process" is configured and impossible.
     """
     wanted = config.bus.driver
-    if port is None:
-        if wanted == PROCESS:
-            raise _refusal(config, "a simulated bus lives in the program's own process", "leave driver out")
-        return VIRTUAL
     if wanted == PROCESS:
-        if sys.platform != "linux":
-            raise _refusal(config, f"the bus process needs Linux, this is {sys.platform}", 'take driver = "asyncio"')
-        if _frozen():
-            raise _refusal(config, "this program is one file without a Python beside it", 'take driver = "asyncio"')
-        if _needs_asyncio(port):
-            raise _refusal(config, f"the port {config.port} is of a kind that needs asyncio", 'take driver = "asyncio"')
-        if why := _no_messages():
-            what = 'install it beside the program (a zip archive cannot hold it), or take driver = "asyncio"'
-            raise _refusal(config, f"msgspec, which it needs, cannot be imported ({why})", what)
+        refusal = _why_no_process(port)
+        if refusal is not None:
+            why, todo = refusal
+            raise config.source.error(("bus", "driver"), f'[bus]: driver = "process": {why}', todo)
         return PROCESS
+    if port is None:
+        return VIRTUAL
     return PROCESS if wanted == "auto" and _worth_it(port) else ASYNCIO
 
 
 def _worth_it(port: Port) -> bool:
-    """True with a real line, a second processor and real-time priority."""
-    if sys.platform != "linux" or port.delivery is not Delivery.ADAPTER or _needs_asyncio(port) or _frozen():
+    """True with a real line, a second processor and real-time priority, where a bus process is possible."""
+    if sys.platform != "linux" or port.delivery is not Delivery.ADAPTER:
         return False
-    return len(os.sched_getaffinity(0)) > 1 and not rights().no_priority() and not _no_messages()
+    return len(os.sched_getaffinity(0)) > 1 and not rights().no_priority() and _why_no_process(port) is None
 
 
-def _frozen() -> bool:
-    """True in a packed program: its executable starts the program, not an interpreter."""
-    return not sys.executable or bool(getattr(sys, "frozen", False))
-
-
-def _no_messages() -> str:
-    """Why msgspec, needed for the messages between both processes, cannot be imported; a zipapp cannot hold it."""
+def _why_no_process(port: Port | None) -> tuple[str, str] | None:
+    """Why the bus of ``port`` cannot run in a process of its own, and what to do; None where it can."""
+    take_asyncio = 'take driver = "asyncio"'
+    if port is None:
+        return "a simulated bus lives in the program's own process", "leave driver out"
+    if sys.platform != "linux":
+        return f"the bus process needs Linux, this is {sys.platform}", take_asyncio
+    if not sys.executable or getattr(sys, "frozen", False):  # its executable starts the program, not an interpreter
+        return "this program is one file without a Python beside it", take_asyncio
+    if type(port).open_now is Port.open_now:
+        return f"the port {port.name} is of a kind that needs asyncio", take_asyncio
     try:
         import_module("msgspec")
     except ImportError as error:
-        return str(error)
-    return ""
-
-
-def _needs_asyncio(port: Port) -> bool:
-    return type(port).open_now is Port.open_now
-
-
-def _refusal(config: Config, why: str, what: str) -> ConfigError:
-    return config.source.error(("bus", "driver"), f'[bus]: driver = "process": {why}', what)
+        what = f"install it beside the program (a zip archive cannot hold it), or {take_asyncio}"
+        return f"msgspec, which it needs, cannot be imported ({error})", what
+    return None

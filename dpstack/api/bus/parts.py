@@ -18,7 +18,6 @@ from dpstack.api.streams import Events, OnEvent, Rounds, Waiters
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import ForcedClear
 from dpstack.dp.plan.plan import Case, Plan
-from dpstack.dp.plan.rotation_time import figures
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.shutdown import end_limit_ns
@@ -89,17 +88,7 @@ class BusBase:
         """The time from one Data_Exchange of ``slave`` to the next where nothing is repeated and no service is beside
         it, as the plan counts it with the slaves that are on the bus now."""
         if self._round_ns is None:
-            counted = self.plan.figures
-            setups = list(self.view.setups.values())
-            if setups != list(counted.setups):
-                counted = figures(
-                    counted.params,
-                    setups,
-                    others=counted.others,
-                    cycle_ns=counted.cycle_ns,
-                    host_slack_ns=counted.host_slack_ns,
-                )
-            self._round_ns = counted.round_ns(Case.NORMAL)
+            self._round_ns = self.plan.figures.with_slaves(self.view.setups.values()).round_ns(Case.NORMAL)
         return self._round_ns * slave.every
 
     @property

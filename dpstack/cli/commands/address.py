@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 
-from dpstack.api.bus.temporary_master import joined
+from dpstack.api.bus.live_list import joined
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
 from dpstack.cli.parser import Parser

@@ -10,7 +10,7 @@ from typing import Final
 from dpstack.api.bus.bus import Bus, BusFailed
 from dpstack.api.bus.events_json import AddressCollision, Event, MasterSeen, Notice, RingJoined, Severity, severity_of
 from dpstack.api.bus.find_baud import find_baud
-from dpstack.api.bus.temporary_master import MakeBus
+from dpstack.api.bus.live_list import MakeBus
 from dpstack.api.config.config import AUTO, Config, make_config
 from dpstack.api.control.server import ControlServer
 from dpstack.cli import options

@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 import asyncio
 
-from dpstack.api.bus.config_from_scan import config_skeleton, drive_of
 from dpstack.api.bus.events_json import Found
-from dpstack.api.bus.temporary_master import LiveListResult, scan_port
+from dpstack.api.bus.live_list import LiveListResult, config_skeleton, drive_of, scan_port
 from dpstack.cli.commands import on_bus
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output

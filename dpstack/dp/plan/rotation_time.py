@@ -166,6 +166,12 @@ class Figures:
     cycle_ns: int = 0
     host_slack_ns: int = 0
 
+    def with_slaves(self, setups: Iterable[SlaveParams]) -> Figures:
+        """The same bus with other slaves."""
+        return figures(
+            self.params, setups, others=self.others, cycle_ns=self.cycle_ns, host_slack_ns=self.host_slack_ns
+        )
+
     def ns(self, case: Case) -> int:
         """A rotation in nanoseconds."""
         return self.params.ns(self.rotations[case].bits)

@@ -47,10 +47,8 @@ from dpstack.errors import BusError, DpError, OrderDropped, UsageError
 from dpstack.fdl.interface import LinkStats
 from dpstack.machine import Order
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import NS_PER_MS, s_to_ns
+from dpstack.units import s_to_ns
 
-#: counters read so shortly before are not read again: those of one picture belong together
-_FRESH_NS: Final = NS_PER_MS
 #: so often the application looks whether the bus process lives and takes the outputs
 _WATCH_S: Final = 0.1
 _EMPTY: Final = Picture(0, 0, {})
@@ -71,11 +69,6 @@ class ProcessRuntime:
         self.cycle: CycleData | None = None
         self._bus = BusSnapshot(
             mode=Mode.STOP if self.read_only else Mode.CLEAR,
-            synced=frozenset(),
-            frozen=frozenset(),
-            in_ring=False,
-            claimed=False,
-            las=frozenset(),
             patience=spec.patience,
             found={} if self.read_only and spec.watched else None,
         )
@@ -96,8 +89,6 @@ class ProcessRuntime:
         self._publishing: asyncio.Handle | None = None
         self._counters = Counters()
         self._drives: dict[int, object] = {}
-        self._counted_ns = -_FRESH_NS
-        self._is_final = False  # the counters are those of the end
         self._not_running: str | None = None
         self._silent_since = 0  # the last heartbeat before the silence; 0: it lives
         self._silences = 0
@@ -146,14 +137,14 @@ class ProcessRuntime:
     async def close(self) -> None:
         """Have the port released and the bus process end; the bus was left in order before. May be called again."""
         line = self._channel
+        final: Counters | None = None
         try:
             if line.is_open:
                 closing = self.order(CloseBus())
                 with contextlib.suppress(asyncio.CancelledError):
                     await outlast(closing)
                 if not closing.cancelled() and closing.exception() is None:
-                    self._counters = dataclasses.replace(typed(closing.result(), Counters), t_ns=0)
-                    self._is_final = True
+                    final = dataclasses.replace(typed(closing.result(), Counters), t_ns=0)
                 line.hang_up(UsageError("the bus is closed"))
                 await outlast(asyncio.ensure_future(line.ended()))
         finally:
@@ -163,6 +154,7 @@ class ProcessRuntime:
                     [Notice(t_ns=monotonic_ns(), source="bus process", message=text, severity=Severity.ERROR)]
                 )
             self._close_image()
+            self._counters = final or self._counters
 
     @property
     def close_limit_ns(self) -> int:
@@ -189,9 +181,7 @@ class ProcessRuntime:
             self._watch = None
         if self._image is not None:
             self._newest_picture()
-            if not self._is_final:
-                self._counted_ns = -_FRESH_NS
-                self.counters()
+            self.counters()
             self._image.close()
             self._image = None
 
@@ -265,9 +255,7 @@ class ProcessRuntime:
 
     def counters(self) -> Counters:
         """What was counted, as the bus process published it last; it is never asked."""
-        now = monotonic_ns()
-        if self._image is not None and now - self._counted_ns >= _FRESH_NS:
-            self._counted_ns = now
+        if self._image is not None:
             self._counters = self._image.counters.read_new() or self._counters
         return self._counters
 
@@ -438,8 +426,10 @@ class ProcessRuntime:
 
     def _lose(self, why: str, remedy: str = "") -> list[int]:
         """Nobody runs the bus any more: nothing is known of the slaves. Returns those whose state changed by it."""
-        none: frozenset[int] = frozenset()
-        self._bus = dataclasses.replace(self._bus, mode=Mode.OFFLINE, synced=none, frozen=none, in_ring=False, las=none)
+        before = self._bus
+        self._bus = BusSnapshot(
+            Mode.OFFLINE, before.patience, claimed=before.claimed, found=before.found, found_all=before.found_all
+        )
         fault = Fault(FaultKind.LOST, why, remedy)
         changed = []
         for address in self.setups:

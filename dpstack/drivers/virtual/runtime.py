@@ -43,6 +43,7 @@ class VirtualRuntime(ActsAtOnce):
     ``on_failure`` is called (without one: the loop's exception handler; a VirtualLoop raises it).
     """
 
+    port_name = "virtual"
     #: octets take their time on the virtual wire
     paced = True
 
@@ -53,9 +54,7 @@ class VirtualRuntime(ActsAtOnce):
         on_events: OnEvents,
         *,
         on_failure: OnFailure | None = None,
-        port_name: str = "virtual",
     ) -> None:
-        self.port_name = port_name
         #: stays empty: no latency in virtual time
         self.lateness = PortLatency()
         self.on_failure = on_failure

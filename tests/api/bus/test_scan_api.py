@@ -10,9 +10,8 @@ from api_kit import FAN, HOIST, RAW, bus_of, slave_in, virtual
 
 import dpstack
 from dpstack.api.bus.bus import Bus
-from dpstack.api.bus.config_from_scan import config_skeleton
 from dpstack.api.bus.events_json import event_json
-from dpstack.api.bus.temporary_master import LiveListResult, scan_port
+from dpstack.api.bus.live_list import LiveListResult, config_skeleton, scan_port
 from dpstack.api.config.config import make_config, parse_config
 from dpstack.dp.master.scanner import Found, SlaveView, StationSeen
 from dpstack.dp.slave.application import SlaveAppState
