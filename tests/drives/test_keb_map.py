@@ -3,6 +3,7 @@ after power-on."""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 
 import pytest
@@ -10,6 +11,7 @@ from drive_bench import ALONE, DeviceBench, PairBench, PluginBench
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dpstack.profile import process_data_map
 from dpstack_drives.keb import DRIVE
 from dpstack_drives.keb.pdmap import DEFAULT_INPUTS, DEFAULT_OUTPUTS, Entry, PdMap, check
 from dpstack_drives.keb.simulator import KebDevice
@@ -108,9 +110,10 @@ def test_records_and_text_say_the_same_for_every_right_map(one: PdMap) -> None:
     assert PdMap.parse(str(one)) == one
     if check(one, one) is None:
         assert PdMap.from_records(dict(one.records(0)), dict(one.records(1))) == one
-        values = {entry.index: number + 1 for number, entry in enumerate(one.entries)}
-        if len(values) == len(one.entries):
-            assert one.take(one.put(values, 16)) == values
+        values = {entry.index: number + 1 for number, entry in enumerate(one.fields)}
+        if len(values) == len(one.fields):
+            words = struct.unpack(">8H", one.put(values, 16))
+            assert process_data_map.raws(one.fields, words) == values
 
 
 @given(st.dictionaries(st.integers(1, 17), st.integers(0, 0x20), max_size=17))

@@ -119,7 +119,7 @@ def test_l7_addresses() -> None:
 
 def test_l7_maps() -> None:
     assert paramap.parse("000A 000E dr-03 0x0F") == (0x000A, 0x000E, 0x1103, 0x000F)
-    assert paramap.show((0x000A, 0x1103)) == "000A 1103"
+    assert str(paramap.ParaMap((0x000A, 0x1103))) == "000A 1103"
     with pytest.raises(ValueError, match="no address"):
         paramap.parse("000A speed")
     assert "room for 2" in str(paramap.check((1, 2, 3), 2, written=False))

@@ -23,6 +23,7 @@ from dpstack.profile import (
     Steps,
     TelegramSpec,
     listing,
+    process_data_map,
     same,
     settled,
 )
@@ -132,7 +133,11 @@ class ImoCore(MappedCore[PzdMap]):
         if self._channel.writing:
             control |= t.ENABLE_WRITING
         outputs = self.outputs_map
-        words = (*self._rest, 0) if outputs is None else outputs.words({**self.values, pzd.SET_FREQUENCY: setpoint})
+        words = (
+            (*self._rest, 0)
+            if outputs is None
+            else process_data_map.pack(outputs.fields, {**self.values, pzd.SET_FREQUENCY: setpoint}, t.PZDS)
+        )
         return self._pack(control, *words)
 
     def setpoint_word(self, fraction: float) -> int:
@@ -148,7 +153,8 @@ class ImoCore(MappedCore[PzdMap]):
 
     def measured(self) -> tuple[float | None, float | None, float | None]:
         """Frequency (or rpm), current and torque where they are in the map; the sign is that of SW."""
-        values = {} if self.inputs_map is None else self.inputs_map.decode(self.words[1:])
+        fields = () if self.inputs_map is None else self.inputs_map.fields
+        values = process_data_map.decoded(fields, self.words[1:])
         speed: float | None = None
         if (hertz := values.get("frequency")) is not None:
             speed = hertz / self.reference_hz

@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Final
 
-from dpstack.profile import process_data_map
 from dpstack_drives.imo import table as t
 
 _ANY: Final = 0xFFFF
@@ -123,7 +122,7 @@ _TRANSMITTED: Final = (
 #: by number
 TO_DRIVE: Final[Mapping[int, Function]] = {one.number: one for one in _RECEIVED}
 FROM_DRIVE: Final[Mapping[int, Function]] = {one.number: one for one in _TRANSMITTED}
-SET_FREQUENCY, FREQUENCY, CURRENT, TORQUE, RPM, FAULT_CODE = 1, 1, 5, 6, 8, 11
+SET_FREQUENCY, FAULT_CODE = 1, 11
 _EMPTY: Final = "-"
 
 
@@ -165,14 +164,6 @@ class PzdMap:
     def fields(self) -> tuple[Function | None, ...]:
         """PZD2 to PZD12."""
         return tuple(self.functions.get(number) for number in self.numbers)
-
-    def words(self, values: Mapping[int, int]) -> list[int]:
-        """PZD2 to PZD12 of the words by function; 0 where there is none."""
-        return process_data_map.pack(self.fields, values, t.PZDS)
-
-    def decode(self, words: Sequence[int]) -> dict[str, float | int]:
-        """PZD2 to PZD12 as values by name."""
-        return process_data_map.decoded(self.fields, words)
 
 
 def _number(word: str, functions: Mapping[int, Function]) -> int:

@@ -158,7 +158,7 @@ class Operator:
         into, out = self.into.map(), self.out.map()
         if into is None or out is None or check(into, out) is not None:
             return False
-        return all(self._inverter.provides(entry) for entry in (into if direction is self.into else out).entries)
+        return all(self._inverter.provides(entry) for entry in (into if direction is self.into else out).fields)
 
     def shown(self, index: int) -> int | None:
         """The active map as the inverter shows it in sy.16 to sy.31 and sy.58 to sy.73; None for any other index.

@@ -69,7 +69,7 @@ class Entry:
 class PdMap:
     """The values of one direction in their order; the first 8 octets are block 1, what follows is block 2."""
 
-    entries: tuple[Entry, ...]
+    fields: tuple[Entry, ...]
 
     @classmethod
     def parse(cls, text: str) -> PdMap:
@@ -95,22 +95,17 @@ class PdMap:
         return cls(tuple(entries))
 
     def __str__(self) -> str:
-        return " ".join(map(str, self.entries))
-
-    @property
-    def fields(self) -> tuple[Entry, ...]:
-        """The values, as every map has them."""
-        return self.entries
+        return " ".join(map(str, self.fields))
 
     @property
     def octets(self) -> int:
         """Length of the process data."""
-        return sum(entry.octets for entry in self.entries)
+        return sum(entry.octets for entry in self.fields)
 
     def places(self) -> Iterable[tuple[int, Entry]]:
         """Every value with the octet at which it begins."""
         at = 0
-        for entry in self.entries:
+        for entry in self.fields:
             yield at, entry
             at += entry.octets
 
@@ -137,13 +132,9 @@ class PdMap:
         """The values that fit into so many octets."""
         return PdMap(tuple(entry for at, entry in self.places() if at + entry.octets <= octets))
 
-    def take(self, process: bytes) -> dict[int, int]:
-        """The value of each parameter by its index, unsigned; ``process`` has the map's length or more."""
-        return {e.index: int.from_bytes(process[at : at + e.octets], "big") for at, e in self.places()}
-
     def put(self, values: Mapping[int, int], octets: int) -> bytes:
         """Process data of ``octets`` length; what has no value is 0. Each value's low bits count."""
-        words = process_data_map.pack(self.entries, values, octets // 2)
+        words = process_data_map.pack(self.fields, values, octets // 2)
         return b"".join(word.to_bytes(2, "big") for word in words).ljust(octets, b"\0")
 
 

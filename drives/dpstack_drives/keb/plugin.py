@@ -31,7 +31,7 @@ from dpstack.profile import (
 from dpstack_drives.keb import mapping, pdmap
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb.channel import KebChannel, Target
-from dpstack_drives.keb.pdmap import PdMap
+from dpstack_drives.keb.pdmap import Entry, PdMap
 
 #: names of control bits with a meaning here, and of status bits
 _NEEDS: Final = {
@@ -248,7 +248,7 @@ def _active(option: str, own: PdMap, firsts: Sequence[int]) -> list[Setting]:
         keys += [ParamKey(first + 2 * n + 1) for n in range(len(entries))]
         last = t.name_of(first + 2 * t.BLOCK_VALUES - 1).partition(" ")[0]
         names = f"{t.name_of(first).partition(' ')[0]} to {last}"
-        wanted = " ".join(_place(entry.index, entry.sets) for entry in entries) or "empty"
+        wanted = " ".join(str(Entry(entry.index, sets=entry.sets)) for entry in entries) or "empty"
 
         def differs(
             values: Sequence[float], count: int = definitions, wanted: str = wanted, names: str = names
@@ -256,7 +256,7 @@ def _active(option: str, own: PdMap, firsts: Sequence[int]) -> list[Setting]:
             indexes = [int(value) & t.OFF for value in values[:count]]
             sets = [int(value) for value in values[count:]]
             places = [
-                _place(t.INVERTER.start + index, sets[n] if n < len(sets) else 1)
+                str(Entry(t.INVERTER.start + index, sets=sets[n] if n < len(sets) else 1))
                 for n, index in enumerate(indexes)
                 if index != t.OFF
             ]
@@ -269,10 +269,6 @@ def _active(option: str, own: PdMap, firsts: Sequence[int]) -> list[Setting]:
 
         found.append(Setting(wanted=f"{names} = {wanted}", keys=tuple(keys), differs=differs))
     return found
-
-
-def _place(index: int, sets: int) -> str:
-    return f"{index:04X}" + ("" if sets == 1 else f"@{sets}")
 
 
 def _table(control: Mapping[str, int], status: Mapping[str, int]) -> ControlTable:

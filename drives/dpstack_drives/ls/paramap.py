@@ -28,11 +28,6 @@ def parse(text: str) -> tuple[int, ...]:
     return tuple(found)
 
 
-def show(entries: tuple[int, ...]) -> str:
-    """The addresses in hex."""
-    return " ".join(f"{entry:04X}" for entry in entries)
-
-
 def check(entries: tuple[int, ...], most: int, *, written: bool) -> str | None:
     """Why a map cannot be; None where it can. ``written``: the words are written to the drive."""
     if len(entries) > most:
@@ -91,7 +86,7 @@ class ParaMap:
         return tuple(ParaWord(entry) if entry else None for entry in self.entries)
 
     def __str__(self) -> str:
-        return show(self.entries)
+        return " ".join(f"{entry:04X}" for entry in self.entries)
 
 
 _PLACES: Final = (("inputs", t.STATUS_COUNT, t.PARA_STATUS), ("outputs", t.CONTROL_COUNT, t.PARA_CONTROL))
@@ -106,7 +101,7 @@ def read(access: ParameterChannel, deadline: int) -> Steps[dict[str, object]]:
         for place in range(min(count, telegrams.MOST)):
             entry = yield from read_raw(access, ParamKey(first + place), deadline)
             entries += (entry,)
-        found[name] = show(entries)
+        found[name] = str(ParaMap(entries))
     return {"value": found}
 
 
