@@ -16,7 +16,7 @@ SIMULATED = (
 def acyclic(capsys: pytest.CaptureFixture[str], *args: str, code: int = 0) -> tuple[str, str]:
     """``dpstack acyclic ARGS``, which ends with ``code``: what it printed, and what it printed as errors.
 
-    That the slaves are simulated is left out (``test_simulated_anew`` looks at that).
+    That the slaves are simulated is left out (``test_warning_of_simulated_slaves`` looks at that).
     """
     assert main(["acyclic", *args]) == code, capsys.readouterr()
     printed = capsys.readouterr()

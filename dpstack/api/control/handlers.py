@@ -174,44 +174,38 @@ def _outputs_of(slave: Slave) -> dict[str, object]:
 
 async def _outputs(bus: Bus, args: list[str]) -> None:
     """All or nothing: every argument is understood before the first one takes effect."""
-    names = {slave.address: slave.name for slave in bus.slaves}
-    wanted = {}
-    for text in args:
-        where, octets = arguments.octets(text)
-        wanted[address_of(where, names)] = octets
-    await _put_out(bus, wanted)
+    await _put_out(bus, {_slave_of(bus, where): octets for where, octets in map(arguments.octets, args)})
 
 
 async def _set(bus: Bus, args: list[str]) -> None:
     """Named outputs; all or nothing as well, those of one slave in one image."""
-    names = {slave.address: slave.name for slave in bus.slaves}
-    wanted: dict[int, bytes] = {}
+    wanted: dict[Slave, bytes] = {}
     for text in args:
         where, name, value = arguments.field_value(text)
-        address = address_of(where, names)
-        slave = bus.slave(address)
+        slave = _slave_of(bus, where)
         found = slave.output_field(name)
         try:
-            wanted[address] = found.put(wanted.get(address, slave.outputs_held), found.read(value))
+            wanted[slave] = found.put(wanted.get(slave, slave.outputs_held), found.read(value))
         except ValueError as error:
-            raise UsageError(f"slave {address} ({slave.name}): {error}") from None
+            raise UsageError(f"{slave.who}: {error}") from None
     await _put_out(bus, wanted)
 
 
-async def _put_out(bus: Bus, wanted: dict[int, bytes]) -> None:
+async def _put_out(bus: Bus, wanted: dict[Slave, bytes]) -> None:
     """Returns when the master has them. Raises OrderDropped where it does not take them in time."""
-    for address, octets in wanted.items():
-        slave = bus.slave(address)
+    for slave, octets in wanted.items():
         if any(drive.slave is slave for drive in bus.drives):
-            raise UsageError(f"slave {address} ({slave.name}): its drive plugin makes the outputs")
+            raise UsageError(f"{slave.who}: its drive plugin makes the outputs")
         length = len(slave.outputs_held)
         if len(octets) != length:
-            raise UsageError(
-                f"slave {address} ({slave.name}) has {octets_text(length)} of outputs, {octets_text(len(octets))} given"
-            )
-    for address, octets in wanted.items():
-        bus.slave(address).outputs = octets
+            raise UsageError(f"{slave.who} has {octets_text(length)} of outputs, {octets_text(len(octets))} given")
+    for slave, octets in wanted.items():
+        slave.outputs = octets
     await bus.outputs_taken()
+
+
+def _slave_of(bus: Bus, where: str) -> Slave:
+    return bus.slave(address_of(where, {slave.address: slave.name for slave in bus.slaves}))
 
 
 def _station(text: str) -> int:

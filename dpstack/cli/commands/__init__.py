@@ -10,7 +10,7 @@
 - ``drive``: ``dpstack drive``: manual control of one drive, through a running master or as master in the foreground
 - ``gsd``: ``dpstack gsd``: shows, checks, configures and copies GSD files
 - ``gsd_configure``: ``dpstack gsd configure``: a dialogue that makes a [[slave]] table from a GSD file
-- ``lists``: Output of parameter lists, dumps and comparisons, as text and JSON
+- ``lists``: Output of dumps and comparisons of parameter lists, as text and JSON
 - ``on_bus``: Shared parts of the commands that open a bus: port options, baud rate, control socket
 - ``plan``: ``dpstack plan``: bus parameters, rotation times and watchdogs of a configuration
 - ``ports``: ``dpstack ports``: the serial adapters of this computer

@@ -15,7 +15,7 @@ from dpstack.api.bus.live_list import joined
 from dpstack.api.bus.virtual import World, simulate
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.control.commands import Order, find_word
+from dpstack.api.control.commands import Order, Spec, find_word
 from dpstack.api.control.record_orders import (
     COMPARE,
     DUMP,
@@ -27,12 +27,12 @@ from dpstack.api.control.record_orders import (
     parse_order,
 )
 from dpstack.api.control.remote import through_run
-from dpstack.api.lists.record_list import RecordList, list_of
+from dpstack.api.lists.record_list import RecordList, compared, list_of
 from dpstack.api.slave.ms2_connection import Connection
 from dpstack.api.slave.slave import Slave
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
-from dpstack.cli.commands.lists import FILES, show_comparison, show_dump, show_list
+from dpstack.cli.commands.lists import show_comparison, show_dump
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.drawing import progress_bar
@@ -40,7 +40,11 @@ from dpstack.cli.terminal.signals import StopSignal
 from dpstack.errors import BusError, SlaveFault, UsageError
 from dpstack.text import octets_text
 
-_WORDS: Final = (*WORDS, TRANSPORT, *FILES)
+_FILES: Final = (
+    Spec(DUMP, "FILE [SLOT] [OBJECT]", "that list into a file", "pump.toml"),
+    Spec(COMPARE, "FILE [SLOT] [OBJECT]", "where the device differs from such a file", "pump.toml"),
+)
+_WORDS: Final = (*WORDS, TRANSPORT, *_FILES)
 #: the way out where another station has the master's address, or another master the slave
 _BESIDE: Final = "; or ask beside that master with --class 2, where the slave has it"
 
@@ -86,7 +90,7 @@ def execute(args: argparse.Namespace) -> int:
     spec = find_word(args.order, _WORDS, "dpstack acyclic")
     spec.check(args.args)
     path, word, texts = "", args.order, args.args
-    if spec in FILES:
+    if spec in _FILES:
         (path, *texts), word = texts, PARAMETERS
     order = parse_order(word, texts, class2=args.master == 2)
     if args.all and args.order != COMPARE:
@@ -94,17 +98,34 @@ def execute(args: argparse.Namespace) -> int:
     request = _Request(config, _slave_of(config, args.slave), order, args.order, args.master, args.address)
     if args.order == DUMP:
         with RecordList.file(path, request.slave.name) as file:
-            told = asyncio.run(request.answer())
-            list_of(told).keep(file)
-        show_dump(told, path, json=args.json)
+            answer = asyncio.run(request.answer())
+            read = list_of(answer)
+            read.keep(file)
+        unreadable = [one.as_dict() for one in read.unreadable]
+        show_dump(_who(answer), read, _head(answer, args), unreadable, json=args.json)
     elif args.order == COMPARE:
         saved = RecordList.load(path)
-        told = asyncio.run(request.answer())
-        return show_comparison(told, path, saved, read_only=args.all, json=args.json)
+        answer = asyncio.run(request.answer())
+        found = compared(list_of(answer), saved, read_only=args.all, where=path)
+        differences = [
+            {"file": one.saved.as_dict(), "device": one.found.as_dict(), "elements": list(one.elements)}
+            for one in found.differences
+        ]
+        skipped = [{"number": one.number, "reason": why} for one, why in found.skipped]
+        return show_comparison(_who(answer), found, _head(answer, args), differences, skipped, json=args.json)
     else:
-        told = asyncio.run(request.answer())
-        output.json_line(told) if args.json else _show(told)
+        answer = asyncio.run(request.answer())
+        output.json_line(answer) if args.json else _show(answer)
     return 0
+
+
+def _head(answer: Mapping[str, Any], args: argparse.Namespace) -> dict[str, object]:
+    kept = {key: answer[key] for key in ("slave", "address", "slot", "object", "through")}
+    return {"order": args.order, **kept, "file": args.args[0]}
+
+
+def _who(answer: Mapping[str, Any]) -> str:
+    return f"slave {answer['address']} ({answer['slave']})"
 
 
 class _Request(NamedTuple):
@@ -123,9 +144,9 @@ class _Request(NamedTuple):
             return await stop.result_of(self._carry_out(progress), f"{self.word} was done")
 
     async def _carry_out(self, progress: OnProgress) -> Mapping[str, Any]:
-        told = await through_run(self.config, self.slave.address, self.order, progress, master=self.master)
-        if told is not None:
-            return {**told, "through": "run"}
+        answer = await through_run(self.config, self.slave.address, self.order, progress, master=self.master)
+        if answer is not None:
+            return {**answer, "through": "run"}
         in_foreground = self._as_master if self.master == 1 else self._as_class2
         async with in_foreground() as slave:
             return {**await carry_out(slave, self.order, progress), "through": "master"}
@@ -135,7 +156,7 @@ class _Request(NamedTuple):
         """The slave under a class 1 master that stays in Clear: records can be read, outputs are zero."""
         if self.config.bus.read_only:
             raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
-        on_bus.tell_simulated(self.config)
+        on_bus.warn_of_simulation(self.config)
         foreign = up = False
 
         def on_event(event: Event) -> None:
@@ -166,7 +187,7 @@ class _Request(NamedTuple):
         config = self.config
         if config.bus.read_only:
             raise UsageError("the configuration is read only: a connection is to be opened; leave read_only out")
-        on_bus.tell_simulated(config)
+        on_bus.warn_of_simulation(config)
         world = None
         if config.virtual:
             world = World()
@@ -182,27 +203,32 @@ class _Request(NamedTuple):
             yield connection
 
 
-def _show(told: Mapping[str, Any]) -> None:
-    who = f"slave {told['address']} ({told['slave']})"
-    match told["order"]:
+def _show(answer: Mapping[str, Any]) -> None:
+    who = _who(answer)
+    match answer["order"]:
         case "read" | "transport":
-            octets = bytes.fromhex(told["data"])
-            output.line(f"{who}: slot {told['slot']}, index {told['index']}, {octets_text(len(octets))}")
+            octets = bytes.fromhex(answer["data"])
+            output.line(f"{who}: slot {answer['slot']}, index {answer['index']}, {octets_text(len(octets))}")
             for at in range(0, len(octets), 16):
                 line = octets[at : at + 16]
                 text = "".join(chr(octet) if 32 <= octet < 127 else "." for octet in line)
                 output.line(f"{at:3}  {line.hex(' ').upper():47}  {text}")
         case "parameters":
-            show_list(told)
+            found = list_of(answer)
+            listed = [(one.number, one.name, one.format, one.text, "ro" * one.read_only) for one in found.parameters]
+            title = f"{who}: {len(listed)} parameters of slot {found.slot}, object {found.object}"
+            output.table(title, ("number", "name", "format", "values", ""), listed)
         case "write":
-            output.line(f"{who}: slot {told['slot']}, index {told['index']}: {octets_text(told['length'])} written")
+            output.line(
+                f"{who}: slot {answer['slot']}, index {answer['index']}: {octets_text(answer['length'])} written"
+            )
         case _:
             rows = [
                 (f"I&M{n}", name, _im_text(name, value))
-                for n, record in told["im"].items()
+                for n, record in answer["im"].items()
                 for name, value in record.items()
             ]
-            output.table(f"{who}: slot {told['slot']}", ("record", "what", "value"), rows)
+            output.table(f"{who}: slot {answer['slot']}", ("record", "what", "value"), rows)
 
 
 def _im_text(name: str, value: Any) -> str:

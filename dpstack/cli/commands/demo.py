@@ -130,8 +130,8 @@ class _Stage:
         console = Console()
         table = drawing.rich_table(title, ("address", "drive", "state", "speed", "exchanges"), rows, console.width)
         room = min(_SHOWN, max(1, console.height - len(console.render_lines(table)) - 1))
-        told = [line for text in self.lines for line in Text(printable(text)).wrap(console, console.width)][-room:]
-        return Group(table, *told, *[""] * (room - len(told)))
+        shown = [line for text in self.lines for line in Text(printable(text)).wrap(console, console.width)][-room:]
+        return Group(table, *shown, *[""] * (room - len(shown)))
 
 
 def _bar(speed: float) -> str:

@@ -29,7 +29,7 @@ from dpstack.api.lists.parameter_list import (
 from dpstack.api.slave.drive import Drive, declared_parameters
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
-from dpstack.cli.commands.lists import tell_comparison, tell_dump
+from dpstack.cli.commands.lists import show_comparison, show_dump
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.drawing import progress_bar
@@ -127,7 +127,7 @@ class _Command:
         if config.bus.read_only:
             raise UsageError("the configuration is read only: no drive can be given an order; leave read_only out")
         on_bus.refuse_application_watchdog(config, "drive")
-        on_bus.tell_simulated(config)
+        on_bus.warn_of_simulation(config)
         async with OneDrive(config, self.slave, json=args.json) as master:
             if not await stop.or_done(master.come_up()):
                 output.warn("ended before the drive was in data exchange")
@@ -356,58 +356,50 @@ class _Orders:
                 case "compare":
                     await self._compare(order)
                 case _:
-                    self._tell(order, await self._carry_out(order))
+                    self._show(order, await self._carry_out(order))
 
-    def _tell(self, order: Order, told: Mapping[str, Any]) -> None:
+    def _show(self, order: Order, answer: Mapping[str, Any]) -> None:
         if self._json:
-            output.json_line({**told, "through": self._through})
+            output.json_line({**answer, "through": self._through})
         elif order.word == "status":
-            _show_status(told)
-        elif "parameter" in told:
-            found = told["parameter"]
+            _show_status(answer)
+        elif "parameter" in answer:
+            found = answer["parameter"]
             name = found["name"]
             more = f" ({name})" if name is not None and name.lower() != order.texts[0].lower() else ""
             place = label(order.texts[0] + more, found["data_set"], None)
             output.line(f"{self._drive.name}: {place} = {value_text(found['value'], found['unit'])}")
         else:
-            output.line(f"{self._drive.name}: {_status_text(told['status'])}")
+            output.line(f"{self._drive.name}: {_status_text(answer['status'])}")
 
     async def _dump(self, order: Order) -> None:
-        path = order.texts[0]
         with self._progress() as progress:
-            found = await self._drive.dump(path, **order.values, on_parameter=progress)
-        if self._json:
-            unreadable = [_plain(one) for one in found.unreadable]
-            self._json_line("dump", path, parameters=len(found.parameters), unreadable=unreadable)
-            return
-        tell_dump(self._drive.name, found, path)
+            found = await self._drive.dump(order.texts[0], **order.values, on_parameter=progress)
+        unreadable = [_plain(one) for one in found.unreadable]
+        show_dump(self._drive.name, found, self._head(order), unreadable, json=self._json)
 
     async def _compare(self, order: Order) -> None:
-        path = order.texts[0]
         with self._progress() as progress:
-            found = await self._drive.compare(path, **order.values, on_parameter=progress)
-        self.code = self.code or int(bool(found.differences))
-        if self._json:
-            differences = [{"file": _plain(one.saved), "drive": _plain(one.found)} for one in found.differences]
-            skipped = [{**_where(one), "reason": why} for one, why in found.skipped]
-            self._json_line("compare", path, same=found.same, differences=differences, skipped=skipped)
-            return
-        tell_comparison(self._drive.name, found, path)
+            found = await self._drive.compare(order.texts[0], **order.values, on_parameter=progress)
+        differences = [{"file": _plain(one.saved), "drive": _plain(one.found)} for one in found.differences]
+        skipped = [{**_where(one), "reason": why} for one, why in found.skipped]
+        code = show_comparison(self._drive.name, found, self._head(order), differences, skipped, json=self._json)
+        self.code = self.code or code
 
-    def _json_line(self, word: str, path: str, **more: object) -> None:
+    def _head(self, order: Order) -> dict[str, object]:
         drive = self._drive
-        head = {"order": word, "drive": drive.name, "address": drive.address, "type": drive.kind, "file": path}
-        output.json_line({**head, **more, "through": self._through})
+        head = {"order": order.word, "drive": drive.name, "address": drive.address, "type": drive.kind}
+        return {**head, "file": order.texts[0], "through": self._through}
 
     @contextlib.contextmanager
     def _progress(self) -> Iterator[OnParameter]:
         """A progress bar on a terminal; a warning with the notes of the exception when it is cut short."""
         title = f"parameters of {self._drive.name}"
         try:
-            with progress_bar(title) as tell:
+            with progress_bar(title) as show:
 
                 def on_parameter(number: int, count: int, _one: SavedParam) -> None:
-                    tell(title, number, count)
+                    show(title, number, count)
 
                 yield on_parameter
         except BaseException as error:
@@ -416,32 +408,32 @@ class _Orders:
             raise
 
 
-def _show_status(told: Mapping[str, Any]) -> None:
-    status = told["status"]
-    rows: list[tuple[str, object]] = [
-        ("state", status["state"]),
-        ("reached", "yes" if status["reached"] else "no"),
-        ("set point", f"{status['setpoint']:.2%}"),
-    ]
+def _show_status(answer: Mapping[str, Any]) -> None:
+    status = answer["status"]
+    rows = {
+        "state": status["state"],
+        "reached": "yes" if status["reached"] else "no",
+        "set point": f"{status['setpoint']:.2%}",
+    }
     if status["speed"] is not None:
-        rows.append(("speed", _speed_text(status, 2)))
-    rows += [
-        (name, f"{status[name]:.2%} of the rated one") for name in ("current", "torque") if status[name] is not None
-    ]
-    rows += [
-        ("the bus has the control", "yes" if status["remote"] else "no"),
-        ("faults", ", ".join(status["faults"]) or "none"),
-        ("warnings", ", ".join(status["warnings"]) or "none"),
-        ("status bits", ", ".join(status["bits"]) or "none"),
-        ("settings", _settings_text(status)),
-        ("words", " ".join(status["words"])),
-    ]
-    output.table(f"{told['drive']}: {told['type']} at address {told['address']}", ("what", "value"), rows)
+        rows["speed"] = _speed_text(status, 2)
+    for name in ("current", "torque"):
+        if status[name] is not None:
+            rows[name] = f"{status[name]:.2%} of the rated one"
+    rows |= {
+        "the bus has the control": "yes" if status["remote"] else "no",
+        "faults": ", ".join(status["faults"]) or "none",
+        "warnings": ", ".join(status["warnings"]) or "none",
+        "status bits": ", ".join(status["bits"]) or "none",
+        "settings": _settings_text(status),
+        "words": " ".join(status["words"]),
+    }
+    output.table(f"{answer['drive']}: {answer['type']} at address {answer['address']}", ("what", "value"), rows.items())
 
 
 def _settings_text(status: Mapping[str, Any]) -> str:
     """A run of an earlier version sends no ``settings``."""
-    state = str(status.get("settings", "not told")).replace("_", " ")
+    state = str(status.get("settings", "not answer")).replace("_", " ")
     return "; ".join([state, *status.get("settings_texts", ())])
 
 

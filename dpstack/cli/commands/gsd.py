@@ -35,6 +35,21 @@ from dpstack.units import baud_text
 
 _STYLES = {Severity.INFO: "dim", Severity.WARNING: "yellow", Severity.ERROR: "bold red"}
 
+#: rows of the table of a device, and their keys in the JSON
+_FACTS: Final = {
+    "vendor": "vendor",
+    "model": "model",
+    "ident number": "ident",
+    "revision": "revision",
+    "GSD revision": "gsd_revision",
+    "modules at most": "max_module",
+    "inputs at most": "max_input_len",
+    "outputs at most": "max_output_len",
+    "both together": "max_data_len",
+    "diagnosis at most": "max_diag_data_len",
+    "user parameters": "user_prm",
+}
+
 
 def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack gsd show valves.gsd"
@@ -93,16 +108,12 @@ def copy(args: argparse.Namespace) -> int:
 def check_files(args: argparse.Namespace) -> int:
     """Print the findings of every file, and a summary for directories. Exit code 1 when a finding is an error."""
     worst: Counter[str] = Counter()
-    summary = False
+    folders = [given for given in args.files if os.path.isdir(given)]  # Path.is_dir would raise for an impossible name
     for given in args.files:
-        folder = Path(given)
-        if os.path.isdir(folder):  # Path.is_dir would raise for an impossible name
-            summary = True
-            for path in gsd_files(folder):
-                worst[_check_file(str(path), json=args.json, among_many=True)] += 1
-        else:
-            worst[_check_file(given, json=args.json, among_many=False)] += 1
-    if summary:
+        is_folder = given in folders
+        for path in map(str, gsd_files(Path(given))) if is_folder else [given]:
+            worst[_check_file(path, json=args.json, among_many=is_folder)] += 1
+    if folders:
         _summary(worst, json=args.json)
     return int(bool(worst[_DAMAGED] or worst[_UNREADABLE]))
 
@@ -138,7 +149,7 @@ def _check_file(path: str, *, json: bool, among_many: bool) -> str:
         output.json_line({"file": path, "diagnostics": [diagnostic_dict(d) for d in found]})
     else:
         for diagnostic in found:
-            _tell(path, diagnostic)
+            _show_diagnostic(path, diagnostic)
         if not found and not among_many:
             output.line(f"{path}: nothing is wrong", "green")
     severities = {diagnostic.severity for diagnostic in found}
@@ -152,33 +163,17 @@ def _summary(counts: Counter[str], *, json: bool) -> None:
         kinds = {kind: counts[kind] for kind in _JUDGEMENTS}
         output.json_line({"event": "summary", "files": counts.total(), **kinds})
     else:
-        told = ", ".join(f"{counts[kind]} {words}" for kind, words in _JUDGEMENTS.items() if counts[kind])
-        output.line(f"{counts.total()} file{'s' * (counts.total() != 1)}: {told}")
+        texts = ", ".join(f"{counts[kind]} {words}" for kind, words in _JUDGEMENTS.items() if counts[kind])
+        output.line(f"{counts.total()} file{'s' * (counts.total() != 1)}: {texts}")
 
 
-def _tell(path: str, diagnostic: Diagnostic) -> None:
+def _show_diagnostic(path: str, diagnostic: Diagnostic) -> None:
     output.line(f"{path}:{diagnostic.text}", _STYLES[diagnostic.severity])
 
 
 def _show(file: GsdFile) -> None:
     data, device = gsd_dict(file), file.device
-    rows = [
-        (name, data[key])
-        for name, key in (
-            ("vendor", "vendor"),
-            ("model", "model"),
-            ("ident number", "ident"),
-            ("revision", "revision"),
-            ("GSD revision", "gsd_revision"),
-            ("modules at most", "max_module"),
-            ("inputs at most", "max_input_len"),
-            ("outputs at most", "max_output_len"),
-            ("both together", "max_data_len"),
-            ("diagnosis at most", "max_diag_data_len"),
-            ("user parameters", "user_prm"),
-        )
-        if data[key] not in (None, "")
-    ]
+    rows = [(name, data[key]) for name, key in _FACTS.items() if data[key] not in (None, "")]
     if data["user_prm"] != data["user_prm_const"]:
         rows.append(("constants beneath", data["user_prm_const"]))
     rows.append(("supports", ", ".join(supports(file)) or "nothing beyond the basics"))
@@ -235,7 +230,7 @@ def _show(file: GsdFile) -> None:
         )
     _show_diagnosis(device)
     for diagnostic in check(file):
-        _tell(file.name, diagnostic)
+        _show_diagnostic(file.name, diagnostic)
 
 
 def _show_diagnosis(device: Device) -> None:

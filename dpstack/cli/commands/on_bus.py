@@ -81,7 +81,7 @@ def once(tell: Callable[[Event], None]) -> Callable[[Event], None]:
     """``tell`` for the events of one bus, without those that are also raised: the command prints the exception."""
     in_ring = False
 
-    def told(event: Event) -> None:
+    def shown(event: Event) -> None:
         nonlocal in_ring
         in_ring = in_ring or isinstance(event, RingJoined)
         # before the ring is joined, a collision is raised as BusError or the next address is tried
@@ -89,14 +89,14 @@ def once(tell: Callable[[Event], None]) -> Callable[[Event], None]:
         if not (collided or isinstance(event, BusFailed)):
             tell(event)
 
-    return told
+    return shown
 
 
 def nobody_text(baud: int) -> str:
     return f"nobody answers at {baud_text(baud)}: check rate, power, A and B, and the termination"
 
 
-def tell_simulated(config: Config) -> None:
+def warn_of_simulation(config: Config) -> None:
     """Warn that the slaves of the port "virtual" are simulated for this one command."""
     if config.virtual:
         output.warn(

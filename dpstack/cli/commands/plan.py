@@ -98,18 +98,18 @@ def _with_rates(data: dict[str, object], needs: Needs) -> dict[str, object]:
 
 def _show(plan: Plan, needs: Needs) -> None:
     p = plan.params
-    parameters = [
-        ("T_SL", p.t_sl),
-        ("min T_SDR", p.min_tsdr),
-        ("max T_SDR", p.max_tsdr),
-        ("T_SET", p.t_set),
-        ("T_QUI", p.t_qui),
-        ("T_ID1", p.t_id1),
-        ("T_ID2", p.t_id2),
-        ("T_TR", p.t_tr),
-        ("T_TO", p.t_to),
-    ]
-    rows = [(name, bits, f"{p.ns(bits) / 1000:.1f}") for name, bits in parameters]
+    parameters = {
+        "T_SL": p.t_sl,
+        "min T_SDR": p.min_tsdr,
+        "max T_SDR": p.max_tsdr,
+        "T_SET": p.t_set,
+        "T_QUI": p.t_qui,
+        "T_ID1": p.t_id1,
+        "T_ID2": p.t_id2,
+        "T_TR": p.t_tr,
+        "T_TO": p.t_to,
+    }
+    rows = [(name, bits, f"{p.ns(bits) / 1000:.1f}") for name, bits in parameters.items()]
     output.table(f"Bus parameters at {baud_text(p.baud)}, master {p.address}", ("parameter", "bit times", "us"), rows)
     gap = f"every {p.gap} T_TR" if p.gap else "off"
     retries = "1 retry" if p.max_retry == 1 else f"{p.max_retry} retries"
@@ -187,8 +187,8 @@ def _show_rates(config: Config, plans: list[Plan]) -> None:
 
 def _show_needs(needs: Needs) -> None:
     if needs:
-        told = (f"{_HOW[verdict]} {_from(baud)}" for verdict, baud in needs.items())
-        output.line(f"this cycle is {', '.join(told)}")
+        texts = (f"{_HOW[verdict]} {_from(baud)}" for verdict, baud in needs.items())
+        output.line(f"this cycle is {', '.join(texts)}")
 
 
 def _from(baud: int | None) -> str:

@@ -57,7 +57,7 @@ def _show(result: LiveListResult, args: argparse.Namespace) -> None:
 
 
 def _row(found: Found) -> tuple[object, ...]:
-    told = found.as_dict()
+    fields = found.as_dict()
     drive = drive_of(found)
-    cells = ["" if told[key] is None else told[key] for key in ("address", "type", "ident", "state", "master")]
+    cells = ["" if fields[key] is None else fields[key] for key in ("address", "type", "ident", "state", "master")]
     return (*cells, "" if drive is None else drive.title)

@@ -13,7 +13,7 @@ import atexit
 import contextlib
 import os
 import signal
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from time import monotonic
 from types import FrameType
 from typing import Final, TypeVar
@@ -103,23 +103,16 @@ class StopSignal:
             self._at = self._clock()
         self._loop.call_soon_threadsafe(self._event.set)
 
-    async def wait(self) -> None:
-        await self._event.wait()
-
     async def result_of(self, work: Coroutine[object, object, _T], before: str) -> _T:
         """The result of ``work``. Raises BusError ("ended before ...") where a signal ended it first."""
-        found: list[_T] = []
-
-        async def kept() -> None:
-            found.append(await work)
-
-        if not await self.or_done(kept()):
+        task = asyncio.ensure_future(work)
+        if not await self.or_done(task):
             raise BusError(f"ended before {before}")
-        return found[0]
+        return task.result()
 
-    async def or_done(self, work: Coroutine[object, object, object]) -> bool:
+    async def or_done(self, work: Awaitable[object]) -> bool:
         """Wait until ``work`` is done (True; raises its exception) or the first signal (False; cancels it)."""
-        task: asyncio.Task[object] = asyncio.ensure_future(work)
+        task = asyncio.ensure_future(work)
         waiting = asyncio.ensure_future(self._event.wait())
         try:
             await asyncio.wait({task, waiting}, return_when=asyncio.FIRST_COMPLETED)

@@ -1,4 +1,4 @@
-"""What `ctl status` tells: the outputs that the slaves have, who the masters are, and what was done from outside."""
+"""``ctl status``: the outputs of the slaves, the masters in the ring, and everything injected from outside."""
 
 from __future__ import annotations
 

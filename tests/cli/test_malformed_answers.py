@@ -1,4 +1,4 @@
-"""A program that answers on the control socket, but not as dpstack does: the client refuses that in one line."""
+"""Malformed answers on the control socket: the client refuses them in one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``drive`` and ``acyclic`` on the port "virtual" without a run: that its slaves are made for this command is told."""
+"""``drive`` and ``acyclic`` on the port "virtual" without a run warn that the slaves are simulated for this command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people read of diagnoses and drives: a line for each change, the table at the end, and ``ctl status``."""
+"""``Reporter`` for people: a line for each change of diagnoses and drives, the table at the end; and ``ctl status``."""
 
 from __future__ import annotations
 
