@@ -433,7 +433,7 @@ def _show_status(answer: Mapping[str, Any]) -> None:
 
 def _settings_text(status: Mapping[str, Any]) -> str:
     """A run of an earlier version sends no ``settings``."""
-    state = str(status.get("settings", "not answer")).replace("_", " ")
+    state = str(status.get("settings", "not told")).replace("_", " ")
     return "; ".join([state, *status.get("settings_texts", ())])
 
 
