@@ -210,7 +210,7 @@ class DriveCore:
         if access is not None and access.busy and self.online:
             access.step(self._inputs, now)
             self._dirty = True
-        self._orders.step()
+        self._orders.step(now, self.status_word)
         if self._dirty:
             self._build()
         return self._outputs
@@ -340,6 +340,10 @@ class DriveCore:
     def notice(self, text: str) -> None:
         """One line for the application."""
         self._orders.tell({"type": "notice", "text": text})
+
+    def sleep_until(self, due_ns: int) -> None:
+        """For the job that runs, just before it yields: resume it at ``due_ns``, or when the status word changes."""
+        self._orders.sleep_until = due_ns
 
     def spawn(self, op: str, steps: Steps[dict[str, object]]) -> None:
         """Run a job without a result event; its failure is silent."""

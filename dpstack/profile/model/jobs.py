@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Mapping
-from typing import Final, Literal, NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import Final, Literal, TypeVar
 
 from dpstack.units import s_to_ns
 
@@ -36,13 +37,19 @@ class CommandError(Exception):
         self.number = number
 
 
-class DriveJob(NamedTuple):
-    """An order under way. ``motion``: at most one such job runs, a new one supersedes it. ``token`` None: our own."""
+@dataclass(slots=True, eq=False)
+class DriveJob:
+    """An order under way. ``motion``: at most one such job runs, a new one supersedes it. ``token`` None: our own.
+
+    It sleeps until ``due_ns``, while the status word is ``status``.
+    """
 
     op: str
     token: int | None
     steps: Steps[dict[str, object]]
     motion: bool
+    due_ns: int = 0
+    status: int = 0
 
 
 class Args:
@@ -142,6 +149,9 @@ class DriveJobs:
 
     def __init__(self) -> None:
         self._jobs: list[DriveJob] = []
+        self._status = 0  # the drive's status word in this cycle
+        #: set by a job before it yields: it sleeps until this time in ns, or until the status word changes
+        self.sleep_until = 0
         self._events: list[dict[str, object]] = []
 
     def begin(self, job: DriveJob) -> None:
@@ -157,10 +167,13 @@ class DriveJobs:
         """Add a job of the plugin; it begins with the next cycle."""
         self._jobs.append(job)
 
-    def step(self) -> None:
+    def step(self, now: int, status: int) -> None:
+        """A cycle at ``now`` (ns); ``status``: the drive's status word."""
         if self._jobs:
+            self._status = status
             for job in tuple(self._jobs):
-                self._resume(job)
+                if now >= job.due_ns or status != job.status:
+                    self._resume(job)
 
     def end(self, kind: ErrorKind, text: str) -> None:
         """End all jobs, as failed."""
@@ -198,7 +211,9 @@ class DriveJobs:
         if job not in self._jobs:
             return
         try:
+            self.sleep_until = 0
             next(job.steps)
+            job.due_ns, job.status = self.sleep_until, self._status
         except StopIteration as done:
             self._jobs.remove(job)
             if job.token is not None:

@@ -336,12 +336,10 @@ class DemagCore(MappedCore[OutMap]):
             due = self.now + _MODE_AGE
             away: int | None = None
             mark: tuple[int, float] | None = None
-            seen: int | None = None
             while self.online and self.goal is not Goal.IDLE:
+                if away is None and self.access is not None:
+                    self.sleep_until(due)  # while the status word stays as it is there is nothing to judge
                 yield
-                if self.words[0] == seen and away is None and self.access is not None and self.now < due:
-                    continue  # the same status word as in the exchange before
-                seen = self.words[0]
                 runs = self.raw_state is State.RUNNING
                 away = None if self._remote() or not runs else self.now if away is None else away
                 if away is not None and self.now >= away + self.settle_ns:
