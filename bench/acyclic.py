@@ -19,7 +19,7 @@ from bench.records import fetched, rotations
 from bench.report import Report, quantile
 from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
 from dpstack.dp.plan.cycle_check import Verdict, least_ns
-from dpstack.dp.plan.rotation_time import Case, figures
+from dpstack.dp.plan.rotation_time import Case, Figures
 from dpstack.params import BusParams
 from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, baud_text
 
@@ -71,7 +71,7 @@ def run(argv: Sequence[str]) -> Report:
 
 def _rotations(report: Report, baud: int, lengths: Sequence[int], count: int) -> None:
     params = BusParams.preset(baud, gap=0)
-    counted = figures(params, setups(_SLAVES))
+    counted = Figures(params, setups(_SLAVES))
     # each measurement has as many Global_Controls as any other: what they cost must not look like a service's
     ns = -(-count * counted.ns(Case.TYPICAL) // _CONTROLS_NS) * _CONTROLS_NS
     service_ns = params.ns(counted.acyclic_bits)
@@ -116,7 +116,7 @@ def _quantiles(report: Report, title: str, seen: Seen) -> None:
 
 def _cycles(report: Report, baud: int, count: int) -> None:
     """Slaves as fast as they may be, so that the shortest possible cycle can be kept without traffic."""
-    counted = figures(BusParams.preset(baud, gap=0), setups(_SLAVES))
+    counted = Figures(BusParams.preset(baud, gap=0), setups(_SLAVES))
     least = least_ns(counted)
     for verdict in _CYCLES:
         cycle_ns = -(-least[verdict] // NS_PER_US) * NS_PER_US

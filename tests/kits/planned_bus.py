@@ -9,7 +9,7 @@ from itertools import pairwise
 from bus_kit import SimBus
 from support import S, WorldFactory
 
-from dpstack.dp.plan.plan import Case, rotation
+from dpstack.dp.plan.rotation_time import Case, rotation
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.params import BusParams
 from dpstack.trace import WireEntry

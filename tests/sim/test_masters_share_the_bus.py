@@ -14,8 +14,7 @@ from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.plan.cycle_check import token_wait_ns
-from dpstack.dp.plan.plan import Case, OtherMasters, rotation, t_tr_needed
-from dpstack.dp.plan.rotation_time import figures
+from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, rotation
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
@@ -83,7 +82,7 @@ def others_of(counts: list[int], number: int, case: Case) -> OtherMasters:
 def test_t_tr_that_every_master_needs(counts: list[int], world: WorldFactory) -> None:
     params = BusParams.preset(BAUD)
     needed = {
-        t_tr_needed(params, slaves, others_of(counts, number, Case.NORMAL))
+        Figures(params, slaves, others_of(counts, number, Case.NORMAL)).t_tr_needed
         for number, slaves in enumerate(slaves_of(counts))
     }
     (t_tr,) = needed  # the same one for all of them
@@ -117,7 +116,7 @@ def test_masters_alike_need_no_list() -> None:
     slaves = slaves_of([7])[0]
     alone = rotation(params, slaves, Case.NORMAL).bits
     alike, listed = OtherMasters(alike=2), OtherMasters(rounds=(alone, alone))
-    assert t_tr_needed(params, slaves, alike) == t_tr_needed(params, slaves, listed)
+    assert Figures(params, slaves, alike).t_tr_needed == Figures(params, slaves, listed).t_tr_needed
     for case in Case:
         assert rotation(params, slaves, case, alike).bits == 3 * rotation(params, slaves, case).bits
     assert (alike.count, listed.count) == (2, 2)
@@ -131,8 +130,8 @@ def test_a_fixed_cycle_begins_no_later_than_the_plan_says(world: WorldFactory, c
     plants = [[replace(setup, max_diag_len=6) for setup in slaves] for slaves in slaves_of(counts)]
     others = OtherMasters(rounds=tuple(rotation(params, slaves, Case.NORMAL).bits for slaves in plants[1:]))
     cycle_ns = 2 * params.ns(rotation(params, plants[0], Case.NORMAL, others).bits)
-    planned = token_wait_ns(figures(params, plants[0], others=others, cycle_ns=cycle_ns))
-    t_tr = t_tr_needed(params, plants[0], others)
+    planned = token_wait_ns(Figures(params, plants[0], others=others, cycle_ns=cycle_ns))
+    t_tr = Figures(params, plants[0], others).t_tr_needed
     masters = []
     for number, slaves in enumerate(plants):
         own = params.replace(address=2 + number, t_tr=t_tr)

@@ -12,7 +12,7 @@ from planned_bus import identifiers, setups, undisturbed
 from property_kit import soaking
 from support import WorldFactory
 
-from dpstack.dp.plan.plan import Case, rotation, t_tr_preset
+from dpstack.dp.plan.rotation_time import Case, Figures, rotation
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES
 
@@ -32,7 +32,7 @@ def hold_shortest(
     world: WorldFactory, params: BusParams, configs: list[bytes], *, min_tsdr: int = 11, rounds: int = 12
 ) -> None:
     slaves = setups(configs, min_tsdr)
-    params = params.replace(t_tr=t_tr_preset(params, slaves))
+    params = params.replace(t_tr=Figures(params, slaves).t_tr_preset)
     planned = params.ns(rotation(params, slaves, Case.SHORTEST).bits)
     measured = undisturbed(world, params, slaves, rounds=rounds)
     assert len(measured) >= rounds // 2

@@ -12,7 +12,8 @@ from planned_bus import FIRST, identifiers, kind, setups
 from property_kit import examples
 from support import S, WorldFactory
 
-from dpstack.dp.plan.plan import Case, make_plan
+from dpstack.dp.plan.plan import make_plan
+from dpstack.dp.plan.rotation_time import Case
 from dpstack.params import BusParams
 from dpstack.trace import WireEntry
 from dpstack.units import ns_to_bits

@@ -17,7 +17,8 @@ from dpstack.api.slave.drive import DrivePlugin
 from dpstack.api.streams import Rounds
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
-from dpstack.dp.plan.plan import Case, Plan, make_plan
+from dpstack.dp.plan.plan import Plan, make_plan
+from dpstack.dp.plan.rotation_time import Case
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo

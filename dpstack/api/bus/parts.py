@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from typing import Final
 
 from dpstack.api.bus.compose import Parts
@@ -17,7 +18,8 @@ from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Events, OnEvent, Rounds, Waiters
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import ForcedClear
-from dpstack.dp.plan.plan import Case, Plan
+from dpstack.dp.plan.plan import Plan
+from dpstack.dp.plan.rotation_time import Case
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.shutdown import end_limit_ns
@@ -88,7 +90,8 @@ class BusBase:
         """The time from one Data_Exchange of ``slave`` to the next where nothing is repeated and no service is beside
         it, as the plan counts it with the slaves that are on the bus now."""
         if self._round_ns is None:
-            self._round_ns = self.plan.figures.with_slaves(self.view.setups.values()).round_ns(Case.NORMAL)
+            counted = replace(self.plan.figures, setups=tuple(self.view.setups.values()))
+            self._round_ns = counted.round_ns(Case.NORMAL)
         return self._round_ns * slave.every
 
     @property

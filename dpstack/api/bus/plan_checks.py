@@ -7,8 +7,8 @@ from typing import Final
 
 from dpstack.api.config.config import Config, rate_findings
 from dpstack.dp.plan.cycle_check import Verdict, judge_cycle, slowest_rates
-from dpstack.dp.plan.plan import Case, OtherMasters, Plan, make_plan, rotation, t_tr_preset
-from dpstack.dp.plan.rotation_time import Figures, figures
+from dpstack.dp.plan.plan import Plan, make_plan
+from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, rotation
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
@@ -36,7 +36,7 @@ def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveParams]) 
     """``params`` with T_TR enough for the longest normal round of all masters, unless the configuration fixes it."""
     if config.bus.t_tr is not None:
         return params
-    return params.replace(t_tr=t_tr_preset(params, setups, other_masters(config, params.baud)))
+    return params.replace(t_tr=Figures(params, setups, other_masters(config, params.baud)).t_tr_preset)
 
 
 def data_control_ns(config: Config) -> int:
@@ -76,7 +76,7 @@ def _at_rates(config: Config) -> Iterable[Figures]:
             params, setups = config.params(rate), config.slave_params
         except ConfigError:
             continue  # the bus parameters of the file are for another rate
-        yield figures(params, setups, others=other_masters(config, rate))
+        yield Figures(params, setups, other_masters(config, rate))
 
 
 def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveParams]) -> list[str]:
@@ -97,7 +97,7 @@ def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveParams]) -> 
     cycle_ns = config.bus.cycle_ns
     if not cycle_ns:
         return
-    refusals = judge_cycle(figures(plan.params, setups, others=plan.figures.others, cycle_ns=cycle_ns)).refusals
+    refusals = judge_cycle(Figures(plan.params, setups, plan.figures.others, cycle_ns)).refusals
     if not refusals:
         return
     what, todo, address = refusals[0]

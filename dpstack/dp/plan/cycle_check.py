@@ -151,7 +151,7 @@ def _refusals(figures: Figures) -> Iterable[Refusal]:
         yield _too_short(figures, least, [s for s in figures.setups if s.address in shortest.together])
     for setup in figures.setups:
         turn = cycle * setup.every
-        who = f"slave {setup.address} ({setup.name})"
+        who = setup.who
         if setup.min_slave_interval_ns > turn:
             interval = setup.min_slave_interval_ns
             yield Refusal(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from dpstack.dp.plan.rotation_time import Case, Figures
-from dpstack.dp.slave_params import SlaveParams
 from dpstack.units import NS_PER_MS, baud_text, ms_text
 
 
@@ -15,24 +14,23 @@ def findings(figures: Figures, watchdogs: dict[int, int], data_control_ns: int) 
     at = baud_text(params.baud)
     yield from _t_tr(figures)
     for setup in figures.setups:
-        who = _who(setup)
         worst = figures.spacing_ns * setup.every + figures.dying_ns
         watchdog = watchdogs[setup.address]
         # what is shorter than the cycle was refused already
         if watchdog and figures.cycle_ns * setup.every <= watchdog * NS_PER_MS < worst:
             yield (
-                f"{who}: its watchdog of {watchdog} ms is shorter than {_rounds(setup.every)} can take at {at} "
+                f"{setup.who}: its watchdog of {watchdog} ms is shorter than {_rounds(setup.every)} can take at {at} "
                 f"({ms_text(worst)} with retries{_while_dying(figures.dying_ns)}): it would trip by itself; "
                 f"take {_up(3 * worst)} ms or more, or a faster rate"
             )
         max_tsdr = setup.max_tsdr.get(params.baud, 0)
         if max_tsdr + 15 > params.t_sl:
             yield (
-                f"{who}: it may take T_SDR {max_tsdr} at {at}, t_sl = {params.t_sl} is too short for it; "
+                f"{setup.who}: it may take T_SDR {max_tsdr} at {at}, t_sl = {params.t_sl} is too short for it; "
                 f"leave t_sl out, or set it to {max_tsdr + 15} or more"
             )
         if setup.min_tsdr > params.min_tsdr and setup.min_tsdr > params.max_tsdr:
-            yield f"{who}: its min T_SDR {setup.min_tsdr} lies above max T_SDR {params.max_tsdr} of the bus"
+            yield f"{setup.who}: its min T_SDR {setup.min_tsdr} lies above max T_SDR {params.max_tsdr} of the bus"
     yield from _slow_for_auto_clear(figures, data_control_ns)
 
 
@@ -55,7 +53,7 @@ def _slow_for_auto_clear(figures: Figures, data_control_ns: int) -> Iterable[str
         turn = figures.spacing_ns * setup.every
         if data_control_ns and not setup.ignore_auto_clear and turn > data_control_ns:
             yield (
-                f"{_who(setup)}: {_rounds(setup.every)} can take {ms_text(turn)}, "
+                f"{setup.who}: {_rounds(setup.every)} can take {ms_text(turn)}, "
                 f"longer than data_control_time_ms = {data_control_ns // NS_PER_MS}: auto_clear would clear by itself; "
                 f"take {_up(3 * turn)} or more"
             )
@@ -66,25 +64,21 @@ def notes(figures: Figures, watchdogs: dict[int, int]) -> Iterable[str]:
         watchdog = watchdogs[setup.address]
         if not watchdog:
             yield (
-                f"{_who(setup)}: its watchdog is off; when the master stops without an ordered end it keeps its "
+                f"{setup.who}: its watchdog is off; when the master stops without an ordered end it keeps its "
                 f"last outputs"
             )
         elif setup.watchdog_ms not in (None, watchdog):
             yield (
-                f"{_who(setup)}: its watchdog is {watchdog} ms instead of {setup.watchdog_ms} ms: Set_Prm has no two "
+                f"{setup.who}: its watchdog is {watchdog} ms instead of {setup.watchdog_ms} ms: Set_Prm has no two "
                 f"factors that come nearer from above"
             )
         interval, turn = setup.min_slave_interval_ns, figures.work_ns(Case.SHORTEST) * setup.every
         if not figures.cycle_ns and interval > turn:
             shortest = "the shortest rotation" if setup.every == 1 else f"{setup.every} of the shortest rotations"
             yield (
-                f"{_who(setup)}: its Min_Slave_Interval of {ms_text(interval)} is longer than {shortest} would be "
+                f"{setup.who}: its Min_Slave_Interval of {ms_text(interval)} is longer than {shortest} would be "
                 f"({ms_text(turn)}): the rounds wait for it"
             )
-
-
-def _who(setup: SlaveParams) -> str:
-    return f"slave {setup.address} ({setup.name})"
 
 
 def _while_dying(dying: int) -> str:

@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.plan.cycle_check import CyclePlan, Refusal, judge_cycle
 from dpstack.dp.plan.findings import findings as find
 from dpstack.dp.plan.findings import notes as note
-from dpstack.dp.plan.rotation_time import (
-    ALONE,
-    Case,
-    Figures,
-    OtherMasters,
-    Rotation,
-    figures,
-    rate_offsets,
-    rotation,
-    t_tr_needed,
-    t_tr_preset,
-    watchdog_ms,
-)
+from dpstack.dp.plan.rotation_time import ALONE, Case, Figures, OtherMasters, Rotation, rate_offsets
 from dpstack.dp.services import planned_prm
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dp.telegram_times import answer_octets, request_octets
 from dpstack.params import BusParams
 
 _CASES: Final = (Case.SHORTEST, Case.TYPICAL, Case.LONGEST)
@@ -32,7 +19,7 @@ _CASES: Final = (Case.SHORTEST, Case.TYPICAL, Case.LONGEST)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlavePlan:
-    """One slave: octets each way, what it takes of the shortest rotation, its watchdog and what then happens.
+    """One slave: the time it takes of the shortest rotation, its watchdog and what it does when that expires.
 
     With ``every`` n it has its turn in the rounds whose number leaves ``offset`` when divided by n. ``set_prm`` and
     ``chk_cfg`` are the octets that the master will send, in hex; ``....`` for an ident number that the slave is asked
@@ -40,8 +27,6 @@ class SlavePlan:
     """
 
     setup: SlaveParams
-    request_octets: int
-    answer_octets: int
     shortest_bits: int
     offset: int
     watchdog_ms: int
@@ -125,7 +110,7 @@ def _slave_dict(slave: SlavePlan) -> dict[str, object]:
 
 def make_plan(
     params: BusParams,
-    setups: Iterable[SlaveParams],
+    setups: Sequence[SlaveParams],
     *,
     others: OtherMasters = ALONE,
     cycle_ns: int = 0,
@@ -145,7 +130,7 @@ def make_plan(
     ``findings``, ``notes`` and ``beside`` are what the caller knows beyond that; they come first.
     ``watchdog_ms`` is the default watchdog that a running bus uses; None: the recommended one.
     """
-    counted = figures(params, setups, others=others, cycle_ns=cycle_ns, host_slack_ns=host_slack_ns)
+    counted = Figures(params, setups, others, cycle_ns, host_slack_ns)
     recommended = counted.watchdog_ms(pty=pty) if watchdog_ms is None else watchdog_ms
     slaves = _slave_plans(counted, recommended)
     watchdogs = {s.setup.address: s.watchdog_ms for s in slaves}
@@ -176,8 +161,6 @@ def _slave_plans(counted: Figures, recommended: int) -> tuple[SlavePlan, ...]:
         plans.append(
             SlavePlan(
                 setup=setup,
-                request_octets=request_octets(setup),
-                answer_octets=answer_octets(setup),
                 shortest_bits=shortest[setup.address],
                 offset=offsets[setup.address],
                 watchdog_ms=effective,
@@ -193,20 +176,3 @@ def _on_loss(setup: SlaveParams, effective: int) -> str:
     if not effective:
         return "goes on with its last outputs: its watchdog is off"
     return f"after {effective} ms: {setup.on_loss or 'as its manual says (usually outputs off)'}"
-
-
-__all__ = [
-    "ALONE",
-    "Case",
-    "CyclePlan",
-    "OtherMasters",
-    "Plan",
-    "Refusal",
-    "Rotation",
-    "SlavePlan",
-    "make_plan",
-    "rotation",
-    "t_tr_needed",
-    "t_tr_preset",
-    "watchdog_ms",
-]

@@ -6,8 +6,8 @@ With rate groups it is the fullest round that counts. Other masters take their t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
 
@@ -138,39 +138,24 @@ def _tsdr(params: BusParams, setup: SlaveParams, case: Case) -> int:
     return max(shortest, min(TYPICAL_TSDR, longest)) if case is Case.TYPICAL else longest
 
 
-def t_tr_needed(params: BusParams, setups: Sequence[SlaveParams], others: OtherMasters = ALONE) -> int:
-    """T_TR in bit times with which every master can end its longest normal round in each hold.
-
-    T_TH is T_TR - T_RR: after a full token rotation there must be time left for the longest hold of all.
-    """
-    normal = rotation(params, setups, Case.NORMAL, others)
-    longest = max(normal.hold, *(bits - normal.token for bits in others.rounds), 0)
-    return min(normal.work + longest, MAX_T_TR)
-
-
-def t_tr_preset(params: BusParams, setups: Sequence[SlaveParams], others: OtherMasters = ALONE) -> int:
-    """T_TR in bit times for this configuration: the table's, or what the masters need if that is more."""
-    return max(params.t_tr, t_tr_needed(params, setups, others))
-
-
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What was counted of one bus at one rate. ``setups`` by address; ``cycle_ns`` 0: free running;
+    """The rotations of one bus at one rate. ``setups`` are sorted by address; ``cycle_ns`` 0: free running;
     ``host_slack_ns``: how much later than the wire's deadline a known station's answer may come.
     """
 
     params: BusParams
-    setups: tuple[SlaveParams, ...]
-    rotations: dict[Case, Rotation]
+    setups: Sequence[SlaveParams]
     others: OtherMasters = ALONE
     cycle_ns: int = 0
     host_slack_ns: int = 0
+    rotations: dict[Case, Rotation] = field(init=False)
 
-    def with_slaves(self, setups: Iterable[SlaveParams]) -> Figures:
-        """The same bus with other slaves."""
-        return figures(
-            self.params, setups, others=self.others, cycle_ns=self.cycle_ns, host_slack_ns=self.host_slack_ns
-        )
+    def __post_init__(self) -> None:
+        setups = tuple(sorted(self.setups, key=lambda s: s.address))
+        object.__setattr__(self, "setups", setups)
+        rotations = {case: rotation(self.params, setups, case, self.others) for case in Case}
+        object.__setattr__(self, "rotations", rotations)
 
     def ns(self, case: Case) -> int:
         """A rotation in nanoseconds."""
@@ -207,8 +192,18 @@ class Figures:
 
     @property
     def t_tr_needed(self) -> int:
-        """See :func:`t_tr_needed`."""
-        return t_tr_needed(self.params, self.setups, self.others)
+        """T_TR in bit times with which every master can end its longest normal round in each hold.
+
+        T_TH is T_TR - T_RR: after a full token rotation there must be time left for the longest hold of all.
+        """
+        normal = self.rotations[Case.NORMAL]
+        longest = max(normal.hold, *(bits - normal.token for bits in self.others.rounds), 0)
+        return min(normal.work + longest, MAX_T_TR)
+
+    @property
+    def t_tr_preset(self) -> int:
+        """T_TR in bit times for this configuration: the table's, or what the masters need if that is more."""
+        return max(self.params.t_tr, self.t_tr_needed)
 
     def watchdog_ms(self, *, pty: bool = False) -> int:
         """The recommended watchdog: three times what can pass until a slave has its turn again, at least 200 ms
@@ -219,22 +214,3 @@ class Figures:
         every = max((s.every for s in self.setups if s.watchdog_ms is None), default=1)
         steps = -(-3 * (self.spacing_ns * every + self.dying_ns) // (10 * NS_PER_MS))
         return min(max(MIN_WATCHDOG_PTY_MS if pty else MIN_WATCHDOG_MS, steps * 10), MAX_WATCHDOG_MS)
-
-
-def figures(
-    params: BusParams,
-    setups: Iterable[SlaveParams],
-    *,
-    others: OtherMasters = ALONE,
-    cycle_ns: int = 0,
-    host_slack_ns: int = 0,
-) -> Figures:
-    """Count everything of a bus with ``setups`` at ``params``."""
-    slaves = tuple(sorted(setups, key=lambda s: s.address))
-    rotations = {case: rotation(params, slaves, case, others) for case in Case}
-    return Figures(params, slaves, rotations, others, cycle_ns, host_slack_ns)
-
-
-def watchdog_ms(params: BusParams, setups: Iterable[SlaveParams], *, pty: bool = False, host_slack_ns: int = 0) -> int:
-    """The recommended watchdog of a free running master alone on its bus, see :meth:`Figures.watchdog_ms`."""
-    return figures(params, setups, host_slack_ns=host_slack_ns).watchdog_ms(pty=pty)

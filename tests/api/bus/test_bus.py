@@ -10,7 +10,7 @@ from support import WorldFactory
 
 import dpstack
 from dpstack.dp.master.events import DriveEvent, ModeChanged, SlaveFaulted, SlaveStateChanged
-from dpstack.dp.plan.plan import Case
+from dpstack.dp.plan.rotation_time import Case
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.events import RingJoined

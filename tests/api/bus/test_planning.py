@@ -12,7 +12,7 @@ import dpstack
 from dpstack.api.bus.compose import plan_bus
 from dpstack.api.bus.plan_checks import Verdict, cycle_rates
 from dpstack.api.config.config import Config, parse_config
-from dpstack.dp.plan.plan import Case
+from dpstack.dp.plan.rotation_time import Case
 from dpstack.errors import ConfigError
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_MS

@@ -27,7 +27,7 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.plan.cycle_check import Verdict, least_ns
-from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, figures, rotation, t_tr_needed
+from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, rotation
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import RecordDone, RecordOrder
@@ -132,11 +132,11 @@ def ring(world: World, counts: Sequence[int], t_tr: int | None, t_sdr: int) -> t
     params = BusParams.preset(BAUD, gap=10, hsa=2 + len(counts))
     plants = [setups(20 + 10 * n, count) for n, count in enumerate(counts)]
     planned = [
-        figures(params, slaves, others=OtherMasters(rounds=_others(params, plants, n, Case.LONGEST)))
+        Figures(params, slaves, others=OtherMasters(rounds=_others(params, plants, n, Case.LONGEST)))
         for n, slaves in enumerate(plants)
     ]
     if t_tr is None:
-        t_tr = t_tr_needed(params, plants[0], OtherMasters(rounds=_others(params, plants, 0, Case.NORMAL)))
+        t_tr = Figures(params, plants[0], OtherMasters(rounds=_others(params, plants, 0, Case.NORMAL))).t_tr_needed
     params = params.replace(t_tr=t_tr)
     masters = [Loaded(world, params.replace(address=2 + n), slaves, t_sdr=t_sdr) for n, slaves in enumerate(plants)]
     while not all(master.exchanging for master in masters):
@@ -227,7 +227,7 @@ def silent(world: World, *, cycle_ns: int = 0, patience: Patience = EXACT, respo
 
 
 def planned(plant: Loaded) -> Figures:
-    return figures(plant.params, plant.slaves, host_slack_ns=plant.patience.known_ns)
+    return Figures(plant.params, plant.slaves, host_slack_ns=plant.patience.known_ns)
 
 
 def order(token: int, address: int, *, write: bool) -> RecordOrder:
@@ -262,7 +262,7 @@ def test_silence_misses_no_cycle_where_every_attempt_fits(write: bool, verdict: 
     """Each service first fetches what the one before may have left, by polls that nobody answers. Many of them would
     fit between two cycles; after more than one the link layer would probe FCV with the next Data_Exchange.
     """
-    cycle_ns = least_ns(figures(BusParams.preset(BAUD, address=2, gap=0), setups(20, 3)))[verdict]
+    cycle_ns = least_ns(Figures(BusParams.preset(BAUD, address=2, gap=0), setups(20, 3)))[verdict]
     w = world()
     plant = silent(w, cycle_ns=cycle_ns, response_ns=30 * MS)
     book = plant.master.cycles

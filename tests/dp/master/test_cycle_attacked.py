@@ -27,7 +27,7 @@ from dpstack.dp.master.commands import (
     SetMode,
 )
 from dpstack.dp.master.fixed_cycle import Cadence, CycleData
-from dpstack.dp.plan.rotation_time import Case, figures, t_tr_preset
+from dpstack.dp.plan.rotation_time import Case, Figures
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.stack import acyclic_services
 from dpstack.errors import BusError, UsageError
@@ -46,13 +46,13 @@ class Attack:
         self.random = r = random.Random(n)
         params = BusParams.preset(r.choice((187_500, 500_000, 1_500_000, 12_000_000)), address=2, gap=r.choice((0, 1)))
         setups = [self.setup(address) for address in r.sample(range(3, 40), r.randint(1, 6))]
-        shortest = figures(params, setups).work_ns(Case.SHORTEST)
+        shortest = Figures(params, setups).work_ns(Case.SHORTEST)
         self.cycle_ns = cycle_ns = int(shortest * r.choice((1.05, 1.3, 2.0, 3.0)))
         whole = 100_000  # Min_Slave_Interval comes in these
         self.setups = [
             replace(s, min_slave_interval_ns=r.choice((0, cycle_ns * s.every // whole * whole))) for s in setups
         ]
-        self.params = params = params.replace(t_tr=t_tr_preset(params, setups))
+        self.params = params = params.replace(t_tr=Figures(params, setups).t_tr_preset)
         options: dict[str, object] = {
             "absent_share": r.choice((0, 100)),
             "cycle_freeze": r.choice(((), (1,))),

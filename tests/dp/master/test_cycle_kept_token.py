@@ -9,7 +9,7 @@ from support import MS, WorldFactory
 from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
 from dpstack.dp.plan.cycle_check import Verdict, least_ns
-from dpstack.dp.plan.rotation_time import figures
+from dpstack.dp.plan.rotation_time import Figures
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.events import PATIENCE
 from dpstack.params import BusParams
@@ -22,7 +22,7 @@ def tight(world: WorldFactory, baud: int) -> CycleBus:
     """Three slaves and the shortest cycle there is: less than T_SL is left of it."""
     params = BusParams.preset(baud, address=2, gap=0)
     setups = [slave(address) for address in (3, 4, 5)]
-    least = least_ns(figures(params, setups))[Verdict.POSSIBLE]
+    least = least_ns(Figures(params, setups))[Verdict.POSSIBLE]
     cycle_ns = -(-least // NS_PER_US) * NS_PER_US
     bus = CycleBus(world(), params, setups, cycle_ns, more=[acyclic_services(2)])
     bus.until_exchanging()

@@ -11,7 +11,7 @@ from bus_kit import SimBus
 from support import MS, WorldFactory
 
 import dpstack
-from dpstack.dp.plan.plan import Case
+from dpstack.dp.plan.rotation_time import Case
 from dpstack.params import BusParams
 from dpstack.stats import Histogram
 from dpstack.trace import WireEntry

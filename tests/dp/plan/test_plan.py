@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from dpstack.dp.plan.plan import Case, make_plan, rotation, t_tr_preset, watchdog_ms
+from dpstack.dp.plan.plan import make_plan
+from dpstack.dp.plan.rotation_time import Case, Figures, rotation
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_US
@@ -110,22 +111,22 @@ def test_min_slave_interval_holds_the_rounds_back() -> None:
 
 
 def test_watchdog_is_three_times_the_longest_but_not_less_than_200() -> None:
-    assert watchdog_ms(params(), [slave()]) == 200
-    assert watchdog_ms(params(), [slave()], pty=True) == 1000
+    assert Figures(params(), [slave()]).watchdog_ms() == 200
+    assert Figures(params(), [slave()]).watchdog_ms(pty=True) == 1000
     slow = params(9600)
     longest = slow.ns(rotation(slow, [slave()], Case.LONGEST).bits)
-    recommended = watchdog_ms(slow, [slave()])
+    recommended = Figures(slow, [slave()]).watchdog_ms()
     assert recommended % 10 == 0
     assert 3 * longest <= recommended * NS_PER_MS < 3 * longest + 10 * NS_PER_MS
 
 
 def test_t_tr_is_the_tables_unless_the_round_needs_more() -> None:
-    assert t_tr_preset(params(), [slave()]) == 100_000
+    assert Figures(params(), [slave()]).t_tr_preset == 100_000
     many = [slave(n, "FF FF FF FF") for n in range(3, 100)]
     normal = rotation(params(), many, Case.NORMAL).bits
     assert normal > 100_000
     # after a whole token rotation there must be time left for a whole hold: all but the token (33) and T_ID1 (37)
-    assert t_tr_preset(params(), many) == normal + normal - 70
+    assert Figures(params(), many).t_tr_preset == normal + normal - 70
 
 
 def test_finding_watchdog_shorter_than_the_longest_rotation() -> None:
@@ -183,8 +184,8 @@ def test_the_watchdog_outlasts_the_death_of_a_neighbour_on_a_slow_adapter() -> N
     """60 ms of slack, one retry: the others wait 2 x (T_SL + 60 ms) = 120.8 ms; three times that is over 200 ms."""
     params = BusParams.preset(500_000, address=2)
     setups = [SlaveParams(address=3, name="one", ident=1, config=b"\x71")]
-    assert watchdog_ms(params, setups) == 200
-    assert watchdog_ms(params, setups, host_slack_ns=60_000_000) >= 370
+    assert Figures(params, setups).watchdog_ms() == 200
+    assert Figures(params, setups, host_slack_ns=60_000_000).watchdog_ms() >= 370
 
 
 def test_a_watchdog_shorter_than_the_worst_case_with_a_dying_slave() -> None:

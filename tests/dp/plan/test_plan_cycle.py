@@ -6,8 +6,8 @@ import pytest
 from planned_bus import IDENT, identifiers
 
 from dpstack.dp.plan.cycle_check import Verdict, slowest_rates, token_wait_ns
-from dpstack.dp.plan.plan import OtherMasters, Plan, make_plan
-from dpstack.dp.plan.rotation_time import figures
+from dpstack.dp.plan.plan import Plan, make_plan
+from dpstack.dp.plan.rotation_time import Figures, OtherMasters
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_MS
@@ -182,7 +182,7 @@ def test_the_longest_diagnosis_of_the_gsd_file_counts() -> None:
     unknown = SlaveParams(address=3, name="s", ident=IDENT, config=identifiers(4, 4))
     known = SlaveParams(address=3, name="s", ident=IDENT, config=identifiers(4, 4), max_diag_len=6)
     params = BusParams.preset(1_500_000)
-    of = [figures(params, [each]).rotations for each in (unknown, known)]
+    of = [Figures(params, [each]).rotations for each in (unknown, known)]
     for case in of[0]:
         saved = of[0][case].bits - of[1][case].bits
         assert saved == (238 * 11 if case.value in ("normal", "max") else 0)
@@ -203,7 +203,7 @@ def test_as_data() -> None:
 
 
 def test_the_rate_a_cycle_needs() -> None:
-    at_rates = [figures(BusParams.preset(baud), FIVE) for baud in BAUD_RATES]
+    at_rates = [Figures(BusParams.preset(baud), FIVE) for baud in BAUD_RATES]
     assert slowest_rates(at_rates, 4 * NS_PER_MS) == {
         Verdict.POSSIBLE: 500_000,
         Verdict.TYPICAL: 1_500_000,

@@ -21,7 +21,7 @@ from planned_bus import identifiers, setups
 
 from dpstack.api.bus.compose import plan_bus
 from dpstack.api.config.config import load_config
-from dpstack.dp.plan.plan import Case, rotation
+from dpstack.dp.plan.rotation_time import Case, rotation
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES
 
