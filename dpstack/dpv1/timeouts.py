@@ -6,7 +6,7 @@ from typing import Final
 
 from dpstack.units import NS_PER_MS, NS_PER_S
 
-#: from the order to the end of a service, the time that others take included, where nobody says another one
+#: from the order to the end of a service, the time that others take included, unless the caller gives another one
 SERVICE_TIMEOUT: Final = 10 * NS_PER_S
 #: how long a slave works at a service at most, where its GSD file has no C1_Response_Timeout or C2_Response_Timeout
 RESPONSE_TIMEOUT: Final = NS_PER_S
@@ -21,17 +21,17 @@ _PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
 #: (docs/protocol.md#initiate)
 _SEND_TIMEOUTS: Final = {1_500_000: NS_PER_S, 500_000: 2 * NS_PER_S, 0: 4 * NS_PER_S}
 
-#: a master says Idle over a connection that was quiet for this share of its send time-out: a slave waits twice the
+#: a master sends Idle over a connection that was quiet for this share of its send time-out: a slave waits twice the
 #: whole for a request (VPC3+), so two may be lost
 QUIET_SHARE: Final = 3
-#: a slave that works at a service says Idle to the first poll after this share of it
+#: a slave that works at a service answers Idle to the first poll after this share of it
 WORKING_SHARE: Final = 2
 #: send time-outs that a slave waits for a request (VPC3+); while it has something to be fetched it waits for one
 PATIENCE: Final = 2
 
 
 def service_timeout(response_ns: int) -> int:
-    """From the order to the end of a service where nobody says another time, and the slave may work at it for
+    """From the order to the end of a service unless the caller gives another time, and the slave may work at it for
     ``response_ns`` (0: not known)."""
     return max(SERVICE_TIMEOUT, response_ns + _MARGIN)
 

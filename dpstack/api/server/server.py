@@ -17,9 +17,9 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, SlaveAppStats
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, Raised
 from dpstack.dpv1.slave.description_from_gsd import slave_description
-from dpstack.dpv1.slave.device import Device, OnCycle
+from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.resource_manager import ServedConnection, ms2_of
-from dpstack.dpv1.slave.user_slave import DpSlave, SlaveOptions
+from dpstack.dpv1.slave.user_slave import DpSlave, OnCycle, SlaveOptions
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.runtime import Runtime

@@ -28,7 +28,7 @@ class PrmFunction(IntFlag):
 
 
 class RedState(IntFlag):
-    """One of both sides of a redundant slave."""
+    """The state of one side of a redundant slave."""
 
     BACKUP = 0x01
     PRIMARY = 0x02
@@ -44,7 +44,7 @@ _LEAST: Final = 3
 
 
 class Redundancy(NamedTuple):
-    """``sequence`` 0..31: that of the PrmCmd. ``own``: the side that says it, ``other``: the second one.
+    """``sequence`` 0..31: that of the PrmCmd. ``own``: the side that sends it, ``other``: the second one.
 
     Red_State_1 and 2: to AUMA the primary's and the backup's, to VIPA those of the side that is asked and of the other.
     """
@@ -56,7 +56,7 @@ class Redundancy(NamedTuple):
 
     @classmethod
     def of(cls, specifier: int, data: bytes) -> Redundancy | None:
-        """From the specifier of the status and its data; None where they are too short."""
+        """Read specifier and data of a status; None where the data are too short."""
         if len(data) < _LEAST:
             return None
         return cls(specifier >> 3, PrmFunction(data[0]), RedState(data[1]), RedState(data[2]))
@@ -178,10 +178,10 @@ class Alarm:
         return f"{self.title}, slot {self.slot}" + (f", {how}" if how else "")
 
     @property
-    def told(self) -> str:
-        """:attr:`text` with its data, and what the user is asked for."""
-        told = self.text + _hex(self.data)
-        return f"{told}, wants to be acknowledged by the user too" if self.add_ack else told
+    def full_text(self) -> str:
+        """:attr:`text` with its data, and whether the user has to acknowledge it too."""
+        text = self.text + _hex(self.data)
+        return f"{text}, wants to be acknowledged by the user too" if self.add_ack else text
 
     def build(self) -> bytes:
         """The block with its header. Raises PduError where a value does not fit."""
@@ -192,7 +192,7 @@ class Alarm:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """A status, which nobody acknowledges: ``type`` (bit 7 taken off) 1..3, 30, 31 or 32..126; the rest as of Alarm.
+    """A status, which has no acknowledgement: ``type`` (bit 7 taken off) 1..3, 30, 31 or 32..126; the rest as of Alarm.
 
     ``reserved``: bits 7..2 of the specifier; PrmCmdAck and Red_State have a sequence number there.
     """
@@ -209,7 +209,7 @@ class Status:
 
     @property
     def text(self) -> str:
-        """One line; of a module status every module that is not ok, of PrmCmdAck and Red_State what they say."""
+        """One line; for a module status every module that is not ok, for PrmCmdAck and Red_State their contents."""
         if self.type == StatusType.MODULES:
             bad = [f"slot {n} {state.text}" for n, state in enumerate(self.modules, 1) if state]
             return f"{self.title}: {', '.join(bad) or 'all modules ok'}"
@@ -218,14 +218,14 @@ class Status:
         return f"{self.title}, slot {self.slot}" + (f", {how}" if how else "")
 
     @property
-    def told(self) -> str:
+    def full_text(self) -> str:
         """:attr:`text` with its data, where they are not in it."""
         decoded = self.type == StatusType.MODULES or self.redundancy is not None
         return self.text if decoded else self.text + _hex(self.data)
 
     @property
     def redundancy(self) -> Redundancy | None:
-        """What a PrmCmdAck or Red_State says; None for all others, and where the data are too short."""
+        """The contents of a PrmCmdAck or Red_State; None for all others, and where the data are too short."""
         if self.type not in (StatusType.PRM_CMD_ACK, StatusType.RED_STATE):
             return None
         return Redundancy.of(self.reserved << 2 | self.specifier, self.data)

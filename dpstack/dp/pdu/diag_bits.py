@@ -1,4 +1,4 @@
-"""Every bit of the diagnosis in one table: who sets it, what the master does about it, what the user reads.
+"""The bits of the diagnosis as one table: who sets each, how the master reacts, the texts for the user.
 
 The judging (:mod:`dpstack.dp.master.verdicts`) works from this table, and docs/dp-v0.md is written from it. Facts:
 docs/protocol.md#slave_diag, docs/protocol.md#what-a-diagnosis-means.
@@ -26,14 +26,10 @@ class Does(Enum):
     REFUSES = "fault; tries again after 1 to 10 s"
 
 
-#: if several bits are set, the most serious one counts
-WEIGHT: Final = {does: at for at, does in enumerate(Does)}
-
-
 class Flag(NamedTuple):
     """One bit. ``text`` says what it means, ``remedy`` what to do (empty: nothing is wrong).
 
-    ``bring_up`` and ``exchange``: what the master does after Set_Prm and Chk_Cfg, and in data exchange; of a bit that
+    ``bring_up`` and ``exchange``: its reaction after Set_Prm and Chk_Cfg, and in data exchange; of a bit that
     it sets itself, None: whatever a slave puts there is ignored. ``note``: more about what the master does.
     """
 
@@ -51,10 +47,10 @@ class Flag(NamedTuple):
 _S, _M = SetBy.SLAVE, SetBy.MASTER
 _T, _W, _P, _R = Does
 
-#: Status 2 bit 2 is always 1; some slaves forget it, nobody needs it.
+#: Status 2 bit 2 should always be 1; some slaves leave it 0, which has no effect.
 ALWAYS_ONE: Final = 0x04
 
-#: Every bit of the three status octets that says something, in the order of the wire.
+#: Every bit of the three status octets that has a meaning, in the order of the wire.
 FLAGS: Final = (
     Flag(
         1, 0x01, "station_non_existent", _M, None, None, "does not answer", "check power, address and cable",
@@ -117,6 +113,6 @@ FLAGS: Final = (
 FLAG: Final = {flag.name: flag for flag in FLAGS}
 
 
-def weightiest(names: tuple[Does | None, ...]) -> Does:
-    """The weightiest of what the bits of one diagnosis ask for."""
-    return max((does for does in names if does is not None), key=WEIGHT.__getitem__, default=Does.TELLS)
+def weightiest(reactions: tuple[Does | None, ...]) -> Does:
+    """The most serious one of the reactions to the bits of one diagnosis."""
+    return max(filter(None, reactions), key=tuple(Does).index, default=Does.TELLS)

@@ -3,8 +3,8 @@
 Layouts: docs/protocol.md#diagnosis-blocks.
 
 Lengths in what is read come from the slave and may lie: a block that announces more than is left holds what is left,
-one that announces nothing ends the splitting; both are a finding in words, never an exception. What is made is the
-diagnosis that an application sets: what it says beyond the slave's own fault bits.
+one that announces nothing ends the splitting; both are a finding in words, never an exception. A slave application
+makes its diagnosis beyond the slave's own fault bits from the same blocks.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class ChannelBlock(Block):
 
     @property
     def cause(self) -> str:
-        """What is wrong, for people; makers' own errors (16..31) by number."""
+        """The error for people; makers' own errors (16..31) by number."""
         return _ERRORS.get(self.error, f"error {self.error}")
 
     @property
@@ -149,7 +149,7 @@ _MAX_BLOCK: Final = 63
 
 @dataclass(frozen=True, slots=True)
 class UserDiag:
-    """What an application says in its slave's diagnosis, all of it at once.
+    """The part of a slave's diagnosis that its application sets, as a whole.
 
     ``ext``: the octets after the six fixed ones. ``fault``: Ext_Diag, there is something wrong (False: ``ext`` is a
     mere message). ``stat``: Stat_Diag, no valid data at present. ``overflow``: more than what is said here.
@@ -186,7 +186,7 @@ class UserDiag:
         return UserDiag(self.ext[:kept], self.fault, self.stat, True)
 
 
-#: Nothing to say.
+#: nothing to report
 NO_DIAG: Final = UserDiag()
 
 

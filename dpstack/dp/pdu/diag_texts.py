@@ -1,4 +1,4 @@
-"""The blocks of an extended diagnosis in words: the standard's, and those of the device's GSD file."""
+"""Texts for the blocks of an extended diagnosis: the standard's, and those of the device's GSD file."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class DiagTexts(Protocol):
         """The number of the slot of the first module (Modul_Offset, else 1)."""
 
     def unit_diag_texts(self, octets: bytes) -> tuple[str, ...]:
-        """What the device related block says: ``octets`` without its header, bit 0 of the first octet is bit 0."""
+        """Texts for a device related block: ``octets`` without its header, bit 0 of the first octet is bit 0."""
 
     def unit_diag_helps(self, octets: bytes) -> tuple[str, ...]:
-        """What helps, for each of :meth:`unit_diag_texts`; empty where nothing is said."""
+        """The remedy for each of :meth:`unit_diag_texts`; empty where the file has none."""
 
     def channel_text(self, error_type: int, module: int | None = None) -> str | None:
         """A maker's own channel error (16..31) of the ``module``, None where the file has no text for it."""
@@ -34,7 +34,7 @@ class DiagTexts(Protocol):
 
 
 def block_texts(diagnosis: Diagnosis, texts: DiagTexts | None = None, *, dpv1: bool = False) -> tuple[str, ...]:
-    """One line or more for people for each block with something to say; what nobody can explain stays in hex.
+    """One line or more for people for each block that reports something; octets without an explanation stay in hex.
 
     ``dpv1``: the slave is parameterised for DP-V1, its device related blocks are alarms and status.
     """
@@ -50,7 +50,7 @@ def texts_of(blocks: Iterable[Block], texts: DiagTexts | None, *, dpv1: bool, me
 def conspicuous_text(
     diagnosis: Diagnosis, texts: DiagTexts | None = None, *, dpv1: bool = False, exchanging: bool
 ) -> str:
-    """What people are told of ``diagnosis``, in one line: its conspicuous flags, then its blocks as :func:`block_texts`
+    """A summary of ``diagnosis`` for people in one line: its conspicuous flags, then its blocks as :func:`block_texts`
     has them, without alarms and status messages (they have lines of their own). Empty where there is nothing."""
     said = texts_of(diagnosis.blocks, texts, dpv1=dpv1, messages=False)
     flags = (
@@ -65,8 +65,8 @@ def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool, messa
     said = ""
     if dpv1:
         try:
-            said = parse_block(block.octets).told
-        except PduError:  # told by who handles its alarms
+            said = parse_block(block.octets).full_text
+        except PduError:  # the alarm handler reports it
             said = ""
     if said and messages:
         yield said

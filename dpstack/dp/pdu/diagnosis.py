@@ -18,7 +18,7 @@ __all__ = ["ALWAYS_ONE", "FIXED_LEN", "FLAG", "FLAGS", "MAX_LEN", "NO_MASTER", "
 #: Fixed octets, and the longest diagnosis.
 FIXED_LEN: Final = 6
 MAX_LEN: Final = 244
-#: Master address of a slave that nobody has parameterised.
+#: Master address of a slave that no master has parameterised.
 NO_MASTER: Final = 255
 
 
@@ -78,10 +78,10 @@ class Diagnosis:
         return tuple(flag.name for flag in self.findings)
 
     def conspicuous(self, *, exchanging: bool) -> tuple[Flag, ...]:
-        """The flags that people are told of one by one; ``exchanging``: the slave is in data exchange.
+        """The flags to report one by one; ``exchanging``: the slave is in data exchange.
 
         Left out are those that only name a mode (WD_On, Sync_Mode), those that a master sets, and those that the master
-        deals with itself: states and faults of the slave tell of them.
+        deals with itself: states and faults of the slave report them.
         """
         found = self.findings
         if exchanging and any(flag.exchange in (Does.PARAMETERISES, Does.REFUSES) for flag in found):
@@ -111,7 +111,7 @@ class Diagnosis:
 
     @property
     def ext_finding(self) -> str | None:
-        """What is wrong with the lengths in the extended diagnosis, None when they are true."""
+        """The fault in the lengths of the extended diagnosis, None when they are right."""
         return split_blocks(self.ext)[1]
 
     # the bits that only a master sets say so; texts and what the master does: FLAGS

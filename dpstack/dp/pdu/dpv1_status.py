@@ -1,4 +1,4 @@
-"""What Set_Prm says to a DP-V1 slave: DPV1_Status_1 to 3, and structured parameter blocks
+"""DP-V1 in Set_Prm: DPV1_Status_1 to 3, and the structured parameters that follow them
 (docs/protocol.md#dpv1_status).
 
 The three octets are the first of its user parameters. GSD files mostly hold them as constants, the first as 00: the
@@ -48,7 +48,7 @@ ALARM_LIMITS: Final = (0, 2, 4, 8, 12, 16, 24, 32)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dpv1:
-    """DP-V1 of one slave: DPV1_Enable, and what else is said there; None leaves bits as the parameters have them.
+    """DP-V1 of one slave: DPV1_Enable and the bits beside it; None leaves bits as the parameters have them.
 
     ``alarms``: kinds that the slave may raise, keys of :data:`ALARMS`; ``alarm_mode`` 0 one of each kind at a time,
     1..7 2, 4, 8, 12, 16, 24, 32 in all. ``blocks``: appended, and Prm_Structure is set; with ``structured`` [GSD:

@@ -73,7 +73,7 @@ class TimeAr(NamedTuple):
 
 
 class DxbLink(NamedTuple):
-    """What a subscriber listens to: ``sample_length`` octets from ``sample_offset`` on of ``publisher``'s inputs."""
+    """The data of a subscriber: ``sample_length`` octets from ``sample_offset`` on of ``publisher``'s inputs."""
 
     publisher: int
     publisher_length: int
@@ -82,7 +82,7 @@ class DxbLink(NamedTuple):
 
 
 class DxbSubscription(NamedTuple):
-    """The same, and where it goes."""
+    """A link, and the slot and data area that its data go to."""
 
     publisher: int
     publisher_length: int
@@ -181,7 +181,7 @@ class PrmBlock:
 
     @property
     def content(self) -> Content | None:
-        """What it says, None for types that are octets only. Raises PduError for a length that cannot be."""
+        """The decoded data, None for types that are octets only. Raises PduError for an impossible length."""
         record, entry = RECORDS.get(self.type), TABLES.get(self.type)
         count = len(self.data)
         if record is not None:
@@ -209,7 +209,7 @@ def _type_of(content: Content) -> int:
 
 
 def parse_blocks(octets: bytes, first: int = 1) -> tuple[PrmBlock, ...]:
-    """The blocks that ``octets`` are; ``first``: the number of their first octet, for what is told.
+    """The blocks that ``octets`` are; ``first``: the number of their first octet, for messages.
 
     Raises PduError naming block and octet where a length cannot be.
     """

@@ -24,7 +24,7 @@ MAX_REM_SLAVE_DATA: Final = 240
 
 #: as many Global_Controls are kept, read and built
 _KEPT_CONTROLS: Final = 64
-#: What is sent as watchdog factors when the watchdog is off: the smallest legal ones, some slaves look at them anyway.
+#: The watchdog factors while the watchdog is off: the smallest legal ones, because some slaves check them anyway.
 _NO_WATCHDOG: Final = (1, 1)
 
 

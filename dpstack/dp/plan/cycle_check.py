@@ -1,4 +1,4 @@
-"""A fixed cycle held against the plan: what is refused, what will miss its time and how often, which rate it needs.
+"""Check of a fixed cycle against the plan: refusals, misses and their frequency, the baud rate that it needs.
 
 A cycle is possible where the shortest rotation fits. What is not data (diagnosis, services, GAP) waits for a cycle with
 time to spare; what never fits costs whole cycles.
@@ -19,7 +19,7 @@ from dpstack.units import NS_PER_MS, NS_PER_US, baud_text, ms_text
 
 
 class Verdict(Enum):
-    """What becomes of a cycle, worst first."""
+    """Judgement of a cycle, worst first."""
 
     IMPOSSIBLE = "impossible"  # shorter than the shortest rotation: refused
     POSSIBLE = "possible"  # shorter than the typical one: missed unless the slaves are fast
@@ -208,7 +208,7 @@ def _missed(figures: Figures, verdict: Verdict) -> str:
 
 
 def _overrun(figures: Figures) -> str:
-    """What happens where the typical rotation takes longer than the cycle: with or without its GAP poll."""
+    """The effect of a typical rotation that is longer than the cycle: with or without its GAP poll."""
     data, cycle = figures.data_ns(Case.TYPICAL), figures.cycle_ns
     if data <= cycle:
         return f"no GAP poll fits beside the data ({ms_text(data)}), and each makes a cycle late"
@@ -216,7 +216,7 @@ def _overrun(figures: Figures) -> str:
 
 
 def _costs(figures: Figures) -> list[str]:
-    """What does not fit into a cycle, and how many cycles each costs."""
+    """The parts of a rotation that do not fit into a cycle, and the cycles that each costs."""
     params, cycle = figures.params, figures.cycle_ns
     slow, usual = figures.data_ns(Case.NORMAL), figures.data_ns(Case.TYPICAL)
     spare = cycle - (usual if slow > cycle else slow)
@@ -227,12 +227,12 @@ def _costs(figures: Figures) -> list[str]:
         ("acyclic service", params.ns(figures.acyclic_bits)),
         ("GAP poll", params.ns(gap_poll_bits(params))),
     )
-    told = [f"rounds in which all slaves need their max T_SDR ({ms_text(slow)})"] if slow > cycle else []
+    costs = [f"rounds in which all slaves need their max T_SDR ({ms_text(slow)})"] if slow > cycle else []
     for name, takes in pieces:
         if takes > spare:
             cycles = -(-(takes - spare) // cycle)
-            told.append(f"each {name} that takes long (up to {ms_text(takes)}: {cycles} cycle{'s' * (cycles > 1)})")
-    return told
+            costs.append(f"each {name} that takes long (up to {ms_text(takes)}: {cycles} cycle{'s' * (cycles > 1)})")
+    return costs
 
 
 def _turn(cycle: int, setup: SlaveParams) -> str:

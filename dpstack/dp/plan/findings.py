@@ -1,4 +1,4 @@
-"""What is out of bounds on a planned bus, why, and what to do; and what is as it is, but worth knowing."""
+"""Findings of a plan (a value is out of bounds, why, and what to do) and notes (legal, but worth knowing)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dpstack.units import NS_PER_MS, baud_text, ms_text
 
 
 def findings(figures: Figures, watchdogs: dict[int, int], data_control_ns: int) -> Iterable[str]:
-    """What is out of bounds; ``watchdogs`` are the effective ones in ms by address, 0 is off."""
+    """The values out of bounds; ``watchdogs`` are the effective ones in ms by address, 0 is off."""
     params = figures.params
     at = baud_text(params.baud)
     yield from _t_tr(figures)

@@ -1,4 +1,4 @@
-"""What a bus will do before it is switched on: rotation times, watchdogs, T_TR, and what does not fit together."""
+"""The plan of a bus before it is switched on: rotation times, watchdogs, T_TR, and values that do not fit together."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Plan:
 
     @property
     def refusals(self) -> tuple[Refusal, ...]:
-        """What keeps the bus from being opened at all."""
+        """The reasons why the bus cannot be opened."""
         return self.cycle.refusals if self.cycle else ()
 
     def rotation_ns(self, case: Case) -> int:

@@ -14,7 +14,7 @@ from typing import Final
 
 from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.pdu.requests import GlobalControl
+from dpstack.dp.pdu.requests import GlobalControl, SetSlaveAdd
 from dpstack.dp.slave.cyclic_data import wrong_inputs
 from dpstack.dp.slave.device import DpV0Device, Leave
 from dpstack.dp.slave.events import SlaveAppStats, WatchdogExpired
@@ -27,7 +27,7 @@ from dpstack.errors import PduError
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply, StationControl
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Resp, Telegram
-from dpstack.params import BusParams
+from dpstack.params import UNADDRESSED, BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
 
@@ -96,14 +96,14 @@ class SlaveApp(SlaveCore):
         """As delivered: address 126, open for Set_Slave_Add; then as after :meth:`restart`."""
         self.step(AppTrigger.POWER_ON, now, Leave.POWER_OFF)
         try:
-            self.set_address.initial_reset(now)
+            self.set_address.change(SetSlaveAdd(UNADDRESSED, self.device.ident), None, now)
         except Exception as error:
             self.fail("an initial reset", error, now)
             return
         self.restart(now)
 
     def rate_lost(self, now: int) -> None:
-        """The baud rate is searched again: nobody can use the services of the device any more."""
+        """The baud rate is searched again: no master can use the services of the device any more."""
         self.end_services("the baud rate was lost", now)
 
     # --- Responder ----------------------------------------------------------------------------------------------
@@ -111,7 +111,7 @@ class SlaveApp(SlaveCore):
     def attached(self, station: StationControl) -> None:
         """A station was built around this application."""
         self.report.station = station
-        self.set_address.attached()
+        self.set_address.keep(station.address)
 
     def serve(self, request: Telegram, now: int) -> Reply | None:
         """Answer a request; Data_Exchange first, it comes in every rotation."""

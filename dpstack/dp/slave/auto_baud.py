@@ -18,7 +18,6 @@ from enum import Enum
 from typing import Final, Protocol
 
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dp.slave.device import DpV0Device
 from dpstack.dp.slave.events import SlaveAppEvent
 from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound
 from dpstack.fdl.decoder import DecoderStats
@@ -27,13 +26,12 @@ from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
 from dpstack.machine import LineDown, LineUp, Machine, RateRefused
 from dpstack.params import BusParams
-from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NOW, baud_text
 
 
 class Listener(Machine, Protocol):
-    """What hears at one rate."""
+    """A machine that receives at one rate."""
 
     @property
     def params(self) -> BusParams: ...
@@ -103,7 +101,7 @@ class Searching(abc.ABC):
         self._slack_ns = slack_ns
         self._settle_ns = settle_ns
         self._events: list[Event] = []
-        self._search: AutoBaud | None = None  # begins with the first call that tells the time
+        self._search: AutoBaud | None = None  # begins with the first call that has a time
         self._rate = max(rates)
         self._heard_at = 0
         self._control_ns = 0
@@ -179,7 +177,7 @@ class Searching(abc.ABC):
 
     # --- inside ---
     def _begun(self, now: int) -> AutoBaud:
-        """The search, which begins with the first call that tells the time."""
+        """The search, which begins with the first call that has a time."""
         if self._search is None:
             self._search = AutoBaud(now, rates=self._rates, slack_ns=self._slack_ns, settle_ns=self._settle_ns)
         return self._search
@@ -251,7 +249,7 @@ class SearchingSlave(Searching):
 
     @property
     def hears_all(self) -> bool:
-        """Every telegram tells that the rate is right."""
+        """Every telegram shows that the rate is right."""
         return True
 
     # --- what it hears ---
@@ -277,24 +275,6 @@ class SearchingSlave(Searching):
     def _event(self, baud: int | None, now: int) -> Event:
         name = self.app.device.name
         return BaudStateChanged(t_ns=now, address=self.station.address, name=name, state=self.state, baud=baud)
-
-
-def make_searching_slave(
-    address: int,
-    device: DpV0Device,
-    *,
-    rates: Sequence[int] = BAUD_RATES,
-    params_at: Callable[[int], BusParams] = BusParams.preset,
-    t_sdr: int | None = None,
-    patience: Patience = EXACT,
-) -> SearchingSlave:
-    """A whole slave as :func:`~dpstack.dp.slave.application.make_slave` makes it, that finds its rate among ``rates``.
-
-    Raises ConfigError.
-    """
-    app = SlaveApp(device, address=address)
-    station = PassiveStation(address, app, params_at(max(rates)), t_sdr=t_sdr, patience=patience)
-    return SearchingSlave(station, app, rates=rates, params_at=params_at)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

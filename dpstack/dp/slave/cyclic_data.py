@@ -56,7 +56,7 @@ class CyclicData:
         self._received = self.outputs  # what the next SYNC passes on
         self._clear = False  # Global_Control said Clear
         self.void = False
-        self._started = False  # the device was told Operate once
+        self._started = False  # operate() of the device was called
 
     def accepts(self, octets: bytes) -> bool:
         """Whether ``octets`` can be the outputs: the right length, or an empty fail-safe frame."""
@@ -139,7 +139,7 @@ class CyclicData:
 
 
 def wrong_inputs(inputs: object, expected: int) -> Exception:
-    """What to raise for a device that returns no inputs, or of the wrong length: it would go out on the wire."""
+    """The exception for a device that returns no inputs, or of the wrong length: they would go out on the wire."""
     if not isinstance(inputs, bytes):
         return TypeError(f"it returned {type(inputs).__name__}, inputs are bytes")
     return ValueError(f"it returned {len(inputs)} input octets, its configuration has {expected}")

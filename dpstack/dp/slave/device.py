@@ -1,4 +1,4 @@
-"""What a slave does with its data: the part of a slave application that its author writes."""
+"""The base class of a device: the part of a slave that its author writes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dpstack.units import NEVER
 
 
 class Leave(Enum):
-    """Why data exchange ended, as the slave knows it."""
+    """The reason why data exchange ended."""
 
     WATCHDOG = "watchdog"  # the master fell silent
     UNLOCK = "unlock"
@@ -73,17 +73,17 @@ class DpV0Device:
         """Global_Control Clear, or an empty output frame: outputs are void until :meth:`operate`."""
 
     def operate(self, now: int) -> None:
-        """Global_Control Operate (told at every change from Clear, and once after entry)."""
+        """Global_Control Operate (called at every change from Clear, and once after entry)."""
 
     def leave(self, reason: Leave, now: int) -> None:
         """Data exchange ended; react as the device does to a lost master."""
 
     def ext_diag(self) -> bytes:
-        """Octets after the six fixed ones of the diagnosis; empty when there is nothing to say."""
+        """Octets after the six fixed ones of the diagnosis; empty when there is nothing to report."""
         return b""
 
     def user_diag(self) -> UserDiag:
-        """What the device says in the diagnosis; asked in every exchange. Default: a fault with :meth:`ext_diag`."""
+        """The diagnosis of the device, read in every exchange. Default: a fault with :meth:`ext_diag`."""
         ext = self.ext_diag()
         return UserDiag(ext, True) if ext else NO_DIAG
 
@@ -101,3 +101,7 @@ class DpV0Device:
 
     def tick(self, now: int) -> int | None:
         """The time asked for has come. An address where the slave restarts by itself and stands there from then on."""
+
+    def leaves_default(self, *methods: str) -> bool:
+        """Whether the device has these methods as they are here; then the slave need not call them."""
+        return all(getattr(getattr(self, name), "__func__", None) is getattr(DpV0Device, name) for name in methods)

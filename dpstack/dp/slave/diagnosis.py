@@ -1,4 +1,4 @@
-"""The diagnosis as a slave application keeps it: its fault bits, and whether the master has seen the rest.
+"""The diagnosis of a slave application: its fault bits, and whether the master has read the rest.
 
 Blocks stand in this order: alarm, status message, then what the device itself says, which is cut where there is no room
 (Max_Diag_Data_Len).
@@ -21,7 +21,7 @@ from dpstack.fdl.telegram import FC_FCB, FC_FCV
 class DiagState:
     """Fault bits of one slave application, and what its owner has read of the application's own diagnosis.
 
-    ``user`` asks the device, None where the device never has anything to say; ``messages``: alarms and status messages,
+    ``user`` asks the device, None where it never has anything to report; ``messages``: alarms and status messages,
     None where it has none. ``silent``: neither of them, there is never anything to fetch.
     """
 
@@ -44,13 +44,8 @@ class DiagState:
         self._told = NO_DIAG
         self._offered: UserDiag | None = None  # in an answer that the owner may not have received
         self.prm_fault = self.cfg_fault = self.not_supported = False
-        self.user: Callable[[], UserDiag] | None = device.user_diag
-        # a device that leaves both as they are need not be asked in every exchange
-        if all(
-            getattr(getattr(device, name), "__func__", None) is getattr(DpV0Device, name)
-            for name in ("user_diag", "ext_diag")
-        ):
-            self.user = None
+        is_plain = device.leaves_default("user_diag", "ext_diag")
+        self.user: Callable[[], UserDiag] | None = None if is_plain else device.user_diag
         self._messages = messages
         self.silent = self.user is None and messages is None
 

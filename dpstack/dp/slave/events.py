@@ -1,4 +1,4 @@
-"""What a slave application tells and counts: events, each refusal once, counters."""
+"""Events and counters of a slave application; each refusal is reported once."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class WatchdogExpired(SlaveAppEvent):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RequestRefused(SlaveAppEvent):
-    """A service of ``master`` was refused; ``reason`` names the octet. Told once for the same reason."""
+    """A service of ``master`` was refused; ``reason`` names the octet. Reported once for the same reason."""
 
     service: str
     master: int
@@ -105,7 +105,7 @@ class DeviceFailed(SlaveAppEvent):
 #: of an application that is on no station
 _UNKNOWN_RATE: Final = 1_500_000
 #: refusals to one master
-_MAX_TOLD: Final = 50
+_MAX_REPORTED: Final = 50
 _NO_MORE: Final = "; further refusals to it are counted only"
 
 
@@ -124,7 +124,7 @@ class SlaveAppStats:
 
 
 class Named(Protocol):
-    """What has a name for messages."""
+    """A device with a name for messages."""
 
     name: str
 
@@ -132,7 +132,7 @@ class Named(Protocol):
 class Report:
     """Events and counters of one slave application."""
 
-    __slots__ = ("_address", "_device", "_events", "_told", "station", "stats")
+    __slots__ = ("_address", "_device", "_events", "_reported", "station", "stats")
 
     def __init__(self, device: Named, address: int | None) -> None:
         self.stats = SlaveAppStats()
@@ -140,7 +140,7 @@ class Report:
         self._device = device
         self._address = address
         self._events: list[Event] = []
-        self._told: defaultdict[int, ReportOnce] = defaultdict(partial(ReportOnce, _MAX_TOLD))
+        self._reported: defaultdict[int, ReportOnce] = defaultdict(partial(ReportOnce, _MAX_REPORTED))
 
     @property
     def address(self) -> int | None:
@@ -159,15 +159,15 @@ class Report:
             self.station.set_address(address)
 
     def take(self) -> list[Event]:
-        """What there is to tell, oldest first."""
+        """The events since the last call, oldest first."""
         events = self._events
         if events:
             self._events = []
         return events
 
     def forget(self) -> None:
-        """Refusals told before are news again."""
-        self._told.clear()
+        """Report refusals again that were reported before."""
+        self._reported.clear()
 
     def emit(self, kind: type[SlaveAppEvent], now: int, **fields: Any) -> None:
         """An event of ``kind`` with these fields."""
@@ -179,10 +179,10 @@ class Report:
         self.emit(DeviceFailed, now, during=during, error=error_text(error), origin=origin_of(error))
 
     def refused(self, service: str, master: int, reason: str, now: int) -> None:
-        """A refusal; told once until :meth:`forget`, of a master whose requests are always wrong in another way the
-        first ones."""
+        """Count a refusal and report it once until :meth:`forget`; of a master whose requests are always wrong in
+        another way only the first ones."""
         self.stats.refused += 1
-        news = self._told[master].novelty((service, reason))
+        news = self._reported[master].novelty((service, reason))
         if news is Novelty.KNOWN:
             return
         if news is Novelty.LAST:

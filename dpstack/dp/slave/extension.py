@@ -38,7 +38,7 @@ class SlaveService:
     messages: DiagMessages | None = None
 
     def handlers(self) -> Mapping[int | None, Handler]:
-        """Who answers requests, by DSAP. In which states, and whether to the owner only, is in
+        """The functions that answer requests, by DSAP. In which states, and whether to the owner only, is in
         :data:`~dpstack.dp.slave.state_table.ACCESS`."""
         return {}
 
@@ -53,4 +53,4 @@ class SlaveService:
         """The time in :attr:`at` has come."""
 
     def end(self, why: str, now: int) -> None:
-        """The slave was switched off, or has another address or rate: nobody can go on with what is under way."""
+        """The slave was switched off, or has another address or rate: no master can finish its services."""

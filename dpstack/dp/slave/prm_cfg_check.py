@@ -1,4 +1,4 @@
-"""What a slave makes of Set_Prm and Chk_Cfg: the judgement, and the watchdog that comes out of it."""
+"""Checks of Set_Prm and Chk_Cfg at a slave, and its watchdog."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def watchdog_time(device: DpV0Device, prm: SetPrm) -> int:
     if prm.watchdog is None:
         return 0
     fine = device.wd_base_1ms and _dpv1_status(prm) & WD_BASE_1MS
-    return watchdog_ns(prm.watchdog, 1) if fine else watchdog_ns(prm.watchdog)
+    return watchdog_ns(prm.watchdog, 1 if fine else 10)
 
 
 def _dpv1_status(prm: SetPrm) -> int:

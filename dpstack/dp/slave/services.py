@@ -100,7 +100,7 @@ def _set_prm(core: SlaveCore, request: Telegram, now: int) -> Reply:
 
 
 def _prm_bad(core: SlaveCore, sa: int, refusal: Refusal, now: int) -> None:
-    # Not_Supported says it more exactly than Prm_Fault
+    # Not_Supported is more exact than Prm_Fault
     core.diag.clear_faults()
     core.diag.not_supported = refusal.not_supported
     core.diag.prm_fault = not refusal.not_supported
@@ -178,7 +178,7 @@ def _set_slave_add(core: SlaveCore, request: Telegram, now: int) -> Reply | None
         wanted = SetSlaveAdd.parse(request.data)
         reason = core.set_address.judge(wanted)
         if reason is None:
-            core.set_address.take(wanted, request.sa, now)
+            core.set_address.change(wanted, request.sa, now)
             core.end_services("the slave has another address", now)
             core.step(AppTrigger.ADDRESS, now)
     except PduError as error:

@@ -1,6 +1,6 @@
-"""What a slave application is at one moment, and its steps through the table of states.
+"""State, lock and address of a slave application, and its steps through the table of states.
 
-State and lock, the stay in data exchange, the watchdog, what is told. Whatever leaves data exchange, and whatever the
+Whatever leaves data exchange, and whatever the
 device raises, goes through here, so that outputs and lock are given up in one place. The time a device asks for, its
 ``wake_at`` and ``tick``, is kept from hanging or breaking the bus.
 """
@@ -18,7 +18,7 @@ from dpstack.dp.slave.events import AddressChanged, Report, SlaveAppStateChanged
 from dpstack.dp.slave.prm_cfg_check import Watchdog
 from dpstack.dp.slave.state_table import TABLE, AppTrigger, SlaveAppState
 from dpstack.fdl.passive.station import LOWEST_TSDR
-from dpstack.params import MAX_STATION, UNADDRESSED
+from dpstack.params import MAX_STATION
 from dpstack.units import NOW
 
 # No_Add_Chg closes the service for good; only an initial reset, done at the device itself, gives the slave the address
@@ -28,23 +28,14 @@ from dpstack.units import NOW
 class SlaveAddress:
     """Where one slave stands on the bus. ``fixed``: Set_Slave_Add is closed."""
 
-    __slots__ = ("_device", "_kept_address", "_kept_fixed", "_report", "fixed")
+    __slots__ = ("_device", "_report", "fixed", "kept")
 
     def __init__(self, device: DpV0Device, report: Report, fixed: bool) -> None:
         self._device = device
         self._report = report
         self.fixed = fixed
-        self._kept_address = report.address
-        self._kept_fixed = fixed
-
-    def attached(self) -> None:
-        """A station was built around the application: this is the address it was switched on with."""
-        self._kept_address = self._report.address
-
-    @property
-    def kept(self) -> tuple[int | None, bool]:
-        """The address from the next power-on, and whether Set_Slave_Add is closed then."""
-        return self._kept_address, self._kept_fixed
+        #: the address from the next power-on, and whether Set_Slave_Add is closed then
+        self.kept = (report.address, fixed)
 
     @property
     def open(self) -> bool:
@@ -59,30 +50,26 @@ class SlaveAddress:
             return f"octet 1: address {wanted.address} is outside 0..{MAX_STATION}"
         return None
 
-    def take(self, wanted: SetSlaveAdd, master: int, now: int) -> None:
-        """The address of an accepted Set_Slave_Add. Exceptions of the device pass through, nothing is changed then."""
-        self._change(wanted.address, wanted.no_add_chg, wanted.rem_slave_data, master, now)
-
-    def initial_reset(self, now: int) -> None:
-        """As delivered: 126, and open. Exceptions of the device pass through."""
-        self._change(UNADDRESSED, False, b"", None, now)
-
-    def set_at_device(self, address: int) -> None:
-        """By a parameter of the device: from the next restart."""
-        self._kept_address = address
+    def keep(self, address: int | None) -> None:
+        """Stand at ``address`` from the next restart on: the station has it from the beginning, or a parameter of the
+        device sets it."""
+        self.kept = (address, self.kept[1])
 
     def restart(self) -> None:
         """Switched on again: what was not kept is gone."""
-        self.fixed = self._kept_fixed
-        if self._kept_address is not None:
-            self._report.readdress(self._kept_address)
+        address, self.fixed = self.kept
+        if address is not None:
+            self._report.readdress(address)
 
-    def _change(self, address: int, fixed: bool, rem_slave_data: bytes, master: int | None, now: int) -> None:
+    def change(self, wanted: SetSlaveAdd, master: int | None, now: int) -> None:
+        """Change the address as ``wanted`` says: by ``master``, or None for an initial reset. Exceptions of the device
+        pass through, nothing is changed then."""
+        address, fixed = wanted.address, wanted.no_add_chg
         before = self._report.address
         with DEVICE_CALL:
-            kept = self._device.address_set(address, fixed, rem_slave_data) or master is None
+            kept = self._device.address_set(address, fixed, wanted.rem_slave_data) or master is None
         if kept:
-            self._kept_address, self._kept_fixed = address, fixed
+            self.kept = (address, fixed)
         self.fixed = fixed
         self._report.readdress(address)
         self._report.emit(AddressChanged, now, before=before, master=master, fixed=fixed, kept=kept)
@@ -138,7 +125,7 @@ class SlaveCore:
         return self.diag.build(self.state, self.master, self.data, user, wd=wd, ill=ill)
 
     def user_diag(self, now: int) -> UserDiag:
-        """What the device says in the diagnosis; nothing from a broken one."""
+        """The diagnosis of the device; nothing from a broken one."""
         ask = self.diag.user
         if ask is not None and self.failure is None:
             try:
@@ -168,7 +155,7 @@ class SlaveCore:
 
     def restart_at(self, address: int, now: int) -> None:
         """The device restarts by itself, at an address that was set at it."""
-        self.set_address.set_at_device(address)
+        self.set_address.keep(address)
         before = self.report.address
         self.restart(now)
         if before != address:
@@ -203,18 +190,18 @@ class SlaveCore:
         return True
 
     def fail(self, during: str, error: Exception, now: int) -> None:
-        """The device raised: out of data exchange, told."""
+        """The device raised ``error``: leave data exchange, report it."""
         self.failure = f"{type(error).__name__}: {error}"
         self.report.failed(during, error, now)
         self.step(AppTrigger.FAILED, now, Leave.FAILURE)
 
     def end_services(self, why: str, now: int) -> None:
-        """What the services of the device have under way ends."""
+        """End everything that the services of the device have under way."""
         for service in self.services:
             service.end(why, now)
 
     def foreign(self, service: str, sa: int, event: AppTrigger, now: int) -> None:
-        """A service of a master that does not own the slave: counted, told, without effect."""
+        """A service of a master that does not own the slave: counted and reported, without effect."""
         self.report.stats.foreign += 1
         owner = "nobody has parameterised the slave" if self.master is None else f"it is locked by master {self.master}"
         self.report.refused(service, sa, owner, now)
@@ -229,11 +216,9 @@ class DeviceClock:
     def __init__(self, device: DpV0Device) -> None:
         self._device = device
         self._error: Exception | None = None
-        # a device that leaves wake_at as it is need not be asked in every step
-        plain = getattr(device.wake_at, "__func__", None) is DpV0Device.wake_at
         #: asked after each step of the slave: when :meth:`tick` is wanted, in ns; None: never. What it raises goes to
         #: :meth:`failed`.
-        self.due = None if plain else device.wake_at
+        self.due = None if device.leaves_default("wake_at") else device.wake_at
 
     def failed(self, error: Exception) -> int:
         """``due`` raised ``error``: :meth:`tick`, which knows the time, will raise it. Returns when it is wanted."""
@@ -257,8 +242,8 @@ class DeviceClock:
         while due <= now:
             before = due
             with DEVICE_CALL:
-                told, due = self._device.tick(now), self.due()
-            restart = restart if told is None else told
+                address, due = self._device.tick(now), self.due()
+            restart = restart if address is None else address
             if due <= before:
                 raise RuntimeError(f"wake_at() stays at {due} after tick({now})")
         return restart

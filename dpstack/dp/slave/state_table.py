@@ -82,7 +82,7 @@ CONNECTION: Final = Access("MS2", _ALL, False, f"{_MS2}: class 2 needs no parame
 
 
 class AppTrigger(Enum):
-    """What happened to a slave application."""
+    """The events that move a slave application from state to state."""
 
     PRM_GOOD = "Set_Prm with Lock_Req accepted"
     PRM_BAD = "Set_Prm refused"

@@ -218,7 +218,7 @@ class AlarmRaised(SlaveEvent):
         return self.held
 
     def _text(self) -> str:
-        return "; ".join((f"{self.who}: {self.alarm.told}", *self.texts))
+        return "; ".join((f"{self.who}: {self.alarm.full_text}", *self.texts))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,7 +240,7 @@ class StatusTold(SlaveEvent):
 
     status: Status
 
-    TEMPLATE = "{e.who}: {e.status.told}"
+    TEMPLATE = "{e.who}: {e.status.full_text}"
 
 
 def texts_beside(diagnosis: Diagnosis, alarm: Alarm, texts: DiagTexts | None) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What a negative response says: Error_Decode, class and code with their texts (docs/protocol.md#negative-response).
+"""Codes of a negative response: Error_Decode, error class and code, with texts (docs/protocol.md#negative-response).
 
 Error_Code_1 is class (bits 7..4) and code (bits 3..0); Error_Code_2 is the device's own.
 """
@@ -55,7 +55,7 @@ AGAIN: Final = frozenset(
     {Code.STATE_CONFLICT, Code.READ_CONSTRAINT_CONFLICT, Code.WRITE_CONSTRAINT_CONFLICT, Code.RESOURCE_BUSY}
 )
 _TEXTS: Final[Mapping[int, str]] = {code: code.name.lower().replace("_", " ") for code in Code}
-#: what the user can do about it, by class or code
+#: remedies for the user, by code
 _REMEDIES: Final[dict[int, str]] = {
     Code.INVALID_INDEX: "its manual lists the records it has",
     Code.INVALID_SLOT: "slots count from 0 (the station itself); its manual lists them",
@@ -89,7 +89,7 @@ def code_text(code_1: int) -> str:
 
 
 def remedy(code_1: int) -> str:
-    """What to do about it; empty where nothing general can be said."""
+    """The remedy for an Error_Code_1; empty where there is no general one."""
     return _REMEDIES.get(code_1, "")
 
 

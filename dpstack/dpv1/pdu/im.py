@@ -108,7 +108,7 @@ def number_of(record: Im) -> int:
 
 
 def build_call(number: int, record: Im | None = None) -> bytes:
-    """What is written to index 255 to ask for I&M ``number``, or to change it to ``record``."""
+    """The octets for a Write to index 255 that asks for I&M ``number``, or changes it to ``record``."""
     return _IM_CALL.build(function=_CALL, fi_index=_FIRST + number, data=b"" if record is None else record.build())
 
 

@@ -93,8 +93,8 @@ _RESOURCE_MANAGER: Final = Layout(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Initiate:
-    """What both ends say in Initiate: ``features``, ``profile_features``: two octets each; ``profile_ident``: 0 for
-    none; ``source``: the end that says it."""
+    """The common part of both Initiate PDUs: ``features``, ``profile_features``: two octets each; ``profile_ident``: 0
+    for none; ``source``: the end that sends it."""
 
     features: int = FEATURES
     profile_features: int = 0
@@ -188,7 +188,7 @@ class Instance(IntEnum):
     USER = 2
 
 
-#: reasons are four bits, whatever the instance
+#: a reason has four bits, with every instance
 MAX_REASON: Final = 15
 
 
@@ -235,7 +235,7 @@ _SUBNETS: Final[Mapping[int, str]] = {Subnet.LOCAL: " in its own subnet", Subnet
 
 @dataclass(frozen=True, slots=True)
 class Abort:
-    """The end of a connection, from either end, without an answer. ``reason`` 0..15 means what ``instance`` says."""
+    """The end of a connection, from either end, without an answer. ``instance`` gives ``reason`` 0..15 its meaning."""
 
     reason: int
     instance: int = Instance.MS2

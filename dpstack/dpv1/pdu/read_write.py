@@ -39,6 +39,10 @@ class Function(IntEnum):
         return self.name.title()
 
 
+#: the numbers of functions
+FUNCTIONS: Final[frozenset[int]] = frozenset(Function)
+
+
 class RecordOctets(NamedTuple):
     """Read, Write and Data_Transport, requests and positive responses: four octets, and the data where there are
     any."""
@@ -138,7 +142,7 @@ class ReadRes(_WithData):
 
 
 class WriteRes(_WithLength):
-    """``length`` octets were taken."""
+    """``length`` octets were written."""
 
     __slots__ = ()
     function = Function.WRITE
@@ -210,7 +214,7 @@ class AlarmAck:
 
     @classmethod
     def of(cls, alarm: Alarm) -> AlarmAck:
-        """What acknowledges ``alarm``."""
+        """The acknowledgement of ``alarm``."""
         return cls(alarm.slot, alarm.type, alarm.specifier, alarm.sequence, alarm.add_ack)
 
     @classmethod
@@ -237,11 +241,11 @@ Response = RecordRes | DataTransport
 
 
 class UnacceptableError(PduError):
-    """A request that a slave refuses: ``negative`` is its answer. The text names the octet."""
+    """A request that a slave refuses: ``negative`` is its answer. The message names the octet."""
 
-    def __init__(self, message: str, negative: Negative) -> None:
+    def __init__(self, message: str, function: int, code: Code) -> None:
         super().__init__(message)
-        self.negative = negative
+        self.negative = Negative(function, code)
 
 
 def parse_request(octets: bytes) -> RecordReq:
@@ -250,26 +254,26 @@ def parse_request(octets: bytes) -> RecordReq:
         raise PduError("DP-V1 service: no octets")
     function = octets[0]
     if function not in (Function.READ, Function.WRITE):
-        known = function in Function.__members__.values()
+        known = function in FUNCTIONS
         what = f"{Function(function).title} is no service here" if known else f"no service 0x{function:02X}"
-        raise UnacceptableError(f"octet 1: {what}", Negative(function, Code.FEATURE_NOT_SUPPORTED))
+        raise UnacceptableError(f"octet 1: {what}", function, Code.FEATURE_NOT_SUPPORTED)
     try:
         raw = RECORD.parse(octets)
     except PduError as error:
-        raise UnacceptableError(str(error), Negative(function, Code.INVALID_PARAMETER)) from None
+        raise UnacceptableError(str(error), function, Code.INVALID_PARAMETER) from None
     if raw.slot > MAX_SLOT:
-        raise UnacceptableError(f"octet 2: there is no slot {raw.slot}", Negative(function, Code.INVALID_SLOT))
+        raise UnacceptableError(f"octet 2: there is no slot {raw.slot}", function, Code.INVALID_SLOT)
     if raw.length > MAX_RECORD:
         reason = f"octet 4: {raw.length} octets of data, {MAX_RECORD} are possible"
-        raise UnacceptableError(reason, Negative(function, Code.WRITE_LENGTH_ERROR))
+        raise UnacceptableError(reason, function, Code.WRITE_LENGTH_ERROR)
     if function == Function.READ:
         if raw.data:
             reason = f"{len(raw.data)} octets too many: octet 4 is the last one of a Read request"
-            raise UnacceptableError(reason, Negative(function, Code.INVALID_PARAMETER))
+            raise UnacceptableError(reason, function, Code.INVALID_PARAMETER)
         return ReadReq(raw.slot, raw.record, raw.length)
     if raw.length != len(raw.data):
         reason = f"octet 4 says {raw.length} octets of data, {len(raw.data)} came"
-        raise UnacceptableError(reason, Negative(function, Code.WRITE_LENGTH_ERROR))
+        raise UnacceptableError(reason, function, Code.WRITE_LENGTH_ERROR)
     return WriteReq(raw.slot, raw.record, raw.data)
 
 
@@ -278,7 +282,7 @@ def parse_response(octets: bytes) -> RecordRes:
     if not octets:
         raise PduError("DP-V1 response: no octets")
     function = octets[0]
-    if function & ~_REFUSED not in Function.__members__.values():
+    if function & ~_REFUSED not in FUNCTIONS:
         raise PduError(f"DP-V1 response: octet 1 is 0x{function:02X}, which is no service")
     if function & _REFUSED:
         return _NEGATIVE.parse(octets)

@@ -10,7 +10,7 @@ docs/decisions/alarms.md#alarms-at-the-slave.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, NamedTuple
@@ -27,8 +27,7 @@ MAX_WAITING: Final = 32
 
 @dataclass(frozen=True, slots=True)
 class AlarmSupport:
-    """What a slave can raise: ``kinds``, keys of :data:`~dpstack.dp.pdu.dpv1_status.ALARMS` [Diagnostic_Alarm_supp
-    ...].
+    """The alarms of a slave: ``kinds``, keys of :data:`~dpstack.dp.pdu.dpv1_status.ALARMS` [Diagnostic_Alarm_supp ...].
 
     ``sequence``: in sequence mode so many at a time, 2..32, or 0 where it has type mode only
     [Alarm_Sequence_Mode_Count]; ``extra_sap``: Alarm_Ack comes over SAP 50 too [Extra_Alarm_SAP_supp].
@@ -73,7 +72,7 @@ class Raised:
 
 
 class Shown(NamedTuple):
-    """What stands in one diagnosis."""
+    """The alarm and the status message in one diagnosis."""
 
     alarm: Raised | None
     status: Status | None
@@ -81,7 +80,7 @@ class Shown(NamedTuple):
 
 
 class Acknowledged(NamedTuple):
-    """What came of an Alarm_Ack: its answer, the alarm that is over with it, why the answer is a negative one."""
+    """The result of an Alarm_Ack: its answer, the alarm that is over with it, the reason of a negative answer."""
 
     answer: AlarmAck | Negative
     alarm: Alarm | None = None
@@ -102,17 +101,14 @@ class AlarmServer:
         self._enabled = frozenset[str]()
         #: so many at a time in sequence mode, 0: type mode
         self.limit = 0
-        self._is_open = False
-        self._started = False
         self._waiting: deque[Raised] = deque()
         self._statuses: deque[Status] = deque()
-        self._told: Status | None = None  # fetched with the last diagnosis
-        self._current: Raised | None = None  # stands in the diagnosis
-        self._fetched = True  # the master has it
         self._on_its_way: dict[_Key, Raised] = {}
         self._acknowledged: deque[_Key] = deque(maxlen=SEQUENCES - 1)
-        self._sequence = 0
+        self._last_status: Status | None = None  # fetched with the last diagnosis
+        self._current: Raised | None = None  # stands in the diagnosis; with _fetched the master has it
         self._offered = _NOTHING  # in an answer that the master may not have received
+        self.close()
 
     # --- the application ----------------------------------------------------------------------------------------
 
@@ -138,7 +134,7 @@ class AlarmServer:
         return raised
 
     def withdraw(self, raised: Raised) -> None:
-        """Nobody waits for it any more: it goes, unless it was shown already."""
+        """The application does not wait for it any more: remove it, unless the master has been shown it."""
         if raised in self._waiting:
             self._waiting.remove(raised)
             raised.finish(AlarmEnd.WITHDRAWN)
@@ -149,7 +145,7 @@ class AlarmServer:
             self._advance()
 
     def status(self, status: Status) -> None:
-        """Tell a status once. Raises AlarmError where it cannot go out now, PduError where it cannot be."""
+        """Send a status once. Raises AlarmError where it cannot go out now, PduError where it cannot be."""
         if status.type not in VENDOR and status.type not in StatusType.__members__.values():
             raise PduError(f"there is no status of type {status.type}: 1..3, 30, 31, 32..126")
         self._check_room(status.build())
@@ -161,7 +157,7 @@ class AlarmServer:
 
     @property
     def pending(self) -> tuple[Raised, ...]:
-        """What is not over: on its way, then waiting."""
+        """The alarms that are not over: those on their way, then those that wait."""
         return (*self._on_its_way.values(), *self._waiting)
 
     # --- the slave application ----------------------------------------------------------------------------------
@@ -177,13 +173,14 @@ class AlarmServer:
         self._is_open = True
 
     def close(self) -> None:
+        """Data exchange ends: no alarm is possible, those that are not acknowledged are over."""
         over = self.pending
         self._is_open = self._started = False
         self._waiting.clear()
         self._statuses.clear()
         self._on_its_way.clear()
         self._acknowledged.clear()
-        self._told = None
+        self._last_status = None
         self._current, self._fetched = None, True
         self._sequence = 0
         for raised in over:
@@ -197,11 +194,11 @@ class AlarmServer:
         return not self._fetched or bool(self._statuses)
 
     def _shown(self) -> Shown:
-        """What stands in the diagnosis."""
+        """The alarm and the status message in the diagnosis now."""
         if not self._started:
             return _NOTHING
         alarm = self._current
-        status = self._statuses[0] if self._statuses and self._statuses[0] != self._told else None
+        status = self._statuses[0] if self._statuses and self._statuses[0] != self._last_status else None
         alarm_octets = b"" if alarm is None else alarm.alarm.build()
         status_octets = b"" if status is None else status.build()
         if len(alarm_octets) + len(status_octets) > self._room:
@@ -227,7 +224,7 @@ class AlarmServer:
             self._fetched = True
         if shown.status is not None and self._statuses and self._statuses[0] is shown.status:
             self._statuses.popleft()
-        self._told = shown.status
+        self._last_status = shown.status
         self._advance()
 
     def acknowledge(self, octets: bytes) -> Acknowledged:
@@ -273,11 +270,8 @@ class AlarmServer:
     def _next(self) -> Raised | None:
         if self.limit:
             return self._waiting[0] if len(self._on_its_way) < self.limit else None
-        busy = set(self._classes())
+        busy = {_class(raised.alarm.type) for raised in self._on_its_way.values()}
         return next((raised for raised in self._waiting if _class(raised.alarm.type) not in busy), None)
-
-    def _classes(self) -> Iterator[int]:
-        return (_class(raised.alarm.type) for raised in self._on_its_way.values())
 
     def _check_open(self, what: str) -> None:
         if not self._is_open:
@@ -298,5 +292,5 @@ def _key(alarm: Alarm) -> _Key:
 
 
 def _class(alarm_type: int) -> int:
-    """Of what type mode has one at a time: each type of the standard, and all vendor types together."""
+    """The class of which type mode allows one alarm at a time: a type of the standard, or all vendor types."""
     return VENDOR.start if alarm_type in VENDOR else alarm_type

@@ -1,4 +1,4 @@
-"""What a slave is, as its GSD file or its maker says: the checks of Set_Prm and Chk_Cfg follow from it.
+"""The description of a type of slave, as its GSD file has it; the checks of Set_Prm and Chk_Cfg follow from it.
 
 The names in brackets are the GSD keywords. A GSD model becomes a slave by filling in a :class:`SlaveDescription`.
 """
@@ -16,9 +16,8 @@ from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.pdu.prm_blocks import PrmBlock, parse_blocks
 from dpstack.dp.pdu.requests import MAX_USER_PRM
 from dpstack.dp.slave_params import INTERVAL_UNIT
-from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
 from dpstack.dpv1.slave.alarms import AlarmSupport
-from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
+from dpstack.dpv1.slave.resource_manager import check_ms2
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import config_for, io_lengths
@@ -133,12 +132,7 @@ class SlaveDescription:
             raise self._wrong(f"max_diag_len {self.max_diag_len} has no room for an alarm of {ALARM_HEAD} octets")
         if not FIXED_LEN <= self.max_diag_len <= MAX_LEN:
             raise self._wrong(f"max_diag_len {self.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
-        if not 0 <= self.ms2 <= MAX_CONNECTIONS:
-            raise self._wrong(f"ms2 = {self.ms2} connections of class 2; 0 to {MAX_CONNECTIONS} are possible")
-        if not 0 < self.ms2_max_len <= MAX_RECORD:
-            raise self._wrong(f"ms2_max_len {self.ms2_max_len} is outside 1..{MAX_RECORD}")
-        if not LEAST_INITIATE <= self.ms2_max_initiate <= MAX_DATA:
-            raise self._wrong(f"ms2_max_initiate {self.ms2_max_initiate} is outside {LEAST_INITIATE}..{MAX_DATA}")
+        check_ms2(f"slave {self.name}", self.ms2, self.ms2_max_len, self.ms2_max_initiate)
         if self.modules and self.max_modules < 1:
             raise self._wrong(f"max_modules {self.max_modules}: a modular slave has room for 1 at least")
 
@@ -149,7 +143,7 @@ class SlaveDescription:
 
     @property
     def default_config(self) -> bytes:
-        """The identifier octets it has until Chk_Cfg says others: the first it accepts, its presets or first module."""
+        """The identifier octets until a Chk_Cfg brings others: the first it accepts, its presets or first module."""
         if self.configs:
             return self.configs[0]
         return b"".join(preset.config for preset in self.presets) or self.modules[0].config

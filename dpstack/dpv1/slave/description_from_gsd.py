@@ -1,4 +1,4 @@
-"""From what a GSD file says to the description that a slave is made of."""
+"""The description of a slave from its GSD file."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ def slave_description(
     Max_User_Prm_Data_Len octets of user parameters; modules that the file breaks off in, or whose identifier octets
     contradict themselves, are left out. ``ident`` where the file has none. Raises ConfigError.
     """
+    gsd = device.dpv1
     number = device.ident if ident is None else ident
     if number is None:
         raise ConfigError(f"{device.model or 'the GSD file'} has no Ident_Number; give ident")
@@ -41,11 +42,11 @@ def slave_description(
     most = device.user_prm_data_len if device.max_user_prm_data_len is None else device.max_user_prm_data_len
     prm = 0 if chosen is None else len(chosen.user_prm().octets())
     longest = _within(most, MAX_USER_PRM)
-    dpv1 = device.dpv1.slave and (prm or longest) >= DPV1_STATUS_LEN
+    dpv1 = gsd.slave and (prm or longest) >= DPV1_STATUS_LEN
     presets = fixed_modules(device) if chosen is None else ()
     if presets and len(presets) == len(device.modules):
         chosen, presets = plug(device, presets), ()
-    structured = device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required
+    structured = gsd.prm_block_structure or gsd.prm_block_structure_required
     return SlaveDescription(
         ident=number,
         name=name or device.model or "slave",
@@ -62,14 +63,14 @@ def slave_description(
         sync=device.sync,
         freeze=device.freeze,
         fail_safe=device.fail_safe,
-        fail_safe_required=device.dpv1.fail_safe_required,
+        fail_safe_required=gsd.fail_safe_required,
         set_slave_add=device.set_slave_add,
-        wd_base_1ms=device.dpv1.wd_base_1ms,
-        prm_blocks=device.dpv1.prm_block_structure,
-        prm_blocks_required=device.dpv1.prm_block_structure_required,
-        ms2=_within(device.dpv1.c2_max_count_channels or 1, MAX_CONNECTIONS) if device.dpv1.c2_read_write else 0,
-        ms2_max_len=_within(device.dpv1.c2_max_data_len or None, MAX_RECORD),
-        ms2_max_initiate=max(LEAST_INITIATE, _within(device.dpv1.max_initiate_pdu_length or None, MAX_DATA)),
+        wd_base_1ms=gsd.wd_base_1ms,
+        prm_blocks=gsd.prm_block_structure,
+        prm_blocks_required=gsd.prm_block_structure_required,
+        ms2=_within(gsd.c2_max_count_channels or 1, MAX_CONNECTIONS) if gsd.c2_read_write else 0,
+        ms2_max_len=_within(gsd.c2_max_data_len or None, MAX_RECORD),
+        ms2_max_initiate=max(LEAST_INITIATE, _within(gsd.max_initiate_pdu_length or None, MAX_DATA)),
         dpv1=dpv1,
         **(_alarms(device) if dpv1 else {}),
         max_diag_len=max(FIXED_LEN, _within(device.max_diag_data_len, MAX_LEN)),
@@ -79,7 +80,7 @@ def slave_description(
 
 
 def _alarms(device: Device) -> dict[str, Any]:
-    """What it raises; a count of alarms at a time that cannot be is no sequence mode, or the most there is.
+    """Its alarms; an impossible count of alarms at a time becomes 0 (no sequence mode) or the largest possible one.
 
     Nothing where the file leaves its diagnosis no room for one.
     """

@@ -1,4 +1,4 @@
-"""Devices that mirror their outputs to their inputs: what a ``[[slave]]`` table without a drive is simulated as."""
+"""Devices that mirror their outputs to their inputs, the simulation of a ``[[slave]]`` table without a drive."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class MirrorDevice(Device):
         self._input_len = io_lengths(config)[0]
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
-        """What came, in the inputs' length."""
+        """The outputs in the length of the inputs."""
         return fitted(outputs, self._input_len)
 
 

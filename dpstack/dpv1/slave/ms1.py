@@ -34,23 +34,11 @@ class Ms1Server(SlaveService):
     """MS1 of one slave application: ``records`` and ``alarms``, None where the device has none; without both the SAP is
     closed."""
 
-    __slots__ = (
-        "_alarm_answer",
-        "_alarms",
-        "_answer",
-        "_asker",
-        "_enabled",
-        "_report",
-        "_request",
-        "messages",
-        "records",
-    )
-
     def __init__(self, records: Records | None, report: Report, alarms: AlarmServer | None = None) -> None:
         self.records = records
-        self._alarms = alarms
         self._alarm_answer: bytes | None = None  # at the extra SAP
-        self.messages = alarms
+        #: its alarms and status messages, which stand in the diagnosis
+        self.messages: AlarmServer | None = alarms
         self._enabled = False  # by Set_Prm
         self._report = report
         self._request: RecordRequest | None = None
@@ -62,22 +50,22 @@ class Ms1Server(SlaveService):
         return {SAP_MS1: self._serve, SAP_MS1_ALARM: self._serve_alarm}
 
     def parameterised(self, prm: SetPrm) -> None:
-        """DPV1_Enable opens it; DPV1_Status_2 and 3 say what alarms the master takes, and how many at a time
+        """DPV1_Enable opens it; DPV1_Status_2 and 3 have the alarms that the master takes, and how many at a time
         (docs/protocol.md#dpv1_status)."""
         status = prm.user_prm[:DPV1_STATUS_LEN].ljust(DPV1_STATUS_LEN, b"\0")
         self._enabled = bool(status[0] & DPV1_ENABLE)
-        if self._alarms is not None:
-            self._alarms.agree(*(status[1:] if self._enabled else b"\0\0"))
+        if self.messages is not None:
+            self.messages.agree(*(status[1:] if self._enabled else b"\0\0"))
 
     def entered(self) -> None:
         """Alarms are possible with DPV1_Enable."""
-        if self._enabled and self._alarms is not None:
-            self._alarms.open()
+        if self._enabled and self.messages is not None:
+            self.messages.open()
 
     def left(self) -> None:
         """Alarms, and what is asked, end with data exchange."""
-        if self._alarms is not None:
-            self._alarms.close()
+        if self.messages is not None:
+            self.messages.close()
         self._alarm_answer = None
         self._drop()
         if self._asker is not None:
@@ -86,7 +74,7 @@ class Ms1Server(SlaveService):
 
     def _serve(self, request: Telegram, now: int) -> Reply | None:
         """A request, or a poll (no octets)."""
-        if not self._enabled or (self.records is None and not (self._alarms and self._alarms.support.kinds)):
+        if not self._enabled or (self.records is None and not (self.messages and self.messages.support.kinds)):
             return None
         octets, sa = request.data, request.sa
         if not octets:
@@ -94,8 +82,8 @@ class Ms1Server(SlaveService):
         self._drop()
         if self._asker is None or self._asker.master != sa:
             self._asker = Asker(sa, SAP_MS1)
-        if octets[0] == Function.ALARM_ACK and self._alarms is not None:
-            self._answer = self._acknowledge(self._alarms, octets, sa, now).build()
+        if octets[0] == Function.ALARM_ACK and self.messages is not None:
+            self._answer = self._acknowledge(self.messages, octets, sa, now).build()
             return SC_REPLY
         try:
             wanted = parse_request(octets)
@@ -109,10 +97,10 @@ class Ms1Server(SlaveService):
 
     def _serve_alarm(self, request: Telegram, now: int) -> Reply | None:
         """A request at the extra SAP of alarms, or a poll."""
-        if not self._enabled or self._alarms is None or not self._alarms.support.extra_sap:
+        if not self._enabled or self.messages is None or not self.messages.support.extra_sap:
             return None
         if request.data:
-            self._alarm_answer = self._acknowledge(self._alarms, request.data, request.sa, now).build()
+            self._alarm_answer = self._acknowledge(self.messages, request.data, request.sa, now).build()
             return SC_REPLY
         return _reply(self._alarm_answer)
 

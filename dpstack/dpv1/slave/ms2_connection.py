@@ -1,18 +1,29 @@
-"""One class 2 connection at the slave, from Initiate to whatever ends it. The table is in ms2_states."""
+"""One class 2 connection at the slave, from Initiate to its end. Its table of states: ms2_states."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Final
 
 from dpstack.dp.error_origin import DEVICE_CALL, failure_text
 from dpstack.dp.pdu.layouts import MAX_SLOT
 from dpstack.dp.slave.events import Report, SlaveAppEvent
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.ms2 import IDLE, Abort, AbortReason, InitiateReq, InitiateRes, Instance
-from dpstack.dpv1.pdu.read_write import DataTransport, Function, Negative, ReadReq, UnacceptableError, parse_request
+from dpstack.dpv1.pdu.read_write import (
+    FUNCTIONS,
+    DataTransport,
+    Function,
+    Negative,
+    ReadReq,
+    UnacceptableError,
+    parse_request,
+)
 from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ms2Trigger, State
 from dpstack.dpv1.slave.record_requests import AcyclicDevice, Asker, RecordRequest, ask, ask_records
-from dpstack.dpv1.timeouts import PATIENCE, WORKING_SHARE
+from dpstack.dpv1.timeouts import PATIENCE, WORKING_SHARE, least_send_timeout
 from dpstack.errors import PduError, RecordRefused
 from dpstack.units import NS_PER_MS
 
@@ -44,6 +55,14 @@ class ConnectionClosed(SlaveAppEvent):
         return f"{self.who}: {which} is over after {self.services} services: {self.reason}"
 
 
+class Offer(Enum):
+    """How far the master of a connection has come to its server SAP, which the resource manager names."""
+
+    WAITING = "not fetched from the resource manager yet"
+    FETCHED = "fetched"
+    USED = "used"
+
+
 class ServerConnection:
     """One connection. ``ssap``: its master's SAP, 50 as a rule; ``send_timeout_ns``: as agreed.
 
@@ -58,22 +77,22 @@ class ServerConnection:
         "_request",
         "asker",
         "heard",
+        "offer",
         "send_timeout_ns",
         "services",
         "ssap",
         "state",
     )
 
-    def __init__(
-        self, asker: Asker, ssap: int | None, send_timeout_ns: int, device: AcyclicDevice, report: Report, now: int
-    ) -> None:
+    def __init__(self, asker: Asker, ssap: int | None, device: AcyclicDevice, report: Report, now: int) -> None:
         self.asker = asker
         self.ssap = ssap
-        self.send_timeout_ns = send_timeout_ns
+        self.send_timeout_ns = least_send_timeout(report.baud)
         self.state = State.ANSWERED
+        self.offer = Offer.WAITING
         self.heard = now
         self.services = 0
-        #: it told its master that it lives
+        #: its last sign of life to its master
         self._lived = now
         self._answer: bytes | None = None
         self._request: RecordRequest | None = None
@@ -87,24 +106,24 @@ class ServerConnection:
         return self.heard + patience * self.send_timeout_ns
 
     def is_of(self, sa: int, ssap: int | None) -> bool:
-        """Whether that is its master: the SAP is open for nobody else."""
+        """Whether that is its master, the only one that the SAP is open for."""
         return sa == self.asker.master and ssap == self.ssap
 
     # --- its beginning --------------------------------------------------------------------------------------------
 
     def initiate(self, octets: bytes, now: int) -> None:
-        """What came to the resource manager: the connection is open, or over at once with an Abort as its answer."""
+        """A request to the resource manager: the connection is open, or over at once with an Abort as its answer."""
         try:
             longest = self._device.ms2_max_initiate
             if len(octets) > longest:
                 raise PduError(f"Initiate of {len(octets)} octets, {longest} are possible (Max_Initiate_PDU_Length)")
             wanted = InitiateReq.parse(octets)
         except PduError as error:
-            self._refuse(str(error), Abort(AbortReason.REQUEST_PDU).build(), now)
+            self._refuse(str(error), Abort(AbortReason.REQUEST_PDU), now)
             return
         if wanted.destination.net:
             reason = "D_Addr is an address in another network, and this slave is the end of the way"
-            self._refuse(reason, Abort(AbortReason.ADDRESS).build(), now)
+            self._refuse(reason, Abort(AbortReason.ADDRESS), now)
             return
         try:
             with DEVICE_CALL:
@@ -117,8 +136,7 @@ class ServerConnection:
         longest = self._device.ms2_max_len
         self._answer = InitiateRes(longest, source=wanted.destination, destination=wanted.source).build()
         self._report.stats.connections += 1
-        who = self.asker
-        self._report.emit(ConnectionOpened, now, master=who.master, sap=who.sap, send_timeout_ns=self.send_timeout_ns)
+        self._emit(ConnectionOpened, now, send_timeout_ns=self.send_timeout_ns)
 
     def _unwanted(self, error: Exception, now: int) -> None:
         """Refused by the device: the negative response is its answer, and all that is left of it."""
@@ -128,21 +146,21 @@ class ServerConnection:
         else:
             negative = Negative(Function.INITIATE, Code.RESOURCE_UNAVAILABLE)
             reason = failure_text(error)
-        self._refuse(reason, negative.build(), now)
+        self._refuse(reason, negative, now)
 
-    def _refuse(self, why: str, answer: bytes, now: int) -> None:
+    def _refuse(self, why: str, answer: Abort | Negative, now: int) -> None:
         self._report.refused("Initiate", self.asker.master, why, now)
         self.asker.open = False
         self.state = State.OVER
-        self._answer = answer
+        self._answer = answer.build()
 
-    # --- what is heard --------------------------------------------------------------------------------------------
+    # --- requests and polls ----------------------------------------------------------------------------------------
 
-    def take(self, octets: bytes, now: int) -> None:
+    def receive(self, octets: bytes, now: int) -> None:
         """A request of its master."""
         self.heard = now
-        event, why = self._judge(octets)
-        match TABLE[self.state, event].act:
+        trigger, why = _trigger_of(octets)
+        match TABLE[self.state, trigger].act:
             case Act.SERVE:
                 self.services += 1
                 self._serve(octets, now)
@@ -159,7 +177,7 @@ class ServerConnection:
                 pass
 
     def poll(self, now: int) -> bytes | None:
-        """What its master fetches, None for SC; an Abort that was fetched frees the connection."""
+        """The answer to a poll, None for SC; an Abort that was fetched frees the connection."""
         self.heard = now
         if self.state is State.WORKING and self._request is not None:
             self._answer = self._request.octets(self._report, now)
@@ -196,12 +214,12 @@ class ServerConnection:
         return self.state is State.OVER and self._answer is None
 
     def abort(self, reason: int, now: int) -> None:
-        """Its slave does not want it any more; ``reason`` 0..15 means something to both users."""
+        """The user of the slave ends it; both users know the meaning of ``reason`` 0..15."""
         self.end(f"it was aborted here (reason {reason})", now, Abort(reason, Instance.USER))
         self.heard = now
 
     def end(self, why: str, now: int, abort: Abort | None = None) -> None:
-        """It is over; its master may fetch ``abort``, without one nobody is told on the bus."""
+        """It is over; its master may fetch ``abort``; None: nothing is sent."""
         if self.state is not State.OVER:
             self.state = State.OVER
             self.asker.open = False
@@ -209,28 +227,13 @@ class ServerConnection:
             if request is not None:
                 request.drop()
             self._report.stats.closed += 1
-            who = self.asker
-            self._report.emit(ConnectionClosed, now, master=who.master, sap=who.sap, services=self.services, reason=why)
+            self._emit(ConnectionClosed, now, services=self.services, reason=why)
         self._answer = None if abort is None else abort.build()
 
-    # --- inside ---------------------------------------------------------------------------------------------------
+    def _emit(self, kind: type[SlaveAppEvent], now: int, **fields: object) -> None:
+        self._report.emit(kind, now, master=self.asker.master, sap=self.asker.sap, **fields)
 
-    def _judge(self, octets: bytes) -> tuple[Ms2Trigger, str]:
-        function = octets[0]
-        if function not in Function.__members__.values():
-            return Ms2Trigger.UNREADABLE, f"octet 1: no service 0x{function:02X}"
-        match function:
-            case Function.ABORT:
-                try:
-                    return Ms2Trigger.ABORT, Abort.parse(octets).text
-                except PduError as error:
-                    return Ms2Trigger.ABORT, f"an Abort that cannot be read: {error}"
-            case Function.IDLE:
-                return Ms2Trigger.IDLE, "Idle"
-            case Function.READ | Function.WRITE | Function.DATA_TRANSPORT:
-                return Ms2Trigger.SERVICE, f"{Function(function).title} came"
-            case _:
-                return Ms2Trigger.OUT_OF_PLACE, f"{Function(function).title} came"
+    # --- inside ---------------------------------------------------------------------------------------------------
 
     def _serve(self, octets: bytes, now: int) -> None:
         """A service: what its application can be asked, else a negative response like that of MS1."""
@@ -243,7 +246,7 @@ class ServerConnection:
                 service = replace(service, length=min(service.length, longest))
             elif len(service.data) > longest:
                 reason = f"{len(service.data)} octets of data, {longest} are possible"
-                raise UnacceptableError(reason, Negative(octets[0], Code.WRITE_LENGTH_ERROR))
+                raise UnacceptableError(reason, octets[0], Code.WRITE_LENGTH_ERROR)
         except UnacceptableError as error:
             self._report.refused("MS2", self.asker.master, str(error), now)
             self._answer = error.negative.build()
@@ -256,14 +259,36 @@ class ServerConnection:
             ask_records(request, self._device.records)
 
 
+_TRIGGERS: Final[Mapping[int, Ms2Trigger]] = {
+    Function.ABORT: Ms2Trigger.ABORT,
+    Function.IDLE: Ms2Trigger.IDLE,
+    Function.READ: Ms2Trigger.SERVICE,
+    Function.WRITE: Ms2Trigger.SERVICE,
+    Function.DATA_TRANSPORT: Ms2Trigger.SERVICE,
+}
+
+
+def _trigger_of(octets: bytes) -> tuple[Ms2Trigger, str]:
+    """The trigger that a request is, and the reason for people where it ends the connection."""
+    function = octets[0]
+    if function not in FUNCTIONS:
+        return Ms2Trigger.UNREADABLE, f"octet 1: no service 0x{function:02X}"
+    why = f"{Function(function).title} came"
+    if function == Function.ABORT:
+        try:
+            why = Abort.parse(octets).text
+        except PduError as error:
+            why = f"an Abort that cannot be read: {error}"
+    return _TRIGGERS.get(function, Ms2Trigger.OUT_OF_PLACE), why
+
+
 def parse_transport(octets: bytes) -> DataTransport:
     """Read a Data_Transport request as a slave does. Raises UnacceptableError with what to answer."""
     try:
         request = DataTransport.parse(octets)
     except PduError as error:
-        negative = Negative(Function.DATA_TRANSPORT, Code.INVALID_PARAMETER)
-        raise UnacceptableError(str(error), negative) from None
+        raise UnacceptableError(str(error), Function.DATA_TRANSPORT, Code.INVALID_PARAMETER) from None
     if request.slot > MAX_SLOT:
-        negative = Negative(Function.DATA_TRANSPORT, Code.INVALID_SLOT)
-        raise UnacceptableError(f"octet 2: there is no slot {request.slot}", negative)
+        reason = f"octet 2: there is no slot {request.slot}"
+        raise UnacceptableError(reason, Function.DATA_TRANSPORT, Code.INVALID_SLOT)
     return request

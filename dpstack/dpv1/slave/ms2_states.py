@@ -1,4 +1,4 @@
-"""The states of one class 2 connection at the slave as a table: what is heard, what is done, with the source per row.
+"""The states of one class 2 connection at the slave as a table: trigger, action and source of each row.
 
 Facts: docs/protocol.md#ms2, docs/protocol.md#idle, docs/protocol.md#abort; the documents "VPC3+", "ProSoft" and
 "Felser": docs/protocol.md#sources.

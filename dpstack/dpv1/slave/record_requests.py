@@ -22,7 +22,8 @@ from dpstack.fdl.telegram import MAX_DATA
 
 @dataclass(eq=False)
 class Asker:
-    """Who asks: ``master`` on ``sap``, 51 for MS1 or the server SAP of a connection; ``open`` while it can go on."""
+    """The origin of requests: ``master`` on ``sap``, 51 for MS1 or the server SAP of a connection; ``open`` until it
+    ends."""
 
     master: int
     sap: int

@@ -12,17 +12,18 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.events import Report
 from dpstack.dp.slave.extension import Handler, SlaveService
-from dpstack.dpv1.pdu.ms2 import MAX_REASON, SERVER_SAPS, ResourceManagerRes
-from dpstack.dpv1.slave.ms2_connection import ServerConnection
+from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE, MAX_REASON, SERVER_SAPS, ResourceManagerRes
+from dpstack.dpv1.slave.ms2_connection import Offer, ServerConnection
 from dpstack.dpv1.slave.ms2_states import State
 from dpstack.dpv1.slave.record_requests import AcyclicDevice, Asker
 from dpstack.dpv1.timeouts import least_send_timeout
-from dpstack.errors import UsageError
+from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.interface import SC_REPLY, Reply
-from dpstack.fdl.telegram import SAP_MS2_RM, Resp, Telegram
+from dpstack.fdl.telegram import MAX_DATA, SAP_MS2_RM, Resp, Telegram
 from dpstack.units import NEVER
 
 #: connections that one slave can have
@@ -39,10 +40,14 @@ class ServedConnection:
     services: int
 
 
-@dataclass(slots=True)
-class _Offer:
-    connection: ServerConnection
-    fetched: bool = False
+def check_ms2(who: str, connections: int, max_len: int, max_initiate: int) -> None:
+    """Raise ConfigError where the settings ``ms2``, ``ms2_max_len`` and ``ms2_max_initiate`` of a slave cannot be."""
+    if not 0 <= connections <= MAX_CONNECTIONS:
+        raise ConfigError(f"{who}: ms2 = {connections}: 0 to {MAX_CONNECTIONS} class 2 connections are possible")
+    if not 0 < max_len <= MAX_RECORD:
+        raise ConfigError(f"{who}: ms2_max_len {max_len} is outside 1..{MAX_RECORD}")
+    if not LEAST_INITIATE <= max_initiate <= MAX_DATA:
+        raise ConfigError(f"{who}: ms2_max_initiate {max_initiate} is outside {LEAST_INITIATE}..{MAX_DATA}")
 
 
 class Ms2Server(SlaveService):
@@ -52,15 +57,12 @@ class Ms2Server(SlaveService):
     both are legal (docs/protocol.md#ms1).
     """
 
-    __slots__ = ("_connections", "_device", "_free", "_offers", "_report", "at")
-
     def __init__(self, device: AcyclicDevice, report: Report) -> None:
         self.at = NEVER
         self._device = device
         self._report = report
         self._connections: dict[int, ServerConnection] = {}
         self._free = deque(SERVER_SAPS[::-1][: device.ms2])
-        self._offers: dict[tuple[int, int | None], list[_Offer]] = {}
 
     @property
     def connections(self) -> tuple[ServedConnection, ...]:
@@ -80,9 +82,6 @@ class Ms2Server(SlaveService):
         """The resource manager, and the server SAPs."""
         return {**dict.fromkeys(SERVER_SAPS, self._serve), SAP_MS2_RM: self._manage}
 
-    def _send_timeout(self) -> int:
-        return least_send_timeout(self._report.baud)
-
     # --- SAP 49 ---------------------------------------------------------------------------------------------------
 
     def _manage(self, request: Telegram, now: int) -> Reply | None:
@@ -92,33 +91,36 @@ class Ms2Server(SlaveService):
             return None
         if not octets:
             return self._offered(sa, ssap)
-        for offer in list(self._offers.get((sa, ssap), ())):
-            if offer.connection.state is State.OVER:
-                self._take_back(offer.connection, now)  # what was wrong with an earlier Initiate is no answer to this
+        for one in self._offers(sa, ssap):
+            if one.state is State.OVER:
+                self._take_back(one, now)  # the fault of an earlier Initiate is no answer to this one
         sap = self._next(sa, ssap, now)
         if sap is None:
             return None
-        connection = ServerConnection(Asker(sa, sap), ssap, self._send_timeout(), self._device, self._report, now)
+        connection = ServerConnection(Asker(sa, sap), ssap, self._device, self._report, now)
         self._connections[sap] = connection
-        self._offers.setdefault((sa, ssap), []).append(_Offer(connection))
         connection.initiate(octets, now)
         self._watch(connection)
         return self._offered(sa, ssap) if self._device.ms2_at_once else SC_REPLY
 
+    def _offers(self, sa: int, ssap: int | None) -> list[ServerConnection]:
+        """The connections of a master that has not used the server SAP since its Initiate."""
+        return [one for one in self._connections.values() if one.offer is not Offer.USED and one.is_of(sa, ssap)]
+
     def _offered(self, sa: int, ssap: int | None) -> Reply:
-        offers = self._offers.get((sa, ssap))
+        """The server SAP for a master; that of each Initiate once, then the last one."""
+        offers = self._offers(sa, ssap)
         if not offers:
             return SC_REPLY
-        offer = next((one for one in offers if not one.fetched), offers[-1])
-        offer.fetched = True
-        manager = ResourceManagerRes(offer.connection.asker.sap, self._send_timeout())
-        return Reply(Resp.DL, manager.build())
+        connection = next((one for one in offers if one.offer is Offer.WAITING), offers[-1])
+        connection.offer = Offer.FETCHED
+        return Reply(Resp.DL, ResourceManagerRes(connection.asker.sap, least_send_timeout(self._report.baud)).build())
 
     def _next(self, sa: int, ssap: int | None, now: int) -> int | None:
-        """A server SAP that is free, or one that nobody uses: its Abort, or what the manager said, was not fetched."""
+        """A free server SAP, or that of a connection whose Abort, or whose offer, its master has not fetched."""
         if not self._free:
             unused = [one for one in self._connections.values() if one.state is State.OVER]
-            unused += [offer.connection for offer in self._offers.get((sa, ssap), ()) if not offer.fetched]
+            unused += [one for one in self._offers(sa, ssap) if one.offer is Offer.WAITING]
             for one in unused[:1]:
                 self._take_back(one, now)
         return self._free.popleft() if self._free else None
@@ -135,9 +137,9 @@ class Ms2Server(SlaveService):
         connection = self._connections.get(request.dsap or 0)
         if connection is None or not connection.is_of(request.sa, request.ssap):
             return None
-        self._forget_offer(connection)
+        connection.offer = Offer.USED
         if octets:
-            connection.take(octets, now)
+            connection.receive(octets, now)
         answer = connection.poll(now) if not octets or (self._device.ms2_at_once and not connection.free) else None
         self._give_back(connection)
         self._watch(connection)
@@ -167,11 +169,10 @@ class Ms2Server(SlaveService):
         self._watch(connection)
 
     def end(self, why: str, now: int) -> None:
-        """Every connection is over, without an Abort: nobody could fetch it."""
+        """Every connection is over, without an Abort: no master could fetch it."""
         for connection in list(self._connections.values()):
             connection.end(why, now)
             self._give_back(connection)
-        self._offers.clear()
         self.at = NEVER
 
     def _watch(self, connection: ServerConnection) -> None:
@@ -179,23 +180,11 @@ class Ms2Server(SlaveService):
             self.at = min(self.at, connection.deadline)
 
     def _give_back(self, connection: ServerConnection) -> None:
-        """Give back what is free, and forget its offer."""
+        """Give back the server SAP of a connection that is over."""
         sap = connection.asker.sap
-        if not connection.free or self._connections.get(sap) is not connection:
-            return
-        del self._connections[sap]
-        self._free.append(sap)
-        self._forget_offer(connection)
-
-    def _forget_offer(self, connection: ServerConnection) -> None:
-        """Its Resource_Manager PDU is not wanted any more."""
-        whose = (connection.asker.master, connection.ssap)
-        offers = self._offers.get(whose)
-        if offers is None:
-            return
-        offers[:] = [one for one in offers if one.connection is not connection]
-        if not offers:
-            del self._offers[whose]
+        if connection.free and self._connections.get(sap) is connection:
+            del self._connections[sap]
+            self._free.append(sap)
 
 
 def ms2_of(app: SlaveApp) -> Ms2Server:

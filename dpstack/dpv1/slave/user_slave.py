@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Awaitable, Callable, Iterator
-from typing import Protocol, TypedDict, Unpack
+from functools import partial
+from typing import Any, Protocol, TypedDict, Unpack
 
 from dpstack.argcheck import Sealed, functions, octets, whole
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
@@ -16,12 +17,15 @@ from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import PARAMETER_INDEX
 from dpstack.dpv1.slave.alarms import AlarmServer
 from dpstack.dpv1.slave.description import SlaveDescription
-from dpstack.dpv1.slave.device import FunctionDevice, OnCycle
+from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.record_requests import Records
 from dpstack.dpv1.slave.record_table import ByIndex, ImOf, ImRecords
-from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
+from dpstack.dpv1.slave.resource_manager import check_ms2
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
+
+#: from the outputs and the time since data exchange began in ns to the inputs
+OnCycle = Callable[[bytes, int], bytes | bytearray]
 
 
 class OnAddress(Protocol):
@@ -49,7 +53,7 @@ OnInitiate = Callable[[int, InitiateReq], None]
 
 
 class SlaveOptions(TypedDict, total=False):
-    """What a :class:`DpSlave` may be made with, and :func:`dpstack.slave_from_gsd` hands on."""
+    """The options of :class:`DpSlave`, which :func:`dpstack.slave_from_gsd` takes too."""
 
     config: bytes | None
     safe: bytes | None
@@ -67,7 +71,7 @@ class SlaveOptions(TypedDict, total=False):
     ms2: int | None
 
 
-class DpSlave(Sealed, FunctionDevice):
+class DpSlave(Sealed, Device):
     """A slave of the type ``description`` that does what ``on_cycle(outputs, elapsed)`` does.
 
     ``on_cycle`` takes the outputs in the length of the configuration in use, ``elapsed`` in ns since data exchange
@@ -104,25 +108,30 @@ class DpSlave(Sealed, FunctionDevice):
         **options: Unpack[SlaveOptions],
     ) -> None:
         _check_description(description)
+        who = f"slave {description.name}"
         unknown = sorted(options.keys() - SlaveOptions.__annotations__.keys())
         if unknown:
             raise TypeError(f"DpSlave() got an unexpected keyword argument {unknown[0]!r}")
-        calls = {name: given for name, given in options.items() if name.startswith("on_")}
-        functions(f"slave {description.name}", ConfigError, on_cycle=on_cycle, **calls)
+        calls: dict[str, Any] = {name: given for name, given in options.items() if name.startswith("on_")}
+        functions(who, ConfigError, on_cycle=on_cycle, **calls)
         config, safe, ms2 = options.get("config"), options.get("safe"), options.get("ms2")
         first = description.default_config
-        real = first if config is None else octets(f"slave {description.name}: config", config, ConfigError)
+        real = first if config is None else octets(f"{who}: config", config, ConfigError)
         reason = description.check_cfg(real)
         if reason is not None:
-            raise ConfigError(f"slave {description.name}: {reason}")
-        super().__init__(description.ident, real, on_cycle, description.name)
+            raise ConfigError(f"{who}: {reason}")
+        self.ident = description.ident
+        self.name = description.name
         self.description = description
+        self._on_cycle = on_cycle
+        self._calls = calls
+        self._since = 0  # data exchange began
         self.configs = tuple(dict.fromkeys((real, *description.configs)))
-        safe = None if safe is None else octets(f"slave {self.name}: safe", safe, ConfigError)
+        safe = None if safe is None else octets(f"{who}: safe", safe, ConfigError)
         if safe is not None and description.modules:
-            raise ConfigError(f"slave {self.name}: a modular slave has zeros as safe outputs; leave safe out")
+            raise ConfigError(f"{who}: a modular slave has zeros as safe outputs; leave safe out")
         if safe is not None and {len(safe)} != {io_lengths(known)[1] for known in self.configs}:
-            raise ConfigError(f"slave {self.name}: {len(safe)} safe octets are not the outputs of every configuration")
+            raise ConfigError(f"{who}: {len(safe)} safe octets are not the outputs of every configuration")
         self.sync_supported = description.sync
         self.freeze_supported = description.freeze
         self.fail_safe = description.fail_safe or description.fail_safe_required
@@ -135,30 +144,19 @@ class DpSlave(Sealed, FunctionDevice):
         self._diag = NO_DIAG
         self.safe = safe or b""
         self._safe = b""  # in the length of the configuration in use
-        self._on_prm = options.get("on_prm")
-        self._on_blocks = options.get("on_blocks")
-        self._on_address = options.get("on_address")
-        self._on_leave = options.get("on_leave")
         self.on_read = options.get("on_read")
         self.on_write = options.get("on_write")
         self.on_transport = options.get("on_transport")
-        self.ms2 = description.ms2 if ms2 is None else whole(f"slave {self.name}: ms2", ms2, ConfigError)
-        if not 0 <= self.ms2 <= MAX_CONNECTIONS:
-            raise ConfigError(
-                f"slave {self.name}: ms2 = {ms2}: 0 to {MAX_CONNECTIONS} class 2 connections are possible"
-            )
+        self.ms2 = description.ms2 if ms2 is None else whole(f"{who}: ms2", ms2, ConfigError)
         self.ms2_max_len = description.ms2_max_len
         self.ms2_max_initiate = description.ms2_max_initiate
-        self._on_initiate = options.get("on_initiate")
-        self._on_im = options.get("on_im")
+        check_ms2(who, self.ms2, self.ms2_max_len, self.ms2_max_initiate)
         im, parameters = options.get("im", ()), options.get("parameters")
         given = tuple(im) if isinstance(im, Iterator) else im
         if parameters is not None and not hasattr(parameters, "ask"):
-            raise ConfigError(
-                f"slave {self.name}: parameters = {parameters!r}: give dpstack.profile.record47.TimedRecords"
-            )
+            raise ConfigError(f"{who}: parameters = {parameters!r}: give dpstack.profile.record47.TimedRecords")
         self._parameters = parameters
-        self._im = ImRecords(given, changed=self._im_written) if given else None
+        self._im = ImRecords(given, changed=partial(self._call, "on_im")) if given else None
         self.serve_records(None)
         #: one of the user's functions runs at this moment
         self.inside = False
@@ -167,11 +165,11 @@ class DpSlave(Sealed, FunctionDevice):
     def _sealed_name(self) -> str:
         return f"slave {self.name}"
 
-    # --- what a user may say at any time ------------------------------------------------------------------------
+    # --- for the user at any time -------------------------------------------------------------------------------
 
     @property
     def diag(self) -> UserDiag:
-        """What the slave says in its diagnosis; the master fetches a new one at once. TypeError for anything else."""
+        """The diagnosis of the slave; the master fetches a new one at once. TypeError for anything else."""
         return self._diag
 
     @diag.setter
@@ -194,7 +192,7 @@ class DpSlave(Sealed, FunctionDevice):
         return () if self._im is None else self._im.of(slot)
 
     def serve_records(self, others: Records | None) -> None:
-        """What serves the records beside I&M and parameters."""
+        """Let ``others`` serve the records beside I&M and parameters."""
         if self._parameters is not None:
             others = ByIndex({PARAMETER_INDEX: self._parameters}, others)
         if self._im is not None:
@@ -206,63 +204,54 @@ class DpSlave(Sealed, FunctionDevice):
     def check_prm(self, user_prm: bytes) -> str | None:
         """Lengths by the description, the rest by the user's own checks."""
         reason = self.description.check_prm(user_prm)
-        with self._called():
-            if reason is None and self._on_prm is not None:
-                reason = self._on_prm(user_prm)
-            if reason is None and self._on_blocks is not None:
-                reason = self._on_blocks(self.description.blocks(user_prm))
+        if reason is None:
+            reason = self._call("on_prm", user_prm)
+        if reason is None:
+            reason = self._call("on_blocks", self.description.blocks(user_prm))
         return reason
 
     def check_cfg(self, config: bytes) -> str | None:
         return self.description.check_cfg(config)
 
     def enter(self, config: bytes, now: int) -> None:
-        super().enter(config, now)
+        self._since = now
         self._safe = self.safe or bytes(io_lengths(config)[1])
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
-        """The user's function."""
+        """Hand over to the user's function, which may return a bytearray that it goes on writing to."""
         self.inside = True
         try:
-            return super().exchange(outputs, now)
+            inputs = self._on_cycle(outputs, now - self._since)
         finally:
             self.inside = False
+        return bytes(inputs) if isinstance(inputs, bytearray) else inputs
 
     def clear(self, now: int) -> None:
         self.exchange(self._safe, now)
 
     def leave(self, reason: Leave, now: int) -> None:
         """Safe outputs at once, also to a function that has just failed: whatever it still does must be safe."""
-        told = contextlib.suppress(Exception) if reason is Leave.FAILURE else contextlib.nullcontext()
-        with told:
+        ignored = contextlib.suppress(Exception) if reason is Leave.FAILURE else contextlib.nullcontext()
+        with ignored:
             self.exchange(self._safe, now)
-        if self._on_leave is not None:
-            with self._called():
-                self._on_leave(reason)
+        self._call("on_leave", reason)
 
     def address_set(self, address: int, fixed: bool, rem_slave_data: bytes) -> bool:
         """Kept where the user keeps it."""
-        if self._on_address is None:
-            return False
-        with self._called():
-            self._on_address(address, fixed, rem_slave_data)
-        return True
+        self._call("on_address", address, fixed, rem_slave_data)
+        return self._calls.get("on_address") is not None
 
     def initiate(self, master: int, wanted: InitiateReq) -> None:
-        if self._on_initiate is not None:
-            with self._called():
-                self._on_initiate(master, wanted)
+        self._call("on_initiate", master, wanted)
 
-    def _im_written(self, slot: int, record: Im) -> None:
-        if self._on_im is not None:
-            with self._called():
-                self._on_im(slot, record)
-
-    @contextlib.contextmanager
-    def _called(self) -> Iterator[None]:
+    def _call(self, name: str, *args: object) -> Any:
+        """Call the user's function ``name``, where there is one; :attr:`inside` is True meanwhile."""
+        function = self._calls.get(name)
+        if function is None:
+            return None
         self.inside = True
         try:
-            yield
+            return function(*args)
         finally:
             self.inside = False
 

@@ -10,7 +10,8 @@ from foreign_master import ForeignMaster
 from support import WorldFactory
 
 import dpstack
-from dpstack.dpv1.slave.device import FunctionDevice
+from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.sim.world import World
 from dpstack.trace import Notice, Severity
 
@@ -30,7 +31,7 @@ def test_the_end_is_orderly(world: WorldFactory, how: str) -> None:
             outputs.append(data)
             return data
 
-        _, app = slave_in(w, FunctionDevice(0x1234, bytes.fromhex("20 10"), device), 9)
+        _, app = slave_in(w, DpSlave(SlaveDescription(ident=0x1234, configs=(bytes.fromhex("20 10"),)), device), 9)
         bus = bus_of(RAW | {"safe": "11"}, world=w)
 
         async def use() -> None:

@@ -11,7 +11,8 @@ from ends_kit import told
 from support import WorldFactory
 
 import dpstack
-from dpstack.dpv1.slave.device import FunctionDevice
+from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.machine import LineDown
 from dpstack.sim.world import World
 
@@ -25,7 +26,9 @@ class Plant:
     def __init__(self, world: World) -> None:
         self.world = world
         self.events: list[str] = []
-        slave_in(world, FunctionDevice(0x1234, bytes.fromhex("20 10"), lambda data, _: data), 9)
+        slave_in(
+            world, DpSlave(SlaveDescription(ident=0x1234, configs=(bytes.fromhex("20 10"),)), lambda data, _: data), 9
+        )
         self.bus = bus_of(PLANT, world=world, on_event=lambda event: self.events.append(event.text))
 
     async def live(self) -> None:

@@ -67,7 +67,7 @@ def test_it_takes_all_that_a_slave_takes() -> None:
     options |= {"config": b"\x20", "safe": b"\x01", "im": [Im0(order_id="T")], "parameters": records, "ms2": 3}
     assert set(options) == set(SlaveOptions.__annotations__)
     slave = dpstack.slave_from_gsd(WHOLE, echo, ["8 DO"], **options)
-    found = [getattr(slave, name, getattr(slave, f"_{name}", None)) for name in options if name.startswith("on_")]
+    found = [slave._calls[name] for name in options if name.startswith("on_")]
     assert found == [called] * len(found)
     assert (slave.configs, slave.safe, slave.ms2, len(slave.im)) == ((b"\x20",), b"\x01", 3, 1)
     with pytest.raises(TypeError, match=r"DpSlave\(\) got an unexpected keyword argument 'colour'"):

@@ -12,8 +12,7 @@ from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dp.slave.device import Leave
 from dpstack.dp.slave.events import DeviceFailed
 from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule
-from dpstack.dpv1.slave.device import FunctionDevice, OnCycle
-from dpstack.dpv1.slave.user_slave import DpSlave
+from dpstack.dpv1.slave.user_slave import DpSlave, OnCycle
 from dpstack.errors import ConfigError
 from dpstack.fdl.interface import RS_REPLY
 
@@ -125,7 +124,7 @@ def test_safe_outputs_stay_until_real_ones_are_passed_on() -> None:
 
 
 def test_safe_outputs_that_do_not_fit_are_the_device_s_failure() -> None:
-    device = FunctionDevice(IDENT, CFG, Log())
+    device = DpSlave(SlaveDescription(ident=IDENT, configs=(CFG,)), Log())
     device.safe = b"\0\0"
     bench = Bench(device).up()
     assert bench.app.failure == "ValueError: 2 safe octets, the configuration has 1 output octets"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pytest
 from bus_kit import IDENT, PPO1, setup
 from support import MS, S, WorldFactory
@@ -12,12 +14,13 @@ from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
-from dpstack.dp.slave.application import SlaveAppState
-from dpstack.dp.slave.auto_baud import BaudState, BaudStateChanged, SearchingSlave, make_searching_slave
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dp.slave.auto_baud import BaudState, BaudStateChanged, SearchingSlave
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import UsageError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.machine import LineUp, pump
 from dpstack.params import BusParams
 from dpstack.sim.world import World
@@ -29,8 +32,9 @@ STATUS = bytes.fromhex("10 05 02 49 50 16")
 ANSWER = bytes.fromhex("10 02 05 00 07 16")
 
 
-def slave(address: int) -> SearchingSlave:
-    return make_searching_slave(address, MirrorDevice(IDENT, PPO1))
+def slave(address: int, rates: Sequence[int] = BAUD_RATES) -> SearchingSlave:
+    app = SlaveApp(MirrorDevice(IDENT, PPO1), address=address)
+    return SearchingSlave(PassiveStation(address, app, BusParams.preset(max(rates))), app, rates=rates)
 
 
 def state_of(station: SearchingSlave) -> BaudState:
@@ -142,7 +146,7 @@ class Wire:
 
 
 def test_deaf_and_mute_until_the_rate_is_found() -> None:
-    station = make_searching_slave(5, MirrorDevice(IDENT, PPO1), rates=(500_000,))
+    station = slave(5, rates=(500_000,))
     wire = Wire(station)
     wire.hear(STATUS)
     wire.hear(b"")
@@ -156,7 +160,7 @@ def test_deaf_and_mute_until_the_rate_is_found() -> None:
 
 
 def test_octets_that_are_no_telegrams_do_not_keep_the_rate() -> None:
-    station = make_searching_slave(5, MirrorDevice(IDENT, PPO1), rates=(500_000,))
+    station = slave(5, rates=(500_000,))
     wire = Wire(station)
     for _ in range(3):
         wire.hear(TOKEN)
@@ -171,7 +175,7 @@ def test_octets_that_are_no_telegrams_do_not_keep_the_rate() -> None:
 
 
 def test_a_port_that_returns_begins_the_search_anew() -> None:
-    station = make_searching_slave(5, MirrorDevice(IDENT, PPO1), rates=(500_000, 9_600))
+    station = slave(5, rates=(500_000, 9_600))
     wire = Wire(station)
     wire.hear(b"", 30 * MS)
     assert station.baud == 9_600

@@ -1,7 +1,7 @@
 """Every DP-V0 service at the slave in literal octets on the wire: right, too short, too long, wrong state, SAP, master.
 
 The rows are (what is asked, what is answered, the state afterwards); telegrams are put together by hand. Many in any
-order: test_slave_octet_any_order.
+order: test_slave_random_octets.
 """
 
 from __future__ import annotations

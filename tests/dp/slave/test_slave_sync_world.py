@@ -8,8 +8,7 @@ from support import MS, Dummy, WorldFactory
 
 from dpstack.dp.slave.application import make_slave
 from dpstack.dpv1.slave.description import SlaveDescription
-from dpstack.dpv1.slave.device import OnCycle
-from dpstack.dpv1.slave.user_slave import DpSlave
+from dpstack.dpv1.slave.user_slave import DpSlave, OnCycle
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.sim.world import World
 

@@ -170,7 +170,7 @@ def test_what_a_redundant_slave_says(octets: str, found: Redundancy | None, told
     status = parse_block(bytes.fromhex(octets))
     assert isinstance(status, Status)
     assert status.redundancy == found
-    assert status.told == told
+    assert status.full_text == told
     assert status.build() == bytes.fromhex(octets)
     if found is not None and len(status.data) == 4:
         assert found.octets == status.data

@@ -18,7 +18,8 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.slave.device import FunctionDevice
+from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.segment.hub import Segment
 from dpstack.fdl.active.station import ActiveStation
@@ -86,7 +87,9 @@ async def test_bring_up_exchange_restart_and_an_ordered_end(tmp_path: Path) -> N
 async def test_a_slave_of_ours_on_a_pty_answers_a_master_of_literal_octets() -> None:
     params = BusParams.preset(500_000, address=2)
     port = open_port("pty", 500_000)
-    app = SlaveApp(FunctionDevice(0x1234, b"\x20\x10", lambda outputs, _elapsed: outputs), address=3)
+    app = SlaveApp(
+        DpSlave(SlaveDescription(ident=0x1234, configs=(b"\x20\x10",)), lambda outputs, _elapsed: outputs), address=3
+    )
     driver = driver_on(port, PassiveStation(3, app, params, patience=patience_of(port)), lambda _events: None)
     await driver.open()
     for _ in range(2):  # and again for a master that comes later

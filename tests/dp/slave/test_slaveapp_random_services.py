@@ -62,7 +62,7 @@ def play(bench: Bench, what: str, sa: int, arg: object) -> Reply | None:
 
 @examples(300)
 @given(st.sampled_from(["", "prm", "prm cfg"]), st.lists(steps, max_size=40))
-def test_any_order(begin: str, script: list[tuple[str, int, object]]) -> None:
+def test_random_services_from_two_masters(begin: str, script: list[tuple[str, int, object]]) -> None:
     bench = Bench(Sized())
     app, device = bench.app, bench.recorder
     opening = [("prm", 2, PRM), ("cfg", 2, CFG)][: len(begin.split())]

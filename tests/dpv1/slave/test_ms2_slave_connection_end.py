@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from ms2_slave_kit import READ, TIMEOUT, Later, Slave, cyclic, reach
 from octet_class2 import (
@@ -30,7 +32,7 @@ from dpstack.dpv1.slave.resource_manager import ms2_of
     ("step", "factor"),
     [("initiate", 1), ("opened", 2), ("asked", 1), ("fetched", 2), ("idle", 1), ("idle answered", 2)],
 )
-def test_silence_ends_it_to_the_nanosecond(step: str, factor: int) -> None:
+def test_silence_ends_a_connection_to_the_nanosecond(step: str, factor: int) -> None:
     later = Later()
     slave = Slave(later, count=1)
     reach(slave, later, step)
@@ -51,7 +53,7 @@ def test_silence_ends_it_to_the_nanosecond(step: str, factor: int) -> None:
     assert slave.all_free()
 
 
-def test_each_has_its_own_time() -> None:
+def test_each_connection_has_its_own_time_out() -> None:
     slave = Slave(count=3)
     heard = []
     for _ in range(3):
@@ -85,7 +87,7 @@ def test_the_abort_after_silence_is_fetched() -> None:
     slave.master.connect()
 
 
-def test_a_connection_that_is_over_is_given_to_who_asks() -> None:
+def test_the_sap_of_a_connection_that_is_over_goes_to_the_next_master() -> None:
     slave = Slave(count=1)
     slave.master.connect()
     slave.wire.pass_time(2 * TIMEOUT + MS)
@@ -95,7 +97,7 @@ def test_a_connection_that_is_over_is_given_to_who_asks() -> None:
     assert [connection.master for connection in ms2_of(slave.app).connections] == [3]
 
 
-def test_polls_and_idle_keep_it() -> None:
+def test_polls_and_idle_keep_a_connection() -> None:
     slave = Slave(count=1)
     sap = slave.master.connect()
     for _ in range(4):
@@ -125,7 +127,7 @@ def test_an_abort_of_the_master_at_every_step(step: str) -> None:
 @pytest.mark.parametrize("subnet", [0, 1, 2, 7])
 @pytest.mark.parametrize("instance", [0, 1, 2, 3])
 @pytest.mark.parametrize("reason", [1, 2, 3, 4, 5, 6, 7, 8, 15, 0, 12])
-def test_each_reason_of_an_abort_is_told(subnet: int, instance: int, reason: int) -> None:
+def test_each_reason_of_an_abort_is_reported(subnet: int, instance: int, reason: int) -> None:
     slave = Slave(count=1)
     sap = slave.master.connect()
     slave.master.ask(sap, f"58 {subnet:02X} {instance << 4 | reason:02X} 00")
@@ -140,9 +142,22 @@ def test_an_abort_of_another_length_is_an_abort(short: str) -> None:
     assert slave.all_free()
 
 
+def _set_address(slave: Slave) -> None:
+    assert cyclic(slave, 0x16D, "37 3E 09 0A 35 00") == "E5"
+
+
 @pytest.mark.parametrize("step", ["initiate", "opened", "asked", "fetched"])
-@pytest.mark.parametrize("way", ["restart", "initial reset", "rate lost", "address"])
-def test_what_else_ends_it(way: str, step: str) -> None:
+@pytest.mark.parametrize(
+    ("end", "reason"),
+    [
+        (lambda slave: slave.app.restart(slave.wire.now), "the slave was switched off"),
+        (lambda slave: slave.app.initial_reset(slave.wire.now), "the slave was switched off"),
+        (lambda slave: slave.app.rate_lost(slave.wire.now), "the baud rate was lost"),
+        (_set_address, "the slave has another address"),
+    ],
+    ids=["restart", "initial reset", "rate lost", "address"],
+)
+def test_the_slave_itself_ends_it(end: Callable[[Slave], None], reason: str, step: str) -> None:
     later = Later()
     device = Recorder()
     device.set_slave_add = True
@@ -150,30 +165,16 @@ def test_what_else_ends_it(way: str, step: str) -> None:
     reach(slave, later, step)
     slave.texts()
     now = slave.wire.now
-    match way:
-        case "restart":
-            slave.app.restart(now)
-        case "initial reset":
-            slave.app.initial_reset(now)
-        case "rate lost":
-            slave.app.rate_lost(now)
-        case "address":
-            assert cyclic(slave, 0x16D, "37 3E 09 0A 35 00") == "E5"
+    end(slave)
     assert slave.all_free()
-    (told,) = [text for text in slave.texts() if "class 2 connection" in text]
-    reasons = {
-        "restart": "the slave was switched off",
-        "initial reset": "the slave was switched off",
-        "rate lost": "the baud rate was lost",
-        "address": "the slave has another address",
-    }
-    assert told.endswith(f": {reasons[way]}")
+    (text,) = [text for text in slave.texts() if "class 2 connection" in text]
+    assert text.endswith(f": {reason}")
     assert all(not request.open or request.response for request in later.requests)
     later.requests.clear()
     assert slave.app.wake_at() > now + 100 * TIMEOUT
 
 
-def test_a_slave_that_searches_its_rate_gives_them_back() -> None:
+def test_a_slave_that_searches_its_rate_ends_its_connections() -> None:
     slave = Slave(count=1)
     searching = SearchingSlave(slave.wire.station, slave.app, rates=[500_000])
     slave.master.connect()

@@ -75,7 +75,7 @@ class Player(Slave):
     [("restart", 0, ""), ("ask", 2, "37 3E 09 0A 35 00"), ("ask", 2, PRM), ("ask", 9, PRM), ("exchange", 2, "SS SS")]
 )  # nor does what such a master sends stand between two requests of another one
 @given(st.lists(STEPS, max_size=30))
-def test_whatever_a_master_of_octets_sends(script: list[tuple[str, int, str]]) -> None:
+def test_random_octets_from_two_masters(script: list[tuple[str, int, str]]) -> None:
     slave = Player(SYNCABLE)
     app = slave.app
     owner_prm: int | None = None  # who sent the last Set_Prm that could lock the slave, as octets say
