@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from typing import Any, ParamSpec, TypeVar
 
 import dpstack
@@ -45,6 +46,31 @@ def slave_in(world: World, device: Device, address: int) -> tuple[PassiveStation
     app = station.responder
     assert isinstance(app, SlaveApp)
     return station, app
+
+
+@contextlib.asynccontextmanager
+async def running(drive: Mapping[str, object], baud: int = 500_000) -> AsyncIterator[tuple[dpstack.Bus, dpstack.Drive]]:
+    """A bus in Operate with one ``drive``, in data exchange."""
+    async with dpstack.open_bus(port="virtual", baud=baud, slaves=[drive]) as bus:
+        await bus.ready()
+        await bus.operate()
+        yield bus, bus.drive(str(drive["name"]))
+
+
+def device_of(bus: dpstack.Bus, address: int) -> dpstack.profile.DriveDevice:
+    """The simulated drive at ``address``."""
+    assert bus.bench is not None
+    device = bus.bench.device(address)
+    assert isinstance(device, dpstack.profile.DriveDevice)
+    return device
+
+
+async def trip(bus: dpstack.Bus, drive: dpstack.Drive, fault: str, text: str) -> None:
+    """The simulated ``drive`` trips with ``fault``, and its status says ``text``."""
+    device_of(bus, drive.address).trip(fault)
+    async for status in drive.statuses():
+        if status.fault == text:
+            return
 
 
 async def off_and_on(bus: dpstack.Bus, address: int) -> None:

@@ -6,7 +6,7 @@ import asyncio
 import json
 
 import pytest
-from api_kit import in_virtual_time
+from api_kit import in_virtual_time, running
 
 import dpstack
 from dpstack.api.config.config import parse_config
@@ -87,10 +87,7 @@ async def test_each_drive_is_refused_and_the_status_of_the_run_says_why() -> Non
 async def test_a_drive_that_comes_back_with_other_settings_is_refused() -> None:
     """Switched off and on, it is set otherwise now: the comparison begins again with data exchange."""
     fan = {"name": "fan", "address": 4, "drive": "fuji-frenic"}
-    async with dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[fan]) as bus:
-        await bus.operate()
-        await bus.ready()
-        drive = bus.drive("fan")
+    async with running(fan, 1_500_000) as (bus, drive):
         await drive.start()
         await drive.stop()
         assert bus.bench is not None

@@ -7,7 +7,7 @@ import asyncio
 from collections.abc import Mapping
 
 import pytest
-from api_kit import in_virtual_time, off_and_on
+from api_kit import in_virtual_time, off_and_on, running, trip
 
 import dpstack
 from dpstack.api.config.config import make_config, slave_config
@@ -21,11 +21,7 @@ SET = {"options": {"baud_index": 5, "set_map": True}}
 
 @in_virtual_time
 async def test_a_users_program() -> None:
-    async with dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[PUMP]) as bus:
-        pump = bus.drive("pump")
-        assert bus.bench is not None
-        await bus.ready()
-        await bus.operate()
+    async with running(PUMP, 1_500_000) as (bus, pump):
         with pytest.raises(dpstack.DriveFault, match=r"none is 1; set P15\.02 to 1"):
             await pump.start()
         await pump.write_map(outputs="set_frequency torque", inputs="frequency current torque fault_code")
@@ -48,12 +44,7 @@ async def test_a_users_program() -> None:
         with pytest.raises(dpstack.ParameterError, match="cannot be changed while the drive runs") as refused:
             await pump.write("P15.01", 7)
         assert refused.value.number == 8
-        device = bus.bench.device(5)
-        assert isinstance(device, dpstack.profile.DriveDevice)
-        device.trip("OC1")
-        async for told in pump.statuses():
-            if told.fault == "OC1 (code 4)":
-                break
+        await trip(bus, pump, "OC1", "OC1 (code 4)")
         with pytest.raises(dpstack.DriveFault, match=r"OC1 \(code 4\); acknowledge it first"):
             await pump.start()
         await pump.acknowledge()
@@ -69,10 +60,7 @@ async def test_a_users_program() -> None:
 @in_virtual_time
 async def test_a_running_hd2_comes_to_rest(way: str) -> None:
     """Zeros are no command (docs/drives/imo-hd2.md#control-and-status-word): only 0005 before them ramps it down."""
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[{**PUMP, **SET}]) as bus:
-        pump = bus.drive("pump")
-        await bus.ready()
-        await bus.operate()
+    async with running({**PUMP, **SET}) as (bus, pump):
         pump.speed = 0.5
         await pump.start()
         await pump.reached()
@@ -86,22 +74,19 @@ async def test_a_running_hd2_comes_to_rest(way: str) -> None:
         assert bus.slave("pump").inputs[8:12] == bytes.fromhex("41 03 00 00")
 
 
-def test_i5_it_hears_only_the_rate_it_is_set_to() -> None:
-    async def program(options: Mapping[str, object], hears: bool) -> None:
-        slaves = [{**PUMP, "options": options}, {"name": "fan", "address": 6, "drive": "fuji-frenic"}]
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves) as bus:
-            await bus.operate()
-            await asyncio.sleep(2)
-            assert bus.slave("fan").ready_now
-            assert bus.slave("pump").ready_now is hears
-            wrong = [text for text in bus.plan.findings if "finds no baud rate by itself" in text]
-            assert wrong == [] if hears else "slave 5 (pump): imo-hd2" in wrong[0]
-            assert hears or "hears only 1.5 Mbit/s, not 500 kbit/s" in wrong[0]
-            assert hears or "option baud_index" in wrong[0]
-
-    dpstack.run_virtual(program({}, False))
-    dpstack.run_virtual(program({"baud_index": 6}, False))
-    dpstack.run_virtual(program({"baud_index": 5}, True))
+@pytest.mark.parametrize(("options", "hears"), [({}, False), ({"baud_index": 6}, False), ({"baud_index": 5}, True)])
+@in_virtual_time
+async def test_i5_it_hears_only_the_rate_it_is_set_to(options: Mapping[str, object], hears: bool) -> None:
+    slaves = [{**PUMP, "options": options}, {"name": "fan", "address": 6, "drive": "fuji-frenic"}]
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves) as bus:
+        await bus.operate()
+        await asyncio.sleep(2)
+        assert bus.slave("fan").ready_now
+        assert bus.slave("pump").ready_now is hears
+        wrong = [text for text in bus.plan.findings if "finds no baud rate by itself" in text]
+        assert wrong == [] if hears else "slave 5 (pump): imo-hd2" in wrong[0]
+        assert hears or "hears only 1.5 Mbit/s, not 500 kbit/s" in wrong[0]
+        assert hears or "option baud_index" in wrong[0]
 
 
 def test_i5_where_all_search_it_waits_at_its_rate() -> None:

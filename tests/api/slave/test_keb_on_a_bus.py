@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from api_kit import in_virtual_time, off_and_on
+from api_kit import in_virtual_time, off_and_on, running, trip
 
 import dpstack
 
@@ -14,13 +14,10 @@ SAW: Mapping[str, object] = {"name": "saw", "address": 5, "drive": "keb-f5", "te
 INPUTS, OUTPUTS = "ru.12:long sy.51 sy.53", "cS.19:long sy.50 sy.52"
 
 
-async def program(table: Mapping[str, object]) -> None:
+@in_virtual_time
+async def test_a_users_program() -> None:
     """Start, a map that acts after power-on, and a fault."""
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
-        saw = bus.drive("saw")
-        assert bus.bench is not None
-        await bus.ready()
-        await bus.operate()
+    async with running(SAW) as (bus, saw):
         await saw.start()
         saw.frequency = 25.0
         await saw.reached()
@@ -47,19 +44,11 @@ async def program(table: Mapping[str, object]) -> None:
             await saw.order("dance")
 
 
-def test_a_users_program() -> None:
-    dpstack.run_virtual(program(SAW))
-
-
 @in_virtual_time
 async def test_a_map_in_the_configuration() -> None:
     table = {**SAW, "options": {"map_inputs": INPUTS, "map_outputs": "cS.19:long=100 sy.50 sy.52"}}
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
-        saw = bus.drive("saw")
-        await bus.ready()
-        await bus.operate()
+    async with running(table) as (bus, saw):
         await saw.write_map()  # the one that the configuration has
-        assert bus.bench is not None
         await off_and_on(bus, 5)
         saw.speed = -0.25
         await saw.start()
@@ -72,18 +61,9 @@ async def test_a_map_in_the_configuration() -> None:
 
 @in_virtual_time
 async def test_a_fault_on_the_bus_is_named_and_acknowledged() -> None:
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[SAW]) as bus:
-        saw = bus.drive("saw")
-        assert bus.bench is not None
-        await bus.ready()
-        await bus.operate()
+    async with running(SAW) as (bus, saw):
         await saw.start()
-        device = bus.bench.device(5)
-        assert isinstance(device, dpstack.profile.DriveDevice)
-        device.trip("E.OC")
-        async for status in saw.statuses():
-            if status.fault == "inverter state ru.00 = 4 E.OC":
-                break
+        await trip(bus, saw, "E.OC", "inverter state ru.00 = 4 E.OC")
         with pytest.raises(dpstack.DriveFault, match=r"ru\.00 = 4 E\.OC"):
             await saw.start()
         await saw.acknowledge()
@@ -120,16 +100,10 @@ ident = 0x1234
         dpstack.load_config(path)
 
 
-def test_the_simulated_drive_takes_the_options_that_it_shares() -> None:
+@pytest.mark.parametrize(("bits", "outputs"), [("simulated", "00 05"), ("run=15", "80 00")])
+@in_virtual_time
+async def test_the_simulated_drive_takes_the_options_that_it_shares(bits: str, outputs: str) -> None:
     """Plugin and simulated drive read one configuration: bits of the user's own, or the made-up ones by their name."""
-
-    async def run(bits: str) -> None:
-        table = {**SAW, "options": {"control_bits": bits, "pd_in_cycle_ms": 25}}
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
-            await bus.ready()
-            await bus.operate()
-            await bus.drive("saw").start()
-            assert bus.slave("saw").outputs[8:10] == (b"\x00\x05" if bits == "simulated" else b"\x80\x00")
-
-    dpstack.run_virtual(run("simulated"))
-    dpstack.run_virtual(run("run=15"))
+    async with running({**SAW, "options": {"control_bits": bits, "pd_in_cycle_ms": 25}}) as (bus, saw):
+        await saw.start()
+        assert bus.slave("saw").outputs[8:10] == bytes.fromhex(outputs)

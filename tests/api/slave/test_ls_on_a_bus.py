@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from api_kit import in_virtual_time, off_and_on
+from api_kit import device_of, in_virtual_time, off_and_on, running, trip
 
 import dpstack
 
@@ -17,11 +17,7 @@ LS = {"profile": "ls"}
 
 @in_virtual_time
 async def test_a_users_program() -> None:
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
-        pump = bus.drive("pump")
-        assert bus.bench is not None
-        await bus.ready()
-        await bus.operate()
+    async with running(PUMP) as (bus, pump):
         pump.frequency = 30.0
         await pump.start()
         await pump.reached()
@@ -29,12 +25,7 @@ async def test_a_users_program() -> None:
         assert await pump.read(918) == 6
         assert await pump.read("baud_rate") == 4  # 500 kbit/s
         await pump.write("dr-03", 2.5)
-        device = bus.bench.device(6)
-        assert isinstance(device, dpstack.profile.DriveDevice)
-        device.trip("LV")
-        async for status in pump.statuses():
-            if status.fault == "34 LV":
-                break
+        await trip(bus, pump, "LV", "34 LV")
         with pytest.raises(dpstack.DriveFault, match="34 LV; acknowledge it first"):
             await pump.start()
         await pump.acknowledge()
@@ -54,13 +45,8 @@ async def test_a_users_program() -> None:
 async def test_a_running_drive_comes_to_rest(telegram: str, options: Mapping[str, object], way: str) -> None:
     """The safe outputs stop it before Clear, whose zeros PROFIdrive ignores."""
     table = {**PUMP, "telegram": telegram, "options": options}
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
-        pump = bus.drive("pump")
-        assert bus.bench is not None
-        device = bus.bench.device(6)
-        assert isinstance(device, dpstack.profile.DriveDevice)
-        await bus.ready()
-        await bus.operate()
+    async with running(table) as (bus, pump):
+        device = device_of(bus, 6)
         await pump.start()
         pump.speed = 0.5
         await pump.reached()
@@ -77,11 +63,7 @@ async def test_a_running_drive_comes_to_rest(telegram: str, options: Mapping[str
 
 @in_virtual_time
 async def test_the_wrong_profile_is_told_with_the_parameter_to_change() -> None:
-    table = {**PUMP, "options": LS}
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
-        pump = bus.drive("pump")
-        await bus.ready()
-        await bus.operate()
+    async with running({**PUMP, "options": LS}) as (_, pump):
         await pump.start()
         await pump.stop()
         with pytest.raises(dpstack.UsageError, match="no quick stop"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from api_kit import in_virtual_time, virtual
+from api_kit import in_virtual_time, running, virtual
 
 import dpstack
 from dpstack import ParameterError, ParameterPlace, UsageError
@@ -162,9 +162,7 @@ def test_elements_of_an_array_are_one_address() -> None:
 
 @in_virtual_time
 async def test_a_drive_that_is_gone_is_no_entry() -> None:
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[drive_at("ls-s100", "ST1")]) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with running(drive_at("ls-s100", "ST1")) as (bus, _):
         assert bus.bench is not None
         bus.bench.power(6, False)
         with pytest.raises((DriveError, TimeoutError)):

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import AsyncIterator
 
 import pytest
-from api_kit import in_virtual_time
+from api_kit import in_virtual_time, running
 from support import WorldFactory
 
 import dpstack
@@ -77,9 +77,7 @@ async def test_a_lost_request_is_written_again(world: WorldFactory) -> None:
 
 @in_virtual_time
 async def test_a_drive_by_name_in_a_telegram_without_a_channel() -> None:
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
-        pump = bus.drive("pump")
-        await bus.operate()
+    async with running(PUMP) as (bus, pump):
         assert await pump.read(965) == 0x0328
         assert await pump.read(918) == 6
         written = await pump.write("dr-03", 2.5)
@@ -97,10 +95,7 @@ async def test_a_drive_by_name_in_a_telegram_without_a_channel() -> None:
 @in_virtual_time
 async def test_plugin_and_program_ask_at_the_same_time() -> None:
     """Each gets its own, whoever's request the drive took in between."""
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
-        pump = bus.drive("pump")
-        await bus.operate()
-        await bus.ready()
+    async with running(PUMP) as (bus, pump):
         parameters = bus.slave("pump").parameters()
         for _ in range(5):
             by_name = asyncio.gather(pump.read(965), pump.read("dr-20"))
@@ -121,10 +116,7 @@ async def test_without_dp_v1_it_goes_by_pkw_or_says_what_to_do() -> None:
 
 @in_virtual_time
 async def test_the_drive_goes_and_comes_in_between() -> None:
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
-        pump = bus.drive("pump")
-        await bus.operate()
-        await bus.slave(6).ready()
+    async with running(PUMP) as (bus, pump):
         assert bus.bench is not None
         reading = asyncio.ensure_future(pump.read(965))
         await asyncio.sleep(0.002)
