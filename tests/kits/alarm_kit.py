@@ -5,7 +5,7 @@ The slave knows telegrams as numbers only; nothing of the project is used to rea
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from ms1_kit import MS, Ms1Bus, OctetMs1Slave
@@ -63,6 +63,11 @@ class AlarmSlave(OctetMs1Slave):
     left: list[bytes] = field(default_factory=list)
     wait: int = 0
     last: tuple[int, bytes, tuple[int, bytes] | None] | None = None
+
+    def lose(self, what: Iterable[str]) -> None:
+        """The next telegrams at SAP 51: what of each is lost, see ``loses``."""
+        lost = iter(what)
+        self.loses = lambda: next(lost, "")
 
     def raises(self, *blocks: bytes) -> None:
         """They are to be raised, one after the other."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from octet_slave import DL, RS, SC, OctetSlave, sd1, sd2
-from ring_bus import RingBus
+from ring_bus import RingBus, Sent
 
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.slave.application import SlaveApp
@@ -172,6 +172,27 @@ class OctetMs2Slave(OctetSlave, Ms2Server):
             return SC
         return sd2(sa, self.address, DL, 50, dsap, answer) if answer else sd1(sa, self.address, RS)
 
+    def usual(self, octets: bytes) -> bytes | None:
+        """Its answer without ``says``."""
+        says, self.says = self.says, {}
+        try:
+            return self.service(octets)
+        finally:
+            self.says = says
+
+    def says_first(self, times: int, sap: int, answer: bytes) -> list[bytes]:
+        """``answer`` to the first ``times`` requests at ``sap``, which come into the list; then as usual."""
+        answered: list[bytes] = []
+
+        def say(octets: bytes) -> bytes | None:
+            if not octets[9:-2] or len(answered) == times:
+                return self.usual(octets)
+            answered.append(octets)
+            return answer
+
+        self.says[sap] = say
+        return answered
+
 
 @dataclass
 class Ms2Bus:
@@ -255,6 +276,19 @@ class Ms2Bus:
             self.bus.run(MS)
         (one,) = found
         return one
+
+    def lose_first(self, times: int, wanted: Callable[[Sent], bool]) -> list[Sent]:
+        """The first ``times`` of the ``wanted`` telegrams, repetitions included, get lost: they come into the list."""
+        lost: list[Sent] = []
+
+        def drop(sent: Sent) -> bool:
+            if len(lost) == times or not wanted(sent):
+                return False
+            lost.append(sent)
+            return True
+
+        self.bus.drop = drop
+        return lost
 
     def lose(self, lost: Collection[int]) -> None:
         """Of the services' telegrams from now on, counted from 0, these get lost (repetitions count, tokens do not)."""

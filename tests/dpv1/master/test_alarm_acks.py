@@ -80,8 +80,7 @@ def test_sap_50_that_is_closed_by_a_second_acknowledgement_has_taken_the_first()
     slave.raises(PROCESS)
     kit.until(lambda: len(kit.ends) == 1)
     slave.raises(block(2, 4))
-    lost = iter(["", *"aaaaaaaa"])
-    slave.loses = lambda: next(lost, "")
+    slave.lose(["", *"aaaaaaaa"])
     kit.until(lambda: len(slave.taken) == 2)
     slave.says[50] = lambda octets: status(4, RS) if octets[9:-2] else SC
     at_51: list[bytes] = []
@@ -123,8 +122,7 @@ def test_an_acknowledgement_that_is_lost_is_repeated_the_alarm_is_not() -> None:
     kit = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=20 * MS))
     slave = kit.alarm_slave
     slave.raises(PROCESS)
-    lost = iter("rrrr")
-    slave.loses = lambda: next(lost, "")
+    slave.lose("rrrr")
     kit.until(lambda: bool(kit.ends))
     assert slave.acks == [b"\x5c\x03\x02\x01"]
     assert kit.blocks == slave.taken == [PROCESS]
@@ -137,8 +135,7 @@ def test_the_answer_to_it_is_lost_and_fetched() -> None:
     kit = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=20 * MS))
     slave = kit.alarm_slave
     slave.raises(PROCESS)
-    lost = iter("aa")
-    slave.loses = lambda: next(lost, "")
+    slave.lose("aa")
     kit.until(lambda: bool(kit.ends))
     assert slave.acks == [b"\x5c\x03\x02\x01"]  # never a second one: its response was still there
     assert not slave.strays
@@ -149,8 +146,7 @@ def test_the_answer_to_it_is_fetched_by_the_read_after_it() -> None:
     kit = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=20 * MS))
     slave = kit.alarm_slave
     slave.raises(PROCESS)
-    lost = iter("aa")
-    slave.loses = lambda: next(lost, "")
+    slave.lose("aa")
     kit.until(lambda: bool(kit.remarks))
     slave.ms1 = lambda data: answer(4, "5E 01 02 01 55") if data else SC
     assert kit.read().outcome.data == b"\x55"
@@ -166,8 +162,7 @@ def test_a_second_acknowledgement_that_the_slave_does_not_know(answers: str) -> 
     slave.on_stray = {"silent": lambda ack: None, "refused": refusing("B0"), "again": lambda ack: ack}[answers]
     slave.polls = 1
     slave.raises(PROCESS)
-    lost = iter(["", *"aaaaaaaa"])  # all polls: the response is gone
-    slave.loses = lambda: next(lost, "")
+    slave.lose(["", *"aaaaaaaa"])  # all polls: the response is gone
     kit.until(lambda: bool(slave.strays))
     slave.raises(PROCESS)  # the next one, exactly alike
     kit.until(lambda: len(slave.taken) == 2)

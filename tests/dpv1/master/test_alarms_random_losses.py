@@ -38,8 +38,7 @@ def test_alarms_with_lost_telegrams(
     slave.offers_again = offers_again
     if refuses:
         slave.on_stray = refusing("B0")
-    left = list(losses)
-    slave.loses = lambda: left.pop(0) if left else ""
+    slave.lose(losses)
     blocks = [
         block(kind, slot, specifier, at % 32 if limit else 0, data)
         for at, (kind, slot, specifier, data) in enumerate(alarms)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from ms2_kit import DL, MS, SC, Ms2Bus, OctetMs2Slave, connected, connections_of, sd1, sd2, served
+from ms2_kit import DL, MS, SC, Ms2Bus, connected, connections_of, sd1, sd2, served
 from octet_slave import NR, RR, UE
 
 from dpstack.dp.acyclic.job import ServiceFailure
@@ -88,7 +87,7 @@ def test_every_server_sap(sap: int) -> None:
 def test_the_slave_answers_not_yet_or_not_now(not_yet: bytes) -> None:
     """Each answer of the slave comes after ten polls that say so, in four ways."""
     kit = Ms2Bus()
-    usual, turns = usual_of(kit.slave), [0]
+    usual, turns = kit.slave.usual, [0]
 
     def slow(octets: bytes) -> bytes | None:
         if octets[9:-2]:
@@ -101,50 +100,20 @@ def test_the_slave_answers_not_yet_or_not_now(not_yet: bytes) -> None:
     assert kit.read(1).outcome.data == b"\1\2"
 
 
-def usual_of(slave: OctetMs2Slave) -> Callable[[bytes], bytes | None]:
-    """What it answers without what ``says`` has."""
-
-    def say(octets: bytes) -> bytes | None:
-        says, slave.says = slave.says, {}
-        try:
-            return slave.service(octets)
-        finally:
-            slave.says = says
-
-    return say
-
-
 @pytest.mark.parametrize("busy", [RR, UE])
 @pytest.mark.parametrize("sap", [48, 49])
 def test_a_request_that_is_not_taken_now_is_repeated(busy: int, sap: int) -> None:
     kit = Ms2Bus()
-    usual = usual_of(kit.slave)
-    times = [3]
-
-    def say(octets: bytes) -> bytes | None:
-        if octets[9:-2] and times[0]:
-            times[0] -= 1
-            return sd1(2, 4, busy)
-        return usual(octets)
-
-    kit.slave.says[sap] = say
+    refused = kit.slave.says_first(3, sap, sd1(2, 4, busy))
     kit.open()
     assert kit.read(1).outcome.data == b"\1\2"
-    assert times == [0]
+    assert len(refused) == 3
 
 
 def test_old_data_are_given_away_first() -> None:
     """RDL: old data, and the request was not taken (docs/protocol.md#function-code)."""
     kit = connected()
-    usual, times = usual_of(kit.slave), [2]
-
-    def say(octets: bytes) -> bytes | None:
-        if octets[9:-2] and times[0]:
-            times[0] -= 1
-            return sd2(2, 4, RDL, 50, 48, b"\x5e\x07\x07\x01\x07")
-        return usual(octets)
-
-    kit.slave.says[48] = say
+    kit.slave.says_first(2, 48, sd2(2, 4, RDL, 50, 48, b"\x5e\x07\x07\x01\x07"))
     done = kit.read(1)
     assert (done.outcome.data, done.stale) == (b"\1\2", 2)
 

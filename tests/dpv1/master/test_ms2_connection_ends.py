@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 from ms2_kit import MS, Ms2Bus, connected, connections_of, served
-from ring_bus import Sent
 
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dpv1.master.orders import (
@@ -200,18 +199,10 @@ def test_closed_with_services_waiting() -> None:
 
 def test_an_abort_that_is_lost_is_sent_again() -> None:
     kit = connected()
-    dropped: list[bytes] = []
-
-    def drop(sent: Sent) -> bool:
-        """The request and its repetitions, twice."""
-        lost = sent.octets[0] == 0x68 and sent.octets[9:10] == b"\x58" and len(dropped) < 4
-        if lost:
-            dropped.append(sent.octets)
-        return lost
-
-    kit.bus.drop = drop
+    # the request and its repetition, twice
+    lost = kit.lose_first(4, lambda sent: sent.octets[0] == 0x68 and sent.octets[9:10] == b"\x58")
     kit.close(1)
-    assert len(dropped) == 4
+    assert len(lost) == 4
     kit.freed()
 
 

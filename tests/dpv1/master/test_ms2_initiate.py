@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 from ms2_kit import DL, MS, SC, Ms2Bus, connected, sd2
-from ring_bus import Sent
 
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
@@ -156,15 +155,7 @@ def test_telegrams_of_initiate_are_lost(lost: tuple[int, ...]) -> None:
 
 def test_an_initiate_whose_answers_are_lost_is_asked_for_and_not_sent_again() -> None:
     kit = Ms2Bus()
-    dropped: list[Sent] = []
-
-    def drop(sent: Sent) -> bool:
-        if sent.octets[0] != 0xE5 or len(dropped) == 2:
-            return False
-        dropped.append(sent)
-        return True
-
-    kit.bus.drop = drop
+    kit.lose_first(2, lambda sent: sent.octets[0] == 0xE5)
     assert kit.open().server_sap == 48
     assert [(sap, pdu[:1].hex()) for sap, pdu in kit.slave.heard] == [(49, "57"), (49, ""), (48, "")]
     assert list(kit.slave.sessions) == [48]
@@ -198,14 +189,8 @@ def test_an_initiate_that_was_acknowledged_is_not_sent_again_when_a_poll_is_lost
     kit.close(1)
     kit.slave.requests.clear()
     slow_manager(kit, 4)
-    polls = [0]
-
-    def drop(sent: Sent) -> bool:
-        is_poll = sent.sender == 2 and len(sent.octets) == 11 and sent.octets[7] == 49
-        polls[0] += is_poll
-        return is_poll and polls[0] <= 2  # with its repetition
-
-    kit.bus.drop = drop
+    # a poll, with its repetition
+    kit.lose_first(2, lambda sent: sent.sender == 2 and len(sent.octets) == 11 and sent.octets[7] == 49)
     assert kit.open().outcome.failure is None
     assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
 
@@ -214,14 +199,8 @@ def test_an_initiate_that_arrived_at_last_is_not_sent_again() -> None:
     """The first one and the question for it were lost, the second one is acknowledged, and its answer takes a while."""
     kit = Ms2Bus()
     slow_manager(kit, 3)
-    sent_to_49 = [0]
-
-    def drop(sent: Sent) -> bool:
-        to_49 = sent.sender == 2 and sent.octets[0] == 0x68 and sent.octets[7] == 49
-        sent_to_49[0] += to_49
-        return to_49 and sent_to_49[0] <= 4  # Initiate and a poll, each with its repetition
-
-    kit.bus.drop = drop
+    # Initiate and a poll, each with its repetition
+    kit.lose_first(4, lambda sent: sent.sender == 2 and sent.octets[0] == 0x68 and sent.octets[7] == 49)
     assert kit.open().outcome.failure is None
     assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
 
@@ -229,15 +208,8 @@ def test_an_initiate_that_arrived_at_last_is_not_sent_again() -> None:
 def test_a_slave_that_is_there_and_has_heard_no_initiate_is_sent_it_again() -> None:
     """More often than one that is silent: it says at each poll that it has nothing."""
     kit = Ms2Bus()
-    lost: list[Sent] = []
-
-    def drop(sent: Sent) -> bool:
-        is_initiate = sent.sender == 2 and len(sent.octets) > 12 and sent.octets[9] == 0x57
-        if is_initiate:
-            lost.append(sent)
-        return is_initiate and len(lost) <= 2 * 6  # each with its repetition
-
-    kit.bus.drop = drop
+    # six, each with its repetition
+    kit.lose_first(2 * 6, lambda sent: sent.sender == 2 and len(sent.octets) > 12 and sent.octets[9] == 0x57)
     assert kit.open().outcome.failure is None
     assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
 
@@ -245,16 +217,7 @@ def test_a_slave_that_is_there_and_has_heard_no_initiate_is_sent_it_again() -> N
 def test_an_answer_to_an_earlier_master_is_given_away_first() -> None:
     """RDL: the Initiate was not taken."""
     kit = Ms2Bus()
-    usual, times = kit.slave.service, [2]
-
-    def say(octets: bytes) -> bytes | None:
-        if times[0]:
-            times[0] -= 1
-            return sd2(2, 4, RDL, 50, 49, b"\x56\x11\x00\x64")
-        kit.slave.says.clear()
-        return usual(octets)
-
-    kit.slave.says[49] = say
+    kit.slave.says_first(2, 49, sd2(2, 4, RDL, 50, 49, b"\x56\x11\x00\x64"))
     done = kit.open()
     assert (done.outcome.failure, done.server_sap) == (None, 48)
     assert [pdu[:1].hex() for _, pdu in kit.slave.heard] == ["57", "", ""]
