@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import termios
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -23,8 +24,18 @@ from dpstack.units import BAUD_RATES
 
 
 @pytest.fixture
-def far() -> PtyFarEnd:
-    return PtyFarEnd()
+def far() -> Iterator[PtyFarEnd]:
+    end = PtyFarEnd()
+    yield end
+    end.hang_up()
+
+
+@pytest.fixture
+def port(far: PtyFarEnd) -> Iterator[TtyPort]:
+    """A port at 9.6 kbit/s, not yet opened; closed at the end."""
+    port = TtyPort(far.path, 9_600)
+    yield port
+    port.close()
 
 
 @pytest.mark.parametrize("baud", BAUD_RATES)
@@ -36,11 +47,9 @@ async def test_every_rate_is_set_and_seen_from_the_other_end(far: PtyFarEnd, bau
         assert port.line_baud() == baud
         assert any("no parity" in notice for notice in port.notices)
         port.close()
-    far.hang_up()
 
 
-async def test_the_rate_of_an_open_tty_is_changed_without_closing(far: PtyFarEnd) -> None:
-    port = TtyPort(far.path, 9_600)
+async def test_the_rate_of_an_open_tty_is_changed_without_closing(far: PtyFarEnd, port: TtyPort) -> None:
     with pytest.raises(BaudError, match="is not open"):
         port.set_baud(19_200)
     await port.open()
@@ -51,14 +60,11 @@ async def test_the_rate_of_an_open_tty_is_changed_without_closing(far: PtyFarEnd
         assert port.read_now() == b""
         assert termios2.RateReader().read(far.fd) == port.baud == baud
     assert port.notices == notices
-    port.close()
-    far.hang_up()
 
 
 async def test_a_rate_that_is_refused_while_open_leaves_the_old_one(
-    far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch
+    far: PtyFarEnd, port: TtyPort, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    port = TtyPort(far.path, 9_600)
     await port.open()
     really = termios2.set_raw
 
@@ -69,12 +75,9 @@ async def test_a_rate_that_is_refused_while_open_leaves_the_old_one(
     with pytest.raises(BaudError, match=r"cannot do 12 Mbit/s, it set itself to 3 Mbit/s"):
         port.set_baud(12_000_000)
     assert termios2.RateReader().read(far.fd) == port.baud == 9_600
-    port.close()
-    far.hang_up()
 
 
-async def test_raw_without_echo_and_flow_control(far: PtyFarEnd) -> None:
-    port = TtyPort(far.path, 9600)
+async def test_raw_without_echo_and_flow_control(port: TtyPort) -> None:
     await port.open()
     assert port.fd is not None
     iflag, oflag, cflag, lflag, *_ = termios.tcgetattr(port.fd)
@@ -82,8 +85,6 @@ async def test_raw_without_echo_and_flow_control(far: PtyFarEnd) -> None:
     assert iflag == termios.INPCK | termios.IGNPAR | termios.IGNBRK
     assert cflag & termios.CSIZE == termios.CS8
     assert not cflag & (termios.CSTOPB | termios.CRTSCTS | termios.HUPCL)
-    port.close()
-    far.hang_up()
 
 
 def test_even_parity_is_asked_for_in_the_same_call(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,7 +122,6 @@ async def test_a_substituted_rate_is_refused_with_both(far: PtyFarEnd, monkeypat
     text = await _refused(TtyPort(far.path, 12_000_000), BaudError)
     assert "12 Mbit/s" in text
     assert "9.6 kbit/s" in text
-    far.hang_up()
 
 
 async def test_a_rate_divided_nearly_right_is_taken_with_a_notice(
@@ -132,7 +132,6 @@ async def test_a_rate_divided_nearly_right_is_taken_with_a_notice(
     await port.open()
     assert port.notices == ["runs at 45455 bit/s instead of 45450"]
     port.close()
-    far.hang_up()
 
 
 async def test_a_rate_the_driver_refuses(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,16 +140,12 @@ async def test_a_rate_the_driver_refuses(far: PtyFarEnd, monkeypatch: pytest.Mon
 
     monkeypatch.setattr(termios2, "set_raw", refuse)
     assert "6 Mbit/s 8E1" in await _refused(TtyPort(far.path, 6_000_000), BaudError)
-    far.hang_up()
 
 
-async def test_a_far_end_that_never_stops_does_not_hold_the_reader(far: PtyFarEnd) -> None:
-    port = TtyPort(far.path, 9600)
+async def test_a_far_end_that_never_stops_does_not_hold_the_reader(port: TtyPort) -> None:
     await port.open()
     port._read = bytes
     assert len(port.read_now()) > 4096  # more than a pty holds for its reader
-    port.close()
-    far.hang_up()
 
 
 async def test_a_missing_port_names_those_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,7 +184,6 @@ async def test_what_the_system_refuses(
     monkeypatch.setattr(os, "open", refuse)
     assert says in await _refused(port, kind)
     monkeypatch.undo()
-    far.hang_up()
 
 
 @pytest.mark.parametrize(
@@ -202,11 +196,9 @@ def test_how_to_be_permitted(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch, gr
 
     monkeypatch.setattr(grp, "getgrgid", lambda _gid: Group)
     assert says in tty.how_to_be_permitted(far.path)
-    far.hang_up()
 
 
-async def test_a_held_port_names_its_holder(far: PtyFarEnd) -> None:
-    port = TtyPort(far.path, 9600)
+async def test_a_held_port_names_its_holder(far: PtyFarEnd, port: TtyPort) -> None:
     await port.open()
     assert f"this program itself (pid {os.getpid()})" in await _refused(TtyPort(far.path, 9600), PortBusyError)
     port.close()
@@ -222,8 +214,6 @@ async def test_a_held_port_names_its_holder(far: PtyFarEnd) -> None:
     assert f"(pid {holder.pid})" in await _refused(port, PortBusyError)
     await holder.communicate(b"")
     await port.open()
-    port.close()
-    far.hang_up()
 
 
 async def test_a_closed_port_is_free_though_a_process_was_forked_meanwhile(far: PtyFarEnd) -> None:
@@ -238,21 +228,17 @@ async def test_a_closed_port_is_free_though_a_process_was_forked_meanwhile(far: 
         again.close()
     finally:
         os.close(forked)
-        far.hang_up()
 
 
 async def test_a_port_that_cannot_be_locked_is_used_with_a_notice(
-    far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch
+    port: TtyPort, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def flock(_fd: int, _how: int) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr(fcntl, "flock", flock)
-    port = TtyPort(far.path, 9600)
     await port.open()
     assert any("cannot be locked" in notice for notice in port.notices)
-    port.close()
-    far.hang_up()
 
 
 def test_a_pty_has_no_pace_a_uart_has(far: PtyFarEnd, tmp_path: Path) -> None:
@@ -263,7 +249,6 @@ def test_a_pty_has_no_pace_a_uart_has(far: PtyFarEnd, tmp_path: Path) -> None:
     assert TtyPort(str(link), 9600, paced=True).paced
     assert TtyPort("/dev/ttyUSB9", 9600).paced
     assert TtyPort("/dev/ttyUSB9", 9600).delivery is Delivery.ADAPTER
-    far.hang_up()
 
 
 @pytest.mark.parametrize("marks", [False, True])
@@ -287,7 +272,6 @@ async def test_a_genuine_ff_arrives_once_with_marks_and_without(far: PtyFarEnd, 
     assert arrived.hex() == "68ff0016ffff"
     assert port.damage() == ({"marked": 0} if marks else {})
     port.close()
-    far.hang_up()
 
 
 async def test_marked_octets_are_dropped_and_counted(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -303,7 +287,6 @@ async def test_marked_octets_are_dropped_and_counted(far: PtyFarEnd, monkeypatch
     assert port.damage() == {"marked": 2}
     monkeypatch.undo()
     port.close()
-    far.hang_up()
 
 
 def test_adapters_are_listed_with_their_lasting_names(monkeypatch: pytest.MonkeyPatch) -> None:
