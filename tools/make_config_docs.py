@@ -72,14 +72,14 @@ def _default_text(value: object) -> str:
 
 def rows(table: type, made: type) -> list[str]:
     """The rows of the keys of ``table``, from which a ``made`` is made."""
-    hints, said = get_type_hints(table, include_extras=True), sentences(table)
+    hints, said = get_type_hints(table), sentences(table)
     defaults = {field.name: field.default for field in dataclasses.fields(made)}
     found = ["| key | value | meaning | default |", "|---|---|---|---|"]
     for name, key in keys_of(table).items():
         meaning, _, left_out = said[name].partition(" Left out: ")
         left_out = left_out or _default_text(defaults.get(name))
         gsd = "" if key.gsd is None else f" (GSD: {key.gsd.keyword})"
-        value = value_text(get_args(hints[name])[0], key)
+        value = value_text(hints[name], key)
         found.append(f"| `{name}` | {value} | {meaning.removesuffix('.')}{gsd} | {left_out} |")
     return found
 

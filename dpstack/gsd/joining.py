@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Final
 
@@ -22,26 +23,25 @@ def join(block: DeviceBlock, findings: Findings) -> Device:
     for number in sorted(block.used.keys() - parameters.keys()):
         message = f"ExtUserPrmData {number} is referred to but nowhere defined; the reference is skipped"
         findings.warning(block.used[number], message)
-    sizes = {number: parameter.type.size for number, parameter in parameters.items()}
-    judged: dict[bytes, str] = {}
     for module in block.modules:
-        _identifiers(module, judged, findings)
+        problem = _identifier_problem(module.config)
+        if problem and module.complete:
+            findings.warning(module.line, f"module {module.name!r}: {problem}")
         if module.prm is not NO_PRM:
-            _lengths(module, sizes, findings)
-    prm = PrmBlock(None, tuple(block.consts), tuple(block.refs), block.prm_line)
+            _check_length(module, parameters, findings)
     device = Device(
         **fields,
         modules=tuple(block.modules),
         slots=tuple(sorted(block.slots, key=lambda slot: slot.number)),
         parameters=parameters,
         prm_texts={ref: texts.texts for ref, texts in block.prm_texts.items()},
-        prm=prm,
+        prm=PrmBlock(None, tuple(block.consts), tuple(block.refs), block.prm_line),
         diagnosis=block.diagnosis(),
         diag_types=tuple(block.diag_types),
         settings={keyword: statement.value for keyword, (statement, _) in block.settings.items()},
         raw=tuple(block.raws),
     )
-    _whole(device, settings, findings)
+    _check_device(device, settings, findings)
     return device
 
 
@@ -68,28 +68,24 @@ def _parameters(
     return found
 
 
-def _identifiers(module: Module, judged: dict[bytes, str], findings: Findings) -> None:
-    """Report wrong identifier octets. ``judged``: the problem of each configuration, empty for none."""
-    problem = judged.get(module.config)
-    if problem is None:
-        try:
-            io_lengths(module.config)
-            problem = "" if module.config else "no identifier octets; it changes nothing in a configuration"
-        except ConfigError as error:
-            problem = str(error)
-        judged[module.config] = problem
-    if problem and module.complete:
-        findings.warning(module.line, f"module {module.name!r}: {problem}")
+@functools.lru_cache(maxsize=1000)
+def _identifier_problem(config: bytes) -> str:
+    """The mistake in the identifier octets of a module, empty for none. Many modules have the same octets."""
+    try:
+        io_lengths(config)
+    except ConfigError as error:
+        return str(error)
+    return "" if config else "no identifier octets; it changes nothing in a configuration"
 
 
-def _lengths(module: Module, sizes: Mapping[int, int], findings: Findings) -> None:
+def _check_length(module: Module, parameters: Mapping[int, Parameter], findings: Findings) -> None:
     """Report parameters of a module beyond its Ext_Module_Prm_Data_Len."""
     prm = module.prm
     if prm.length is None:
         message = f"module {module.name!r} has parameters but no Ext_Module_Prm_Data_Len; as long as they reach"
         findings.warning(prm.line, message)
         return
-    reach = reach_of(prm, sizes)
+    reach = reach_of(prm, parameters)
     if reach > prm.length:
         message = (
             f"module {module.name!r}: parameters reach to octet {reach}, Ext_Module_Prm_Data_Len is {prm.length}; "
@@ -98,13 +94,16 @@ def _lengths(module: Module, sizes: Mapping[int, int], findings: Findings) -> No
         findings.warning(prm.line, message)
 
 
-def reach_of(prm: PrmBlock, sizes: Mapping[int, int]) -> int:
+def reach_of(prm: PrmBlock, parameters: Mapping[int, Parameter]) -> int:
     """Octets that the constants and references of ``prm`` take."""
-    reach = max((const.offset + len(const.octets) for const in prm.consts), default=0)
-    return max(reach, max([ref.offset + sizes.get(ref.number, 0) for ref in prm.refs], default=0))
+    ends = [const.offset + len(const.octets) for const in prm.consts]
+    for ref in prm.refs:
+        parameter = parameters.get(ref.number)
+        ends.append(ref.offset + (0 if parameter is None else parameter.type.size))
+    return max(ends, default=0)
 
 
-def _whole(device: Device, settings: Settings, findings: Findings) -> None:
+def _check_device(device: Device, settings: Settings, findings: Findings) -> None:
     """Report what is wrong with the file as a whole."""
     if device.ident is None:
         findings.error(1, "no Ident_Number: the file is damaged, or it is of no DP slave; get a whole copy of it")

@@ -306,23 +306,15 @@ def _parts(device: Device, modules: Sequence[Module | None], first_slot: int | N
     for slot, module in enumerate(modules, 1 if first_slot is None else first_slot):
         if module is None or not module.prm.present:
             continue
-        part = _part(module.prm, device.parameters, slot, at, str(slot))
-        if first_slot is not None:
-            part = _in_slot(part, module)
+        part = _part(module.prm, device.parameters, slot, at, str(slot), numbered=first_slot is not None)
+        for field in part.fields:
+            if field.slot_number and not _may_be(field.parameter, slot):
+                raise GsdError(
+                    f"module {module.title} cannot be in slot {slot}: its parameter {field.parameter.name} allows "
+                    f"{_allowed(field.parameter)}; plug it there, or leave it out"
+                )
         yield part
         at += len(part.const)
-
-
-def _in_slot(part: _Part, module: Module) -> _Part:
-    """``part`` with the number of its slot where ``module`` asks for it. Raises GsdError where it may not have it."""
-    fields = tuple(replace(field, slot_number=is_slot_number(field.parameter)) for field in part.fields)
-    for field in fields:
-        if field.slot_number and not _may_be(field.parameter, part.slot):
-            raise GsdError(
-                f"module {module.title} cannot be in slot {part.slot}: its parameter {field.parameter.name} allows "
-                f"{_allowed(field.parameter)}; plug it there, or leave it out"
-            )
-    return replace(part, fields=fields)
 
 
 def _legacy(device: Device) -> bool:
@@ -330,14 +322,24 @@ def _legacy(device: Device) -> bool:
     return device.user_prm_data is not None and not device.prm.present and device.max_user_prm_data_len is None
 
 
-def _part(prm: PrmBlock, parameters: Mapping[int, Parameter], slot: int, at: int, place: str) -> _Part:
-    sizes = {ref.number: parameters[ref.number].type.size for ref in prm.refs if ref.number in parameters}
-    size = reach_of(prm, sizes) if prm.length is None else prm.length
+def _part(
+    prm: PrmBlock, parameters: Mapping[int, Parameter], slot: int, at: int, place: str, *, numbered: bool = False
+) -> _Part:
+    """The part of one slot. ``numbered``: its parameter ``[SlotNumber]`` has the number of the slot."""
+    size = reach_of(prm, parameters) if prm.length is None else prm.length
     octets = bytearray(size)
     for const in prm.consts:
         octets[const.offset : const.offset + len(const.octets)] = const.octets[: max(0, size - const.offset)]
     fields = [
-        Field(slot, ref.offset, at + ref.offset, parameter, parameter.default, place=place)
+        Field(
+            slot,
+            ref.offset,
+            at + ref.offset,
+            parameter,
+            parameter.default,
+            slot_number=numbered and is_slot_number(parameter),
+            place=place,
+        )
         for ref in prm.refs
         if (parameter := parameters.get(ref.number)) is not None and ref.offset + parameter.type.size <= size
     ]

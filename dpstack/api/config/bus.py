@@ -125,28 +125,28 @@ class BusConfig:
         on an adapter 60, after its measurement 3 x p99.9 (20 to 60)
     """
 
-    port: Annotated[str | None, Key()] = None
+    port: str | None = None
     baud: Annotated[int | Literal["auto"] | None, Key(read=_baud)] = None
     address: Annotated[int, _like("address")] = 2
     cycle_ms: Annotated[float | None, Key(0, _MAX_CYCLE_MS, read=_cycle_ms)] = None
     cycle_freeze: Annotated[tuple[int, ...], Key(1, 8)] = ()
     cycle_sync: Annotated[tuple[int, ...], Key(1, 8)] = ()
     other_masters: Annotated[int | tuple[float, ...], Key(0, MAX_STATION, read=_other_masters)] = 0
-    driver: Annotated[Literal["auto", "asyncio", "process"], Key()] = "auto"
+    driver: Literal["auto", "asyncio", "process"] = "auto"
     t_sl: Annotated[int | None, _like("t_sl", "bit times")] = None
     t_tr: Annotated[int | None, _like("t_tr", "bit times")] = None
     max_retry: Annotated[int | None, _like("max_retry")] = None
     gap: Annotated[int | None, _like("gap", hint="0 switches the GAP off")] = None
     hsa: Annotated[int, _like("hsa")] = 126
     extra_idle_bits: Annotated[int, _like("extra_idle")] = 0
-    after_stall: Annotated[Literal["safe", "resume"], Key()] = "safe"
+    after_stall: Literal["safe", "resume"] = "safe"
     application_watchdog_ms: Annotated[int, Key(0, 655_350, read=_application_watchdog)] = 0
-    auto_clear: Annotated[bool, Key()] = False
+    auto_clear: bool = False
     data_control_time_ms: Annotated[int, Key(10, 655_350)] = 1000
-    read_only: Annotated[bool, Key()] = False
+    read_only: bool = False
     echo: Annotated[bool | None, Key(read=_echo)] = None
-    rs485: Annotated[bool, Key()] = True
-    event_char: Annotated[bool, Key()] = False
+    rs485: bool = True
+    event_char: bool = False
     host_slack_ms: Annotated[float | None, Key(0, 10_000)] = None
 
     @property

@@ -51,9 +51,9 @@ class Dpv1Keys(TypedDict, total=False):
 
     alarms: Annotated[Sequence[str], Key(read=_alarms)]
     alarm_mode: Annotated[int, Key(0, 7, hint="0: one of each kind at a time, 1..7: 2, 4, 8 ... 32 in all")]
-    extra_alarm_sap: Annotated[bool, Key()]
+    extra_alarm_sap: bool
     check_cfg_mode: Annotated[bool, Key(gsd=Gsd("Check_Cfg_Mode", attrgetter("dpv1.check_cfg_mode")))]
-    prm_cmd: Annotated[bool, Key()]
+    prm_cmd: bool
     response_timeout_ms: Annotated[int, Key(1, 655_350)]
     blocks: Annotated[Sequence[Mapping[str, object]], Key(read=_blocks)]
 

@@ -103,20 +103,20 @@ class SlaveKeys(TypedDict, total=False):
         }`), see [drives.md](drives.md)
     """
 
-    name: Annotated[str, Key()]
+    name: str
     address: Annotated[int, Key(0, MAX_STATION, hint="stations have 0..125; 126 is a slave without an address yet")]
-    drive: Annotated[str, Key()]
-    telegram: Annotated[str, Key()]
-    gsd: Annotated[str, Key()]
+    drive: str
+    telegram: str
+    gsd: str
     modules: Annotated[Sequence[int | str], Key(read=modules_of)]
-    parameters: Annotated[Mapping[str, object], Key()]
-    defaults: Annotated[Literal["refs", "const"], Key()]
-    inputs: Annotated[Mapping[str, object], Key()]
-    outputs: Annotated[Mapping[str, object], Key()]
+    parameters: Mapping[str, object]
+    defaults: Literal["refs", "const"]
+    inputs: Mapping[str, object]
+    outputs: Mapping[str, object]
     reference_hz: Annotated[float, _PERCENT]
     reference_rpm: Annotated[float, _PERCENT]
-    options: Annotated[Mapping[str, object], Key()]
-    simulated: Annotated[Mapping[str, object], Key()]
+    options: Mapping[str, object]
+    simulated: Mapping[str, object]
 
 
 class Changes(TypedDict, total=False):
@@ -147,8 +147,8 @@ class Changes(TypedDict, total=False):
     """
 
     ident: Annotated[int | str | None, Key(*LIMITS["ident"], hint="an ident number has two octets", read=_ident)]
-    config: Annotated[Octets | None, Key()]
-    user_prm: Annotated[Octets | None, Key()]
+    config: Octets | None
+    user_prm: Octets | None
     watchdog_ms: Annotated[
         int | None, Key(*LIMITS["watchdog_ms"], hint="0 is off; leave it out for the plan's recommendation")
     ]
@@ -157,10 +157,10 @@ class Changes(TypedDict, total=False):
     sync: Annotated[bool | None, Key(gsd=Gsd("Sync_Mode_supp", attrgetter("sync")))]
     freeze: Annotated[bool | None, Key(gsd=Gsd("Freeze_Mode_supp", attrgetter("freeze")))]
     every: Annotated[int | None, Key(*LIMITS["every"])]
-    safe: Annotated[Octets | None, Key()]
+    safe: Octets | None
     min_slave_interval: Annotated[int | None, Key(0, 0xFFFF, "x 100 us", read=_interval)]
     dpv1: Annotated[bool | Mapping[str, object] | None, Key(read=as_given)]
-    ignore_auto_clear: Annotated[bool | None, Key()]
+    ignore_auto_clear: bool | None
     fail_safe: Annotated[
         bool | None, Key(gsd=Gsd("Fail_Safe_required", attrgetter("dpv1.fail_safe_required"), required=True))
     ]

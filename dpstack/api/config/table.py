@@ -1,7 +1,7 @@
 """Typed reading of configuration tables; every error is one line: file and line, problem, remedy.
 
-What a table may hold is stated once, as a class whose annotations are ``Annotated[type, Key(...)]``: the reader, its
-refusals and the tables of docs/configuration.md follow from that. The sentences are in the docstring of the class.
+A class states the keys of a table once: its annotations are types or ``Annotated[type, Key(...)]``, its docstring has a
+sentence for each key. The reader, its refusals and the tables of docs/configuration.md follow from the class.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Any, Final, Literal, NoReturn, TypeAlias, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal, NoReturn, TypeAlias, get_args, get_origin, get_type_hints
 
 from dpstack.api.config.toml import Path as KeyPath
 from dpstack.api.config.toml import quoted
@@ -55,10 +55,10 @@ class Key:
 
 @functools.cache
 def keys_of(table: type) -> dict[str, Key]:
-    """The keys that the annotations of ``table`` state, in their order."""
+    """The keys that the annotations of ``table`` state, in their order; a plain type is one without limits."""
     found = {}
     for name, hint in get_type_hints(table, include_extras=True).items():
-        kind, key = get_args(hint)
+        kind, key = get_args(hint) if get_origin(hint) is Annotated else (hint, Key())
         found[name] = dataclasses.replace(key, kind=get_args(kind)[0] if isinstance(kind, UnionType) else kind)
     return found
 
