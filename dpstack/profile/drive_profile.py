@@ -13,7 +13,6 @@ from dpstack.errors import ConfigError
 from dpstack.profile.master.core import DriveCore
 from dpstack.profile.model.drive_type import CHECK_SETTINGS, DriveType, Options, TelegramSpec
 from dpstack.profile.model.jobs import LARGEST
-from dpstack.profile.record47.drive_access import ChosenAccess
 from dpstack.profile.simulator.device import DriveDevice
 
 
@@ -125,7 +124,7 @@ class DriveProfile(DriveType):
         core = self.core_factory(self, name, self.telegram(telegram), checked)
         if records is not None and (acyclic := core.over_records(records)) is not None:
             core.records = records
-            core.access = ChosenAccess(acyclic, core.access)
+            acyclic.cyclic, core.access = core.access, acyclic
         return core
 
     def device(self, telegram: str | None = None, options: Mapping[str, object] | None = None) -> DriveDevice:

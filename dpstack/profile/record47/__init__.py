@@ -17,7 +17,7 @@ from dpstack.dpv1.master.plugin_queue import ReadReq, RecordQueue, WriteReq
 from dpstack.dpv1.pdu.im import Im0
 from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.profile.record47.client import PLUGIN, PROGRAM, Counters, NoRecordError, ParameterClient, Progress
-from dpstack.profile.record47.drive_access import AcyclicAccess, ChosenAccess, Place, Placed, plain_places
+from dpstack.profile.record47.drive_access import AcyclicAccess, Place, Placed, plain_places
 from dpstack.profile.record47.formats import FORMATS, UNSIGNED16, UNSIGNED32, WORD, Format, format_of
 from dpstack.profile.record47.param_lists import (
     Description,
@@ -66,7 +66,6 @@ __all__ = [
     "Address",
     "Answer",
     "Attribute",
-    "ChosenAccess",
     "Counters",
     "Description",
     "ErrorValue",

@@ -1,6 +1,6 @@
 """Parameter access of a drive plugin over record 47: parameters by name, scaled values, checks before sending.
 
-:class:`ChosenAccess` takes record 47 where the drive has it, else the cyclic channel.
+The cyclic channel of the telegram is used where the drive has no record 47.
 """
 
 from __future__ import annotations
@@ -96,16 +96,14 @@ def plain_places(table: ParamTable, drive: str) -> Placed:
 class AcyclicAccess:
     """A :class:`~dpstack.profile.channel.base.ParameterChannel` over record 47; jobs queue.
 
-    ``records``: queue of its services.
+    ``records``: queue of its services. ``cyclic``: the parameter channel of the telegram, None where it has none. Once
+    the drive has refused record 47 as such, ``cyclic`` is used until the drive comes back.
     """
-
-    __slots__ = ("_clock", "_formats", "_placed", "_records", "_turns", "client")
-
-    octets = b""
-    busy = False
 
     def __init__(self, client: ParameterClient, records: RecordQueue, placed: Placed, clock: Clock) -> None:
         self.client = client
+        self.cyclic: ParameterChannel | None = None
+        self._absent = False  # the drive has no record 47
         self._records = records
         self._placed = placed
         self._clock = clock
@@ -113,22 +111,57 @@ class AcyclicAccess:
         self._formats: dict[Address, int] = {}
 
     @property
+    def octets(self) -> bytes:
+        return b"" if self.cyclic is None else self.cyclic.octets
+
+    @property
     def per_request(self) -> int:
-        """Parameters of one request."""
+        """Parameters of one request over record 47; the cyclic channel takes as many orders."""
         return self.client.limits.parameters
 
+    @property
+    def busy(self) -> bool:
+        return self.cyclic is not None and self.cyclic.busy
+
     def step(self, inputs: bytes, now: int) -> None:
-        """Nothing: it uses no process data."""
+        """One cycle of the cyclic channel."""
+        if self.cyclic is not None:
+            self.cyclic.step(inputs, now)
 
     def reset(self) -> None:
+        self._absent = False
         self._records.clear()
         self._formats.clear()  # it may be another drive now
+        if self.cyclic is not None:
+            self.cyclic.reset()
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
+        return self._choose(self._read(key, deadline), lambda cyclic: cyclic.read(key, deadline))
+
+    def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
+        return self._choose(self._read_many(keys, deadline), lambda cyclic: read_many(cyclic, keys, deadline))
+
+    def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
+        return self._choose(self._write(key, value, deadline), lambda cyclic: cyclic.write(key, value, deadline))
+
+    def _choose(self, acyclic: Steps[T], over_cyclic: Callable[[ParameterChannel], Steps[T]]) -> Steps[T]:
+        """Over record 47, or by the cyclic channel where the drive has no record 47."""
+        cyclic = self.cyclic
+        if cyclic is None or not self._absent:
+            try:
+                return (yield from acyclic)
+            except NoRecordError as error:
+                self._absent = True
+                if cyclic is None:
+                    text = f"{error.text}; a telegram with a parameter channel needs none"
+                    raise CommandError(error.kind, text, error.number) from None
+        return (yield from over_cyclic(cyclic))
+
+    def _read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         place = self._placed(key)
         return _outcome(place, (yield from self._values(place, deadline)))
 
-    def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
+    def _read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
         """Read in as few requests as possible; adjacent elements of an array are one address."""
         places = [self._placed(key) for key in keys]
         runs = _runs(places)
@@ -149,7 +182,7 @@ class AcyclicAccess:
                     found.append(refused(error))
         return found
 
-    def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
+    def _write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter, in the format that the drive answers for it."""
         place = self._placed(key)
         spec = place.spec
@@ -272,63 +305,3 @@ def _outcome(place: Place, values: Values) -> dict[str, object]:
         raw = spec.from_wire(first, 8 * octets)
         value = spec.to_value(raw)
     return outcome(spec, place.number, value, raw, place.data_set)
-
-
-class ChosenAccess:
-    """A :class:`~dpstack.profile.channel.base.ParameterChannel` of both; ``cyclic`` None where the telegram has none.
-
-    Once a drive has refused record 47 as such, the cyclic channel is used until the drive comes back.
-    """
-
-    __slots__ = ("_absent", "_acyclic", "_cyclic")
-
-    def __init__(self, acyclic: AcyclicAccess, cyclic: ParameterChannel | None) -> None:
-        self._acyclic = acyclic
-        self._cyclic = cyclic
-        self._absent = False
-
-    @property
-    def octets(self) -> bytes:
-        return b"" if self._cyclic is None else self._cyclic.octets
-
-    @property
-    def per_request(self) -> int:
-        """Parameters of one request over record 47; the cyclic channel takes as many orders."""
-        return self._acyclic.per_request
-
-    @property
-    def busy(self) -> bool:
-        return self._cyclic is not None and self._cyclic.busy
-
-    def step(self, inputs: bytes, now: int) -> None:
-        """One cycle of the cyclic channel."""
-        if self._cyclic is not None:
-            self._cyclic.step(inputs, now)
-
-    def reset(self) -> None:
-        self._absent = False
-        self._acyclic.reset()
-        if self._cyclic is not None:
-            self._cyclic.reset()
-
-    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
-        return self._over(lambda way: way.read(key, deadline))
-
-    def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
-        return self._over(lambda way: read_many(way, keys, deadline))
-
-    def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
-        return self._over(lambda way: way.write(key, value, deadline))
-
-    def _over(self, ask: Callable[[ParameterChannel], Steps[T]]) -> Steps[T]:
-        """Ask over record 47, or by the cyclic channel where the drive has no record 47."""
-        cyclic = self._cyclic
-        if cyclic is None or not self._absent:
-            try:
-                return (yield from ask(self._acyclic))
-            except NoRecordError as error:
-                self._absent = True
-                if cyclic is None:
-                    text = f"{error.text}; a telegram with a parameter channel needs none"
-                    raise CommandError(error.kind, text, error.number) from None
-        return (yield from ask(cyclic))

@@ -25,7 +25,7 @@ PNU_LIMITS: Final = 974
 FIRST_LIST, LAST_LIST = 980, 989
 TEXT_LEN: Final = 16
 #: time-out for the question of the drive's latency
-_UNTOLD_LATENCY: Final = 5 * NS_PER_S
+_UNKNOWN_LATENCY: Final = 5 * NS_PER_S
 #: elements of one list in a request: as many words as fit into a response
 _AT_ONCE: Final = 116
 #: errors of a drive for an element behind the last one
@@ -142,7 +142,7 @@ def read_limits(client: ParameterClient, deadline: int = NEVER) -> Transport[Lim
     """Read PNU 974 and set the client's limits; a drive without it keeps the limits. Raises CommandError."""
     limits = client.limits
     # the drive may take as long for this request
-    client.limits = dataclasses.replace(limits, latency_ns=max(limits.latency_ns, _UNTOLD_LATENCY))
+    client.limits = dataclasses.replace(limits, latency_ns=max(limits.latency_ns, _UNKNOWN_LATENCY))
     try:
         (found,) = yield from client.read([Item(Address(PNU_LIMITS, 0, 3), width=2)], deadline)
     finally:

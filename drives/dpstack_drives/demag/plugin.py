@@ -47,7 +47,7 @@ _WARNING: Final = drivecom_states.STATUS.mask("warning")
 _TOGGLE: Final = drivecom_states.STATUS.mask("toggle")
 #: a standing warning is read again after this time
 _WARNING_AGE: Final = NS_PER_S
-#: numbers of EEPROM writes of one parameter at which the user is told
+#: numbers of EEPROM writes of one parameter at which the user gets a notice
 _TELL_WRITES: Final = frozenset({10, 100, 1000, 10_000, 100_000})
 _NO_RELEASE: Final = "no hardware release: switch on S1 and one of S2 and S3"
 
@@ -357,7 +357,7 @@ class DemagCore(MappedCore[OutMap]):
         return {}
 
     def _slows(self, mark: tuple[int, float] | None) -> tuple[int, float]:
-        """412 cannot be read: a drive that is told to stop and does not slow down is not in mode 1."""
+        """412 cannot be read: a drive that does not slow down after an order to stop is not in mode 1."""
         speed = abs(self.measured()[0] or 0.0)
         if mark is None or speed <= max(mark[1] - _SLOWER, _SLOWER):
             return self.now, speed

@@ -61,7 +61,7 @@ class OptionCard:
         self.reads = reads
         self._cyclic.clear()
 
-    def take(self, words: tuple[int, ...]) -> None:
+    def write_words(self, words: tuple[int, ...]) -> None:
         """PCD1 to PCD4 from the master: a word that changed is written, in RAM."""
         for place, raw in zip(self.writes, words, strict=False):
             if not place or self._cyclic.get(place) == raw:
@@ -72,7 +72,7 @@ class OptionCard:
             if spec is not None and spec.write_error(value) is None:
                 self.store.write(spec, value, ram_only=True)
 
-    def show(self) -> tuple[int, ...]:
+    def read_words(self) -> tuple[int, ...]:
         """PCD1 to PCD4 to the master."""
         return tuple(self._shown(place) for place in self.reads)
 

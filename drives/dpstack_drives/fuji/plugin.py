@@ -155,7 +155,7 @@ class FujiCore(MappedCore[PcdMap]):
         return pcd.read(self.access, deadline)
 
     def write_map(self, inputs: PcdMap, outputs: PcdMap, deadline: int) -> Steps[dict[str, object]]:
-        """Acts after power-on, and is to be told to the plugin by its options then."""
+        """The maps act after power-on; then the options of the plugin must name them."""
         assert self.access is not None
         outcome = yield from pcd.write(self.access, inputs, outputs, deadline)
         self.notice("the assignments of PCD1 to PCD4 act after the next power-on of the drive")

@@ -170,8 +170,8 @@ class FujiDevice(DriveDevice):
         self._drive(reference)
         self._status = self._word(source, reference)
         if words is not None:
-            self.option.take(words[2:])
-        extra = self.option.show()[: self.telegram.inputs // 2 - 2]
+            self.option.write_words(words[2:])
+        extra = self.option.read_words()[: self.telegram.inputs // 2 - 2]
         return (self._status, SPEED.nearest(motor.frequency), *extra)
 
     def _unpowered(self) -> tuple[int, ...]:

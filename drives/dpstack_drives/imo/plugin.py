@@ -90,7 +90,7 @@ class ImoCore(MappedCore[PzdMap]):
         self._chosen = 0
         self._learning = False
         self._online_at = 0
-        #: as the drive has them; None until it has told
+        #: as the drive has them; None until they were read
         self.inputs_map: PzdMap | None = None
         self.outputs_map: PzdMap | None = None
 
@@ -300,7 +300,7 @@ class ImoCore(MappedCore[PzdMap]):
     def _learn(self, deadline: int) -> Steps[None]:
         outputs = yield from self._ask(t.RECEIVED, deadline)
         inputs = yield from self._ask(t.TRANSMITTED, deadline)
-        self._take(PzdMap(inputs, pzd.FROM_DRIVE), PzdMap(outputs, self._functions))
+        self._use_maps(PzdMap(inputs, pzd.FROM_DRIVE), PzdMap(outputs, self._functions))
 
     def _ask(self, numbers: tuple[int, ...], deadline: int) -> Steps[tuple[int, ...]]:
         found: tuple[int, ...] = ()
@@ -308,7 +308,7 @@ class ImoCore(MappedCore[PzdMap]):
             found += ((yield from self._channel.get(number, deadline)),)
         return found
 
-    def _take(self, inputs: PzdMap, outputs: PzdMap) -> None:
+    def _use_maps(self, inputs: PzdMap, outputs: PzdMap) -> None:
         self.inputs_map, self.outputs_map = inputs, outputs
         self._dirty = True
         self.update()
@@ -326,7 +326,7 @@ class ImoCore(MappedCore[PzdMap]):
                 if new != old:
                     yield from self._channel.put(number, new, deadline)
         self.values = {number: raw for number, raw in self.values.items() if number in outputs.numbers}
-        self._take(inputs, outputs)
+        self._use_maps(inputs, outputs)
         return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
 
     def read_map(self, deadline: int) -> Steps[dict[str, object]]:

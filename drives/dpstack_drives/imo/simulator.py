@@ -133,12 +133,12 @@ class ImoDevice(DriveDevice):
     # -- the internal scan ----------------------------------------------------------------------------------------
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
-        """Take the process data, move the motor, report."""
+        """Receive the process data, move the motor, report."""
         trip = self.take_trip()
         if trip is not None:
             self._fail(trip)
         if words is not None:
-            self._take(words)
+            self._receive(words)
         if self._command is t.Command.RESET and self.fault:
             self.fault = 0
             self._command = t.Command.STOP
@@ -147,7 +147,7 @@ class ImoDevice(DriveDevice):
         status = self._status()
         return (status, *(self._word(number, status) for number in self._transmitted))
 
-    def _take(self, words: tuple[int, ...]) -> None:
+    def _receive(self, words: tuple[int, ...]) -> None:
         flag = self.values.get(18, 0)
         self.values = {number: word for number, word in zip(self._received, words[1:], strict=True) if number}
         if flag and not self.values.get(18, 1):

@@ -177,7 +177,7 @@ class Operator:
 
     # -- process data ---------------------------------------------------------------------------------------------
 
-    def take(self, process: bytes, now: int) -> None:
+    def write_outputs(self, process: bytes, now: int) -> None:
         """Outputs as received: a block goes to the inverter when it has changed, one telegram a scan.
 
         In the cyclic mode every block goes at each point of the grid.
@@ -196,7 +196,7 @@ class Operator:
                 if not grid:
                     return
 
-    def fetch(self, length: int, now: int) -> bytes:
+    def read_inputs(self, length: int, now: int) -> bytes:
         """Inputs of ``length`` octets as they stand now."""
         if self._second_next:
             self._second_next = False
@@ -211,9 +211,9 @@ class Operator:
                 self._due = now + max(
                     int(self._inverter.store.value("Fb.09")) * NS_PER_MS, LINK_NS * (2 if self._second_next else 1)
                 )
-        return self.held(length)
+        return self.last_inputs(length)
 
-    def held(self, length: int) -> bytes:
+    def last_inputs(self, length: int) -> bytes:
         """Inputs as they were read last."""
         return bytes(self._image[:length]).ljust(length, b"\0")
 

@@ -137,15 +137,15 @@ class KebDevice(DriveDevice):
         if process is None and self._clear:
             process = bytes(self.telegram.outputs)
         if self.parameters.linked and process is not None:
-            self.operator.take(process, now)
+            self.operator.write_outputs(process, now)
         self._supervise(now)
         trip = self.take_trip()
         if trip is not None:
             self.fault = trip
         self._drive()
         if not self.parameters.linked:
-            return self.operator.held(self.telegram.inputs)
-        return self.operator.fetch(self.telegram.inputs, now)
+            return self.operator.last_inputs(self.telegram.inputs)
+        return self.operator.read_inputs(self.telegram.inputs, now)
 
     def _supervise(self, now: int) -> None:
         telegrams_sent, requests = self.operator.output_telegrams, self.server.requests

@@ -100,7 +100,7 @@ def served(parameters: record47.ParameterServer, clock: Callable[[int], int]) ->
 def access(
     drive: str, queue: record47.RecordQueue, clock: Clock, advise: Callable[[int], None]
 ) -> record47.AcyclicAccess:
-    """The master's end. ``advise`` is told the address of a drive parameter."""
+    """The master's end. ``advise`` is called with the address of a drive parameter."""
 
     def placed(key: ParamKey) -> record47.Place:
         ref, where = references.resolve(key, drive)

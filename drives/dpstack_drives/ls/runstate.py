@@ -99,7 +99,7 @@ def status_word(motor: Motor, store: ParamStore, shown: Shown) -> int:
     gap = abs(motor.setpoint) - abs(motor.frequency)
     moving = motor.on and not motor.braking and abs(gap) > NEAR
     hertz = abs(motor.frequency) * store.value("dr-20")
-    told = {
+    bits = {
         "stopped": not motor.on,
         "forward": motor.on and not motor.braking and turning > 0,
         "reverse": motor.on and not motor.braking and turning < 0,
@@ -117,4 +117,4 @@ def status_word(motor: Motor, store: ParamStore, shown: Shown) -> int:
         "run_granted": shown.run_granted,
         "ramp_granted": shown.ramp_granted,
     }
-    return t.LS_STATUS.mask(*(name for name, on in told.items() if on))
+    return t.LS_STATUS.mask(*(name for name, on in bits.items() if on))
