@@ -9,7 +9,6 @@
 - ``registry``: Drives by name, found by the entry point group ``dpstack.drives``; any installed package can add one
 """
 
-from dpstack.dp.process_image import CyclicUnit
 from dpstack.dp.slave.device import Leave
 from dpstack.dpv1.slave.device import Device
 from dpstack.errors import ConfigError
@@ -46,11 +45,11 @@ from dpstack.profile.model.param_store import ParamStore
 from dpstack.profile.model.params import ListedParam, ParamSpec, ParamTable, count_of, listing
 from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
 from dpstack.profile.model.status import DriveStatus, SettingsState
-from dpstack.profile.model.words import N4, SPEED, Scale, Word, signed16
+from dpstack.profile.model.words import SPEED, Scale, Word, signed16
 from dpstack.profile.registry import broken, find, known, refresh
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.profile.simulator.motor import AT_ONCE, NEAR, Motor, ramp
-from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s, s_to_ns
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US
 
 __all__ = [
     "AT_ONCE",
@@ -58,7 +57,6 @@ __all__ = [
     "FAULTED",
     "MAP_OPS",
     "MOVING",
-    "N4",
     "NEAR",
     "NEVER",
     "NS_PER_MS",
@@ -73,7 +71,6 @@ __all__ = [
     "ConfigError",
     "ControlTable",
     "CycleTimes",
-    "CyclicUnit",
     "Device",
     "DriveCore",
     "DriveDevice",
@@ -120,7 +117,6 @@ __all__ = [
     "find_parameter",
     "known",
     "listing",
-    "ns_to_s",
     "per_request",
     "process_data_map",
     "profidrive_states",
@@ -128,7 +124,6 @@ __all__ = [
     "read_raw",
     "record47",
     "refresh",
-    "s_to_ns",
     "same",
     "settled",
     "signed16",

@@ -97,10 +97,7 @@ class Args:
         return value
 
     def text(self, name: str) -> str | None:
-        value = self._get(name)
-        if value is not None and not isinstance(value, str):
-            raise self._wrong(name, "a text", value)
-        return value
+        return self._typed(name, str, "a text")
 
     def tables(self, name: str) -> list[Args]:
         """A list of tables, each with arguments of its own."""
@@ -111,12 +108,7 @@ class Args:
 
     def flag(self, name: str) -> bool:
         """True or False, default False."""
-        value = self._get(name)
-        if value is None:
-            return False
-        if not isinstance(value, bool):
-            raise self._wrong(name, "true or false", value)
-        return value
+        return bool(self._typed(name, bool, "true or false"))
 
     def timeout_ns(self, default_s: float) -> int:
         """``timeout_s`` in ns, not negative."""
@@ -138,6 +130,12 @@ class Args:
 
     def _wrong(self, name: str, wanted: str, value: object) -> CommandError:
         return CommandError("usage", f"{self._op}: {name} must be {wanted}, not {value!r}")
+
+    def _typed(self, name: str, kind: type[T], wanted: str) -> T | None:
+        value = self._get(name)
+        if value is not None and not isinstance(value, kind):
+            raise self._wrong(name, wanted, value)
+        return value
 
     def _get(self, name: str) -> object:
         self._read.add(name)

@@ -44,8 +44,8 @@ STATES: Final = StateTable(
 )
 
 
-def table(control: Word, status: Word, *, acknowledge: tuple[int, int] = (0x0480, 0x0400)) -> ControlTable:
-    """The master's side for a drive with these words. ``acknowledge``: the words of the edge and between edges."""
+def table(control: Word, status: Word) -> ControlTable:
+    """The master's side for a drive with these words."""
     run = 0x047F
     ready = 0x047E
     return ControlTable(
@@ -63,8 +63,8 @@ def table(control: Word, status: Word, *, acknowledge: tuple[int, int] = (0x0480
             Goal.STOP: ready,
             Goal.QUICK_STOP: 0x047A,
             Goal.COAST: 0x047C,
-            Goal.ACK_HIGH: acknowledge[0],
-            Goal.ACK_LOW: acknowledge[1],
+            Goal.ACK_HIGH: 0x0480,
+            Goal.ACK_LOW: 0x0400,
         },
         released_mask=0x000F,
         releasing=frozenset({State.READY, State.RUNNING}),

@@ -16,8 +16,8 @@
 from dpstack.dpv1.master.plugin_queue import ReadReq, RecordQueue, WriteReq
 from dpstack.dpv1.pdu.im import Im0
 from dpstack.dpv1.slave.record_table import ImRecords
-from dpstack.profile.record47.client import PLUGIN, PROGRAM, Counters, NoRecordError, ParameterClient, Progress
-from dpstack.profile.record47.drive_access import AcyclicAccess, Place, Placed, plain_places
+from dpstack.profile.record47.client import PLUGIN, PROGRAM, Counters, ParameterClient, Progress
+from dpstack.profile.record47.drive_access import AcyclicAccess, Place, plain_places
 from dpstack.profile.record47.formats import FORMATS, UNSIGNED16, UNSIGNED32, WORD, Format, format_of
 from dpstack.profile.record47.param_lists import (
     Description,
@@ -37,7 +37,6 @@ from dpstack.profile.record47.pdu import (
     Pause,
     Refused,
     Request,
-    RequestId,
     Response,
     Result,
     Service,
@@ -74,20 +73,17 @@ __all__ = [
     "ImRecords",
     "Item",
     "Limits",
-    "NoRecordError",
     "ParameterClient",
     "ParameterModel",
     "ParameterServer",
     "Pause",
     "Place",
-    "Placed",
     "Progress",
     "ReadParameter",
     "ReadReq",
     "RecordQueue",
     "Refused",
     "Request",
-    "RequestId",
     "Response",
     "Result",
     "Rules",
