@@ -57,23 +57,20 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
 
     def end_without_loop(self) -> str:
         """For a loop that was closed or never runs again: this thread ends the bus, see :func:`end_on_port`."""
-        self._left = self._ended_here()
-        return self._left or ""
-
-    def _ended_here(self) -> str | None:
-        """Returns why safe values and Clear could not be sent, None where they were."""
         port, station = self._port, self._machine
         lost = self._at is None or self._attempts is not None or self.failed is not None
         self._reopening = None
         self._halt()
+        why = "its port is lost"
         try:
-            if lost or not isinstance(station, ActiveStation):
-                return "its port is lost"
-            return end_on_port(port, station, self.echo) or None
+            if isinstance(station, ActiveStation) and not lost:
+                why = end_on_port(port, station, self.echo)
         except Exception as exc:  # at the end of an interpreter anything may be missing
-            return f"{type(exc).__name__}: {exc}"
+            why = f"{type(exc).__name__}: {exc}"
         finally:
             port.close()
+        self._left = why or None
+        return why
 
     def forsake(self) -> None:
         self._left = IN_PARENT

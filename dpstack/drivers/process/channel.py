@@ -38,7 +38,7 @@ from dpstack.drivers.process.messages import (
     named,
     typed,
 )
-from dpstack.drivers.process.shared_image import SharedImage
+from dpstack.drivers.process.shared_image import SharedImage, Word
 from dpstack.errors import BusError, DpError, OrderDropped, UsageError
 from dpstack.machine import Order
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ms_text, ns_to_s
@@ -51,7 +51,7 @@ ANSWER_NS: Final = 5 * NS_PER_S
 #: so long a silent bus process is waited for where an order ends something
 _AGAIN_NS: Final = 500 * NS_PER_MS
 #: the interpreter starts, the plugins are imported, the port is opened
-_START_S: Final = 30.0
+START_LIMIT_NS: Final = 30 * NS_PER_S
 _END_S: Final = 3.0
 #: so often the application looks whether a bus process that is about to end has ended
 _LOOK_S: Final = 0.005
@@ -122,9 +122,9 @@ class Channel:
 
     def silent_ns(self) -> int:
         """For how long the bus process has shown no sign of life; 0 while that is not yet :data:`LIMIT_NS`."""
-        if self._image is None or not self.is_open or not self._image.heartbeat.value:
+        if self._image is None or not self.is_open or not self._image.words[Word.HEARTBEAT]:
             return 0
-        silent = monotonic_ns() - self._image.heartbeat.value
+        silent = monotonic_ns() - self._image.words[Word.HEARTBEAT]
         return silent if silent > LIMIT_NS else 0
 
     async def start(self, setup: SetUp, memory: int, image: SharedImage) -> Hello:
@@ -144,12 +144,12 @@ class Channel:
             self._outbox = Outbox(loop, ours)
             self._outbox.send(Question(0, named(setup)))
             loop.add_reader(ours.fileno(), self._on_readable)
-            async with asyncio.timeout(_START_S):
+            async with asyncio.timeout(ns_to_s(START_LIMIT_NS)):
                 return await self._hello
         except BaseException as error:
             self.release()
             if isinstance(error, TimeoutError):
-                raise BusError(f"the bus process did not start within {_START_S:g} s") from None
+                raise BusError(f"the bus process did not start within {ns_to_s(START_LIMIT_NS):g} s") from None
             raise
 
     async def ended(self) -> None:
@@ -276,7 +276,7 @@ class Channel:
         sent, image = self._sent.get(number), self._image
         if sent is None or sent.answer is None or image is None or self._loop is None or self._sock is None:
             return
-        taken = image.order_taken.value >= number
+        taken = image.words[Word.ORDER_TAKEN] >= number
         if taken and not sent.owing and sent.until <= sent.began + LIMIT_NS:
             sent.until = sent.began + ANSWER_NS
             self._loop.call_later(ns_to_s(max(0, sent.until - monotonic_ns())), self._judge, number)

@@ -31,7 +31,7 @@ from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
 from dpstack.drivers.futures import outlast
 from dpstack.drivers.process import channel
 from dpstack.drivers.process.messages import CloseBus, News, SetUp, TakeOutputs, checked_arguments, event_of, typed
-from dpstack.drivers.process.shared_image import Outputs, Picture, SharedImage, make_memory, no_limit
+from dpstack.drivers.process.shared_image import Outputs, Picture, SharedImage, Word, make_memory
 from dpstack.drivers.runtime import (
     IN_PARENT,
     BusProcessBack,
@@ -124,7 +124,7 @@ class ProcessRuntime:
         memory = make_memory()
         try:
             self._image = SharedImage(memory)
-            self._image.rounds_watched.value = self._on_round is not None
+            self._image.words[Word.ROUNDS_WATCHED] = self._on_round is not None
             self._publish()
             hello = await self._channel.start(self._setup, memory, self._image)
         finally:
@@ -271,7 +271,7 @@ class ProcessRuntime:
         """Call ``on_round`` at the end of each round; None: no longer."""
         self._on_round = on_round
         if self._image is not None:
-            self._image.rounds_watched.value = on_round is not None
+            self._image.words[Word.ROUNDS_WATCHED] = on_round is not None
 
     def _newest_picture(self) -> Picture:
         """The newest whole process image."""
@@ -302,14 +302,15 @@ class ProcessRuntime:
     def _publish(self) -> None:
         """What was set in one go, or before an order, goes out in one: a round never has the half of it.
 
-        Before the bus process runs there is no time limit: it takes the outputs when it has started.
+        Before the bus process runs the time limit is longer than its start may take.
         """
         if self._image is None:
             return
         changed = self._changed & self._outputs.keys()
         self._changed.clear()
         for address in changed:
-            until = monotonic_ns() + channel.LIMIT_NS if self._watch is not None else no_limit()
+            limit_ns = channel.LIMIT_NS if self._watch is not None else 2 * channel.START_LIMIT_NS
+            until = monotonic_ns() + limit_ns
             self._outputs[address] = Outputs(until, self._outputs[address].octets)
         self._image.outputs.write(self._outputs)
         self._awaited |= dict.fromkeys(changed, self._image.outputs.newest)
@@ -345,7 +346,7 @@ class ProcessRuntime:
         self._publish()
         dropped = {}
         for address, outputs in taken_back.items():
-            if image.outputs_taken.value >= self._awaited.pop(address, 0):
+            if image.words[Word.OUTPUTS_TAKEN] >= self._awaited.pop(address, 0):
                 self._outputs[address] = outputs
             else:
                 dropped[address] = outputs.octets
@@ -382,7 +383,7 @@ class ProcessRuntime:
         self._watch = loop.call_later(_WATCH_S, self._look)
         self._look_for_silence()
         self._tell_silence()
-        taken, now = self._image.outputs_taken.value, monotonic_ns()
+        taken, now = self._image.words[Word.OUTPUTS_TAKEN], monotonic_ns()
         self._awaited = {address: number for address, number in self._awaited.items() if number > taken}
         late = [address for address in self._awaited if self._outputs[address].until_ns < now]
         if late:
@@ -394,7 +395,7 @@ class ProcessRuntime:
         if not silent or image is None or pid is None:
             return
         self._silences += 1
-        image.silences.value = self._silences
+        image.words[Word.SILENCES] = self._silences
         now = monotonic_ns()
         self._watchdogs_then = self._watchdogs()
         self._silent_since = now - silent

@@ -30,7 +30,7 @@ from dpstack.drivers.process.messages import (
     order_of,
 )
 from dpstack.drivers.process.plugins import AttachPlugin, core_at, load
-from dpstack.drivers.process.shared_image import Picture, SharedImage
+from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
 from dpstack.drivers.shutdown import Ending
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import Stack, image_snapshot
@@ -114,7 +114,7 @@ class Host:
         self._master.on_round = self._on_round
         self._master.on_begin = self._take_outputs
         self.runtime.open(self._loop)
-        self._image.heartbeat.value = monotonic_ns()
+        self._image.words[Word.HEARTBEAT] = monotonic_ns()
         self._count()
         hello = Answer(0, value=Hello(self.runtime.port_name, self.runtime.paced))
         self._tell([_notice(text) for text in notices], answer=hello)
@@ -160,7 +160,7 @@ class Host:
         question = self._questions.popleft()
         answer = Answer(question.number)
         order = None
-        self._image.order_taken.value = question.number  # before the clock is read: so the application knows
+        self._image.words[Word.ORDER_TAKEN] = question.number  # before the clock is read: so the application knows
         try:
             late = monotonic_ns() - question.until_ns
             if late > 0:
@@ -214,7 +214,7 @@ class Host:
 
     def _on_round(self, _now: int) -> None:
         self._publish()
-        watched = bool(self._image.rounds_watched.value)
+        watched = bool(self._image.words[Word.ROUNDS_WATCHED])
         if watched is not self._rounds_watched:
             self._rounds_watched = watched
             self._count()  # an application that waited for rounds looks at the counters next
@@ -288,7 +288,7 @@ class Host:
                 return
             events = kept
         news = News(events=[named(event) for event in events], answer=answer, over=over, defect=defect)
-        silences = self._image.silences.value
+        silences = self._image.words[Word.SILENCES]
         if silences != self._silences:  # the application gave the bus up: it gets the whole state anew
             self._silences = news.silence = silences
             self._bus, self._slaves = None, {}
@@ -316,7 +316,7 @@ class Host:
         if self._over:
             return
         now = monotonic_ns()
-        self._image.heartbeat.value = now
+        self._image.words[Word.HEARTBEAT] = now
         self._take_outputs()
         self._beats += 1
         if not self._beats % _BEATS_TO_NEWS:
@@ -325,7 +325,7 @@ class Host:
                 missed, self._dropped = self._dropped, 0
                 text = f"the application did not read for a while: {missed} events were dropped"
                 self._tell([_notice(text)] if missed else [])
-        elif self._image.silences.value != self._silences:
+        elif self._image.words[Word.SILENCES] != self._silences:
             self._tell([])
         self._loop.call_at(now + _HEARTBEAT, self._on_heartbeat)
 

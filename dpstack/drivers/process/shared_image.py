@@ -15,10 +15,10 @@ asking it.
 
 from __future__ import annotations
 
-import itertools
 import mmap
 import os
 import zlib
+from enum import IntEnum
 from typing import Final, Generic, NamedTuple, TypeVar
 
 import msgspec
@@ -46,10 +46,6 @@ _TRIES: Final = 4
 #: words of the head that an area has: its number, then length and CRC of each place
 _WORDS: Final = 1 + 2 * _PLACES
 
-#: a time that never comes is this or more
-_FOREVER: Final = 1 << 63
-_forever: Final = itertools.count(_FOREVER)
-
 
 class Picture(NamedTuple):
     """All slaves at the end of round number ``cycle``; ``rotations`` counted up to then."""
@@ -61,37 +57,25 @@ class Picture(NamedTuple):
 
 class Outputs(NamedTuple):
     """The application's outputs of one slave. The bus process drops them where it does not take them before
-    ``until_ns`` (CLOCK_MONOTONIC). No two assignments have the same ``until_ns``, see :func:`no_limit`."""
+    ``until_ns`` (CLOCK_MONOTONIC), another time for each assignment."""
 
     until_ns: int
     octets: bytes
 
 
-def no_limit() -> int:
-    """An ``until_ns`` that never comes, another one each time."""
-    return next(_forever)
+class Word(IntEnum):
+    """Single numbers below 2^64, each set by one process and read by the other one; 0 before."""
 
-
-class Word:
-    """One number below 2^64, which one process sets and the other one reads."""
-
-    __slots__ = ("_cell",)
-
-    def __init__(self, memory: memoryview, word: int) -> None:
-        self._cell = memory[8 * word : 8 * (word + 1)].cast("Q")  # aligned: stored at once
-
-    @property
-    def value(self) -> int:
-        """The number set last; 0 before."""
-        return self._cell[0]
-
-    @value.setter
-    def value(self, number: int) -> None:
-        self._cell[0] = number
-
-    def release(self) -> None:
-        """Let go of the memory."""
-        self._cell.release()
+    #: bus process: the time of its last sign of life (CLOCK_MONOTONIC, ns)
+    HEARTBEAT = 0
+    #: bus process: number of the order that it took last, set before it looks at the order's deadline
+    ORDER_TAKEN = 1
+    #: bus process: number of the picture of outputs that it took last, set before it reads the picture
+    OUTPUTS_TAKEN = 2
+    #: application: how often it found the bus process silent
+    SILENCES = 3
+    #: application: 1 while it wants news of the end of each round
+    ROUNDS_WATCHED = 4
 
 
 _encoder: Final = msgspec.msgpack.Encoder()
@@ -169,28 +153,18 @@ class SharedImage:
         at += _PLACES * _COUNTERS
         #: the statuses of the drive plugins by address
         self.drives = Area(memory[:], _DRIVES_AT, at, _DRIVES, dict[int, object])
-        #: the bus process: when it was alive last (CLOCK_MONOTONIC, ns)
-        self.heartbeat = Word(memory, _WORDS_AT)
-        #: the bus process: the number of the order that it took last, set before it looks at the order's deadline
-        self.order_taken = Word(memory, _WORDS_AT + 1)
-        #: the bus process: the number of the picture of outputs that it took last, set before it reads the picture
-        self.outputs_taken = Word(memory, _WORDS_AT + 2)
-        #: the application: how often it found the bus process silent
-        self.silences = Word(memory, _WORDS_AT + 3)
-        #: the application: whether it wants to be told of the end of each round
-        self.rounds_watched = Word(memory, _WORDS_AT + 4)
+        #: by :class:`Word`; aligned: each is stored at once
+        self.words = memory[8 * _WORDS_AT : 8 * (_WORDS_AT + len(Word))].cast("Q")
         memory.release()
 
     def take_outputs(self) -> dict[int, Outputs] | None:
         """The application's outputs by address where there is a new picture of them. For the bus process."""
-        self.outputs_taken.value = self.outputs.newest
+        self.words[Word.OUTPUTS_TAKEN] = self.outputs.newest
         return self.outputs.read_new()
 
     def close(self) -> None:
         """Unmap it; the other process keeps its own."""
-        areas = (self.inputs, self.outputs, self.counters, self.drives)
-        words = (self.heartbeat, self.order_taken, self.outputs_taken, self.silences, self.rounds_watched)
-        for part in (*areas, *words):
+        for part in (self.inputs, self.outputs, self.counters, self.drives, self.words):
             part.release()
         self._map.close()
 

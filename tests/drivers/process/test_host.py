@@ -19,7 +19,7 @@ from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.process import messages as m
 from dpstack.drivers.process.server import Host
-from dpstack.drivers.process.shared_image import Outputs, SharedImage, make_memory
+from dpstack.drivers.process.shared_image import Outputs, SharedImage, Word, make_memory
 from dpstack.drivers.stack import StackSpec
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.params import BusParams
@@ -244,13 +244,13 @@ def run_until(rig: Rig, condition: Callable[[], bool]) -> None:
 
 def test_an_order_after_its_time_limit_is_dropped_and_its_number_shows_that_it_was_looked_at(rig: Rig) -> None:
     assert asked(rig, 1, m.TakeOutputs()) == m.Answer(1)
-    assert rig.image.order_taken.value == 1
+    assert rig.image.words[Word.ORDER_TAKEN] == 1
     answer = asked(rig, 2, SetMode(Mode.OPERATE), until_ns=time.monotonic_ns())
     assert answer.error is not None
     kind, text = answer.error
     assert kind == "OrderDropped"
     assert "too late and dropped it" in text
-    assert rig.image.order_taken.value == 2
+    assert rig.image.words[Word.ORDER_TAKEN] == 2
     asked(rig, 3, m.TakeOutputs())
     modes = [news.bus.mode for news in rig.got if news.bus]
     assert modes == [Mode.CLEAR]
@@ -267,7 +267,7 @@ def test_outputs_after_their_time_limit_are_dropped_and_that_is_told(rig: Rig) -
     rig.image.outputs.write({4: Outputs(late, b"\x11")})
     asked(rig, 3, m.TakeOutputs())
     rig.image.outputs.write({4: Outputs(NEVER, b"\x22")})
-    run_until(rig, lambda: rig.image.outputs_taken.value == 3)
+    run_until(rig, lambda: rig.image.words[Word.OUTPUTS_TAKEN] == 3)
     assert len([news for news in rig.got if news.dropped]) == 1
     assert outputs_of(rig) == b"\x22"
 
@@ -277,8 +277,8 @@ def outputs_of(rig: Rig) -> bytes:
 
 
 def test_it_shows_that_it_lives_whatever_the_application_does(rig: Rig) -> None:
-    before = rig.image.heartbeat.value
-    run_until(rig, lambda: rig.image.heartbeat.value > before + 100_000_000)
+    before = rig.image.words[Word.HEARTBEAT]
+    run_until(rig, lambda: rig.image.words[Word.HEARTBEAT] > before + 100_000_000)
     counters = rig.image.counters.read_new()
     assert counters is not None
     assert counters.t_ns > before
@@ -287,7 +287,7 @@ def test_it_shows_that_it_lives_whatever_the_application_does(rig: Rig) -> None:
 def test_it_tells_everything_anew_to_an_application_that_found_it_silent(rig: Rig) -> None:
     asked(rig, 1, AddSlave(SlaveParams(address=4, name="v", ident=1, config=b"\x20\x10")))
     told = len(rig.got)
-    rig.image.silences.value = 7
+    rig.image.words[Word.SILENCES] = 7
     run_until(rig, lambda: rig.host._silences == 7)
     rig.sock.setblocking(True)
     while not any(news.silence for news in rig.got[told:]):
