@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, stack_of, virtual
+from api_kit import HOIST, RAW, bus_of, in_virtual_time, stack_of, virtual
 
 import dpstack
 from dpstack.api.bus.events_json import event_json, severity_of
@@ -80,64 +80,58 @@ def test_the_bus_stays_in_clear_until_operate() -> None:
     assert line == {"event": "stalled", "t": 1.5, "blocked": "suspended", "slaves": [9], "text": stall.text}
 
 
-def test_a_drive_that_ran_stays_off_until_it_is_started_again() -> None:
-    async def program() -> None:
-        async with bus_of(HOIST | {"simulated": {"412": 1}}) as bus:
-            await bus.operate()
-            hoist = bus.drive("hoist")
-            await hoist.start()
-            hoist.speed = 0.5
-            waiting = asyncio.ensure_future(hoist.reached())
-            await asyncio.sleep(0.1)
-            suspend(bus, 2_000)
-            with pytest.raises(DriveError, match=r"hoist: ended: the bus went to Clear by itself \(stall: slave 3"):
-                await waiting
-            assert isinstance(bus.forced_clear, Stalled)
-            with pytest.raises(DriveError, match=r"went to Clear by itself .* then operate\(\)"):
-                await hoist.start(1)
-            await bus.operate()
-            await bus.slave("hoist").ready()
-            await asyncio.sleep(2)
-            status = hoist.status
-            assert not status.running
-            assert status.speed == pytest.approx(0, abs=0.01)
-            await hoist.start()
-            await hoist.reached()
-            assert hoist.status.speed == pytest.approx(0.5, abs=0.01)
-
-    virtual(program())
+@in_virtual_time
+async def test_a_drive_that_ran_stays_off_until_it_is_started_again() -> None:
+    async with bus_of(HOIST | {"simulated": {"412": 1}}) as bus:
+        await bus.operate()
+        hoist = bus.drive("hoist")
+        await hoist.start()
+        hoist.speed = 0.5
+        waiting = asyncio.ensure_future(hoist.reached())
+        await asyncio.sleep(0.1)
+        suspend(bus, 2_000)
+        with pytest.raises(DriveError, match=r"hoist: ended: the bus went to Clear by itself \(stall: slave 3"):
+            await waiting
+        assert isinstance(bus.forced_clear, Stalled)
+        with pytest.raises(DriveError, match=r"went to Clear by itself .* then operate\(\)"):
+            await hoist.start(1)
+        await bus.operate()
+        await bus.slave("hoist").ready()
+        await asyncio.sleep(2)
+        status = hoist.status
+        assert not status.running
+        assert status.speed == pytest.approx(0, abs=0.01)
+        await hoist.start()
+        await hoist.reached()
+        assert hoist.status.speed == pytest.approx(0.5, abs=0.01)
 
 
-def test_resume_is_what_it_says() -> None:
-    async def program() -> None:
-        async with bus_of(RAW, after_stall="resume") as bus:
-            raw = bus.slave("raw")
-            raw.outputs = b"\x5a"
-            await bus.operate()
-            await mirrored(raw, b"\x5a")
-            suspend(bus, 5_000)
-            await asyncio.sleep(1)
-            assert (bus.mode, raw.inputs, bus.forced_clear) == (dpstack.Mode.OPERATE, b"\x5a", None)
-
-    virtual(program())
+@in_virtual_time
+async def test_resume_is_what_it_says() -> None:
+    async with bus_of(RAW, after_stall="resume") as bus:
+        raw = bus.slave("raw")
+        raw.outputs = b"\x5a"
+        await bus.operate()
+        await mirrored(raw, b"\x5a")
+        suspend(bus, 5_000)
+        await asyncio.sleep(1)
+        assert (bus.mode, raw.inputs, bus.forced_clear) == (dpstack.Mode.OPERATE, b"\x5a", None)
 
 
-def test_auto_clear_is_told_the_same_way() -> None:
-    async def program() -> None:
-        async with bus_of(RAW, auto_clear=True) as bus:
-            await bus.operate()
-            await bus.ready()
-            await bus.until(lambda: bus.mode is dpstack.Mode.OPERATE, 5)
-            assert bus.bench is not None
-            bus.bench.power(9, False)
-            await bus.until(lambda: bus.forced_clear is not None, 5)
-            assert isinstance(bus.forced_clear, AutoCleared)
-            status: Any = run_status(bus)["clear"]
-            assert "auto_clear: slave 9 (raw) had no data exchange for 1000 ms" in status["because"]
-            await bus.operate()  # it waits for the slave, by order
-            assert bus.forced_clear is None
-
-    virtual(program())
+@in_virtual_time
+async def test_auto_clear_is_told_the_same_way() -> None:
+    async with bus_of(RAW, auto_clear=True) as bus:
+        await bus.operate()
+        await bus.ready()
+        await bus.until(lambda: bus.mode is dpstack.Mode.OPERATE, 5)
+        assert bus.bench is not None
+        bus.bench.power(9, False)
+        await bus.until(lambda: bus.forced_clear is not None, 5)
+        assert isinstance(bus.forced_clear, AutoCleared)
+        status: Any = run_status(bus)["clear"]
+        assert "auto_clear: slave 9 (raw) had no data exchange for 1000 ms" in status["because"]
+        await bus.operate()  # it waits for the slave, by order
+        assert bus.forced_clear is None
 
 
 # --- the application watchdog -----------------------------------------------------------------------------------------
@@ -176,18 +170,16 @@ def test_a_program_that_hangs_is_noticed() -> None:
     assert severity_of(silent) is Severity.ERROR
 
 
-def test_alive_without_a_watchdog_and_without_a_bus() -> None:
-    async def program() -> None:
-        bus = bus_of(RAW)
-        with pytest.raises(UsageError, match="not open"):
-            bus.alive()
-        async with bus:
-            await bus.operate()
-            bus.alive()
-            await asyncio.sleep(1)
-            assert bus.mode is dpstack.Mode.OPERATE
-
-    virtual(program())
+@in_virtual_time
+async def test_alive_without_a_watchdog_and_without_a_bus() -> None:
+    bus = bus_of(RAW)
+    with pytest.raises(UsageError, match="not open"):
+        bus.alive()
+    async with bus:
+        await bus.operate()
+        bus.alive()
+        await asyncio.sleep(1)
+        assert bus.mode is dpstack.Mode.OPERATE
 
 
 # --- configuration ----------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import contextlib
 from pathlib import Path
 
 import pytest
-from api_kit import FAN, HOIST, RAW, virtual
+from api_kit import FAN, HOIST, RAW, in_virtual_time, virtual
 from far_ends import until
 
 import dpstack
@@ -47,22 +47,20 @@ def test_slaves_in_a_users_world_follow_the_master_from_rate_to_rate() -> None:
     assert virtual(program()) == [1_500_000, 187_500]
 
 
-def test_slaves_that_search_are_switched_off_and_on() -> None:
-    async def program() -> None:
-        world = make_world()
-        bench = dpstack.simulate(world, [RAW], baud="auto")
-        async with dpstack.open_bus(world=world, baud=500_000, slaves=[RAW]) as bus:
-            await bus.operate()
-            await bus.ready()
-            bench.power(9, False)
-            await bus.until(lambda: not bus.slave("raw").ready_now, 2)
-            bench.power(9, True)
-            await bus.ready()
-            bench.silence(9, 300_000_000)
-            await bus.until(lambda: not bus.slave("raw").ready_now, 2)
-            await bus.ready()
-
-    virtual(program())
+@in_virtual_time
+async def test_slaves_that_search_are_switched_off_and_on() -> None:
+    world = make_world()
+    bench = dpstack.simulate(world, [RAW], baud="auto")
+    async with dpstack.open_bus(world=world, baud=500_000, slaves=[RAW]) as bus:
+        await bus.operate()
+        await bus.ready()
+        bench.power(9, False)
+        await bus.until(lambda: not bus.slave("raw").ready_now, 2)
+        bench.power(9, True)
+        await bus.ready()
+        bench.silence(9, 300_000_000)
+        await bus.until(lambda: not bus.slave("raw").ready_now, 2)
+        await bus.ready()
 
 
 def test_slaves_at_a_given_rate_do_not_search() -> None:
@@ -77,29 +75,27 @@ def test_slaves_at_a_given_rate_do_not_search() -> None:
     assert "no answer from address 9" in virtual(program())
 
 
-def test_a_second_master_finds_the_rate_of_a_simulated_bus() -> None:
-    async def program() -> None:
-        world = make_world()
-        dpstack.simulate(world, [RAW, FAN], baud=93_750)
-        async with dpstack.open_bus(world=world, baud=93_750, slaves=[RAW]) as first:
-            await first.operate()
-            await first.ready()
-            second = dpstack.open_bus(world=world, baud="auto", address=5, slaves=[FAN], t_tr=first.params.t_tr)
-            assert searching(second)
-            assert (second.slaves, second.drives) == ((), ())
-            with pytest.raises(UsageError, match="searching for the baud rate"):
-                _ = second.params
-            with pytest.raises(UsageError, match="not open"):
-                await second.operate()
-            async with second:
-                assert not searching(second)
-                assert second.params.baud == second.config.baud == second.plan.params.baud == 93_750
-                await second.operate()
-                await second.drive("fan").slave.ready(10)
-                told = await anext(second.events())
-            assert told.text == "bus: the bus runs at 93.75 kbit/s, recognised by telegrams with check sum"
-
-    virtual(program())
+@in_virtual_time
+async def test_a_second_master_finds_the_rate_of_a_simulated_bus() -> None:
+    world = make_world()
+    dpstack.simulate(world, [RAW, FAN], baud=93_750)
+    async with dpstack.open_bus(world=world, baud=93_750, slaves=[RAW]) as first:
+        await first.operate()
+        await first.ready()
+        second = dpstack.open_bus(world=world, baud="auto", address=5, slaves=[FAN], t_tr=first.params.t_tr)
+        assert searching(second)
+        assert (second.slaves, second.drives) == ((), ())
+        with pytest.raises(UsageError, match="searching for the baud rate"):
+            _ = second.params
+        with pytest.raises(UsageError, match="not open"):
+            await second.operate()
+        async with second:
+            assert not searching(second)
+            assert second.params.baud == second.config.baud == second.plan.params.baud == 93_750
+            await second.operate()
+            await second.drive("fan").slave.ready(10)
+            told = await anext(second.events())
+        assert told.text == "bus: the bus runs at 93.75 kbit/s, recognised by telegrams with check sum"
 
 
 def test_a_silent_bus_needs_a_master_that_gives_the_rate() -> None:
@@ -118,19 +114,17 @@ def test_a_silent_bus_needs_a_master_that_gives_the_rate() -> None:
     assert seconds == pytest.approx(5.0)
 
 
-def test_closed_while_it_searches() -> None:
-    async def program() -> None:
-        world = make_world()
-        bus = dpstack.open_bus(world=world, baud="auto")
-        opening = asyncio.create_task(bus.open())
-        await asyncio.sleep(1)
-        await bus.close()
-        with pytest.raises(BusError, match="not found"):  # what it waited for came to its end
-            await opening
-        with pytest.raises(UsageError, match="opened before"):
-            await bus.open()
-
-    virtual(program())
+@in_virtual_time
+async def test_closed_while_it_searches() -> None:
+    world = make_world()
+    bus = dpstack.open_bus(world=world, baud="auto")
+    opening = asyncio.create_task(bus.open())
+    await asyncio.sleep(1)
+    await bus.close()
+    with pytest.raises(BusError, match="not found"):  # what it waited for came to its end
+        await opening
+    with pytest.raises(UsageError, match="opened before"):
+        await bus.open()
 
 
 @pytest.mark.parametrize("port", ["virtual", "pty"])

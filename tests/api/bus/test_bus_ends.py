@@ -5,14 +5,13 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import FAN, RAW, bus_of, slave_in, stack_of, virtual
+from api_kit import FAN, RAW, bus_of, in_virtual_time, slave_in, stack_of, virtual
 from foreign_master import ForeignMaster
 from support import WorldFactory
 
 import dpstack
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
-from dpstack.sim.world import World
 from dpstack.trace import Notice, Severity
 
 # --- every kind of end ----------------------------------------------------------------------------------------------
@@ -23,92 +22,87 @@ class BoomError(Exception):
 
 
 @pytest.mark.parametrize("how", ["exit", "exception", "cancelled", "close twice"])
-def test_the_end_is_orderly(world: WorldFactory, how: str) -> None:
-    async def program(w: World) -> None:
-        outputs: list[bytes] = []
+@in_virtual_time
+async def test_the_end_is_orderly(world: WorldFactory, how: str) -> None:
+    w = world()
+    outputs: list[bytes] = []
 
-        def device(data: bytes, elapsed: int) -> bytes:
-            outputs.append(data)
-            return data
+    def device(data: bytes, elapsed: int) -> bytes:
+        outputs.append(data)
+        return data
 
-        _, app = slave_in(w, DpSlave(SlaveDescription(ident=0x1234, configs=(bytes.fromhex("20 10"),)), device), 9)
-        bus = bus_of(RAW | {"safe": "11"}, world=w)
+    _, app = slave_in(w, DpSlave(SlaveDescription(ident=0x1234, configs=(bytes.fromhex("20 10"),)), device), 9)
+    bus = bus_of(RAW | {"safe": "11"}, world=w)
 
-        async def use() -> None:
-            async with bus:
-                await bus.operate()
-                await bus.ready()
-                bus.slave(9).outputs = b"\x77"
-                await bus.rotated(bus.stats.rotations + 5)
-                if how == "exception":
-                    raise BoomError
-                if how == "cancelled":
-                    await asyncio.sleep(1000)
-                if how == "close twice":
-                    await bus.close()
-
-        task = asyncio.ensure_future(use())
-        if how == "cancelled":
-            await asyncio.sleep(0.5)
-            task.cancel()
-        result = (await asyncio.gather(task, return_exceptions=True))[0]
-        wanted = {"exception": BoomError, "cancelled": asyncio.CancelledError}.get(how, type(None))
-        assert isinstance(result, wanted)
-        assert b"\x77" in outputs
-        assert b"\x11" in outputs[outputs.index(b"\x77") :]  # the safe value went out
-        assert app.clear  # then Clear
-        assert not bus.is_open
-        with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+    async def use() -> None:
+        async with bus:
             await bus.operate()
-        with pytest.raises(dpstack.UsageError, match="opened before"):
-            await bus.open()
-        log = [entry.octets for entry in w.log]
-        clears = [octets for octets in log if octets[:1] == b"\x68" and octets[7:11] == b"\x3a\x3e\x02\x00"]
-        assert len(clears) >= 2
+            await bus.ready()
+            bus.slave(9).outputs = b"\x77"
+            await bus.rotated(bus.stats.rotations + 5)
+            if how == "exception":
+                raise BoomError
+            if how == "cancelled":
+                await asyncio.sleep(1000)
+            if how == "close twice":
+                await bus.close()
 
-    virtual(program(world()))
+    task = asyncio.ensure_future(use())
+    if how == "cancelled":
+        await asyncio.sleep(0.5)
+        task.cancel()
+    result = (await asyncio.gather(task, return_exceptions=True))[0]
+    wanted = {"exception": BoomError, "cancelled": asyncio.CancelledError}.get(how, type(None))
+    assert isinstance(result, wanted)
+    assert b"\x77" in outputs
+    assert b"\x11" in outputs[outputs.index(b"\x77") :]  # the safe value went out
+    assert app.clear  # then Clear
+    assert not bus.is_open
+    with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+        await bus.operate()
+    with pytest.raises(dpstack.UsageError, match="opened before"):
+        await bus.open()
+    log = [entry.octets for entry in w.log]
+    clears = [octets for octets in log if octets[:1] == b"\x68" and octets[7:11] == b"\x3a\x3e\x02\x00"]
+    assert len(clears) >= 2
 
 
-def test_pending_orders_and_readers_end_with_the_bus() -> None:
-    async def program() -> None:
-        async with bus_of(FAN) as bus:
-            await bus.operate()
-            fan = bus.drive("fan")
-            await fan.start()
-            waiting = asyncio.ensure_future(fan.reached(tolerance=0.0))
-            fan.speed = 0.3333
-            reading = asyncio.ensure_future(_count(fan))
-            await asyncio.sleep(0.01)
-        with pytest.raises(dpstack.DpError):
-            await waiting
-        assert await reading >= 1
-
-    virtual(program())
+@in_virtual_time
+async def test_pending_orders_and_readers_end_with_the_bus() -> None:
+    async with bus_of(FAN) as bus:
+        await bus.operate()
+        fan = bus.drive("fan")
+        await fan.start()
+        waiting = asyncio.ensure_future(fan.reached(tolerance=0.0))
+        fan.speed = 0.3333
+        reading = asyncio.ensure_future(_count(fan))
+        await asyncio.sleep(0.01)
+    with pytest.raises(dpstack.DpError):
+        await waiting
+    assert await reading >= 1
 
 
 async def _count(drive: dpstack.Drive) -> int:
     return len([status async for status in drive.statuses()])
 
 
-def test_a_second_station_with_our_address(world: WorldFactory) -> None:
-    async def program(w: World) -> None:
-        async with bus_of(RAW, world=w):
-            with pytest.raises(dpstack.BusError, match="another station on the bus sends as address 2"):
-                async with bus_of(RAW, world=w):
-                    pass
+@in_virtual_time
+async def test_a_second_station_with_our_address(world: WorldFactory) -> None:
+    w = world(referee=False)
+    async with bus_of(RAW, world=w):
+        with pytest.raises(dpstack.BusError, match="another station on the bus sends as address 2"):
+            async with bus_of(RAW, world=w):
+                pass
 
-    virtual(program(world(referee=False)))
 
-
-def test_without_a_ring_there_is_a_reason(world: WorldFactory) -> None:
-    async def program(w: World) -> None:
-        # master 1 does not look further than its HSA: master 50 is never asked in
-        async with dpstack.open_bus(port="virtual", baud=500_000, address=1, slaves=[], world=w, hsa=10):
-            bus = dpstack.open_bus(port="virtual", baud=500_000, address=50, slaves=[], world=w, join_timeout=2.0)
-            with pytest.raises(dpstack.BusError, match=r"masters 1 do not let it in; their HSA must be 50 or more"):
-                await bus.open()
-
-    virtual(program(world()))
+@in_virtual_time
+async def test_without_a_ring_there_is_a_reason(world: WorldFactory) -> None:
+    w = world()
+    # master 1 does not look further than its HSA: master 50 is never asked in
+    async with dpstack.open_bus(port="virtual", baud=500_000, address=1, slaves=[], world=w, hsa=10):
+        bus = dpstack.open_bus(port="virtual", baud=500_000, address=50, slaves=[], world=w, join_timeout=2.0)
+        with pytest.raises(dpstack.BusError, match=r"masters 1 do not let it in; their HSA must be 50 or more"):
+            await bus.open()
 
 
 class Tokenless(ForeignMaster):
@@ -118,22 +112,22 @@ class Tokenless(ForeignMaster):
         self.plan = [(at + self.bits(200), bytes.fromhex("68 04 04 68 08 02 7D 55 DC 16"))]
 
 
-def test_a_master_without_a_token_is_named_as_the_reason(world: WorldFactory) -> None:
-    async def program(w: World) -> None:
-        master = Tokenless(2, 2)
-        master.sent(w.now)
-        w.add(master)
-        bus = dpstack.open_bus(port="virtual", baud=500_000, address=1, slaves=[], world=w, join_timeout=1.0)
-        with pytest.raises(
-            dpstack.BusError,
-            match=r"\d+ telegrams of other stations are heard, and no token: master 2 that passes none",
-        ):
-            await bus.open()
+@in_virtual_time
+async def test_a_master_without_a_token_is_named_as_the_reason(world: WorldFactory) -> None:
+    w = world(referee=False)
+    master = Tokenless(2, 2)
+    master.sent(w.now)
+    w.add(master)
+    bus = dpstack.open_bus(port="virtual", baud=500_000, address=1, slaves=[], world=w, join_timeout=1.0)
+    with pytest.raises(
+        dpstack.BusError,
+        match=r"\d+ telegrams of other stations are heard, and no token: master 2 that passes none",
+    ):
+        await bus.open()
 
-    virtual(program(world(referee=False)))
 
-
-def test_a_master_without_a_token_that_pauses_is_named_when_the_station_joins(world: WorldFactory) -> None:
+@in_virtual_time
+async def test_a_master_without_a_token_that_pauses_is_named_when_the_station_joins(world: WorldFactory) -> None:
     """Its requests stop for longer than T_TO: the station claims the token, and says whom it has heard."""
 
     class Pausing(Tokenless):
@@ -144,22 +138,20 @@ def test_a_master_without_a_token_that_pauses_is_named_when_the_station_joins(wo
             if self.left >= 0:
                 super().sent(at)
 
-    async def program(w: World) -> None:
-        master = Pausing(2, 2, ready=False)
-        master.sent(w.now)
-        w.add(master)
-        seen: list[dpstack.Event] = []
-        async with dpstack.open_bus(
-            port="virtual", baud=500_000, address=1, slaves=[], world=w, on_event=seen.append
-        ) as bus:
-            await bus.until(lambda: bus.snapshot.in_ring, 1)
-        heard = [e for e in seen if isinstance(e, Notice) and "listened first" in e.text]
-        assert len(heard) == 1
-        assert "nobody has address 1; master 2 sends requests and passes no token" in heard[0].text
-        assert "stop one of them" in heard[0].text
-        assert heard[0].severity is Severity.WARNING
-
-    virtual(program(world(referee=False)))
+    w = world(referee=False)
+    master = Pausing(2, 2, ready=False)
+    master.sent(w.now)
+    w.add(master)
+    seen: list[dpstack.Event] = []
+    async with dpstack.open_bus(
+        port="virtual", baud=500_000, address=1, slaves=[], world=w, on_event=seen.append
+    ) as bus:
+        await bus.until(lambda: bus.snapshot.in_ring, 1)
+    heard = [e for e in seen if isinstance(e, Notice) and "listened first" in e.text]
+    assert len(heard) == 1
+    assert "nobody has address 1; master 2 sends requests and passes no token" in heard[0].text
+    assert "stop one of them" in heard[0].text
+    assert heard[0].severity is Severity.WARNING
 
 
 def test_misuse_says_what_to_do() -> None:
@@ -183,14 +175,12 @@ def test_missing_port_raises_on_entering() -> None:
         asyncio.run(program())
 
 
-def test_plan_notes_are_told_at_the_start() -> None:
-    async def program() -> None:
-        seen: list[dpstack.Event] = []
-        async with bus_of(RAW | {"watchdog_ms": 0}, on_event=seen.append):
-            pass
-        assert any(isinstance(e, Notice) and "its watchdog is off" in e.text for e in seen)
-
-    virtual(program())
+@in_virtual_time
+async def test_plan_notes_are_told_at_the_start() -> None:
+    seen: list[dpstack.Event] = []
+    async with bus_of(RAW | {"watchdog_ms": 0}, on_event=seen.append):
+        pass
+    assert any(isinstance(e, Notice) and "its watchdog is off" in e.text for e in seen)
 
 
 # --- what must not be lost, and who must not wait for ever ----------------------------------------------------------
@@ -220,68 +210,60 @@ def test_a_handler_that_raises_loses_no_event_and_does_not_hold_up_the_end() -> 
     assert seen[-1] == "station 2 left the token ring: ordered"
 
 
-def test_who_waits_is_told_of_the_end() -> None:
-    async def program() -> None:
-        async with bus_of(RAW) as bus:
-            waiting = [
-                asyncio.ensure_future(bus.slave("raw").wait_state(dpstack.SlaveState.FAULT)),
-                asyncio.ensure_future(bus.rotated(None)),
-            ]
-            await bus.ready()
-        for each in waiting:
-            with pytest.raises(dpstack.UsageError, match="the bus is closed"):
-                await each
+@in_virtual_time
+async def test_who_waits_is_told_of_the_end() -> None:
+    async with bus_of(RAW) as bus:
+        waiting = [
+            asyncio.ensure_future(bus.slave("raw").wait_state(dpstack.SlaveState.FAULT)),
+            asyncio.ensure_future(bus.rotated(None)),
+        ]
+        await bus.ready()
+    for each in waiting:
         with pytest.raises(dpstack.UsageError, match="the bus is closed"):
-            await bus.slave("raw").wait_state(dpstack.SlaveState.FAULT)
-
-    virtual(program())
-
-
-def test_statuses_asked_for_after_the_end_end() -> None:
-    async def program() -> None:
-        async with bus_of(FAN) as bus:
-            await bus.ready()
-        assert len([status async for status in bus.drive("fan").statuses()]) == 1
-
-    virtual(program())
+            await each
+    with pytest.raises(dpstack.UsageError, match="the bus is closed"):
+        await bus.slave("raw").wait_state(dpstack.SlaveState.FAULT)
 
 
-def test_a_defect_ends_streams_and_statuses(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def program() -> None:
-        async with bus_of(FAN) as bus:
-            await bus.ready()
-            events, statuses = bus.events(), bus.drive("fan").statuses()
-
-            async def texts() -> str:
-                return [event.text async for event in events][-1]
-
-            async def count() -> int:
-                return len([status async for status in statuses])
-
-            readers = asyncio.gather(texts(), count())
-            await asyncio.sleep(0)
-
-            def broken(now: int) -> None:
-                raise ZeroDivisionError("a defect")
-
-            monkeypatch.setattr(stack_of(bus).master, "on_round", broken)
-            text, number = await readers
-            assert "stopped by a defect in dpstack (ZeroDivisionError: a defect)" in text
-            assert number >= 1
-            with pytest.raises(dpstack.BusError, match="stopped by a defect"):
-                await bus.until(lambda: False)
-
-    virtual(program())
+@in_virtual_time
+async def test_statuses_asked_for_after_the_end_end() -> None:
+    async with bus_of(FAN) as bus:
+        await bus.ready()
+    assert len([status async for status in bus.drive("fan").statuses()]) == 1
 
 
-def test_an_event_stream_may_be_closed_twice() -> None:
-    async def program() -> None:
-        async with bus_of(RAW) as bus:
-            stream = bus.events()
-            stream.close()
-            stream.close()
+@in_virtual_time
+async def test_a_defect_ends_streams_and_statuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with bus_of(FAN) as bus:
+        await bus.ready()
+        events, statuses = bus.events(), bus.drive("fan").statuses()
 
-    virtual(program())
+        async def texts() -> str:
+            return [event.text async for event in events][-1]
+
+        async def count() -> int:
+            return len([status async for status in statuses])
+
+        readers = asyncio.gather(texts(), count())
+        await asyncio.sleep(0)
+
+        def broken(now: int) -> None:
+            raise ZeroDivisionError("a defect")
+
+        monkeypatch.setattr(stack_of(bus).master, "on_round", broken)
+        text, number = await readers
+        assert "stopped by a defect in dpstack (ZeroDivisionError: a defect)" in text
+        assert number >= 1
+        with pytest.raises(dpstack.BusError, match="stopped by a defect"):
+            await bus.until(lambda: False)
+
+
+@in_virtual_time
+async def test_an_event_stream_may_be_closed_twice() -> None:
+    async with bus_of(RAW) as bus:
+        stream = bus.events()
+        stream.close()
+        stream.close()
 
 
 def test_the_port_is_released_when_the_end_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -309,17 +291,14 @@ def test_the_port_is_released_when_the_end_is_cut_short(monkeypatch: pytest.Monk
     assert closed == [True]
 
 
-def test_a_slave_that_was_removed_may_come_again() -> None:
+@in_virtual_time
+async def test_a_slave_that_was_removed_may_come_again() -> None:
     """With port "virtual" there is one simulated slave at the address, not two."""
-
-    async def program() -> None:
-        async with bus_of(RAW) as bus:
-            await bus.ready()
-            await bus.remove("raw")
-            await asyncio.sleep(0.1)
-            again = await bus.add_slave(RAW | {"name": "again", "config": "21 11"})
-            await again.ready()
-            assert len(again.inputs) == 2
-            assert bus.stats.bad == {}
-
-    virtual(program())
+    async with bus_of(RAW) as bus:
+        await bus.ready()
+        await bus.remove("raw")
+        await asyncio.sleep(0.1)
+        again = await bus.add_slave(RAW | {"name": "again", "config": "21 11"})
+        await again.ready()
+        assert len(again.inputs) == 2
+        assert bus.stats.bad == {}

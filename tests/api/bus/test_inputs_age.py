@@ -7,7 +7,7 @@ import dataclasses
 import time
 
 import pytest
-from api_kit import RAW, bus_of, stack_of, virtual
+from api_kit import RAW, bus_of, in_virtual_time, stack_of, virtual
 from process_kit import SPEC, VALVES, bus_on, octet_slaves
 
 import dpstack
@@ -18,36 +18,34 @@ from dpstack.cli.terminal.report import Reporter
 SLOW: dict[str, object] = RAW | {"name": "slow", "address": 10, "every": 60, "watchdog_ms": 2000}
 
 
-def test_inputs_carry_their_age() -> None:
-    async def program() -> None:
-        async with bus_of(RAW, cycle_ms=10) as bus:
-            raw = bus.slave("raw")
-            assert age_of(raw) is None
-            assert not is_valid(raw)
-            await bus.operate()
-            await bus.ready()
-            await bus.rotated(5)
-            await asyncio.sleep(0.007)
-            age = age_of(raw)
-            assert age is not None
-            assert 0.006 < age < 0.01
-            assert is_valid(raw)
-            assert raw.inputs_limit == 0.2
-            told = bus.stats.slaves[9]
-            assert (told.inputs_valid, told.inputs_age) == (True, age)
-            assert summary_of(told) == (True, round(age * 1000, 1))
-            slaves = run_status(bus)["slaves"]
-            assert isinstance(slaves, dict)
-            assert slaves["9"]["inputs_valid"] is True
-            assert slaves["9"]["inputs_age_ms"] == round(age * 1000, 1)
-            await bus.stop()
-            await asyncio.sleep(1.1)
-            assert not is_valid(raw)
-            assert (age_of(raw) or 0) > 1
-            assert (bus.stats.age, bus.stats.stale) == (0.0, False)
-            assert (bus.stats.summary()["age_ms"], bus.stats.summary()["stale"]) == (0.0, False)
-
-    virtual(program())
+@in_virtual_time
+async def test_inputs_carry_their_age() -> None:
+    async with bus_of(RAW, cycle_ms=10) as bus:
+        raw = bus.slave("raw")
+        assert age_of(raw) is None
+        assert not is_valid(raw)
+        await bus.operate()
+        await bus.ready()
+        await bus.rotated(5)
+        await asyncio.sleep(0.007)
+        age = age_of(raw)
+        assert age is not None
+        assert 0.006 < age < 0.01
+        assert is_valid(raw)
+        assert raw.inputs_limit == 0.2
+        told = bus.stats.slaves[9]
+        assert (told.inputs_valid, told.inputs_age) == (True, age)
+        assert summary_of(told) == (True, round(age * 1000, 1))
+        slaves = run_status(bus)["slaves"]
+        assert isinstance(slaves, dict)
+        assert slaves["9"]["inputs_valid"] is True
+        assert slaves["9"]["inputs_age_ms"] == round(age * 1000, 1)
+        await bus.stop()
+        await asyncio.sleep(1.1)
+        assert not is_valid(raw)
+        assert (age_of(raw) or 0) > 1
+        assert (bus.stats.age, bus.stats.stale) == (0.0, False)
+        assert (bus.stats.summary()["age_ms"], bus.stats.summary()["stale"]) == (0.0, False)
 
 
 def is_valid(slave: dpstack.Slave) -> bool:
@@ -63,65 +61,57 @@ def summary_of(slave: SlaveStats) -> tuple[object, object]:
     return told["inputs_valid"], told["inputs_age_ms"]
 
 
-def test_inputs_of_every_sixtieth_cycle_are_valid_up_to_two_of_its_polls() -> None:
+@in_virtual_time
+async def test_inputs_of_every_sixtieth_cycle_are_valid_up_to_two_of_its_polls() -> None:
     """Its watchdog is off, 1 s would be less than two polls: 60 cycles of 10 ms each."""
-
-    async def program() -> None:
-        async with bus_of(RAW, SLOW | {"watchdog_ms": 0}, cycle_ms=10) as bus:
-            slow = bus.slave("slow")
-            assert slow.inputs_limit == 1.2
-            assert bus.slave("raw").inputs_limit == 0.2
-            await bus.operate()
-            await bus.ready()
-            await asyncio.sleep(0.65)
-            ages = []
-            for _ in range(13):
-                await asyncio.sleep(0.05)
-                assert slow.inputs_valid
-                ages.append(slow.inputs_age or 0.0)
-            assert max(ages) > 0.5
-
-    virtual(program())
+    async with bus_of(RAW, SLOW | {"watchdog_ms": 0}, cycle_ms=10) as bus:
+        slow = bus.slave("slow")
+        assert slow.inputs_limit == 1.2
+        assert bus.slave("raw").inputs_limit == 0.2
+        await bus.operate()
+        await bus.ready()
+        await asyncio.sleep(0.65)
+        ages = []
+        for _ in range(13):
+            await asyncio.sleep(0.05)
+            assert slow.inputs_valid
+            ages.append(slow.inputs_age or 0.0)
+        assert max(ages) > 0.5
 
 
-def test_the_limit_follows_the_slaves_that_are_there() -> None:
+@in_virtual_time
+async def test_the_limit_follows_the_slaves_that_are_there() -> None:
     """At 9600 bit/s a slave with 244 octets each way takes more than half a second of each round."""
-
-    async def program() -> None:
-        big = {"name": "big", "address": 11, "ident": 0x1234, "config": "7F " * 7 + "73", "watchdog_ms": 0}
-        async with dpstack.open_bus(port="virtual", baud=9600, slaves=[RAW | {"watchdog_ms": 0}], gap=0) as bus:
-            raw = bus.slave("raw")
-            before = raw.inputs_limit
-            assert before == 1
-            added = await bus.add_slave(big)
-            assert raw.inputs_limit > 1.2
-            assert added.inputs_limit == raw.inputs_limit
-            await bus.remove("big")
-            assert raw.inputs_limit == before
-
-    virtual(program())
+    big = {"name": "big", "address": 11, "ident": 0x1234, "config": "7F " * 7 + "73", "watchdog_ms": 0}
+    async with dpstack.open_bus(port="virtual", baud=9600, slaves=[RAW | {"watchdog_ms": 0}], gap=0) as bus:
+        raw = bus.slave("raw")
+        before = raw.inputs_limit
+        assert before == 1
+        added = await bus.add_slave(big)
+        assert raw.inputs_limit > 1.2
+        assert added.inputs_limit == raw.inputs_limit
+        await bus.remove("big")
+        assert raw.inputs_limit == before
 
 
-def test_a_cycle_that_is_handed_over_too_late_has_no_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def program() -> None:
-        async with bus_of(RAW, cycle_ms=4) as bus:
-            await bus.operate()
-            await bus.ready()
-            cycles = bus.cycles()
-            cycle = await anext(cycles)
-            assert set(cycle.inputs) == {"raw"}
-            assert 0 <= cycle.age < 0.004
-            await asyncio.sleep(0.02)
-            assert cycle.age > 0.02  # now, not when it was handed over
-            late = bus.runtime.now() + 200_000_000
-            monkeypatch.setattr(bus.runtime, "now", lambda: late)
-            cycle = await anext(cycles)
-            assert not cycle.inputs
-            assert not cycle.fresh
-            with pytest.raises(dpstack.DpError, match="raw"):
-                cycle.values("raw")
-
-    virtual(program())
+@in_virtual_time
+async def test_a_cycle_that_is_handed_over_too_late_has_no_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with bus_of(RAW, cycle_ms=4) as bus:
+        await bus.operate()
+        await bus.ready()
+        cycles = bus.cycles()
+        cycle = await anext(cycles)
+        assert set(cycle.inputs) == {"raw"}
+        assert 0 <= cycle.age < 0.004
+        await asyncio.sleep(0.02)
+        assert cycle.age > 0.02  # now, not when it was handed over
+        late = bus.runtime.now() + 200_000_000
+        monkeypatch.setattr(bus.runtime, "now", lambda: late)
+        cycle = await anext(cycles)
+        assert not cycle.inputs
+        assert not cycle.fresh
+        with pytest.raises(dpstack.DpError, match="raw"):
+            cycle.values("raw")
 
 
 async def test_inputs_of_a_bus_that_its_application_holds_up_are_not_valid() -> None:

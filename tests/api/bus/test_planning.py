@@ -6,7 +6,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, stack_of, virtual
+from api_kit import HOIST, RAW, bus_of, in_virtual_time, stack_of
 
 import dpstack
 from dpstack.api.bus.compose import plan_bus
@@ -58,22 +58,16 @@ def test_an_interval_and_a_watchdog_that_do_not_fit_name_the_slave() -> None:
     )
 
 
-def test_what_has_no_room_is_refused_while_the_bus_runs() -> None:
-    async def program() -> None:
-        long = {"name": "long", "address": 10, "ident": 1, "config": "FF FF"}
-        async with bus_of(RAW, cycle_ms=1.0) as bus:
-            with pytest.raises(
-                ConfigError, match="cycle_ms = 1 is shorter than possible: the shortest rotation with 2 "
-            ):
-                await bus.add_slave(long)
-            with pytest.raises(
-                ConfigError, match="cycle_ms = 1 is shorter than possible: the shortest rotation with 1 "
-            ):
-                await bus.slave("raw").reparameterise(config=bytes.fromhex("FF FF"))
-            assert [slave.name for slave in bus.slaves] == ["raw"]
-            await bus.ready()
-
-    virtual(program())
+@in_virtual_time
+async def test_what_has_no_room_is_refused_while_the_bus_runs() -> None:
+    long = {"name": "long", "address": 10, "ident": 1, "config": "FF FF"}
+    async with bus_of(RAW, cycle_ms=1.0) as bus:
+        with pytest.raises(ConfigError, match="cycle_ms = 1 is shorter than possible: the shortest rotation with 2 "):
+            await bus.add_slave(long)
+        with pytest.raises(ConfigError, match="cycle_ms = 1 is shorter than possible: the shortest rotation with 1 "):
+            await bus.slave("raw").reparameterise(config=bytes.fromhex("FF FF"))
+        assert [slave.name for slave in bus.slaves] == ["raw"]
+        await bus.ready()
 
 
 def test_what_a_usb_adapter_does_to_a_cycle() -> None:
@@ -166,31 +160,27 @@ def test_rates_that_a_slave_does_not_know_do_not_count() -> None:
 # --- the manual's 1 to 2 ms ------------------------------------------------------------------------------------------
 
 
-def test_the_manuals_rotation_in_virtual_time() -> None:
-    async def program() -> None:
-        async with dpstack.open_bus(EXAMPLES / "two_milliseconds.toml") as bus:
-            await bus.operate()
-            await bus.ready()
-            master = stack_of(bus).master
-            master.rotation = Histogram()
-            await asyncio.sleep(0.5)
-            seen = master.rotation
-            assert seen.count > 200
-            assert abs(seen.min_ns - bus.plan.rotation_ns(Case.SHORTEST)) <= bus.params.ns(11)
-            assert 1_000_000 < seen.min_ns < seen.quantile_ns(0.99) < 2_000_000
-            assert [slave.state for slave in bus.slaves] == [dpstack.SlaveState.DATA_EXCHANGE] * 5
-            assert bus.stats.bad == {}
-
-    virtual(program())
+@in_virtual_time
+async def test_the_manuals_rotation_in_virtual_time() -> None:
+    async with dpstack.open_bus(EXAMPLES / "two_milliseconds.toml") as bus:
+        await bus.operate()
+        await bus.ready()
+        master = stack_of(bus).master
+        master.rotation = Histogram()
+        await asyncio.sleep(0.5)
+        seen = master.rotation
+        assert seen.count > 200
+        assert abs(seen.min_ns - bus.plan.rotation_ns(Case.SHORTEST)) <= bus.params.ns(11)
+        assert 1_000_000 < seen.min_ns < seen.quantile_ns(0.99) < 2_000_000
+        assert [slave.state for slave in bus.slaves] == [dpstack.SlaveState.DATA_EXCHANGE] * 5
+        assert bus.stats.bad == {}
 
 
-def test_a_hoist_on_a_bus_with_a_cycle_is_planned_like_any_other() -> None:
-    async def program() -> None:
-        async with bus_of(HOIST, cycle_ms=20.0) as bus:
-            assert bus.plan.cycle is not None
-            assert bus.plan.cycle.verdict is Verdict.UNDISTURBED
-
-    virtual(program())
+@in_virtual_time
+async def test_a_hoist_on_a_bus_with_a_cycle_is_planned_like_any_other() -> None:
+    async with bus_of(HOIST, cycle_ms=20.0) as bus:
+        assert bus.plan.cycle is not None
+        assert bus.plan.cycle.verdict is Verdict.UNDISTURBED
 
 
 def test_a_gsd_file_beside_the_drive_shortens_the_worst_case_by_its_diagnosis() -> None:

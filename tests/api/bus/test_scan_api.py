@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import FAN, HOIST, RAW, bus_of, slave_in, virtual
+from api_kit import FAN, HOIST, RAW, bus_of, in_virtual_time, slave_in
 
 import dpstack
 from dpstack.api.bus.bus import Bus
@@ -36,163 +36,149 @@ async def scan(world: World, **how: Any) -> LiveListResult:
 # --- a scan of its own ----------------------------------------------------------------------------------------------
 
 
-def test_a_silent_bus_is_asked_from_0() -> None:
-    async def program() -> None:
-        world = World()
-        for address in (3, 125, 126):
-            slave_in(world, MirrorDevice(0x1234, b"\x21"), address)
-        result = await scan(world, configs=True)
-        assert result.address == 0
-        assert brief(result.stations) == [(a, "slave", 0x1234, "wait_prm", None) for a in (3, 125, 126)]
-        assert {f.config for f in result.stations} == {b"\x21"}
-        assert result.notes == ()
-        assert world.referee is not None
-        world.referee.check()
-
-    virtual(program())
+@in_virtual_time
+async def test_a_silent_bus_is_asked_from_0() -> None:
+    world = World()
+    for address in (3, 125, 126):
+        slave_in(world, MirrorDevice(0x1234, b"\x21"), address)
+    result = await scan(world, configs=True)
+    assert result.address == 0
+    assert brief(result.stations) == [(a, "slave", 0x1234, "wait_prm", None) for a in (3, 125, 126)]
+    assert {f.config for f in result.stations} == {b"\x21"}
+    assert result.notes == ()
+    assert world.referee is not None
+    world.referee.check()
 
 
-def test_a_slave_at_the_scanners_own_address_is_found_too() -> None:
-    async def program() -> None:
-        world = World()
-        for address in (0, 1):
-            slave_in(world, MirrorDevice(0x1234, b"\x21"), address)
-        result = await scan(world)
-        assert brief(result.stations) == [(a, "slave", 0x1234, "wait_prm", None) for a in (0, 1)]
-
-    virtual(program())
+@in_virtual_time
+async def test_a_slave_at_the_scanners_own_address_is_found_too() -> None:
+    world = World()
+    for address in (0, 1):
+        slave_in(world, MirrorDevice(0x1234, b"\x21"), address)
+    result = await scan(world)
+    assert brief(result.stations) == [(a, "slave", 0x1234, "wait_prm", None) for a in (0, 1)]
 
 
-def test_beside_masters_one_of_them_at_0() -> None:
-    async def program() -> None:
-        async with bus_of(HOIST, RAW, address=0, gap=1) as bus:
-            await bus.ready()
-            await bus.operate()
-            assert bus.world is not None
-            result = await scan(bus.world)
-            assert result.address == 1
-            assert brief(result.stations) == [
-                (0, "master_in_ring", None, None, None),
-                (3, "slave", 0x0696, "data_exchange", 0),
-                (9, "slave", 0x1234, "data_exchange", 0),
-            ]
-            await asyncio.sleep(1)
-            assert all(slave.ready_now and slave.timeouts == slave.retries == 0 for slave in bus.slaves)
-
-    virtual(program())
+@in_virtual_time
+async def test_beside_masters_one_of_them_at_0() -> None:
+    async with bus_of(HOIST, RAW, address=0, gap=1) as bus:
+        await bus.ready()
+        await bus.operate()
+        assert bus.world is not None
+        result = await scan(bus.world)
+        assert result.address == 1
+        assert brief(result.stations) == [
+            (0, "master_in_ring", None, None, None),
+            (3, "slave", 0x0696, "data_exchange", 0),
+            (9, "slave", 0x1234, "data_exchange", 0),
+        ]
+        await asyncio.sleep(1)
+        assert all(slave.ready_now and slave.timeouts == slave.retries == 0 for slave in bus.slaves)
 
 
-def test_an_address_given_and_in_use_is_refused() -> None:
-    async def program() -> None:
-        async with bus_of(RAW, gap=1) as bus:
-            await bus.ready()
-            assert bus.world is not None
-            with pytest.raises(dpstack.BusError, match="another station on the bus sends as address 2"):
-                await scan(bus.world, address=2)
-            with pytest.raises(dpstack.BusError, match="another station on the bus sends as address 9"):
-                await scan(bus.world, address=9)
-
-    virtual(program())
+@in_virtual_time
+async def test_an_address_given_and_in_use_is_refused() -> None:
+    async with bus_of(RAW, gap=1) as bus:
+        await bus.ready()
+        assert bus.world is not None
+        with pytest.raises(dpstack.BusError, match="another station on the bus sends as address 2"):
+            await scan(bus.world, address=2)
+        with pytest.raises(dpstack.BusError, match="another station on the bus sends as address 9"):
+            await scan(bus.world, address=9)
 
 
 # --- beside data exchange -------------------------------------------------------------------------------------------
 
 
-def test_the_live_list_of_a_running_bus() -> None:
-    async def program() -> None:
-        async with bus_of(HOIST, RAW) as bus:
-            await bus.ready()
-            await bus.operate()
-            assert bus.world is not None
-            _, app = slave_in(bus.world, MirrorDevice(0x4321, b"\x21"), 20)
-            found = await bus.scan(configs=True)
-            assert brief(found) == [
-                (3, "slave", 0x0696, "data_exchange", 2),
-                (9, "slave", 0x1234, "data_exchange", 2),
-                (20, "slave", 0x4321, "wait_prm", None),
-            ]
-            assert [f.config for f in found] == [bytes.fromhex("f371"), bytes.fromhex("2010"), b"\x21"]
-            assert app.state is SlaveAppState.WAIT_PRM
-            assert all(slave.ready_now for slave in bus.slaves)
-            assert brief(await bus.scan(addresses=[20, 21])) == [(20, "slave", 0x4321, "wait_prm", None)]
-            stats = bus.stats
-            assert (stats.timeouts, stats.retries, stats.late) == (0, 0, 0)
-            assert set(stats.stations) >= {3, 9, 20}
-            assert 21 not in stats.stations
-
-    virtual(program())
+@in_virtual_time
+async def test_the_live_list_of_a_running_bus() -> None:
+    async with bus_of(HOIST, RAW) as bus:
+        await bus.ready()
+        await bus.operate()
+        assert bus.world is not None
+        _, app = slave_in(bus.world, MirrorDevice(0x4321, b"\x21"), 20)
+        found = await bus.scan(configs=True)
+        assert brief(found) == [
+            (3, "slave", 0x0696, "data_exchange", 2),
+            (9, "slave", 0x1234, "data_exchange", 2),
+            (20, "slave", 0x4321, "wait_prm", None),
+        ]
+        assert [f.config for f in found] == [bytes.fromhex("f371"), bytes.fromhex("2010"), b"\x21"]
+        assert app.state is SlaveAppState.WAIT_PRM
+        assert all(slave.ready_now for slave in bus.slaves)
+        assert brief(await bus.scan(addresses=[20, 21])) == [(20, "slave", 0x4321, "wait_prm", None)]
+        stats = bus.stats
+        assert (stats.timeouts, stats.retries, stats.late) == (0, 0, 0)
+        assert set(stats.stations) >= {3, 9, 20}
+        assert 21 not in stats.stations
 
 
 # --- read-only ------------------------------------------------------------------------------------------------------
 
 
-def test_a_read_only_bus_shows_and_changes_nothing() -> None:
-    async def program() -> None:
-        async with bus_of(RAW, gap=1) as owner:
-            await owner.ready()
-            await owner.operate()
-            world = owner.world
-            assert world is not None
-            tables = [RAW, {**HOIST, "address": 30}, {**FAN, "ident": 0x1111}]
-            slave_in(world, MirrorDevice(0x2222, b"\x21"), 4)
-            told: list[dpstack.Event] = []
-            config = make_config("virtual", 500_000, 5, tables, bus={"read_only": True})
-            async with dpstack.open_bus(config, world=world, on_event=told.append) as bus:
-                await asyncio.sleep(1)
-                raw, hoist, fan = bus.slave("raw"), bus.slave("hoist"), bus.slave("fan")
-                assert raw.state is dpstack.SlaveState.DATA_EXCHANGE
-                assert raw.ready_now
-                assert raw.found is not None
-                assert raw.found.master == 2
-                assert raw.diagnosis is not None
-                assert raw.diagnosis.wd_on
-                assert hoist.state is dpstack.SlaveState.OFFLINE
-                assert fan.state is dpstack.SlaveState.FAULT  # another device: 0x2222
-                assert raw.fault is None
-                assert hoist.fault is not None
-                assert hoist.fault.text.startswith("no answer from address 30")
-                assert fan.fault is not None
-                assert "0x2222" in fan.fault.text
-                assert bus.mode is dpstack.Mode.STOP
-                for refused in (bus.operate, bus.clear, bus.drive("hoist").start):
-                    with pytest.raises(dpstack.UsageError, match="read-only"):
-                        await refused()
-                with pytest.raises(dpstack.UsageError, match="read-only"):
-                    raw.outputs = b"\x01"
-                summary: Any = bus.stats.summary()
-                assert summary["slaves"]["9"]["master"] == 2
-                assert bus.stats.link.refused == 0
-            heard = next(e for e in told if isinstance(e, Notice) and e.source == "bus")
-            assert heard.message.startswith("listened first: ")
-            assert heard.message.endswith(" telegrams, master 2; nobody has address 5")
-            seen = [e for e in told if isinstance(e, StationSeen)]
-            line = event_json(next(e for e in seen if e.found.address == 9), 0.5)
-            assert line == {
-                "event": "station",
-                "t": 0.5,
-                "address": 9,
-                "type": "slave",
-                "ident": "0x1234",
-                "state": "data_exchange",
-                "master": 2,
-                "present": True,
-                "text": "station 9: slave, ident 0x1234, data_exchange, master 2",
-            }
-            assert owner.slave("raw").ready_now
-            assert owner.slave("raw").timeouts == 0
-
-    virtual(program())
-
-
-def test_what_was_heard_on_a_silent_bus() -> None:
-    async def program() -> None:
+@in_virtual_time
+async def test_a_read_only_bus_shows_and_changes_nothing() -> None:
+    async with bus_of(RAW, gap=1) as owner:
+        await owner.ready()
+        await owner.operate()
+        world = owner.world
+        assert world is not None
+        tables = [RAW, {**HOIST, "address": 30}, {**FAN, "ident": 0x1111}]
+        slave_in(world, MirrorDevice(0x2222, b"\x21"), 4)
         told: list[dpstack.Event] = []
-        async with bus_of(RAW, on_event=told.append):
-            pass
-        texts = [e.text for e in told if isinstance(e, Notice) and e.source == "bus"]
-        assert texts == ["bus: listened first: silence; nobody has address 2"]
+        config = make_config("virtual", 500_000, 5, tables, bus={"read_only": True})
+        async with dpstack.open_bus(config, world=world, on_event=told.append) as bus:
+            await asyncio.sleep(1)
+            raw, hoist, fan = bus.slave("raw"), bus.slave("hoist"), bus.slave("fan")
+            assert raw.state is dpstack.SlaveState.DATA_EXCHANGE
+            assert raw.ready_now
+            assert raw.found is not None
+            assert raw.found.master == 2
+            assert raw.diagnosis is not None
+            assert raw.diagnosis.wd_on
+            assert hoist.state is dpstack.SlaveState.OFFLINE
+            assert fan.state is dpstack.SlaveState.FAULT  # another device: 0x2222
+            assert raw.fault is None
+            assert hoist.fault is not None
+            assert hoist.fault.text.startswith("no answer from address 30")
+            assert fan.fault is not None
+            assert "0x2222" in fan.fault.text
+            assert bus.mode is dpstack.Mode.STOP
+            for refused in (bus.operate, bus.clear, bus.drive("hoist").start):
+                with pytest.raises(dpstack.UsageError, match="read-only"):
+                    await refused()
+            with pytest.raises(dpstack.UsageError, match="read-only"):
+                raw.outputs = b"\x01"
+            summary: Any = bus.stats.summary()
+            assert summary["slaves"]["9"]["master"] == 2
+            assert bus.stats.link.refused == 0
+        heard = next(e for e in told if isinstance(e, Notice) and e.source == "bus")
+        assert heard.message.startswith("listened first: ")
+        assert heard.message.endswith(" telegrams, master 2; nobody has address 5")
+        seen = [e for e in told if isinstance(e, StationSeen)]
+        line = event_json(next(e for e in seen if e.found.address == 9), 0.5)
+        assert line == {
+            "event": "station",
+            "t": 0.5,
+            "address": 9,
+            "type": "slave",
+            "ident": "0x1234",
+            "state": "data_exchange",
+            "master": 2,
+            "present": True,
+            "text": "station 9: slave, ident 0x1234, data_exchange, master 2",
+        }
+        assert owner.slave("raw").ready_now
+        assert owner.slave("raw").timeouts == 0
 
-    virtual(program())
+
+@in_virtual_time
+async def test_what_was_heard_on_a_silent_bus() -> None:
+    told: list[dpstack.Event] = []
+    async with bus_of(RAW, on_event=told.append):
+        pass
+    texts = [e.text for e in told if isinstance(e, Notice) and e.source == "bus"]
+    assert texts == ["bus: listened first: silence; nobody has address 2"]
 
 
 # --- the configuration skeleton -------------------------------------------------------------------------------------

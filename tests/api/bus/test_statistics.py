@@ -5,35 +5,33 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from api_kit import RAW, bus_of, virtual
+from api_kit import RAW, bus_of, in_virtual_time
 
 import dpstack
 from dpstack.sim.world import World
 
 
-def test_a_clean_bus_counts_every_telegram_and_nothing_wrong() -> None:
-    async def program() -> None:
-        async with bus_of(RAW, gap=0) as bus:
-            await bus.ready()
-            await bus.operate()
-            await asyncio.sleep(0.5)
-            world = bus.world
-            assert world is not None
-            stats = bus.stats
-            assert abs(stats.telegrams - world.transmissions) <= 1  # one may be on its way
-            raw = stats.slaves[9].link
-            assert raw.requests - raw.answers in (0, 1)
-            assert raw.telegrams == raw.requests + raw.answers
-            assert (stats.retries, stats.timeouts, stats.late, stats.bad) == (0, 0, 0, {})
-            summary: Any = stats.summary()
-            assert summary["telegrams"] == stats.telegrams
-            assert summary["slaves"]["9"]["telegrams"] == raw.telegrams
-            assert summary["slaves"]["9"]["bad"] == {}
-            await asyncio.sleep(0.1)
-            assert stats.slaves[9].link is raw
-            assert raw.requests < bus.stats.slaves[9].link.requests  # a picture does not change
-
-    virtual(program())
+@in_virtual_time
+async def test_a_clean_bus_counts_every_telegram_and_nothing_wrong() -> None:
+    async with bus_of(RAW, gap=0) as bus:
+        await bus.ready()
+        await bus.operate()
+        await asyncio.sleep(0.5)
+        world = bus.world
+        assert world is not None
+        stats = bus.stats
+        assert abs(stats.telegrams - world.transmissions) <= 1  # one may be on its way
+        raw = stats.slaves[9].link
+        assert raw.requests - raw.answers in (0, 1)
+        assert raw.telegrams == raw.requests + raw.answers
+        assert (stats.retries, stats.timeouts, stats.late, stats.bad) == (0, 0, 0, {})
+        summary: Any = stats.summary()
+        assert summary["telegrams"] == stats.telegrams
+        assert summary["slaves"]["9"]["telegrams"] == raw.telegrams
+        assert summary["slaves"]["9"]["bad"] == {}
+        await asyncio.sleep(0.1)
+        assert stats.slaves[9].link is raw
+        assert raw.requests < bus.stats.slaves[9].link.requests  # a picture does not change
 
 
 def damage(world: World, seconds: float) -> None:
@@ -48,23 +46,21 @@ def damage(world: World, seconds: float) -> None:
     world.call_at(world.now + step, lambda: hit(round(seconds * 1e9 / step)))
 
 
-def test_damage_is_counted_by_cause_and_for_the_station_asked() -> None:
-    async def program() -> None:
-        async with bus_of(RAW, gap=0) as bus:
-            await bus.ready()
-            await bus.operate()
-            assert bus.world is not None
-            damage(bus.world, 1.0)
-            await asyncio.sleep(1.2)
-            stats = bus.stats
-            raw = stats.slaves[9]
-            assert sum(stats.bad.values()) > 20
-            assert 0 < sum(raw.link.bad.values()) <= sum(stats.bad.values())
-            assert set(raw.link.bad) <= set(stats.bad)
-            assert raw.retries == raw.link.retries > 0
-            summary: Any = stats.summary()
-            assert summary["bad"] == stats.bad
-            assert summary["retries"] == stats.retries == raw.retries
-            assert bus.slave("raw").state is dpstack.SlaveState.DATA_EXCHANGE
-
-    virtual(program())
+@in_virtual_time
+async def test_damage_is_counted_by_cause_and_for_the_station_asked() -> None:
+    async with bus_of(RAW, gap=0) as bus:
+        await bus.ready()
+        await bus.operate()
+        assert bus.world is not None
+        damage(bus.world, 1.0)
+        await asyncio.sleep(1.2)
+        stats = bus.stats
+        raw = stats.slaves[9]
+        assert sum(stats.bad.values()) > 20
+        assert 0 < sum(raw.link.bad.values()) <= sum(stats.bad.values())
+        assert set(raw.link.bad) <= set(stats.bad)
+        assert raw.retries == raw.link.retries > 0
+        summary: Any = stats.summary()
+        assert summary["bad"] == stats.bad
+        assert summary["retries"] == stats.retries == raw.retries
+        assert bus.slave("raw").state is dpstack.SlaveState.DATA_EXCHANGE

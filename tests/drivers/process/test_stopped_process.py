@@ -15,7 +15,7 @@ from concurrent.futures import Future
 from typing import Any
 
 import pytest
-from api_kit import FAN, bus_of, virtual
+from api_kit import FAN, bus_of, in_virtual_time
 from far_ends import until
 from process_kit import VALVES, bus_on, octet_slaves, process_of, runtime_of, stopped
 
@@ -213,21 +213,19 @@ async def test_a_set_point_is_read_back_at_once_and_one_that_was_not_taken_is_ra
                 await fan.start(60)
 
 
-def test_a_refused_set_point_keeps_no_order_from_stopping_the_drive() -> None:
-    async def program() -> None:
-        async with bus_of(FAN) as bus:
-            await bus.operate()
-            fan = bus.drive("fan")
-            await fan.start()
-            for stop in (fan.stop, fan.quick_stop, fan.coast):
-                fan._refused = DriveError("fan", "not taken")
-                with pytest.raises(DriveError, match="not taken"):
-                    await stop()
-                assert not fan.status.running
-                fan._refused = DriveError("fan", "not taken")
-                with pytest.raises(DriveError, match="not taken"):
-                    await fan.start()
-                assert not fan.status.running
+@in_virtual_time
+async def test_a_refused_set_point_keeps_no_order_from_stopping_the_drive() -> None:
+    async with bus_of(FAN) as bus:
+        await bus.operate()
+        fan = bus.drive("fan")
+        await fan.start()
+        for stop in (fan.stop, fan.quick_stop, fan.coast):
+            fan._refused = DriveError("fan", "not taken")
+            with pytest.raises(DriveError, match="not taken"):
+                await stop()
+            assert not fan.status.running
+            fan._refused = DriveError("fan", "not taken")
+            with pytest.raises(DriveError, match="not taken"):
                 await fan.start()
-
-    virtual(program())
+            assert not fan.status.running
+            await fan.start()

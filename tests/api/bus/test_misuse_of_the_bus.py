@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from api_kit import FAN, bus_of, virtual
+from api_kit import FAN, bus_of, in_virtual_time
 from ms2_kit import ms2_in
 
 import dpstack
@@ -39,15 +39,13 @@ ASSIGNED: list[tuple[Misuse, str, object, str]] = [
 
 
 @pytest.mark.parametrize(("thing", "name", "value", "text"), ASSIGNED)
-def test_an_attribute_that_does_not_exist(thing: Misuse, name: str, value: object, text: str) -> None:
-    async def program() -> None:
-        async with bus_of(VALVES, FAN) as bus:
-            with pytest.raises(dpstack.UnknownAttribute) as raised:
-                setattr(thing(bus), name, value)
-            assert str(raised.value) == text
-            assert isinstance(raised.value, (dpstack.UsageError, AttributeError))
-
-    virtual(program())
+@in_virtual_time
+async def test_an_attribute_that_does_not_exist(thing: Misuse, name: str, value: object, text: str) -> None:
+    async with bus_of(VALVES, FAN) as bus:
+        with pytest.raises(dpstack.UnknownAttribute) as raised:
+            setattr(thing(bus), name, value)
+        assert str(raised.value) == text
+        assert isinstance(raised.value, (dpstack.UsageError, AttributeError))
 
 
 RIG = dpstack.SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig")
@@ -72,17 +70,15 @@ def test_an_attribute_that_a_slave_of_ones_own_does_not_have(which: str, name: s
     assert str(raised.value) == text
 
 
-def test_an_attribute_that_a_connection_does_not_have() -> None:
-    async def program() -> None:
-        world = World()
-        ms2_in(world)
-        async with dpstack.open_bus(make_config("virtual", 500_000, 5), world=world) as bus:
-            connection = await bus.class2.connect(9)
-            with pytest.raises(dpstack.UnknownAttribute) as raised:
-                connection.timeout = 3
-            assert str(raised.value) == "connection to slave 9 has no attribute 'timeout'; these can be assigned: none"
-
-    virtual(program())
+@in_virtual_time
+async def test_an_attribute_that_a_connection_does_not_have() -> None:
+    world = World()
+    ms2_in(world)
+    async with dpstack.open_bus(make_config("virtual", 500_000, 5), world=world) as bus:
+        connection = await bus.class2.connect(9)
+        with pytest.raises(dpstack.UnknownAttribute) as raised:
+            connection.timeout = 3
+        assert str(raised.value) == "connection to slave 9 has no attribute 'timeout'; these can be assigned: none"
 
 
 def test_a_slave_of_ones_own_may_have_more_attributes_in_a_class_of_its_own() -> None:
@@ -99,22 +95,20 @@ def test_a_slave_of_ones_own_may_have_more_attributes_in_a_class_of_its_own() ->
     assert pump.pressure == 3
 
 
-def test_what_may_be_assigned_still_may() -> None:
+@in_virtual_time
+async def test_what_may_be_assigned_still_may() -> None:
     class Named(dpstack.Bus):
         """A class of a user's own has attributes of its own."""
 
         title = ""
 
-    async def program() -> None:
-        async with bus_of(VALVES, FAN) as bus:
-            bus.drive("fan").speed = 0.3
-            bus.slave("valves").outputs = b"\x00\x08"
-            bus.slave("valves")["flap"] = False
-            own = Named(bus.config)
-            own.title = "mine"
-            assert own.title == "mine"
-
-    virtual(program())
+    async with bus_of(VALVES, FAN) as bus:
+        bus.drive("fan").speed = 0.3
+        bus.slave("valves").outputs = b"\x00\x08"
+        bus.slave("valves")["flap"] = False
+        own = Named(bus.config)
+        own.title = "mine"
+        assert own.title == "mine"
 
 
 def read(bus: dpstack.Bus) -> object:
@@ -134,20 +128,18 @@ def write_outputs(bus: dpstack.Bus) -> None:
 
 
 @pytest.mark.parametrize("misuse", [read, write, read_outputs, write_outputs])
-def test_data_of_a_bus_that_is_not_open(misuse: Misuse) -> None:
-    async def program() -> None:
-        bus = bus_of(VALVES)
-        with pytest.raises(dpstack.UsageError, match="the bus is not open"):
-            misuse(bus)
-        async with bus:
-            misuse(bus)
-        with pytest.raises(dpstack.UsageError, match="the bus is not open"):
-            misuse(bus)
-        slave = bus.slave("valves")  # what was, for a report
-        assert (slave.inputs, slave.outputs_held, slave.inputs_valid) == (bytes(2), slave.outputs_held, False)
-        assert bus.stats.slaves[5].outputs == slave.outputs_held
-
-    virtual(program())
+@in_virtual_time
+async def test_data_of_a_bus_that_is_not_open(misuse: Misuse) -> None:
+    bus = bus_of(VALVES)
+    with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+        misuse(bus)
+    async with bus:
+        misuse(bus)
+    with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+        misuse(bus)
+    slave = bus.slave("valves")  # what was, for a report
+    assert (slave.inputs, slave.outputs_held, slave.inputs_valid) == (bytes(2), slave.outputs_held, False)
+    assert bus.stats.slaves[5].outputs == slave.outputs_held
 
 
 @pytest.mark.parametrize("name", ["4", "0x04", " 12 ", "-3", "007"])
@@ -160,10 +152,8 @@ def test_a_name_that_only_begins_with_a_number() -> None:
     assert bus_of({**VALVES, "name": "4th valve"}).slaves[0].name == "4th valve"
 
 
-def test_a_name_that_is_a_number_is_refused_on_a_running_bus() -> None:
-    async def program() -> None:
-        async with bus_of(FAN) as bus:
-            with pytest.raises(dpstack.ConfigError, match="looks like an address"):
-                await bus.add_slave({**VALVES, "name": "4"})
-
-    virtual(program())
+@in_virtual_time
+async def test_a_name_that_is_a_number_is_refused_on_a_running_bus() -> None:
+    async with bus_of(FAN) as bus:
+        with pytest.raises(dpstack.ConfigError, match="looks like an address"):
+            await bus.add_slave({**VALVES, "name": "4"})
