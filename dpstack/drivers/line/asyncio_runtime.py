@@ -35,7 +35,7 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
 
     async def open(self) -> None:
         """Open the port and begin. Raises PortError; ConfigError when the port knows none of the machine's rates."""
-        self._may_open()
+        self._check_openable()
         await self._port.open()
         self._loop = loop = asyncio.get_running_loop()
         self._begin(loop, make_timer(loop, self._timer_due))
@@ -102,7 +102,7 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
             if self._quiet_until and self._quiet_until < self._armed:
                 self._arm(self._quiet_until)
 
-    def _waited(self, spun_ns: int, now: int) -> None:
+    def _count_spinning(self, spun_ns: int, now: int) -> None:
         """Spinning is limited only in a process with real-time priority."""
 
     def _begin_reopening(self, attempts: ReopenAttempts) -> None:
@@ -116,12 +116,12 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
                 await self._port.open()
                 break
             except PortError as exc:
-                self._refused(attempts, exc)
+                self._reopening_refused(attempts, exc)
             except Exception as exc:
                 self._fail(exc)
                 return
         self._reopening = None
-        self._back(attempts)
+        self._reopened(attempts)
 
     def _report(self, message: str, error: Exception) -> None:
         if self._loop is not None:

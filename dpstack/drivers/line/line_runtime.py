@@ -96,10 +96,10 @@ class LineRuntime(ABC):
         self._deadline = NEVER
         self._answers = Answers()
         self._tolerated: set[str] = set()  # notices of the port that were reported, once for all openings
-        self._again: Pending | None = None
+        self._pending_step: Pending | None = None
         self._wire_ns = wire_times(port)
         self._flood_from = 1  # number of discarded octets from which on the next notice is due
-        self._transmit = self._put  # bound once, for speed
+        self._transmit = self._write  # bound once, for speed
 
     @property
     def port_name(self) -> str:
@@ -131,16 +131,16 @@ class LineRuntime(ABC):
         ``quiet_until`` need not wake the loop (0: they shall)."""
 
     @abstractmethod
-    def _waited(self, spun_ns: int, now: int) -> None:
+    def _count_spinning(self, spun_ns: int, now: int) -> None:
         """A step has spun for ``spun_ns``."""
 
     @abstractmethod
     def _begin_reopening(self, attempts: ReopenAttempts) -> None:
-        """The port is lost: try to open it; after each attempt call :meth:`_refused` or :meth:`_back`."""
+        """The port is lost: try to open it; after each attempt call :meth:`_reopening_refused` or :meth:`_reopened`."""
 
     # --- opening and closing ------------------------------------------------------------------------------------------
 
-    def _may_open(self) -> None:
+    def _check_openable(self) -> None:
         """Raises UsageError, BusError."""
         if self._at is not None:
             raise UsageError("the driver is open already")
@@ -169,7 +169,7 @@ class LineRuntime(ABC):
         """After :meth:`_halt`: release the port, dispatch the machine's last events."""
         self._port.close()
         if was_open and self.failed is None:
-            self._tell(self._machine.take_events())
+            self._dispatch(self._machine.take_events())
 
     def forsake(self) -> None:
         """In the child of a fork: stop; line, timer and loop stay the parent's."""
@@ -205,7 +205,7 @@ class LineRuntime(ABC):
             ):
                 self._report_late_run(self._held_up, now)
             if now >= self._deadline:
-                chunk, now = self._look(chunk, now)
+                chunk, now = self._read_before_deadline(chunk, now)
             arrived = now
             if chunk:
                 heard = self._answers.heard(len(chunk), now)
@@ -227,7 +227,7 @@ class LineRuntime(ABC):
                     spun += deadline - now
                     while now < deadline:
                         now = monotonic_ns()
-                chunk, now = self._look(b"", now) if now - deadline > _LATE_NS else (b"", now)
+                chunk, now = self._read_before_deadline(b"", now) if now - deadline > _LATE_NS else (b"", now)
             if machine.baud != self._port.baud and self._attempts is None:
                 follow(self._port, machine)
                 self._wire_ns = wire_times(self._port)
@@ -249,9 +249,9 @@ class LineRuntime(ABC):
         if deadline < self._armed:
             self._arm(deadline)
         if spun:
-            self._waited(spun, now)
+            self._count_spinning(spun, now)
         if events:
-            self._tell(events)
+            self._dispatch(events)
 
     def _report_late_run(self, tell: OnHeldUp, now: int) -> None:
         """Report to the machine, before it acts, that it did not run in time or that the computer slept."""
@@ -266,7 +266,7 @@ class LineRuntime(ABC):
     def _late(self, late_ns: int) -> HeldUp:
         return HeldUp(late_ns, f"{self.blocked_by} for {ms_text(late_ns)}")
 
-    def _put(self, octets: bytes, now: int) -> int:
+    def _write(self, octets: bytes, now: int) -> int:
         """Transmit. Returns the estimated time at which the last bit leaves."""
         if self._held_up is not None:
             before = monotonic_ns()
@@ -303,7 +303,7 @@ class LineRuntime(ABC):
             chunk = echo.release() + chunk
         self._step(chunk)
 
-    def _look(self, chunk: bytes, now: int) -> tuple[bytes, int]:
+    def _read_before_deadline(self, chunk: bytes, now: int) -> tuple[bytes, int]:
         """After a deadline has passed at ``now``: ``chunk`` with the octets that have arrived since, and the time that
         counts for the deadline.
 
@@ -328,11 +328,11 @@ class LineRuntime(ABC):
         return octets if self._echo is None else self._stripped(self._echo, octets)
 
     def _let_loop_turn(self) -> None:
-        if self._at is not None and self._again is None:
-            self._again = self._at.call_soon(self._go_on)
+        if self._at is not None and self._pending_step is None:
+            self._pending_step = self._at.call_soon(self._continue_step)
 
-    def _go_on(self) -> None:
-        self._again = None
+    def _continue_step(self) -> None:
+        self._pending_step = None
         self._step(self._drain())
 
     # --- echo ---------------------------------------------------------------------------------------------------------
@@ -346,7 +346,7 @@ class LineRuntime(ABC):
         self._port.attach(self._at, self._step if self._echo is None else self._filtered, self._lost)
         news = [text for text in self._port.notices if text not in self._tolerated]
         self._tolerated.update(news)
-        self._tell([self._notice(text) for text in news])
+        self._dispatch([self._notice(text) for text in news])
 
     def _filtered(self, chunk: bytes) -> None:
         echo = self._echo
@@ -360,7 +360,7 @@ class LineRuntime(ABC):
         rest = echo.strip(chunk)
         if echo.state is not before:
             if echo.state is Echo.ON:
-                self._tell([self._notice("the line echoes what is sent: the echo is removed")])
+                self._dispatch([self._notice("the line echoes what is sent: the echo is removed")])
             else:
                 self._echo = None
                 if self._at is not None:
@@ -375,27 +375,27 @@ class LineRuntime(ABC):
             return
         self._port.close()
         self._attempts = ReopenAttempts(self._backoff_ns)
-        self._tell([PortLost(t_ns=monotonic_ns(), port=self.port_name, reason=reason)])
-        self._order(LineDown(reason))
+        self._dispatch([PortLost(t_ns=monotonic_ns(), port=self.port_name, reason=reason)])
+        self._command_machine(LineDown(reason))
         if self._at is not None:
             self._begin_reopening(self._attempts)
 
-    def _refused(self, attempts: ReopenAttempts, refusal: PortError) -> None:
+    def _reopening_refused(self, attempts: ReopenAttempts, refusal: PortError) -> None:
         if attempts.is_new_reason(str(refusal)):
-            self._tell([self._notice(f"still without its port: {refusal}", Severity.WARNING)])
+            self._dispatch([self._notice(f"still without its port: {refusal}", Severity.WARNING)])
 
-    def _back(self, attempts: ReopenAttempts) -> None:
+    def _reopened(self, attempts: ReopenAttempts) -> None:
         """The lost port is open again; it is closed where the driver was closed meanwhile."""
         if self._at is None:
             self._port.close()
         if attempts is not self._attempts:
             return
         self._attempts = None
-        self._tell([PortBack(t_ns=monotonic_ns(), port=self.port_name)])
+        self._dispatch([PortBack(t_ns=monotonic_ns(), port=self.port_name)])
         self._attach()
-        self._order(LineUp())
+        self._command_machine(LineUp())
 
-    def _order(self, command: object) -> None:
+    def _command_machine(self, command: object) -> None:
         """An order of the driver's own."""
         if self._at is None:
             return
@@ -424,12 +424,12 @@ class LineRuntime(ABC):
     def _warn_soon(self, text: str) -> None:
         """Report ``text`` in the next turn of the loop, not in the middle of a step."""
         if self._at is not None:
-            self._at.call_soon(partial(self._tell, [self._notice(text, Severity.WARNING)]))
+            self._at.call_soon(partial(self._dispatch, [self._notice(text, Severity.WARNING)]))
 
     def _notice(self, text: str, severity: Severity = Severity.INFO) -> Event:
         return Notice(t_ns=monotonic_ns(), source=self.port_name, message=text, severity=severity)
 
-    def _tell(self, events: list[Event]) -> None:
+    def _dispatch(self, events: list[Event]) -> None:
         """Call the event handler; the loop reports its exceptions, and the bus goes on."""
         if not events:
             return
@@ -446,7 +446,7 @@ class LineRuntime(ABC):
         self._halt()
         self._port.close()
         text = f"stopped by a defect, please report it: {type(exc).__name__}: {exc}"
-        self._tell([self._notice(text, Severity.ERROR)])
+        self._dispatch([self._notice(text, Severity.ERROR)])
         if self._on_failure is not None:
             self._on_failure(exc)
         else:
@@ -457,9 +457,9 @@ class LineRuntime(ABC):
         self._attempts = None
         self._armed = self._deadline = NEVER
         self._port.detach()
-        if self._again is not None:
-            self._again.cancel()
-            self._again = None
+        if self._pending_step is not None:
+            self._pending_step.cancel()
+            self._pending_step = None
         if self._timer is not None:
             self._timer.close()
             self._timer = None

@@ -35,7 +35,7 @@ class SelectRuntime(LineRuntime):
 
     def open(self, loop: SelectLoop) -> None:
         """Open the port and begin. Raises PortError; ConfigError when the port knows none of the machine's rates."""
-        self._may_open()
+        self._check_openable()
         if self._connecting is not None:  # begun before the last close; ends within seconds
             self._connecting.join()
             self._connecting = None
@@ -47,7 +47,7 @@ class SelectRuntime(LineRuntime):
 
         Raises as ``open``; the port is closed then.
         """
-        self._may_open()
+        self._check_openable()
         self._machine.command(command, monotonic_ns())
         self._begin_in(loop)
 
@@ -72,7 +72,7 @@ class SelectRuntime(LineRuntime):
         loop.expected_at = at
         loop.hush(self._port.fd, quiet_until)
 
-    def _waited(self, spun_ns: int, now: int) -> None:
+    def _count_spinning(self, spun_ns: int, now: int) -> None:
         budget = self._loop.budget
         budget.spun(spun_ns, now)
         if not budget.may_spin(now):
@@ -113,11 +113,11 @@ class SelectRuntime(LineRuntime):
 
     def _outcome(self, attempts: ReopenAttempts, error: Exception | None) -> None:
         if error is None:
-            self._back(attempts)
+            self._reopened(attempts)
         elif attempts is not self._attempts:
             return
         elif isinstance(error, PortError):
-            self._refused(attempts, error)
+            self._reopening_refused(attempts, error)
             self._begin_reopening(attempts)
         else:
             self._fail(error)

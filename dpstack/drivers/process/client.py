@@ -93,7 +93,7 @@ class ProcessRuntime:
         self._silent_since = 0  # the last heartbeat before the silence; 0: it lives
         self._silences = 0
         self._watchdogs_then: dict[str, int] = {}
-        self._untold: list[Event] = []  # of the silence
+        self._silence_events: list[Event] = []  # of the silence
         self._watch: asyncio.TimerHandle | None = None
 
     # --- Runtime ----------------------------------------------------------------------------------------------------
@@ -106,7 +106,7 @@ class ProcessRuntime:
     @property
     def not_running(self) -> str | None:
         """Why the bus process does not run: it is gone, or silent."""
-        self._look_for_silence()
+        self._detect_silence()
         return self._not_running
 
     @property
@@ -132,7 +132,7 @@ class ProcessRuntime:
             if not self._channel.is_open:
                 self._close_image()
         self.port_name, self.paced = hello.port_name, hello.paced
-        self._look()
+        self._watch_bus_process()
 
     async def close(self) -> None:
         """Have the port released and the bus process end; the bus was left in order before. May be called again."""
@@ -169,7 +169,7 @@ class ProcessRuntime:
     def forsake(self) -> None:
         """The bus process is the parent's: the child closes its copies of what leads there."""
         self._not_running = IN_PARENT
-        self._lose(IN_PARENT)
+        self._set_offline(IN_PARENT)
         self._channel.forsake()
         if self._image is not None:
             self._image.close()
@@ -350,9 +350,9 @@ class ProcessRuntime:
                 self._outputs[address] = outputs
             else:
                 dropped[address] = outputs.octets
-        self._tell_dropped(dropped)
+        self._report_dropped(dropped)
 
-    def _tell_dropped(self, outputs: Mapping[int, bytes]) -> None:
+    def _report_dropped(self, outputs: Mapping[int, bytes]) -> None:
         now = monotonic_ns()
         self._on_events(
             [
@@ -362,7 +362,7 @@ class ProcessRuntime:
             ]
         )
 
-    def _outputs_too_late(self, told: Mapping[int, int]) -> None:
+    def _drop_late_outputs(self, told: Mapping[int, int]) -> None:
         """The bus process dropped outputs, by address and time limit."""
         dropped = {}
         for address, until in told.items():
@@ -371,25 +371,25 @@ class ProcessRuntime:
                 del self._outputs[address]
                 self._awaited.pop(address, None)
                 dropped[address] = outputs.octets
-        self._tell_dropped(dropped)
+        self._report_dropped(dropped)
 
     # --- whether it lives -------------------------------------------------------------------------------------------
 
-    def _look(self) -> None:
+    def _watch_bus_process(self) -> None:
         """Again and again: whether the bus process lives, and takes the outputs in time."""
         loop = self._loop
         if loop is None or self._image is None:
             return
-        self._watch = loop.call_later(_WATCH_S, self._look)
-        self._look_for_silence()
-        self._tell_silence()
+        self._watch = loop.call_later(_WATCH_S, self._watch_bus_process)
+        self._detect_silence()
+        self._send_silence_events()
         taken, now = self._image.words[Word.OUTPUTS_TAKEN], monotonic_ns()
         self._awaited = {address: number for address, number in self._awaited.items() if number > taken}
         late = [address for address in self._awaited if self._outputs[address].until_ns < now]
         if late:
             self._withdraw(late)
 
-    def _look_for_silence(self) -> None:
+    def _detect_silence(self) -> None:
         silent = 0 if self._silent_since or self._not_running is not None else self._channel.silent_ns()
         image, pid = self._image, self.pid
         if not silent or image is None or pid is None:
@@ -401,19 +401,19 @@ class ProcessRuntime:
         self._silent_since = now - silent
         told = BusProcessSilent(t_ns=now, pid=pid, silent_ns=silent, at_slaves=at_slaves(self._watchdogs_then))
         self._not_running = f"the bus process (pid {pid}) shows no sign of life: it is stopped, or hangs"
-        lost = self._lose(self._not_running, "its slaves are not asked until it goes on")
-        self._untold = [told, *self._states(lost, now)]
+        lost = self._set_offline(self._not_running, "its slaves are not asked until it goes on")
+        self._silence_events = [told, *self._state_events(lost, now)]
         if self._loop is not None and not self._loop.is_closed():
-            self._loop.call_soon(self._tell_silence)
+            self._loop.call_soon(self._send_silence_events)
 
-    def _tell_silence(self) -> None:
-        events, self._untold = self._untold, []
+    def _send_silence_events(self) -> None:
+        events, self._silence_events = self._silence_events, []
         if events:
             self._on_events(events)
 
-    def _goes_on(self, told: Iterable[Event]) -> list[Event]:
+    def _end_silence(self, told: Iterable[Event]) -> list[Event]:
         """It has answered, with everything of its state: the events of that, before those that it ``told``."""
-        self._tell_silence()
+        self._send_silence_events()
         now = monotonic_ns()
         back = BusProcessBack(t_ns=now, pid=self.pid or 0, silent_ns=now - self._silent_since)
         self._silent_since, self._not_running = 0, None
@@ -423,9 +423,9 @@ class ProcessRuntime:
             for address, slave in self._slaves.items()
             if slave.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED) and address not in known
         )
-        return [back, *self._states(here, now)]
+        return [back, *self._state_events(here, now)]
 
-    def _lose(self, why: str, remedy: str = "") -> list[int]:
+    def _set_offline(self, why: str, remedy: str = "") -> list[int]:
         """Nobody runs the bus any more: nothing is known of the slaves. Returns those whose state changed by it."""
         before = self._bus
         self._bus = BusSnapshot(
@@ -441,7 +441,7 @@ class ProcessRuntime:
                 self._slaves[address] = dataclasses.replace(slave, state=SlaveState.OFFLINE, fault=fault)
         return changed
 
-    def _states(self, addresses: Iterable[int], now: int) -> list[Event]:
+    def _state_events(self, addresses: Iterable[int], now: int) -> list[Event]:
         """The state of each of those slaves as an event."""
         return [
             SlaveStateChanged(t_ns=now, address=a, name=self.setups[a].name, state=self.slave(a).state)
@@ -462,20 +462,20 @@ class ProcessRuntime:
                 if self._on_round is not None:
                     self._on_round()
                 return
-            events = [self._worded(event_of(event)) for event in news.events]
+            events = [self._with_gsd_texts(event_of(event)) for event in news.events]
             if self._silent_since:
                 if news.silence == self._silences:
-                    events = [*self._goes_on(events), *events]
+                    events = [*self._end_silence(events), *events]
                 else:  # it is from before the silence
-                    self._lose(self._not_running or "")
+                    self._set_offline(self._not_running or "")
             self._on_events(events)
             if news.dropped:
-                self._outputs_too_late(news.dropped)
+                self._drop_late_outputs(news.dropped)
         except Exception as error:  # the application's: the bus goes on
             told = {"message": "the handler of bus events raised", "exception": error}
             asyncio.get_running_loop().call_exception_handler(told)
 
-    def _worded(self, event: Event) -> Event:
+    def _with_gsd_texts(self, event: Event) -> Event:
         """``event`` with what the GSD file of its slave says, which the bus process does not know."""
         if isinstance(event, SlaveDiagnosis | AlarmRaised) and (setup := self.setups.get(event.address)) is not None:
             return worded(event, setup)
@@ -495,13 +495,13 @@ class ProcessRuntime:
         }
 
     def _on_gone(self, error: DpError) -> None:
-        self._tell_silence()
+        self._send_silence_events()
         self._not_running = str(error)
-        lost = self._lose(self._not_running)
+        lost = self._set_offline(self._not_running)
         if self._watch is not None:
             self._watch.cancel()
             self._watch = None
-        self._on_events(self._states(lost, monotonic_ns()))
+        self._on_events(self._state_events(lost, monotonic_ns()))
         self._on_failure(error)
 
 

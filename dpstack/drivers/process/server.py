@@ -102,8 +102,8 @@ class Host:
         # sent last
         self._bus: BusSnapshot | None = None
         self._slaves: dict[int, SlaveSnapshot] = {}
-        self._told_cycle: CycleData | None = None
-        self._told_drives: dict[int, object] = {}
+        self._sent_cycle: CycleData | None = None
+        self._published_drives: dict[int, object] = {}
         self._drives_at = 0  # when they were published
 
     def open(self, notices: list[str]) -> None:
@@ -115,9 +115,9 @@ class Host:
         self._master.on_begin = self._take_outputs
         self.runtime.open(self._loop)
         self._image.words[Word.HEARTBEAT] = monotonic_ns()
-        self._count()
+        self._publish_counters()
         hello = Answer(0, value=Hello(self.runtime.port_name, self.runtime.paced))
-        self._tell([_notice(text) for text in notices], answer=hello)
+        self._send_news([_notice(text) for text in notices], answer=hello)
         self._sock.setblocking(False)
         self._loop.add_reader(self._sock.fileno(), self._on_readable)
         self._on_heartbeat()
@@ -172,7 +172,7 @@ class Host:
         if isinstance(order, TakeOutputs):  # it changes no state, and may come in each cycle
             self._outbox.send(News(answer=answer))
         else:
-            self._tell([], answer=answer)
+            self._send_news([], answer=answer)
         if isinstance(order, CloseBus):
             if self._has_ended:
                 self._stop()
@@ -217,10 +217,10 @@ class Host:
         watched = bool(self._image.words[Word.ROUNDS_WATCHED])
         if watched is not self._rounds_watched:
             self._rounds_watched = watched
-            self._count()  # an application that waited for rounds looks at the counters next
+            self._publish_counters()  # an application that waited for rounds looks at the counters next
         # after the round's last telegram, not before it
         if watched:
-            self._loop.call_soon(partial(self._tell_round, self._master.cycle))
+            self._loop.call_soon(partial(self._send_round, self._master.cycle))
         elif monotonic_ns() - self._drives_at >= _DRIVES_NS:
             self._loop.call_soon(self._publish_drives)
 
@@ -239,8 +239,8 @@ class Host:
             if status is not None:
                 with contextlib.suppress(Exception):  # the plugin's own: nothing is known of its drive
                     told[address] = status()
-        if told != self._told_drives:
-            self._told_drives = told
+        if told != self._published_drives:
+            self._published_drives = told
             self._image.drives.write(told)
 
     def _take_outputs(self) -> None:
@@ -272,9 +272,9 @@ class Host:
     def on_events(self, events: list[Event]) -> None:
         for event in events:
             self._ending.on_event(event)
-        self._tell(events)
+        self._send_news(events)
 
-    def _tell(
+    def _send_news(
         self, events: list[Event], *, answer: Answer | None = None, over: str | None = None, defect: bool = False
     ) -> None:
         """Send events, the changes of the state and an answer. For an application that does not read: later."""
@@ -292,11 +292,11 @@ class Host:
         if silences != self._silences:  # the application gave the bus up: it gets the whole state anew
             self._silences = news.silence = silences
             self._bus, self._slaves = None, {}
-        self._state(news)
+        self._add_state(news)
         if events or answer is not None or over is not None or news.silence or news.bus or news.slaves:
             self._outbox.send(news)
 
-    def _state(self, news: News) -> None:
+    def _add_state(self, news: News) -> None:
         """Put into ``news`` the parts of the state that have changed since the last one."""
         bus = self._stack.bus()
         if bus != self._bus:
@@ -306,10 +306,10 @@ class Host:
             news.slaves = {a: now for a, now in slaves.items() if self._slaves.get(a) != now}
             self._slaves = slaves
 
-    def _tell_round(self, cycle: CycleData | None) -> None:
+    def _send_round(self, cycle: CycleData | None) -> None:
         self._publish_drives()
         if not self._outbox.full and not self._over:
-            told, self._told_cycle = self._told_cycle, cycle
+            told, self._sent_cycle = self._sent_cycle, cycle
             self._outbox.send(News(round_over=True, cycle=None if cycle is told else cycle))
 
     def _on_heartbeat(self) -> None:
@@ -320,16 +320,16 @@ class Host:
         self._take_outputs()
         self._beats += 1
         if not self._beats % _BEATS_TO_NEWS:
-            self._count()
+            self._publish_counters()
             if not self._outbox.full:
                 missed, self._dropped = self._dropped, 0
                 text = f"the application did not read for a while: {missed} events were dropped"
-                self._tell([_notice(text)] if missed else [])
+                self._send_news([_notice(text)] if missed else [])
         elif self._image.words[Word.SILENCES] != self._silences:
-            self._tell([])
+            self._send_news([])
         self._loop.call_at(now + _HEARTBEAT, self._on_heartbeat)
 
-    def _count(self) -> None:
+    def _publish_counters(self) -> None:
         """Publish the counters."""
         self._image.counters.write(self._stack.counted())
 
@@ -343,13 +343,13 @@ class Host:
 
     def _on_failure(self, error: Exception) -> None:
         """The machine raised: a defect of ours."""
-        self._tell([], over=f"{type(error).__name__}: {error}", defect=True)
+        self._send_news([], over=f"{type(error).__name__}: {error}", defect=True)
         self._loop.call_soon(self._stop)
 
     def _finish(self, why: str) -> None:
         """The bus was left in order."""
         self.runtime.close()
-        self._tell([], over=why)
+        self._send_news([], over=why)
         self._stop()
 
     def _stop(self) -> None:

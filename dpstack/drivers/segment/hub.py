@@ -212,7 +212,7 @@ class Segment:
             self._deliver(sender, chunk, baud)
         elif not self._wire.send(sender, chunk, baud):
             sender.stats.overrun += len(chunk)
-            self._tell(sender, f"sends faster than {baud_text(baud)}: what the wire cannot take is dropped")
+            self._report(sender, f"sends faster than {baud_text(baud)}: what the wire cannot take is dropped")
 
     def _deliver(self, sender: SegmentStation, chunk: bytes, baud: int) -> None:
         """``chunk`` is on the wire: give it to every other station."""
@@ -234,7 +234,7 @@ class Segment:
             reading = station.master.baud() or self.baud
             octets = heard if reading == baud else station.misread(chunk, baud, reading, start_ns, flips)
             if octets and not station.give(octets):
-                self._tell(station, "takes no more: what it does not read is dropped")
+                self._report(station, "takes no more: what it does not read is dropped")
 
     def _placed(self, sender: SegmentStation, size: int, baud: int, now: int) -> int:
         """Start of ``size`` octets on the wire: now (paced ones end now), but not before the previous ones end."""
@@ -249,7 +249,7 @@ class Segment:
         self._line_free_ns = start + duration
         return start
 
-    def _tell(self, station: SegmentStation, what: str) -> None:
+    def _report(self, station: SegmentStation, what: str) -> None:
         """Report ``what`` once for each station."""
         if what not in station.reported:
             station.reported.add(what)

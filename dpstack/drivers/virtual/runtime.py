@@ -142,29 +142,29 @@ class Pace:
 
     def __init__(self, real: int, bus: int) -> None:
         self._start = self._window = (real, bus)
-        self._told: float | None = None  # bus time by real time as last reported; None: it keeps up
+        self._reported: float | None = None  # bus time by real time as last reported; None: it keeps up
 
     def behind_ns(self, real: int, bus: int) -> int:
         return max(0, (real - self._start[0]) - (bus - self._start[1]))
 
-    def look(self, real: int, bus: int) -> BehindRealTime | None:
+    def event_at(self, real: int, bus: int) -> BehindRealTime | None:
         """The event to be reported, if any, at most once a second: falls behind, another speed, keeps up again."""
         real_ns, bus_ns = real - self._window[0], bus - self._window[1]
         if real_ns < NS_PER_S:
             return None
         self._window = (real, bus)
-        speed, told = bus_ns / real_ns, self._told
+        speed, told = bus_ns / real_ns, self._reported
         if speed < _SLOW:
             if told is not None and told / _MUCH < speed < told * _MUCH:
                 return None
-            self._told = speed
+            self._reported = speed
         elif told is None or speed < _KEEPS_UP:
             return None
         else:
-            self._told = None
+            self._reported = None
         behind_ns = self.behind_ns(real, bus)
         return BehindRealTime(
-            t_ns=bus, bus_ns=bus_ns, real_ns=real_ns, behind_ns=behind_ns, keeps_up=self._told is None
+            t_ns=bus, bus_ns=bus_ns, real_ns=real_ns, behind_ns=behind_ns, keeps_up=self._reported is None
         )
 
 
@@ -217,8 +217,8 @@ class _Clockwork:
         """How far bus time is behind real time since the first runtime joined."""
         return 0 if self._pace is None else self._pace.behind_ns(monotonic_ns(), self.now)
 
-    def _look(self) -> None:
-        event = None if self._pace is None else self._pace.look(monotonic_ns(), self.now)
+    def _report_pace(self) -> None:
+        event = None if self._pace is None else self._pace.event_at(monotonic_ns(), self.now)
         if event is not None:
             for user in tuple(self._users):
                 user.emit([event])
@@ -246,7 +246,7 @@ class _Clockwork:
             if not handlers:
                 self.loop.call_exception_handler({"message": "the simulated bus stands still", "exception": exc})
             return True
-        self._look()
+        self._report_pace()
         return stopped
 
     # --- in an ordinary loop ---

@@ -1,9 +1,9 @@
-"""What is the plain driver's own: expected answers, the spin budget, ports that cannot, ports that connect slowly."""
+"""The driver on select: expected answers, the spin budget, ports that it refuses, ports that connect slowly."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from time import monotonic_ns
 
 import pytest
@@ -34,6 +34,13 @@ from dpstack.trace import Event, Notice
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_US
 
 OTHER = bytes.fromhex("10 03 02 49 4E 16")
+
+
+@pytest.fixture
+def loop() -> Iterator[SelectLoop]:
+    loop = SelectLoop()
+    yield loop
+    loop.close()
 
 
 def run_until(loop: SelectLoop, condition: Callable[[], bool]) -> None:
@@ -80,8 +87,7 @@ def test_what_is_remembered_of_requests_is_bounded() -> None:
     assert len(answers._kinds) <= 1024
 
 
-def test_the_driver_tells_its_loop_when_an_answer_is_expected() -> None:
-    loop = SelectLoop()
+def test_the_driver_tells_its_loop_when_an_answer_is_expected(loop: SelectLoop) -> None:
     near, far = memory_pair(500_000)
     machine = Script()
     driver = SelectRuntime(near, machine, lambda _events: None, echo=Echo.OFF)
@@ -98,11 +104,9 @@ def test_the_driver_tells_its_loop_when_an_answer_is_expected() -> None:
     assert loop.expected_at - again == heard - first
     driver.close()
     assert loop.expected_at == NEVER
-    loop.close()
 
 
-def test_a_driver_without_budget_waits_by_timer_and_is_never_early() -> None:
-    loop = SelectLoop()
+def test_a_driver_without_budget_waits_by_timer_and_is_never_early(loop: SelectLoop) -> None:
     near, _far = memory_pair(500_000)
     machine = Script()
 
@@ -119,7 +123,6 @@ def test_a_driver_without_budget_waits_by_timer_and_is_never_early() -> None:
     assert all(now >= deadline for _, deadline, now in machine.did("wake"))
     assert driver._spin_ns == 0
     driver.close()
-    loop.close()
 
 
 class Spent(Budget):
@@ -140,7 +143,7 @@ def test_at_every_rate_a_bus_goes_on_when_the_budget_is_used_up(baud: int) -> No
     station = ActiveStation(params, [master], patience=patience_of(port), now=monotonic_ns())
     driver = SelectRuntime(port, station, lambda _events: None, echo=Echo.OFF)
     driver.open(loop)
-    driver._waited(1, monotonic_ns())  # as after a spin that was the last
+    driver._count_spinning(1, monotonic_ns())  # as after a spin that was the last
     with Responder(driver.port_name, ["3:0696:f3f1:12:12"]):
         driver.command(GoOnline())
         driver.command(SetMode(Mode.OPERATE))
@@ -176,9 +179,11 @@ class SlowLine:
         self._really()
 
 
-def test_a_lost_connection_is_made_again_while_the_loop_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_connection_is_made_again_while_the_loop_goes_on(
+    loop: SelectLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
     line = SlowLine(monkeypatch)
-    loop, machine, events = SelectLoop(), Script(), list[Event]()
+    machine, events = Script(), list[Event]()
     driver = SelectRuntime(line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
     driver.open(loop)
     line.far.hang_up()
@@ -199,16 +204,15 @@ def test_a_lost_connection_is_made_again_while_the_loop_goes_on(monkeypatch: pyt
     driver.command(TOKEN)
     assert machine.did("sent")
     driver.close()
-    loop.close()
     line.far.shut()
 
 
 @pytest.mark.parametrize("loop_is_closed", [True, False])
 def test_a_connection_that_comes_about_too_late_is_closed(
-    monkeypatch: pytest.MonkeyPatch, loop_is_closed: bool
+    loop: SelectLoop, monkeypatch: pytest.MonkeyPatch, loop_is_closed: bool
 ) -> None:
     line = SlowLine(monkeypatch)
-    loop, events = SelectLoop(), list[Event]()
+    events = list[Event]()
     driver = SelectRuntime(line.port, Script(), events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
     driver.open(loop)
     line.far.hang_up()
@@ -231,9 +235,9 @@ def test_a_connection_that_comes_about_too_late_is_closed(
     line.far.shut()
 
 
-def test_opened_again_while_an_old_attempt_connects(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_opened_again_while_an_old_attempt_connects(loop: SelectLoop, monkeypatch: pytest.MonkeyPatch) -> None:
     line = SlowLine(monkeypatch)
-    loop, events, machine = SelectLoop(), list[Event](), Script()
+    events, machine = list[Event](), Script()
     driver = SelectRuntime(line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
     driver.open(loop)
     line.far.hang_up()
@@ -246,12 +250,11 @@ def test_opened_again_while_an_old_attempt_connects(monkeypatch: pytest.MonkeyPa
     assert line.port.fd is not None
     assert not any(isinstance(event, PortBack) for event in events)
     driver.close()
-    loop.close()
     line.far.shut()
 
 
-def test_notices_of_the_port_are_told_at_open() -> None:
-    loop, events = SelectLoop(), list[Event]()
+def test_notices_of_the_port_are_told_at_open(loop: SelectLoop) -> None:
+    events = list[Event]()
     near, _far = memory_pair(500_000)
     near.notices = ["has no parity bit"]
     driver = SelectRuntime(near, Script(), events.extend)
@@ -259,4 +262,3 @@ def test_notices_of_the_port_are_told_at_open() -> None:
     assert [event.text for event in events if isinstance(event, Notice)] == [f"{near.name}: has no parity bit"]
     driver.close()
     driver.close()
-    loop.close()

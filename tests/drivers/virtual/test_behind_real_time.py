@@ -28,7 +28,7 @@ def paced(speeds: list[float]) -> list[BehindRealTime]:
         for _ in range(10):
             real += NS_PER_S // 10
             bus += round(speed * NS_PER_S / 10)
-            event = pace.look(real, bus)
+            event = pace.event_at(real, bus)
             if event is not None:
                 told.append(event)
     return told
