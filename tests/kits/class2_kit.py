@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 from ring_bus import RingBus
 
-from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService
-from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService, Service, ServiceDone
 from dpstack.dp.acyclic.job import Outcome
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation

@@ -16,8 +16,7 @@ from dpstack.api.slave.records import usual_timeout
 from dpstack.api.slave.services import time_of
 from dpstack.api.slave.slave import Slave
 from dpstack.argcheck import Sealed, octets, whole
-from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService
-from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService, Service, ServiceDone
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_data import Value

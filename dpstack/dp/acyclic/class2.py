@@ -1,7 +1,8 @@
-"""The services of a class 2 master, beside any class 1 master: Slave_Diag, Get_Cfg, RD_Inp, RD_Outp, Set_Slave_Add.
+"""A class 2 master, beside any class 1 master: Slave_Diag, Get_Cfg, RD_Inp, RD_Outp, Set_Slave_Add.
 
-The orders, and what is refused of them at once. Queue and token are :mod:`dpstack.dp.acyclic.queue`, the requests
-:mod:`dpstack.dp.acyclic.class2_services`.
+The orders, the jobs that carry them out, and what the answers of slaves mean; queue and token are
+:mod:`dpstack.dp.acyclic.queue`. Services (docs/protocol.md#services-by-state): Slave_Diag and Get_Cfg are open in every
+state, RD_Inp and RD_Outp in data exchange, all of them to every master; none of these changes anything in the slave.
 
 Giving a slave another address (docs/protocol.md#set_slave_add): its acknowledgement proves nothing. Some slaves act at
 once, some acknowledge and ignore the service (docs/protocol.md#set-slave-add-ignored), some take the address at the
@@ -12,63 +13,158 @@ the service, then Slave_Diag at the new address and silence at the old one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Final
 
-from dpstack.dp.acyclic.class2_services import (
-    Reading,
-    Service,
-    asked,
-    diagnosis_of,
-    done,
-    judged,
-    refused,
-    request,
-    unanswered,
-)
-from dpstack.dp.acyclic.job import Job, Outcome, Provider, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, ServiceEnd, ServiceFailure, Step, Steps, pause_after_silence
+from dpstack.dp.acyclic.queue import Provider
 from dpstack.dp.master.fault_texts import left_locked
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.verdicts import foreign_owner
-from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.pdu.requests import SetSlaveAdd
-from dpstack.dp.services import positive
+from dpstack.dp.services import EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text
 from dpstack.errors import PduError, UsageError
-from dpstack.fdl.interface import Failure, Request
-from dpstack.fdl.telegram import Req, StationType, Telegram
+from dpstack.fdl.interface import LONG_NS, Failure, Request
+from dpstack.fdl.telegram import (
+    SAP_GET_CFG,
+    SAP_RD_INP,
+    SAP_RD_OUTP,
+    SAP_SET_SLAVE_ADD,
+    SAP_SLAVE_DIAG,
+    SSAP_MS0,
+    Kind,
+    Req,
+    Resp,
+    StationType,
+    Telegram,
+)
 from dpstack.machine import Order
 from dpstack.params import MAX_STATION, UNADDRESSED
 from dpstack.trace import Event, Notice
 from dpstack.units import NS_PER_MS, NS_PER_S
 
-_ATTEMPTS: Final = 3
+#: "later": asked again; everything else that is negative is an answer
+_BUSY: Final = frozenset((int(Resp.UE), int(Resp.RR)))
+_NO_DATA: Final = EMPTY_STATUS | {int(Resp.NR)}
+#: so often a slave that does not answer a service is asked for its diagnosis
+_DIAGNOSIS_ATTEMPTS: Final = 2
+_CHANGE_ATTEMPTS: Final = 3
 #: a slave may restart with its new address: it is looked for every 100 ms, up to 5 s
 _LOOK_PAUSE: Final = 100 * NS_PER_MS
 _LOOKS: Final = 50
 #: from here on, and then now and then, the old address is asked too: a slave that ignored the service is still there
 _LOOK_BACK: Final = 10
 _LOOK_BACK_EVERY: Final = 5
+READ_TIMEOUT: Final = 5 * NS_PER_S
+#: a slave that restarts with its new address takes seconds
+CHANGE_TIMEOUT: Final = 15 * NS_PER_S
 
 
-@dataclass
-class AddressChange(Job):
-    """The job. ``own``: the asking station; ``ident`` None: whatever device is there; the rest as in
-    :class:`~dpstack.dp.pdu.requests.SetSlaveAdd`."""
+class Service(IntEnum):
+    """The services of a class 2 master at a slave; the values are the SAPs."""
 
-    own: int
+    SET_ADDRESS = SAP_SET_SLAVE_ADD
+    INPUTS = SAP_RD_INP
+    OUTPUTS = SAP_RD_OUTP
+    CONFIG = SAP_GET_CFG
+    DIAGNOSIS = SAP_SLAVE_DIAG
+
+    @property
+    def title(self) -> str:
+        """The standard's name."""
+        return SERVICE_NAMES[self]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServiceDone(ServiceEnd):
+    """The one end of the service with ``token``."""
+
+    service: Service
+
+    @property
+    def title(self) -> str:
+        """The service's."""
+        return self.service.title
+
+    @property
+    def result(self) -> str:
+        return f"{self.title}, {len(self.outcome.data)} octets"
+
+
+@dataclass(frozen=True, slots=True)
+class ReadService(Order):
+    """Ask ``address`` (0..126) for ``service``, one that reads; the result is the :class:`ServiceDone` with ``token``.
+
+    ``expected``: the octets that RD_Inp and RD_Outp must have, None for any number.
+    """
+
+    token: int
     address: int
+    service: Service
+    expected: int | None = None
+    timeout_ns: int = READ_TIMEOUT
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeAddress(Order):
+    """Give the slave at ``old`` (0..126) the address ``new`` (0..125).
+
+    ``ident`` None: whatever device is there; the rest as in :class:`~dpstack.dp.pdu.requests.SetSlaveAdd`.
+    """
+
+    token: int
+    old: int
     new: int
     ident: int | None = None
     no_add_chg: bool = False
     rem_slave_data: bytes = b""
-    service = Service.SET_ADDRESS
-    title = service.title
+    timeout_ns: int = CHANGE_TIMEOUT
+
+
+class Class2Job(Job):
+    """A service of a class 2 master."""
+
+    def __init__(self, address: int, service: Service) -> None:
+        self.address = address
+        self.service = service
+        self.title = service.title
+
+    def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
+        return [ServiceDone(t_ns=now, token=token, address=self.address, service=self.service, outcome=outcome)]
+
+
+class Reading(Class2Job):
+    """One of the reading services."""
+
+    def __init__(self, order: ReadService) -> None:
+        super().__init__(order.address, order.service)
+        self._expected = order.expected
+
+    def steps(self) -> Steps[Outcome]:
+        """One request, repeated where there is hope."""
+        answer = yield from asked(request(self.address, self.service))
+        if answer is Failure.NO_ANSWER and (yield from leaves_out(self.address, self.service)):
+            return left_out(self.address, self.title, _CLOSED[self.service])
+        return judged(self.address, self.service, answer, self._expected)
+
+
+class AddressChange(Class2Job):
+    """The job of a :class:`ChangeAddress`; ``own``: the asking station."""
+
     aftermath = ""
+
+    def __init__(self, own: int, order: ChangeAddress) -> None:
+        super().__init__(order.old, Service.SET_ADDRESS)
+        self._own = own
+        self._order = order
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """A notice of a new address, too."""
-        events = done(self, self.service, token, outcome, now)
+        events = super().ends(token, outcome, now)
         if outcome.failure is None:
-            message = f"slave {self.address} has address {self.new} now" + (" for good" if self.no_add_chg else "")
+            for_good = " for good" if self._order.no_add_chg else ""
+            message = f"slave {self.address} has address {self._order.new} now{for_good}"
             events.append(Notice(t_ns=now, source="class 2", message=message))
         return events
 
@@ -82,61 +178,62 @@ class AddressChange(Job):
         wrong = yield from self._forbidden(diagnosis)
         if wrong is not None:
             return wrong
-        if not (yield from _silent(self.new)):
+        new, ident = self._order.new, diagnosis.ident
+        if (yield from _fdl_status(new)) is not Failure.NO_ANSWER:
             return Outcome(
                 failure=ServiceFailure.TAKEN,
-                text=f"address {self.new} is in use: a station answers there; nothing was changed: "
+                text=f"address {new} is in use: a station answers there; nothing was changed: "
                 f"take a free address (`dpstack scan` shows them)",
             )
-        pdu = SetSlaveAdd(self.new, diagnosis.ident, self.no_add_chg, self.rem_slave_data)
-        order = request(self.address, Service.SET_ADDRESS, pdu.build())
+        pdu = SetSlaveAdd(new, ident, self._order.no_add_chg, self._order.rem_slave_data)
         self.aftermath = (
-            f"Set_Slave_Add may have been sent to slave {self.address}: look for it at {self.address} and {self.new}"
+            f"Set_Slave_Add may have been sent to slave {self.address}: look for it at {self.address} and {new}"
         )
-        answer = yield from asked(order, _ATTEMPTS)
+        answer = yield from asked(request(self.address, self.service, pdu.build()), _CHANGE_ATTEMPTS)
         if answer is Failure.REFUSED:
             return unanswered(self.address, self.service, answer)
         acknowledged = isinstance(answer, Telegram)
         if isinstance(answer, Telegram) and not positive(self.service, answer):
             return refused(self.address, self.service, answer)
-        return (yield from self._verified(diagnosis.ident, acknowledged))
+        return (yield from self._verified(ident, acknowledged))
 
     def _forbidden(self, diagnosis: Diagnosis) -> Steps[Outcome | None]:
         """Why this device must be left alone."""
-        if self.ident not in (None, diagnosis.ident):
+        wanted = self._order.ident
+        if wanted is not None and wanted != diagnosis.ident:
             return Outcome(
                 failure=ServiceFailure.IDENT,
                 text=f"slave {self.address} is another device: ident 0x{diagnosis.ident:04X} instead of "
-                f"0x{self.ident:04X}; nothing was changed: give its ident, or look which device has that address",
+                f"0x{wanted:04X}; nothing was changed: give its ident, or look which device has that address",
             )
-        owner = foreign_owner(diagnosis, self.own)
-        if owner is not None and (yield from _is_no_master(owner)):
+        owner = foreign_owner(diagnosis, self._own)
+        if owner is None:
+            return None
+        answer = yield from _fdl_status(owner)
+        no_master = isinstance(answer, Telegram) and answer.station_type is StationType.SLAVE
+        if no_master or answer is Failure.NO_ANSWER:
             what, todo = left_locked(diagnosis, owner)
-            return Outcome(
-                failure=ServiceFailure.OWNED,
-                text=f"slave {self.address} {what} and takes no address meanwhile; nothing was changed: {todo}",
-            )
-        if owner is not None:
-            return Outcome(
-                failure=ServiceFailure.OWNED,
-                text=f"slave {self.address} is owned by master {owner} and takes no address meanwhile; nothing was "
-                f"changed: stop master {owner}, or take the slave out of its configuration",
-            )
-        return None
+        else:  # octets that cannot be read may be a master's
+            what = f"is owned by master {owner}"
+            todo = f"stop master {owner}, or take the slave out of its configuration"
+        return Outcome(
+            failure=ServiceFailure.OWNED,
+            text=f"slave {self.address} {what} and takes no address meanwhile; nothing was changed: {todo}",
+        )
 
     def _verified(self, ident: int, acknowledged: bool) -> Steps[Outcome]:
-        at_new = request(self.new, Service.DIAGNOSIS)
+        at_new = request(self._order.new, Service.DIAGNOSIS)
         for look in range(_LOOKS):
             answer = (yield Step(at_new, _LOOK_PAUSE)).answer
             found = diagnosis_of(answer)
             if found is not None and isinstance(answer, Telegram):
                 return (yield from self._arrived(ident, found.ident, answer.data))
             back = look >= _LOOK_BACK and not look % _LOOK_BACK_EVERY
-            if back and not (yield from _silent(self.address)):
+            if back and (yield from _fdl_status(self.address)) is not Failure.NO_ANSWER:
                 return self._kept(acknowledged)
         return Outcome(
             failure=ServiceFailure.GONE,
-            text=f"slave {self.address} answers neither there nor at {self.new} after Set_Slave_Add; "
+            text=f"slave {self.address} answers neither there nor at {self._order.new} after Set_Slave_Add; "
             f"switch it off and on, then look with `dpstack scan`",
         )
 
@@ -144,13 +241,13 @@ class AddressChange(Job):
         if found != ident:
             return Outcome(
                 failure=ServiceFailure.IDENT,
-                text=f"another device answers at {self.new} after Set_Slave_Add: ident 0x{found:04X} instead of "
+                text=f"another device answers at {self._order.new} after Set_Slave_Add: ident 0x{found:04X} instead of "
                 f"0x{ident:04X}; look which device has that address before anything else is changed",
             )
-        if not (yield from _silent(self.address)):
+        if (yield from _fdl_status(self.address)) is not Failure.NO_ANSWER:
             return Outcome(
                 failure=ServiceFailure.DOUBLE,
-                text=f"the slave has address {self.new} now, but a station still answers at {self.address}: "
+                text=f"the slave has address {self._order.new} now, but a station still answers at {self.address}: "
                 f"two had that address; give the other one an address of its own",
             )
         return Outcome(data)
@@ -166,58 +263,155 @@ class AddressChange(Job):
         )
 
 
-def _is_no_master(address: int) -> Steps[bool]:
-    """Whether no master answers FDL status at ``address``; octets that cannot be read may be one's."""
+def _fdl_status(address: int) -> Steps[Telegram | Failure]:
+    """The answer of ``address`` to FDL status; octets that cannot be read are one too.
+
+    The second time it is waited for as long as that of a station that matters: two stations with one address are worse.
+    """
+    answer: Telegram | Failure = Failure.NO_ANSWER
     for patient in (False, True):
         answer = (yield Step(Request(address, Req.FDL_STATUS, patient=patient, retry=False))).answer
-        if isinstance(answer, Telegram):
-            return answer.station_type is StationType.SLAVE
         if answer is not Failure.NO_ANSWER:
-            return False
-    return True
+            break
+    return answer
 
 
-def _silent(address: int) -> Steps[bool]:
-    """Nobody answers FDL status at ``address``; octets that cannot be read are an answer too. The second time the
-    answer is waited for as long as that of a station that matters: two stations with one address are worse."""
-    for patient in (False, True):
-        poll = Request(address, Req.FDL_STATUS, patient=patient, retry=False)
-        if (yield Step(poll)).answer is not Failure.NO_ANSWER:
-            return False
-    return True
+def leaves_out(address: int, service: int) -> Steps[bool]:
+    """Whether the slave that did not answer at the SAP ``service`` is there all the same: it answers Slave_Diag.
 
-
-READ_TIMEOUT: Final = 5 * NS_PER_S
-#: a slave that restarts with its new address takes seconds
-CHANGE_TIMEOUT: Final = 15 * NS_PER_S
-
-
-@dataclass(frozen=True, slots=True)
-class ReadService(Order):
-    """Ask ``address`` (0..126) for ``service``; ``expected`` as in
-    :class:`~dpstack.dp.acyclic.class2_services.Reading`.
-
-    The result is the :class:`~dpstack.dp.acyclic.class2_services.ServiceDone` with ``token``.
+    Some slaves leave a service that they do not have without any answer (docs/protocol.md#silent-service).
     """
-
-    token: int
-    address: int
-    service: Service
-    expected: int | None = None
-    timeout_ns: int = READ_TIMEOUT
+    if service == Service.DIAGNOSIS:
+        return False
+    answer = yield from asked(request(address, Service.DIAGNOSIS), _DIAGNOSIS_ATTEMPTS)
+    return isinstance(answer, Telegram)
 
 
-@dataclass(frozen=True, slots=True)
-class ChangeAddress(Order):
-    """Give the slave at ``old`` (0..126) the address ``new`` (0..125); see :mod:`dpstack.dp.acyclic.class2`."""
+def left_out(address: int, title: str, why: str) -> Outcome:
+    """The result of the service ``title`` where the slave is there and does not answer it."""
+    return Outcome(
+        failure=ServiceFailure.REFUSED,
+        text=f"slave {address} is there (it answers Slave_Diag) and leaves {title} without an answer; {why}",
+        status="no answer",
+    )
 
-    token: int
-    old: int
-    new: int
-    ident: int | None = None
-    no_add_chg: bool = False
-    rem_slave_data: bytes = b""
-    timeout_ns: int = CHANGE_TIMEOUT
+
+def request(address: int, service: Service, data: bytes = b"") -> Request:
+    """``service`` to ``address``: low priority by its place in the token hold; on the wire it is SRD high like all
+    services of DP, because some slaves know no other (docs/protocol.md#slaves-that-know-only-fcv-1)."""
+    return Request(address, Req.SRD_HIGH, data, service, SSAP_MS0)
+
+
+def asked(request: Request, attempts: int = ATTEMPTS) -> Steps[Telegram | Failure]:
+    """Up to ``attempts`` times, until there is an answer other than "busy"; others have their turn meanwhile.
+
+    The last time the answer is waited for as long as that of a station that is there, because somebody has named this
+    one; but before a fixed cycle, and beside other masters, only as long as there is room.
+    """
+    answer: Telegram | Failure = Failure.NO_ANSWER
+    pause = 0
+    for attempt in range(attempts):
+        if 0 < attempt == attempts - 1:
+            request = request._replace(extra_ns=LONG_NS)
+        answer = (yield Step(request, pause)).answer
+        if answer is Failure.REFUSED:
+            break
+        if isinstance(answer, Telegram) and (answer.kind is Kind.SC or answer.function not in _BUSY):
+            break
+        pause = pause_after_silence(attempt + 1)
+    return answer
+
+
+def judged(address: int, service: Service, answer: Telegram | Failure, expected: int | None = None) -> Outcome:
+    """The result of a service that reads."""
+    if not isinstance(answer, Telegram):
+        return unanswered(address, service, answer)
+    reads_data = service in (Service.INPUTS, Service.OUTPUTS)
+    # without inputs, or outputs, the answer is NR, OK or SC (docs/protocol.md#function-code)
+    empty = answer.kind is Kind.SC or answer.function in _NO_DATA
+    if not (positive(service, answer) or (reads_data and empty and not answer.data)):
+        return refused(address, service, answer)
+    low, high = (FIXED_LEN, MAX_LEN) if service is Service.DIAGNOSIS else (0 if reads_data else 1, MAX_LEN)
+    got = len(answer.data)
+    if not low <= got <= high:
+        return Outcome(
+            failure=ServiceFailure.LENGTH,
+            text=f"slave {address} answers {service.title} with {got} octets, {low}..{high} are possible; "
+            f"it is no DP slave, or two stations have its address",
+        )
+    if expected is not None and got != expected:
+        return Outcome(
+            failure=ServiceFailure.LENGTH,
+            text=f"slave {address} answers {service.title} with {got} octets instead of {expected}; its real "
+            f"configuration differs from the one here: compare it with what Get_Cfg says",
+        )
+    return Outcome(answer.data)
+
+
+def unanswered(address: int, service: Service, why: Failure) -> Outcome:
+    """The result where no answer can be used."""
+    failure, what, todo = _UNANSWERED[why]
+    return Outcome(failure=failure, text=f"slave {address} {what} {service.title}; {todo}")
+
+
+_UNANSWERED: Final = {
+    Failure.NO_ANSWER: (
+        ServiceFailure.SILENT,
+        "does not answer",
+        "check address and power; `dpstack scan` shows who is there",
+    ),
+    Failure.GARBLED: (
+        ServiceFailure.UNREADABLE,
+        "gives no readable answer to",
+        "look for a second station with its address, and at cable and termination",
+    ),
+    Failure.WRONG: (
+        ServiceFailure.WRONG,
+        "gives answers that are none to",
+        "it answers from other service access points: it is no DP slave, or two stations have its address",
+    ),
+    Failure.REFUSED: (
+        ServiceFailure.GUARDED,
+        "was not sent",
+        "this bus is read-only: leave read_only out where slaves shall be changed",
+    ),
+}
+
+
+def refused(address: int, service: Service, answer: Telegram) -> Outcome:
+    """The result where the slave says no, and why that may be."""
+    if answer.kind is Kind.SC or answer.function not in _REFUSALS:
+        return Outcome(
+            failure=ServiceFailure.WRONG,
+            text=f"slave {address} answers {service.title} with {refusal_text(answer)}, which is no answer to it; "
+            f"look for a second station with its address",
+        )
+    status = refusal_text(answer)
+    todo = "it is busy: try again later" if answer.function in _BUSY else _CLOSED[service]
+    return Outcome(
+        failure=ServiceFailure.REFUSED,
+        text=f"slave {address} refuses {service.title} ({status}); {todo}",
+        status=status,
+    )
+
+
+_REFUSALS: Final = frozenset((int(Resp.UE), int(Resp.RR), int(Resp.RS), int(Resp.NR), int(Resp.RDL), int(Resp.RDH)))
+_READS_IN_EXCHANGE: Final = "it is open in data exchange only, and not in every device: look at its state"
+_CLOSED: Final = {
+    Service.DIAGNOSIS: "every DP slave has this service: the station is none, or not switched on for long enough",
+    Service.CONFIG: "every DP slave has this service: the station is none, or not switched on for long enough",
+    Service.INPUTS: _READS_IN_EXCHANGE,
+    Service.OUTPUTS: _READS_IN_EXCHANGE,
+    Service.SET_ADDRESS: "its address is set at the device itself (switches, menu), was locked by an earlier "
+    "Set_Slave_Add (No_Add_Chg), or a master has just parameterised it",
+}
+
+
+def diagnosis_of(answer: Telegram | Failure) -> Diagnosis | None:
+    """What ``answer`` to Slave_Diag says, None where it says nothing."""
+    if isinstance(answer, Telegram) and positive(Service.DIAGNOSIS, answer):
+        return Diagnosis.parse(answer.data)
+    return None
 
 
 class Class2(Provider):
@@ -229,19 +423,19 @@ class Class2(Provider):
 
     def job_of(self, order: object) -> tuple[int, Job, int] | None:
         match order:
-            case ReadService(token, address, service, expected, timeout_ns):
-                if service is Service.SET_ADDRESS:
+            case ReadService():
+                if order.service is Service.SET_ADDRESS:
                     raise UsageError("Set_Slave_Add does not read: use ChangeAddress")
-                check_address(address, self._own)
-                return token, Reading(address, service, expected), timeout_ns
-            case ChangeAddress(token, old, new, ident, no_add_chg, rem_slave_data, timeout_ns):
+                check_address(order.address, self._own)
+                return order.token, Reading(order), order.timeout_ns
+            case ChangeAddress(old=old, new=new):
                 check_address(old, self._own)
                 _check_new(old, new, self._own, self._master)
                 try:
-                    SetSlaveAdd(new, ident or 0, no_add_chg, rem_slave_data).build()
+                    SetSlaveAdd(new, order.ident or 0, order.no_add_chg, order.rem_slave_data).build()
                 except PduError as error:
                     raise UsageError(str(error)) from None
-                return token, AddressChange(self._own, old, new, ident, no_add_chg, rem_slave_data), timeout_ns
+                return order.token, AddressChange(self._own, order), order.timeout_ns
         return None
 
 

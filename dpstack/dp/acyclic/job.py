@@ -3,22 +3,22 @@
 A job is a generator of :class:`Step`: it gives the next request and is sent what became of it, and when
 (:class:`Heard`): that is all the time that a job knows, and it judges by it how long the slave has had. Its end is one
 :class:`Outcome`, told by one :class:`ServiceEnd` where a program waits for it. Jobs are in
-:mod:`dpstack.dp.acyclic.class2_services`, :mod:`dpstack.dpv1.master.ms1` and
+:mod:`dpstack.dp.acyclic.class2`, :mod:`dpstack.dpv1.master.ms1` and
 :mod:`dpstack.dpv1.master.ms2_connection`.
 """
 
 from __future__ import annotations
 
 import abc
-from collections.abc import Collection, Generator, Hashable
+from collections.abc import Generator, Hashable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, NamedTuple, Protocol, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Telegram
 from dpstack.trace import Event
-from dpstack.units import NEVER, NS_PER_MS
+from dpstack.units import NS_PER_MS
 
 T = TypeVar("T")
 
@@ -149,60 +149,6 @@ class Job(abc.ABC):
 #: the token of jobs that no program ordered: of cyclic units and connections; acknowledgements of alarms
 UNORDERED: Final = -1
 ACKS: Final = -2
-
-
-class JobQueue(Protocol):
-    """The queue as its providers see it."""
-
-    def room(self, lane: Hashable | None) -> bool:
-        """Whether ``lane`` takes one more job."""
-
-    def lanes(self) -> Collection[Hashable | None]:
-        """Lanes in which jobs wait."""
-
-    def put(self, job: Job, timeout_ns: int, now: int, *, token: int = UNORDERED, first: bool = False) -> None:
-        """Queue a job that no program ordered; ``first``: before those in its lane that have not begun."""
-
-    def tell(self, event: Event) -> None:
-        """An event for the application."""
-
-
-class Provider:
-    """Services of one kind, for the queue. Subclass it, override what differs."""
-
-    #: set when the queue is made
-    queue: JobQueue
-
-    def job_of(self, order: object) -> tuple[int, Job, int] | None:
-        """Token, job and time-out in ns of ``order``; None when it is none for this provider. Raises UsageError."""
-        return None
-
-    def command(self, order: object, now: int) -> bool:
-        """Carry out an order that needs no job; False when it is none for this provider. Raises UsageError."""
-        return False
-
-    def ask(self, now: int) -> None:
-        """A request may go out: the time to queue what no program ordered."""
-
-    def started(self, request: Request) -> None:
-        """A request is on the wire."""
-
-    def heard(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
-        """The end of a request to any station."""
-
-    def may_be_taken(self, request: Request) -> bool:
-        """Whether a request that was given up may have reached the slave: it is not to be sent again."""
-        return False
-
-    def line_down(self, reason: str, now: int) -> None: ...
-
-    def wake_at(self) -> int:
-        """When :meth:`tick` is wanted, in ns."""
-        return NEVER
-
-    def tick(self, now: int) -> bool:
-        """That time may have come; True where jobs cannot end any more because of it."""
-        return False
 
 
 def pause_after_silence(silent: int) -> int:

@@ -20,10 +20,11 @@ from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
-from dpstack.dp.acyclic.job import ACKS, UNORDERED, Heard, Job, Outcome, Provider, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic.job import ACKS, UNORDERED, Heard, Job, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.services import positive
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import Failure, Request
@@ -34,34 +35,6 @@ from dpstack.units import NEVER, ns_to_s
 
 #: ends of a request that the link layer takes for silence
 _IN_VAIN = frozenset((Failure.NO_ANSWER, Failure.GARBLED, Failure.WRONG))
-
-
-class Unheard:
-    """``master``: whose slaves they are; None: nobody's, and everybody may be asked."""
-
-    __slots__ = ("_exchanges", "_master")
-
-    def __init__(self, master: Master | None) -> None:
-        self._master = master
-        #: by address: the exchanges there were when it left a service unanswered
-        self._exchanges: dict[int, int] = {}
-
-    def ended(self, address: int, outcome: Telegram | Failure) -> None:
-        """A service to ``address`` is over."""
-        handler = None if self._master is None else self._master.handlers.get(address)
-        if handler is not None and outcome in _IN_VAIN:
-            self._exchanges[address] = handler.exchanges
-        elif self._exchanges:
-            self._exchanges.pop(address, None)
-
-    def bars(self, address: int) -> bool:
-        """Whether ``address`` is not to be asked now. In Stop nobody has an exchange to wait for."""
-        if not self._exchanges or self._master is None or self._master.mode <= Mode.STOP:
-            return False
-        handler = self._master.handlers.get(address)
-        if handler is None or handler.state is not SlaveState.DATA_EXCHANGE:
-            return False
-        return handler.exchanges == self._exchanges.get(address)
 
 
 #: services that may wait at a time: of class 2 in all, of class 1 for each slave, for each connection
@@ -97,6 +70,44 @@ class _Entry:
     over: tuple[ServiceFailure, str] | None = None
 
 
+class Provider:
+    """Services of one kind, for the queue. Subclass it, override what differs."""
+
+    #: set when the queue is made
+    queue: Acyclic
+
+    def job_of(self, order: object) -> tuple[int, Job, int] | None:
+        """Token, job and time-out in ns of ``order``; None when it is none for this provider. Raises UsageError."""
+        return None
+
+    def command(self, order: object, now: int) -> bool:
+        """Carry out an order that needs no job; False when it is none for this provider. Raises UsageError."""
+        return False
+
+    def queue_jobs(self, now: int) -> None:
+        """A request may go out: the time to queue jobs that no program ordered."""
+
+    def started(self, request: Request) -> None:
+        """A request is on the wire."""
+
+    def request_ended(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """The end of a request to any station."""
+
+    def may_be_taken(self, request: Request) -> bool:
+        """Whether a request that was given up may have reached the slave: it is not to be sent again."""
+        return False
+
+    def line_down(self, reason: str, now: int) -> None: ...
+
+    def wake_at(self) -> int:
+        """When :meth:`tick` is wanted, in ns."""
+        return NEVER
+
+    def tick(self, now: int) -> bool:
+        """That time may have come; True where jobs cannot end any more because of it."""
+        return False
+
+
 class Acyclic:
     """A ``LinkUser``. ``master``: the class 1 master of the same station, if any. Orders go to ``providers``."""
 
@@ -105,9 +116,9 @@ class Acyclic:
         self.providers = tuple(providers)
         for provider in self.providers:
             provider.queue = self
-        self._ask = self._overridden("ask")
+        self._queue_jobs = self._overridden("queue_jobs")
         self._started = self._overridden("started")
-        self._heard = self._overridden("heard")
+        self._request_ended = self._overridden("request_ended")
         self._wakes = self._overridden("wake_at")
         self._ticks = self._overridden("tick")
         self._queue: list[_Entry] = []
@@ -119,7 +130,8 @@ class Acyclic:
         #: stations whose last answer came: their silence is news, they are waited for
         self._known: set[int] = set()
         self._events: list[Event] = []
-        self._unheard = Unheard(master)
+        #: slaves that left a service unanswered, and their exchanges then, by address
+        self._unanswered: dict[int, int] = {}
         self._turns = itertools.count()
 
     def _overridden(self, name: str) -> tuple[Callable[..., Any], ...]:
@@ -164,16 +176,19 @@ class Acyclic:
 
     # --- providers ----------------------------------------------------------------------------------------------
     def room(self, lane: Hashable | None) -> bool:
-        """See :class:`~dpstack.dp.acyclic.job.JobQueue`."""
+        """Whether ``lane`` takes one more job."""
         return sum(entry.job.lane == lane and entry.token != ACKS for entry in self._queue) < CAPACITY
 
     def lanes(self) -> set[Hashable | None]:
-        """See :class:`~dpstack.dp.acyclic.job.JobQueue`."""
+        """Lanes in which jobs wait."""
         return {entry.job.lane for entry in self._queue}
 
     def put(self, job: Job, timeout_ns: int, now: int, *, token: int = UNORDERED, first: bool = False) -> None:
-        """First: a slave may have no further alarm until it is acknowledged, and names the connections that it gave out
-        in their order."""
+        """Queue a job that no program ordered; ``first``: before those in its lane that have not begun.
+
+        A slave may raise no further alarm until the last one is acknowledged, and it names the connections that it gave
+        out in their order.
+        """
         new = _Entry(token, job, now + timeout_ns, timeout_ns, job.steps(), self._tokens, next(self._turns))
         at = len(self._queue)
         if first:
@@ -182,7 +197,7 @@ class Acyclic:
         self._queue.insert(at, new)
 
     def tell(self, event: Event) -> None:
-        """See :class:`~dpstack.dp.acyclic.job.JobQueue`."""
+        """Report ``event`` to the application."""
         self._events.append(event)
 
     # --- link user ----------------------------------------------------------------------------------------------
@@ -198,8 +213,8 @@ class Acyclic:
         """The next request of the service that waited longest for a turn, of those that may go on."""
         if high_only or not self._turn:
             return None
-        for ask in self._ask:
-            ask(now)
+        for queue_jobs in self._queue_jobs:
+            queue_jobs(now)
         if not self._queue:
             return None
         self._end_barred(now)
@@ -224,8 +239,17 @@ class Acyclic:
                     continue
                 lanes.add(lane)
             if entry.due <= now and (chosen is None or entry.turn < chosen.turn):
-                chosen = chosen if self._unheard.bars(entry.job.address) else entry
+                chosen = chosen if self._awaits_exchange(entry.job.address) else entry
         return chosen
+
+    def _awaits_exchange(self, address: int) -> bool:
+        """Whether the slave left a service unanswered, and had no exchange since. In Stop no slave has exchanges."""
+        if not self._unanswered or self.master is None or self.master.mode <= Mode.STOP:
+            return False
+        handler = self.master.handlers.get(address)
+        if handler is None or handler.state is not SlaveState.DATA_EXCHANGE:
+            return False
+        return handler.exchanges == self._unanswered.get(address)
 
     def _end_barred(self, now: int) -> None:
         for entry in tuple(self._queue):
@@ -247,16 +271,21 @@ class Acyclic:
         entry, self._asked = self._asked, None
         if entry is None:
             return
-        self._unheard.ended(request.da, outcome)
+        handler = None if self.master is None else self.master.handlers.get(request.da)
+        if handler is not None and outcome in _IN_VAIN:
+            self._unanswered[request.da] = handler.exchanges
+        elif self._unanswered:
+            self._unanswered.pop(request.da, None)
         if isinstance(outcome, Telegram):
             self._known.add(request.da)
-            self._share(request, outcome, now)
+            if handler is not None and request.dsap == SAP_SLAVE_DIAG and positive(request.dsap, outcome):
+                self._share(handler, request, outcome, now)
         elif outcome is Failure.NO_ANSWER:
             self._known.discard(request.da)
         elif outcome is Failure.ABANDONED and any(one.may_be_taken(request) for one in self.providers):
             outcome = Failure.NO_ANSWER
-        for heard in self._heard:
-            heard(request, outcome, now)
+        for request_ended in self._request_ended:
+            request_ended(request, outcome, now)
         if outcome not in (Failure.ABANDONED, Failure.HELD_BACK):  # else it is asked again
             begun, entry.begun = entry.begun, None
             try:
@@ -268,14 +297,9 @@ class Acyclic:
         if entry.over is not None:
             self._cut(entry, *entry.over, now)
 
-    def _share(self, request: Request, answer: Telegram, now: int) -> None:
+    def _share(self, handler: SlaveHandler, request: Request, answer: Telegram, now: int) -> None:
         """Some slaves show a fault in one diagnosis only (docs/protocol.md#fault-shown-once): their own master must not
         miss it."""
-        if self.master is None or request.dsap != SAP_SLAVE_DIAG or not positive(request.dsap, answer):
-            return
-        handler = self.master.handlers.get(request.da)
-        if handler is None:
-            return
         if handler.state is SlaveState.DATA_EXCHANGE:
             handler.service_result(request, answer, now)
         else:

@@ -6,7 +6,8 @@ it may still have, then sends the request again (:class:`~dpstack.dpv1.master.ms
 
 from __future__ import annotations
 
-from dpstack.dp.acyclic.job import ACKS, Outcome, Provider, ServiceFailure
+from dpstack.dp.acyclic.job import ACKS, Outcome, ServiceFailure
+from dpstack.dp.acyclic.queue import Provider
 from dpstack.dp.master.diag_reader import NO_ALARMS, DiagObserver
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.pdu.alarm_blocks import HEAD
@@ -107,7 +108,7 @@ class Alarms(Provider):
                 return False
         return True
 
-    def ask(self, now: int) -> None:
+    def queue_jobs(self, now: int) -> None:
         """Acknowledgements go out in the hold of the Data_Exchange before them, one at a time for each slave."""
         for alarms in self._alarms.values():
             known = alarms.next_ack(now) if alarms.busy else None
@@ -116,7 +117,7 @@ class Alarms(Provider):
                 job = AckJob(known, alarms, alarms.handler, self._ms1)
                 self.queue.put(job, job.timeout_ns, now, token=ACKS, first=True)
 
-    def heard(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+    def request_ended(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """Silence leaves the slave in doubt whether its diagnosis was read."""
         if isinstance(outcome, Telegram) or outcome in (Failure.ABANDONED, Failure.HELD_BACK, Failure.REFUSED):
             return

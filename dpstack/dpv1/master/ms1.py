@@ -14,7 +14,8 @@ import abc
 import dataclasses
 from typing import Final
 
-from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, Provider, ServiceFailure, Steps
+from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, ServiceFailure, Steps
+from dpstack.dp.acyclic.queue import Provider
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -280,7 +281,7 @@ class Ms1(Provider):
 
     # --- requests of cyclic units -------------------------------------------------------------------------------
 
-    def ask(self, now: int) -> None:
+    def queue_jobs(self, now: int) -> None:
         """A request that a unit made since the Data_Exchange of this hold goes out in the same hold."""
         master = self.master
         if master is None:

@@ -116,7 +116,7 @@ class Ms2(Connections):
 
     # --- from the queue -------------------------------------------------------------------------------------------
 
-    def ask(self, now: int) -> None:
+    def queue_jobs(self, now: int) -> None:
         """Idle over quiet connections, or the poll for the answer to a service that was given up."""
         if not self.connections:
             return
@@ -133,7 +133,7 @@ class Ms2(Connections):
         if request.data and isinstance(request.tag, MasterConnection):
             request.tag.outstanding = request.data[0] != Function.ABORT
 
-    def heard(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+    def request_ended(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request to any station."""
         if isinstance(request.tag, MasterConnection) and isinstance(outcome, Telegram):
             request.tag.heard_at = now

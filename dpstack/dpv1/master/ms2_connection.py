@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, Provider, ServiceFailure, Steps
+from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, ServiceFailure, Steps
+from dpstack.dp.acyclic.queue import Provider
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text
 from dpstack.dpv1.master.orders import ConnectionOver, ConnectionsClosed, RecordDone

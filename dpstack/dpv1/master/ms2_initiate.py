@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Final
 
-from dpstack.dp.acyclic.class2_services import leaves_out, left_out
+from dpstack.dp.acyclic.class2 import leaves_out, left_out
 from dpstack.dp.acyclic.job import ATTEMPTS, Outcome, ServiceFailure, Steps
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text

@@ -18,8 +18,7 @@ from property_kit import examples
 from support import MS, S, WorldFactory
 
 from bench.acyclic_plant import Answers, AnswersAtOnce, RecordDevice
-from dpstack.dp.acyclic.class2 import ReadService
-from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState

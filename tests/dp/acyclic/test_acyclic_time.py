@@ -16,8 +16,7 @@ from ms2_kit import DL, MS, SC, Ms2Bus, connected, sd1, sd2
 from octet_slave import NR, RR, UE
 from ring_bus import RingBus
 
-from dpstack.dp.acyclic.class2 import ReadService
-from dpstack.dp.acyclic.class2_services import Service
+from dpstack.dp.acyclic.class2 import ReadService, Service
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordDone

@@ -8,8 +8,7 @@ from class2_kit import MS, Class2Bus
 from octet_slave import NR, RR, RS, UE, OctetSlave, sd1, sd2
 from support import WorldFactory
 
-from dpstack.dp.acyclic.class2 import ReadService
-from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CAPACITY, Acyclic, CancelService
 from dpstack.dp.master.commands import Mode, SetMode

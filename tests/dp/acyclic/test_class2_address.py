@@ -9,8 +9,7 @@ from octet_slave import DL, RS, OctetSlave, sd1, sd2
 from ring_bus import fixed
 from support import WorldFactory
 
-from dpstack.dp.acyclic.class2 import ChangeAddress
-from dpstack.dp.acyclic.class2_services import Service, ServiceDone, asked, request
+from dpstack.dp.acyclic.class2 import ChangeAddress, Service, ServiceDone, asked, request
 from dpstack.dp.acyclic.job import Heard, Outcome, ServiceFailure
 from dpstack.dp.services import reading_only
 from dpstack.dp.slave.application import SlaveApp

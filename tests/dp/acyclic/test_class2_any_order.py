@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from octet_slave import RR, RS, SC, OctetSlave, Say, sd1, sd2
 from property_kit import examples
 
-from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService
-from dpstack.dp.acyclic.class2_services import Service
+from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService, Service
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.errors import UsageError

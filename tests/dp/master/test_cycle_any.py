@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from property_kit import examples
 from support import MS, S, wire_log
 
-from dpstack.dp.acyclic.class2 import ReadService
-from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.master.events import SlaveState
 from dpstack.drivers.stack import acyclic_services
 from dpstack.params import BusParams

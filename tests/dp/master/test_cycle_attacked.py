@@ -15,8 +15,7 @@ from bus_kit import mirror
 from cycle_kit import CycleBus, slave
 from support import MS, WorldFactory
 
-from dpstack.dp.acyclic.class2 import ReadService
-from dpstack.dp.acyclic.class2_services import Service
+from dpstack.dp.acyclic.class2 import ReadService, Service
 from dpstack.dp.master.commands import (
     ActivateSlave,
     AddSlave,

@@ -6,8 +6,7 @@ import pytest
 from cycle_kit import CycleBus, slave
 from support import MS, WorldFactory
 
-from dpstack.dp.acyclic.class2 import ReadService
-from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.plan.cycle_check import Verdict, least_ns
 from dpstack.dp.plan.rotation_time import Figures
 from dpstack.drivers.stack import acyclic_services

@@ -9,8 +9,7 @@ from bus_kit import mirror
 from cycle_kit import P500, CycleBus, running, slave, steps
 from support import MS, US, S, WorldFactory
 
-from dpstack.dp.acyclic.class2 import ReadService
-from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.master.commands import ActivateSlave, AddSlave, DeactivateSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.master.events import CyclesMissed, MasterStopped, SlaveState, SlaveStateChanged
 from dpstack.dp.master.fixed_cycle import MissReason

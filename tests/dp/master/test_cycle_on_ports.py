@@ -13,8 +13,7 @@ from bus_kit import mirror
 from cycle_kit import CycleBus, slave
 from support import MS, US, S, WorldFactory
 
-from dpstack.dp.acyclic.class2 import ReadService
-from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.master.commands import Mode, SetMode, Shutdown
 from dpstack.dp.master.events import CyclesMissed, SlaveState
 from dpstack.dp.master.fixed_cycle import MissReason

@@ -8,8 +8,7 @@ import pytest
 from alarm_kit import ALL, AlarmBus, AlarmSlave, block
 from ms1_kit import setup
 
-from dpstack.dp.acyclic.class2 import ReadService
-from dpstack.dp.acyclic.class2_services import Service
+from dpstack.dp.acyclic.class2 import ReadService, Service
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.master.commands import Mode, ReparameteriseSlave, SetMode
 from dpstack.dp.master.events import SlaveState

@@ -17,8 +17,7 @@ from ms2_kit import Ms2Server, connections_of
 from octet_slave import DL, RS, SC, sd1, sd2
 from property_kit import examples
 
-from dpstack.dp.acyclic.class2 import ReadService
-from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.events import SlaveRemark, SlaveState, SlaveStateChanged
 from dpstack.dp.pdu.dpv1_status import Dpv1
