@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from dpstack.dp.master.commands import Mode
-from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.fixed_cycle import CycleData, CycleStats
 from dpstack.dp.master.scanner import Found
+from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.decoder import DecoderStats

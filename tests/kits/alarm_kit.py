@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from ms1_kit import MS, Ms1Bus, OctetMs1Slave
 from octet_slave import DL, RS, SC, sd1, sd2
 
-from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.events import SlaveRemark
+from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
 from dpstack.trace import Event

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.fixed_cycle import CycleStats
+from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.dp.process_data import as_json
 from dpstack.fdl.interface import LinkStats, StationStats
 from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s

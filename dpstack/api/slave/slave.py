@@ -14,9 +14,9 @@ from dpstack.api.streams import Stream
 from dpstack.argcheck import Sealed
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, ReparameteriseSlave
-from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.scanner import Found, SlaveView
+from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.dp.pdu.alarm_blocks import Status
 from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis

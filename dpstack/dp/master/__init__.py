@@ -2,9 +2,7 @@
 
 - ``commands``: Orders to the DP master and its modes
 - ``cycle``: One round over the slaves: which request comes next
-- ``diag_reader``: Parser of the diagnoses of one slave: an event when they change, remarks on deviations
 - ``events``: Events of the DP master for the application
-- ``fault_report``: Reports of one slave to the application: a fault when it changes, each remark once
 - ``fault_texts``: The texts of every fault of a slave: one clear line that says what happened, and what to do
 - ``fixed_cycle``: When the rounds over the slaves begin: as fast as the bus allows, or on an equidistant grid
 - ``global_control``: Global_Control: the master's mode, repeated; SYNC, FREEZE and their ends, each sent exactly once
@@ -17,6 +15,7 @@
 - ``settings``: Settings of a DP master that do not depend on its slaves, and the state that all its parts share
 - ``slave_handler``: The master's handling of one slave: what to ask it next, and what its answers mean
 - ``slave_list``: The slaves of a master while the bus runs: added, removed, taken out of service, parameterised anew
+- ``slave_reports``: Reports of one slave to the application: faults, remarks, diagnoses; alarms for their observer
 - ``slave_states``: The master's handling of one slave as a table: (state, what happened) -> state, with the clause
 - ``token_watch``: How long this station has had no token: after too long nobody can be in data exchange any more
 - ``verdicts``: What answers mean to a master that did not write the slave: diagnoses and odd answers to Data_Exchange

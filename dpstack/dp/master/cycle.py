@@ -210,7 +210,7 @@ class Round:
             request = self._service(now, room=room)
         if request is not None and isinstance(request.tag, SlaveHandler):
             longest = request.tag.setup.max_diag_len
-            last = request.tag.diagnoses.last
+            last = request.tag.reports.diagnosis
             if longest is None:
                 longest = _DIAGNOSIS if last is None else max(_DIAGNOSIS, 6 + len(last.ext))
             request = request._replace(answer=_ANSWERS.get(request.dsap or 0, longest))

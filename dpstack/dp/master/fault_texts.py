@@ -129,20 +129,19 @@ def left_locked(diagnosis: Diagnosis, master: int) -> tuple[str, str]:
     return f"is still locked by master {master}, which is not in the token ring (any more)", wait
 
 
-def not_supported() -> Fault:
-    """Diagnosis bit Not_Supported after Set_Prm."""
-    return Fault(
-        FaultKind.NOT_SUPPORTED,
-        "does not support something that Set_Prm asked for (Not_Supported)",
-        "take sync, freeze or the group out of its configuration",
-    )
+#: diagnosis bit Not_Supported after Set_Prm
+_NOT_SUPPORTED: Final = Fault(
+    FaultKind.NOT_SUPPORTED,
+    "does not support something that Set_Prm asked for (Not_Supported)",
+    "take sync, freeze or the group out of its configuration",
+)
 
 
 def refusal(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault | CfgFault:
     """The fault where ``diagnosis`` refuses Set_Prm, whose octets were ``sent``, or Chk_Cfg."""
     if diagnosis.prm_fault:
         return prm_fault(setup, diagnosis, sent)
-    return not_supported() if diagnosis.not_supported else cfg_fault(setup)
+    return _NOT_SUPPORTED if diagnosis.not_supported else cfg_fault(setup)
 
 
 def prm_fault(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault:

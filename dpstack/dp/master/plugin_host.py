@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.events import DriveEvent, Fault
-from dpstack.dp.master.fault_report import SlaveReports
+from dpstack.dp.master.slave_reports import SlaveReports
 from dpstack.dp.process_image import CyclicUnit, SlaveImage
 from dpstack.dp.slave_params import SlaveParams
 

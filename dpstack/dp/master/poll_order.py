@@ -66,11 +66,6 @@ class RateTurns:
         """It left data exchange: when it comes back it takes the next turn of its own."""
         self._due.pop(address, None)
 
-    @staticmethod
-    def interval_ns(setups: Sequence[SlaveParams]) -> int:
-        """The shortest time between the beginnings of two free running rounds that leave out who has no turn."""
-        return round_interval_ns((s.every, s.min_slave_interval_ns) for s in setups)
-
 
 #: states in which a slave is left alone or not there: its Min_Slave_Interval holds nobody up
 _AWAY = (SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED)
@@ -140,7 +135,7 @@ class Turns:
         urgent = [h for h in new if h.diag_due]
         self._services = deque(urgent + kept + [h for h in new if not h.diag_due])
         spoken_with = [h.setup for h in by_address if h.state not in _AWAY]
-        self.interval = self.rates.interval_ns(spoken_with)
+        self.interval = round_interval_ns((s.every, s.min_slave_interval_ns) for s in spoken_with)
         self.interval_all = max((s.min_slave_interval_ns for s in spoken_with), default=0)
         for handler in wanting:
             if handler.state is not SlaveState.DATA_EXCHANGE:

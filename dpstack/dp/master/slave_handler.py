@@ -11,27 +11,38 @@ from collections.abc import Callable
 from typing import Final
 
 from dpstack.dp.master import fault_texts
-from dpstack.dp.master.diag_reader import AlarmCounts, Diagnoses
 from dpstack.dp.master.events import Fault, SlaveState, SlaveStateChanged
-from dpstack.dp.master.fault_report import SlaveReports
 from dpstack.dp.master.fault_texts import CfgFault
 from dpstack.dp.master.plugin_host import UnitHost
 from dpstack.dp.master.retry_timing import Pacing
 from dpstack.dp.master.settings import MasterContext
+from dpstack.dp.master.slave_reports import AlarmCounts, SlaveReports
 from dpstack.dp.master.slave_states import TABLE, Trigger
 from dpstack.dp.master.verdicts import OddAnswers, Readiness, foreign_owner, masters_view, verdict_exchanging
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_image import SlaveImage, image_of
-from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, SlaveRequests, positive, refusal_text, set_prm
+from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text, set_prm
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.fdl.interface import Failure, Request
-from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_SET_PRM, SAP_SLAVE_DIAG, Resp, Telegram
+from dpstack.fdl.interface import LONG_NS, Failure, Request
+from dpstack.fdl.telegram import (
+    MAX_DATA,
+    SAP_CHK_CFG,
+    SAP_GET_CFG,
+    SAP_SET_PRM,
+    SAP_SLAVE_DIAG,
+    SSAP_MS0,
+    Req,
+    Resp,
+    Telegram,
+)
 from dpstack.units import NEVER
 
 _MAX_BUSY: Final = 5
 #: so many silent polls are reported as a fault
 _ABSENT_AFTER: Final = 3
 _DH: Final = int(Resp.DH)
+_SRD_HIGH: Final = Req.SRD_HIGH
+_NEW: Final = tuple.__new__  # NamedTuple's own constructor costs four times as much
 #: asked in every exchange: an enum's member costs ten times a name of the module
 _DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
 _BRINGING_UP: Final = (SlaveState.DIAGNOSIS, SlaveState.SET_PRM, SlaveState.CHK_CFG, SlaveState.WAIT_READY)
@@ -55,8 +66,7 @@ class SlaveHandler:
         self.setup = setup
         self.watchdog = setup.watchdog(context.settings.watchdog_ms)
         self.image: SlaveImage = image_of(setup, None if before is None else before.image)
-        self.reports = SlaveReports(setup, context.emit)
-        self.diagnoses = Diagnoses(setup, context.params.address, self.reports)
+        self.reports = SlaveReports(setup, context.emit, context.params.address)
         self.unit = UnitHost(self.image, setup, self.reports)
         self.state = SlaveState.OFFLINE
         #: in this state, in ns
@@ -86,9 +96,8 @@ class SlaveHandler:
         #: the octets of the last Set_Prm
         self._prm_sent = b""
         self._refused_data = False  # it left data exchange by itself, and no diagnosis was read since
-        self._requests = SlaveRequests(setup.address, self, still)
-        #: Data_Exchange with the outputs given; the same object as long as they stay the same
-        self.data_request: Callable[[bytes], Request] = self._requests.data
+        #: the last request of Data_Exchange
+        self._data = Request(setup.address, _SRD_HIGH, patient=True, tag=self, cyclic=True, still=still)
         if before is not None:
             self.unit.fault = before.unit.fault
             self.state = before.state if before.state is SlaveState.DEACTIVATED else self.state
@@ -96,7 +105,7 @@ class SlaveHandler:
     @property
     def ident(self) -> int:
         """The ident number in Set_Prm: as configured, or as taken from the first diagnosis (0 before)."""
-        return self.diagnoses.ident or 0
+        return self.reports.ident or 0
 
     @property
     def watchdog_effective_ns(self) -> int:
@@ -106,7 +115,7 @@ class SlaveHandler:
     @property
     def diagnosis(self) -> Diagnosis | None:
         """The last diagnosis with the bits that a master sets (Deactivated, Station_Non_Existent ...)."""
-        return masters_view(self.diagnoses.last, self.state, self.reports.fault)
+        return masters_view(self.reports.diagnosis, self.state, self.reports.fault)
 
     @property
     def fault(self) -> Fault | None:
@@ -122,9 +131,18 @@ class SlaveHandler:
     @property
     def alarm_counts(self) -> AlarmCounts | None:
         """What came of its alarms; None where it can have none."""
-        return self.diagnoses.observer.counts
+        return self.reports.observer.counts
 
     # --- cyclic path --------------------------------------------------------------------------------------------
+
+    def data_request(self, outputs: bytes) -> Request:
+        """Data_Exchange with ``outputs``: the same object as long as they stay the same."""
+        request = self._data
+        if request.data != outputs:
+            da, still = request.da, request.still
+            fields = (da, _SRD_HIGH, outputs, None, None, True, True, False, self, 0, MAX_DATA, True, still)
+            request = self._data = _NEW(Request, fields)
+        return request
 
     def data_result(self, outcome: Telegram | Failure, now: int) -> None:
         """The answer to Data_Exchange: data into the image, everything else on to the judging."""
@@ -138,13 +156,13 @@ class SlaveHandler:
                     image.inputs = data
                     image.input_time = now
                     if not image.valid:
-                        last = self.diagnoses.last
+                        last = self.reports.diagnosis
                         image.valid = last is None or not last.stat_diag
                     self.exchanges += 1
                     if not self._odd.none:
                         self._odd.clear()
                     if status == _DH:
-                        self.diagnoses.flagged = self.diagnoses.flagged or self.exchanges
+                        self.reports.flagged = self.reports.flagged or self.exchanges
                         self.want_diagnosis(now)
                     return
         self._odd_data(outcome, now)
@@ -157,9 +175,7 @@ class SlaveHandler:
             return
         verdict = self._odd.judge(outcome)
         if verdict is Trigger.WRONG_LENGTH:
-            # safe outputs and Unlock at once; the fault is reported with the answer to Get_Cfg
-            self._step(verdict, now)
-            self._inquire(verdict, fault_texts.wrong_length(self.setup, self.image.input_len, len(outcome.data)))
+            self._step(verdict, now, fault_texts.wrong_length(self.setup, self.image.input_len, len(outcome.data)))
         elif verdict is not None:
             self._left = refusal_text(outcome)
             self._step(verdict, now)
@@ -210,8 +226,17 @@ class SlaveHandler:
 
     def _service(self, sap: int, data: bytes, *, long: bool = False) -> Request:
         restart, self.restart = self.restart, False
-        patient = self.state is not SlaveState.OFFLINE
-        return self._requests.service(sap, data, patient=patient, restart=restart, long=long)
+        return Request(
+            self.setup.address,
+            _SRD_HIGH,
+            data,
+            sap,
+            SSAP_MS0,
+            patient=self.state is not SlaveState.OFFLINE,
+            restart=restart,
+            tag=self,
+            extra_ns=LONG_NS if long else 0,
+        )
 
     def service_result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request that :meth:`service_request` made."""
@@ -260,7 +285,7 @@ class SlaveHandler:
     # --- diagnosis ----------------------------------------------------------------------------------------------
 
     def _on_diagnosis(self, answer: Telegram, now: int) -> None:
-        diagnosis = self.diagnoses.read(answer.data, now)
+        diagnosis = self.reports.read_diagnosis(answer.data, now)
         if diagnosis is None:
             self._on_refusal(answer, "Slave_Diag", now)
             return
@@ -289,20 +314,11 @@ class SlaveHandler:
     def _judge_ready(self, diagnosis: Diagnosis, now: int) -> None:
         waited = now - self.since
         verdict, fault = self._ready.judge(self.setup, diagnosis, self._prm_sent, waited)
-        if isinstance(fault, CfgFault):
-            self._inquire(verdict, fault)
-            return
         if verdict is Trigger.DIAG_WAIT:
             self._pacing.not_ready(now, waited)
         elif verdict is Trigger.DIAG_READY and self.watchdog and not diagnosis.wd_on:
             self.reports.remark(fault_texts.NOT_WATCHING, now)
         self._step(verdict, now, fault)
-
-    def _inquire(self, event: Trigger, fault: CfgFault) -> None:
-        """Ask Get_Cfg next: the fault is to name the configuration that the slave has instead."""
-        self._inquiry = (event, fault)
-        if self.state is SlaveState.FAULT:
-            self.reports.fault = fault.compared(None)
 
     def _end_inquiry(self, actual: bytes | None, now: int) -> None:
         """The end of Get_Cfg: the ``actual`` identifier octets, None without a good answer."""
@@ -321,19 +337,11 @@ class SlaveHandler:
         self._pacing.exchanging(now, static=self.diag_due)
         self.image.valid = verdict is Trigger.DIAG_READY
         self._left = "" if verdict is Trigger.DIAG_PRM_REQ else None
-        fault = None
-        if verdict is Trigger.DIAG_REFUSED:
-            refusal = fault_texts.refusal(self.setup, diagnosis, self._prm_sent)
-            if isinstance(refusal, CfgFault):
-                self._step(verdict, now)
-                self._inquire(verdict, refusal)
-                return
-            fault = refusal
-        self._step(verdict, now, fault)
+        refused = verdict is Trigger.DIAG_REFUSED
+        self._step(verdict, now, fault_texts.refusal(self.setup, diagnosis, self._prm_sent) if refused else None)
         if self.state is SlaveState.DATA_EXCHANGE:
-            diagnoses = self.diagnoses
-            diagnoses.observer.take(diagnosis, diagnoses.flagged, self.exchanges, now)
-            diagnoses.flagged = 0
+            self.reports.observer.take(diagnosis, self.reports.flagged, self.exchanges, now)
+            self.reports.flagged = 0
         self._changed(self, now)
 
     def want_diagnosis(self, now: int) -> None:
@@ -344,11 +352,21 @@ class SlaveHandler:
 
     # --- states -------------------------------------------------------------------------------------------------
 
-    def _step(self, event: Trigger, now: int, fault: Fault | None = None) -> None:
-        row = TABLE.get((self.state, event))
+    def _step(self, trigger: Trigger, now: int, fault: Fault | CfgFault | None = None) -> None:
+        """Take the row of the table. A CfgFault is to name the configuration that the slave has: Get_Cfg is asked next.
+
+        A slave that is to become ready stays as it is until the answer; one in data exchange goes to Fault at once:
+        safe outputs and Unlock.
+        """
+        row = TABLE.get((self.state, trigger))
         if row is None:
             return
-        if fault is not None:
+        if isinstance(fault, CfgFault):
+            self._inquiry = (trigger, fault)
+            if self.state is SlaveState.WAIT_READY:
+                return
+            self.reports.fault = fault.compared(None)
+        elif fault is not None:
             self.reports.set_fault(fault, now)
         if row.next is not self.state:
             self._enter(row.next, now)
@@ -371,7 +389,7 @@ class SlaveHandler:
             self.reports.clear()
         if state is SlaveState.DATA_EXCHANGE:
             self.unit.remind(now)
-            self.diagnoses.observer.opened(self.diagnoses.last, now)
+            self.reports.observer.opened(self.reports.diagnosis, now)
         elif state is SlaveState.FAULT:
             self._pacing.refused(now)
         elif state in (SlaveState.OFFLINE, SlaveState.DEACTIVATED):
@@ -390,7 +408,7 @@ class SlaveHandler:
         self.restart = True
         self._pacing.left(now, now - self.since, silent=silent)
         self.unit.lost(now)
-        self.diagnoses.observer.closed(now)
+        self.reports.observer.closed(now)
 
     def deactivate(self, now: int) -> None:
         """Take it out of service; nothing is asked of it until :meth:`activate`."""
@@ -409,7 +427,7 @@ class SlaveHandler:
 
     def diagnosis_seen(self, octets: bytes, now: int) -> None:
         """Somebody else at this station has read its diagnosis: another ident is another device."""
-        diagnosis, last = Diagnosis.parse(octets), self.diagnoses.last
+        diagnosis, last = Diagnosis.parse(octets), self.reports.diagnosis
         if diagnosis is not None and last is not None and diagnosis.ident != last.ident:
             self.station_found(now)
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.master.commands import ActivateSlave, AddSlave, DeactivateSlave, Mode, RemoveSlave, ReparameteriseSlave
-from dpstack.dp.master.diag_reader import NO_ALARMS, DiagObserver
 from dpstack.dp.master.events import SlaveState, SlaveStateChanged
 from dpstack.dp.master.fixed_cycle import Cadence
 from dpstack.dp.master.global_control import Controls
@@ -19,6 +18,7 @@ from dpstack.dp.master.outputs_watch import OutputsWatch
 from dpstack.dp.master.poll_order import Turns
 from dpstack.dp.master.settings import MasterContext
 from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.dp.master.slave_reports import NO_ALARMS, DiagObserver
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.dp.services import unlock_prm
 from dpstack.dp.slave_params import SlaveParams
@@ -76,7 +76,7 @@ class Roster:
         """From now on ``observer`` gives the readers of alarms."""
         self._observer = observer
         for handler in self._handlers.values():
-            handler.diagnoses.observer = observer(handler, None)
+            handler.reports.observer = observer(handler, None)
 
     def find(self, address: int) -> SlaveHandler:
         """The handler of the slave at ``address``. Raises UsageError naming those there are."""
@@ -120,7 +120,7 @@ class Roster:
         self._cadence.check(setup)
         self._controls.check(setup)
         handler = SlaveHandler(setup, self._context, self._changed, self._watch.still_fresh, before)
-        handler.diagnoses.observer = self._observer(handler, before)
+        handler.reports.observer = self._observer(handler, before)
         return handler
 
     def _remove(self, handler: SlaveHandler, now: int) -> None:
@@ -129,7 +129,7 @@ class Roster:
         del self._handlers[handler.setup.address]
         self._turns.forget(handler)
         handler.unit.lost(now)
-        handler.diagnoses.observer.closed(now)
+        handler.reports.observer.closed(now)
         handler.image.valid = False
         handler.state = SlaveState.OFFLINE  # nothing more for it in this round
 

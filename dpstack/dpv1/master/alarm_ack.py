@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dpstack.dp.acyclic.job import ACKS, Outcome, ServiceFailure
 from dpstack.dp.acyclic.queue import Provider
-from dpstack.dp.master.diag_reader import NO_ALARMS, DiagObserver
 from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.dp.master.slave_reports import NO_ALARMS, DiagObserver
 from dpstack.dp.pdu.alarm_blocks import HEAD
 from dpstack.dpv1.master.alarm_handler import AlarmBook, AlarmHandler, OpenAlarm
 from dpstack.dpv1.master.ms1 import Ms1, Ms1Job

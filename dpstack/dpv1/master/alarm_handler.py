@@ -13,8 +13,8 @@ from enum import Enum
 from typing import Final
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
-from dpstack.dp.master.diag_reader import AlarmCounts, DiagObserver
 from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.dp.master.slave_reports import AlarmCounts, DiagObserver
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis

@@ -11,7 +11,7 @@ from gsd_kit import device
 
 import dpstack
 from dpstack.api.config.config import parse_config
-from dpstack.dp.master.fault_report import SlaveReports
+from dpstack.dp.master.slave_reports import SlaveReports
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
@@ -33,7 +33,7 @@ def test_the_words_of_the_gsd_file_in_either_process(rest: str) -> None:
     diagnosis = Diagnosis(8, 0x0C, 0, 2, 1, bytes.fromhex("05 21 03 01 01" + rest))
     there: list[dpstack.Event] = []
     for of in (setup, dataclasses.replace(setup, texts=None)):  # the bus process has none
-        handler: Any = SimpleNamespace(setup=of, reports=SlaveReports(of, there.append), want_diagnosis=None)
+        handler: Any = SimpleNamespace(setup=of, reports=SlaveReports(of, there.append, 2), want_diagnosis=None)
         AlarmHandler(handler, AlarmBook()).take(diagnosis, True, 1, 7)
     own, foreign = there
     assert isinstance(own, AlarmRaised)

@@ -1,0 +1,129 @@
+"""Reports of one slave to the application: faults when they change, each remark once, diagnoses that differ.
+
+Alarms and status messages in the diagnoses are left to an observer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveRemark
+from dpstack.dp.master.verdicts import deviations
+from dpstack.dp.pdu.diag_texts import block_texts
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.slave_params import SlaveParams
+from dpstack.report_once import Novelty, ReportOnce
+from dpstack.trace import Event
+
+_MAX_REMARKS: Final = 20
+_NO_MORE: Final = "; further deviations are not told"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmCounts:
+    """What came of the alarms of one slave. ``raised``: delivered; ``acknowledged``: the slave took it.
+
+    ``repeated``: acknowledgements sent again; ``refused``: that the slave did not take. ``too_many``: more at a time
+    than agreed, ``dropped``: those of them that nobody could keep. ``not_enabled``: kinds that Set_Prm did not enable,
+    ``malformed``: blocks that are neither alarm nor status; neither is delivered. ``statuses``: told.
+    """
+
+    raised: int = 0
+    acknowledged: int = 0
+    repeated: int = 0
+    refused: int = 0
+    too_many: int = 0
+    dropped: int = 0
+    not_enabled: int = 0
+    malformed: int = 0
+    statuses: int = 0
+
+
+class DiagObserver:
+    """Reads alarms and status messages in the diagnoses of one slave. This one reads none: for slaves without DP-V1."""
+
+    @property
+    def counts(self) -> AlarmCounts | None:
+        """What came of its alarms; None where it can have none."""
+        return None
+
+    def opened(self, last: Diagnosis | None, now: int) -> None:
+        """Data exchange begins; ``last`` was read before it."""
+
+    def take(self, diagnosis: Diagnosis, flagged_at: int, exchanges: int, now: int) -> None:
+        """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged_at``: the first of them in
+        which it asked for it (DH), 0: it did not."""
+
+    def closed(self, now: int) -> None:
+        """Data exchange ended."""
+
+
+NO_ALARMS: Final = DiagObserver()
+
+
+class SlaveReports:
+    """``fault`` is the last one since the slave was in data exchange (some slaves show it in one diagnosis only).
+
+    ``diagnosis``: the one read last. ``ident``: the ident number that the device must have, None until the first
+    diagnosis gives one. ``observer`` reads alarms and status messages of DP-V1 in the diagnoses; ``own``: the master's
+    address.
+    """
+
+    def __init__(self, setup: SlaveParams, emit: Callable[[Event], None], own: int) -> None:
+        self.fault: Fault | None = None
+        self.diagnosis: Diagnosis | None = None
+        self.ident = setup.ident
+        #: number of the first exchange with DH since the last diagnosis was read, 0 where there was none
+        self.flagged = 0
+        self.observer = NO_ALARMS
+        self._setup = setup
+        self._emit = emit
+        self._own = own
+        self._reported = ""
+        self._remarks = ReportOnce(_MAX_REMARKS)
+
+    def event(self, kind: type[SlaveEvent], now: int, **fields: Any) -> None:
+        """An event of the slave; ``fields`` are those that ``kind`` has besides time, address and name."""
+        self._emit(kind(t_ns=now, address=self._setup.address, name=self._setup.name, **fields))
+
+    def set_fault(self, fault: Fault, now: int) -> None:
+        """Keep ``fault``; report it when it is another than the last one."""
+        self.fault = fault
+        if fault.text != self._reported:
+            self._reported = fault.text
+            self.event(SlaveFaulted, now, fault=fault)
+
+    def remark(self, message: str, now: int) -> None:
+        """Report ``message`` once; of a slave that always deviates in another way the first ones."""
+        novelty = self._remarks.novelty(message)
+        if novelty is not Novelty.KNOWN:
+            self.event(SlaveRemark, now, message=message + (_NO_MORE if novelty is Novelty.LAST else ""))
+
+    @property
+    def is_silent(self) -> bool:
+        """The last fault says already that the slave does not answer."""
+        return self.fault is not None and self.fault.kind in (FaultKind.ABSENT, FaultKind.LOST)
+
+    def clear(self) -> None:
+        """The slave is well again: the next fault is reported even if it is the same."""
+        self.fault, self._reported = None, ""
+
+    def read_diagnosis(self, octets: bytes, now: int) -> Diagnosis | None:
+        """Read the answer to Slave_Diag; None where it is no diagnosis."""
+        diagnosis = Diagnosis.parse(octets)
+        if diagnosis is None:
+            text = f"answers Slave_Diag with {len(octets)} octets, at least 6 are required"
+            self.remark(text, now)
+            return None
+        if diagnosis != self.diagnosis:
+            self.diagnosis = diagnosis
+            texts = block_texts(diagnosis, self._setup.texts, dpv1=self._setup.dpv1 is not None)
+            self.event(SlaveDiagnosis, now, diagnosis=diagnosis, texts=texts)
+        if self.ident is None:
+            self.ident = diagnosis.ident
+            self.remark(f"its ident number is 0x{diagnosis.ident:04X} (taken from its diagnosis)", now)
+        for deviation in deviations(diagnosis, self._own):
+            self.remark(deviation, now)
+        return diagnosis
