@@ -28,6 +28,7 @@ DATA_STATUS: Final = frozenset((int(Resp.DL), int(Resp.DH)))
 EMPTY_STATUS: Final = DATA_STATUS | {int(Resp.OK)}
 
 SERVICE_NAMES: Final = {
+    SAP_GLOBAL_CONTROL: "Global_Control",
     SAP_SLAVE_DIAG: "Slave_Diag",
     SAP_SET_PRM: "Set_Prm",
     SAP_CHK_CFG: "Chk_Cfg",
@@ -89,7 +90,6 @@ def refusal_text(answer: Telegram) -> str:
 _READING: Final = frozenset((SAP_SLAVE_DIAG, SAP_GET_CFG, SAP_RD_INP, SAP_RD_OUTP))
 _ASKING: Final = frozenset((Req.FDL_STATUS, Req.IDENT))
 _SRD: Final = frozenset((Req.SRD_LOW, Req.SRD_HIGH))
-_NAMES: Final = {**SERVICE_NAMES, SAP_GLOBAL_CONTROL: "Global_Control"}
 
 
 def reading_only(request: Request) -> str | None:
@@ -100,7 +100,7 @@ def reading_only(request: Request) -> str | None:
         return None
     dsap = request.dsap
     if dsap is not None:
-        name = _NAMES.get(dsap, f"a service at SAP {dsap}")
+        name = SERVICE_NAMES.get(dsap, f"a service at SAP {dsap}")
     else:
         name = "Data_Exchange" if request.function in _SRD else request.function.name
     return f"{name} to station {request.da} was not sent: this bus is read-only; please report it, nothing may try"

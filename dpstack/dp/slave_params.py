@@ -42,7 +42,7 @@ class WatchdogTime(NamedTuple):
     @property
     def ns(self) -> int:
         """The effective time in ns."""
-        return watchdog_ns(self.factors, self.base_ms)
+        return self.factors[0] * self.factors[1] * self.base_ms * NS_PER_MS
 
     @property
     def ms(self) -> int:
@@ -193,8 +193,3 @@ def watchdog_factors(watchdog_ms: int, base_ms: int = 10) -> tuple[int, int]:
         if second <= 255 and first * second < best[0] * best[1]:
             best = (first, second)
     return best
-
-
-def watchdog_ns(factors: tuple[int, int], base_ms: int = 10) -> int:
-    """The time two factors give, in ns."""
-    return factors[0] * factors[1] * base_ms * NS_PER_MS

@@ -160,7 +160,7 @@ class Stack:
 
     @property
     def rotations(self) -> int:
-        return self.master.rotation_count
+        return self.master.rotation.count
 
     @property
     def cycle(self) -> CycleData | None:

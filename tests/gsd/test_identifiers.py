@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.slave_params import watchdog_factors, watchdog_ns
+from dpstack.dp.slave_params import WatchdogTime, watchdog_factors
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
 
@@ -95,7 +95,7 @@ def test_watchdog_factors(ms: int, effective_ms: int) -> None:
     """2570 ms: 257 is a prime above 255, so the next product of two factors is taken, 258 = 2 x 129."""
     factors = watchdog_factors(ms)
     assert all(1 <= factor <= 255 for factor in factors)
-    assert watchdog_ns(factors) == effective_ms * 1_000_000
+    assert WatchdogTime(factors).ns == effective_ms * 1_000_000
 
 
 _PRODUCTS = sorted({a * b for a in range(1, 256) for b in range(1, 256)})

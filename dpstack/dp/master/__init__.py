@@ -17,6 +17,5 @@
 - ``slave_list``: The slaves of a master while the bus runs: added, removed, taken out of service, parameterised anew
 - ``slave_reports``: Reports of one slave to the application: faults, remarks, diagnoses; alarms for their observer
 - ``slave_states``: The master's handling of one slave as a table: (state, what happened) -> state, with the clause
-- ``token_watch``: How long this station has had no token: after too long nobody can be in data exchange any more
 - ``verdicts``: What answers mean to a master that did not write the slave: diagnoses and odd answers to Data_Exchange
 """

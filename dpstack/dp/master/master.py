@@ -9,29 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from dpstack.dp.master.commands import (
-    ActivateSlave,
-    AddSlave,
-    Alive,
-    DeactivateSlave,
-    DriveCommand,
-    Mode,
-    RemoveSlave,
-    ReparameteriseSlave,
-    SendControl,
-    SetMode,
-    Shutdown,
-)
+from dpstack.dp.master.commands import Alive, DriveCommand, Mode, SendControl, SetMode, Shutdown
 from dpstack.dp.master.cycle import Round
 from dpstack.dp.master.events import ForcedClear, MasterStopped, ModeChanged, OperateWaits, SlaveState
 from dpstack.dp.master.fixed_cycle import Cadence, CycleData, CycleStats
 from dpstack.dp.master.global_control import Controls
-from dpstack.dp.master.outputs_watch import AutoClear, OutputsWatch
+from dpstack.dp.master.outputs_watch import AutoClear, OutputsWatch, TokenAge
 from dpstack.dp.master.poll_order import Turns
 from dpstack.dp.master.settings import DEFAULTS, MasterContext, MasterSettings
 from dpstack.dp.master.slave_handler import SlaveHandler
-from dpstack.dp.master.slave_list import SAFE_HOLD, ObserverOf, Roster
-from dpstack.dp.master.token_watch import TokenAge
+from dpstack.dp.master.slave_list import SAFE_HOLD, Roster
 from dpstack.dp.process_image import SlaveImage
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import BusError, UsageError
@@ -39,7 +26,7 @@ from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Telegram
-from dpstack.machine import HeldUp, LineDown, LineUp
+from dpstack.machine import HeldUp, LineDown
 from dpstack.params import BusParams
 from dpstack.stats import Histogram
 from dpstack.trace import Event
@@ -79,18 +66,14 @@ class Master:
         self._auto_clear = AutoClear(settings, self.handlers)
         self._token = TokenAge(params)
         self._cadence = Cadence(context)
-        self._roster = Roster(context, self.handlers, self._turns, self.controls, self._cadence, self._watch)
+        self.roster = Roster(context, self.handlers, self._turns, self.controls, self._cadence, self._watch)
         self._round = Round(
-            context, self._roster, self._turns, self.controls, self._cadence, self._round_begins, self._round_ended
+            context, self.roster, self._turns, self.controls, self._cadence, self._round_begins, self._round_ended
         )
         self._round_at = 0  # first bit of the last round's first Data_Exchange
         self._safe_until = 0  # so long safe values stand on the way down
         for setup in slaves:
-            self._roster.add(setup)
-
-    def observe(self, observer: ObserverOf) -> None:
-        """``observer`` gives the readers of alarms and status messages in the diagnoses of each slave."""
-        self._roster.observe(observer)
+            self.roster.add(setup)
 
     # --- what the application sees ------------------------------------------------------------------------------
 
@@ -114,10 +97,6 @@ class Master:
         """The process image of each slave by address."""
         return {address: handler.image for address, handler in self.handlers.items()}
 
-    @property
-    def rotation_count(self) -> int:
-        return self.rotation.count
-
     def command(self, command: object, now: int) -> bool:
         """Take the orders of :mod:`dpstack.dp.master.commands`. Misuse raises before anything is changed."""
         match command:
@@ -127,8 +106,6 @@ class Master:
                 self._watch.alive(now)
             case Shutdown():
                 self._shutdown(now)
-            case AddSlave() | RemoveSlave() | DeactivateSlave() | ActivateSlave() | ReparameteriseSlave():
-                self._roster.command(command, now)
             case SendControl():
                 self._writable("no Global_Control can be sent")
                 if not self._token.known or self.context.target < self.mode:
@@ -137,7 +114,7 @@ class Master:
                 self.controls.order(command)
             case DriveCommand(address, op, args, token):
                 self._writable("no drive can be commanded")
-                self._roster.find(address).unit.command(op, args, token, now)
+                self.roster.find(address).unit.command(op, args, token, now)
             case LineDown(reason):
                 self._line_lost(f"the port vanished ({reason})", now, port=True)
                 return False
@@ -145,15 +122,13 @@ class Master:
                 if kind is not None and address in self.handlers:
                     self.handlers[address].station_found(now)
                 return False
-            case LineUp():
-                return False
             case HeldUp():
                 self._watch.held_up(command)
                 if not command.suspended:  # that time is not in `now`
                     self._token.held_up(command.for_ns)
                 return not self._watch.still_fresh(now)
             case _:
-                return False
+                return self.roster.command(command, now)
         return True
 
     def take_events(self) -> list[Event]:
@@ -244,7 +219,7 @@ class Master:
         if self.mode is Mode.OPERATE:
             if now >= self._safe_until:
                 self._reach(Mode.CLEAR, now)
-        elif not (self.controls.urgent or self._roster.leaving):
+        elif not (self.controls.urgent or self.roster.leaving):
             self._reach(self.context.target, now)
 
     def _reach(self, mode: Mode, now: int, *, cleared: bool = True) -> None:
@@ -256,7 +231,7 @@ class Master:
         if mode <= Mode.STOP:
             self._round.cut(now)
             self._round_at = 0
-            self._roster.clear_farewells()
+            self.roster.clear_farewells()
             self.controls.let_go(f"the master is in {mode.name.capitalize()}", now)
             for handler in self.handlers.values():
                 handler.image.valid = False
@@ -358,7 +333,7 @@ class Master:
         self._round.cut(now)
         self._cadence.forget()
         self._round_at = 0
-        self._roster.clear_farewells()
+        self.roster.clear_farewells()
         self.controls.fail_all(reason, now)
         for handler in self.handlers.values():
             handler.line_lost(reason, now)

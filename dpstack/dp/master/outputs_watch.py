@@ -1,4 +1,5 @@
-"""When the master goes to Clear by itself: auto-clear, the stall rule (``after_stall``), the application watchdog.
+"""When the master goes to Clear by itself: auto-clear, the stall rule (``after_stall``), the application watchdog; and
+when it takes its slaves for lost, because it has no token.
 
 A stall is a time in which a slave was not asked for longer than its watchdog: the slave has taken its outputs back, and
 must not be given the old ones again without an order. The master calls :meth:`OutputsWatch.look` before it sends
@@ -8,13 +9,14 @@ anything.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Final, NamedTuple
+from typing import Final
 
 from dpstack.dp.master.events import ApplicationSilent, AutoCleared, Blocked, ForcedClear, SlaveState, Stalled
 from dpstack.dp.master.settings import MasterSettings
-from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.dp.master.slave_handler import AWAY, SlaveHandler
 from dpstack.machine import HeldUp
-from dpstack.units import NEVER, NS_PER_MS, ms_text
+from dpstack.params import BusParams
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ms_text
 
 
 class AutoClear:
@@ -63,17 +65,12 @@ class AutoClear:
         return [h for h in handlers if h.state is not SlaveState.DEACTIVATED and not h.setup.ignore_auto_clear]
 
 
-#: slaves that are in no state to have outputs, and do not count among those that want parameters at once
-_AWAY: Final = (SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED)
 #: so many slaves at least are "all": one alone may have been switched off and on
 _ALL: Final = 2
 
 
-class Block(NamedTuple):
-    """What kept the master from asking, and that for people."""
-
-    kind: Blocked
-    text: str
+#: what kept the master from asking, and that for people; None and "" where it is not known
+Block = tuple[Blocked | None, str]
 
 
 class OutputsWatch:
@@ -151,10 +148,9 @@ class OutputsWatch:
         """Nothing can be sent any more: the port (``port``) or the token is lost. To be called before the handlers
         are told, because they leave data exchange by it."""
         if self._watching:
-            block = Block(Blocked.PORT if port else Blocked.TOKEN, reason)
             for handler in self._handlers.values():
                 if handler.state is SlaveState.DATA_EXCHANGE:
-                    self.down.setdefault(handler, block)
+                    self.down.setdefault(handler, (Blocked.PORT if port else Blocked.TOKEN, reason))
             self.look_soon()
 
     def still_fresh(self, now: int) -> bool:
@@ -190,34 +186,33 @@ class OutputsWatch:
         if overdue:
             worst = max(overdue, key=lambda handler: now - handler.asked_at)
             gap = now - worst.asked_at
-            block = self._block(worst, gap)
+            blocked, text = self._find_block(worst, gap)
             slaves = tuple(sorted(handler.setup.address for handler in overdue))
             why = (
                 f"{worst.setup.who} was not asked for {ms_text(gap)}, "
                 f"longer than its watchdog of {ms_text(worst.watchdog_effective_ns)}"
             )
-            if block is None:
-                return Stalled(t_ns=now, gap_ns=gap, slaves=slaves, blocked=None, reason=why)
-            return Stalled(t_ns=now, gap_ns=gap, slaves=slaves, blocked=block.kind, reason=f"{why}: {block.text}")
+            reason = f"{why}: {text}" if text else why
+            return Stalled(t_ns=now, gap_ns=gap, slaves=slaves, blocked=blocked, reason=reason)
         return self._all_want_parameters(now)
 
-    def _block(self, handler: SlaveHandler, gap: int) -> Block | None:
+    def _find_block(self, handler: SlaveHandler, gap: int) -> Block:
         """What took most of the time ``gap`` in which ``handler`` was not asked."""
         held = self._held
         if held is not None and 2 * held.for_ns >= gap:
-            return Block(Blocked.SUSPENDED if held.suspended else Blocked.PROGRAM, held.what)
+            return Blocked.SUSPENDED if held.suspended else Blocked.PROGRAM, held.what
         if handler in self.down:
             return self.down[handler]
         if 2 * self._token_gap >= gap:
-            return Block(Blocked.TOKEN, f"the token did not come for {ms_text(self._token_gap)}")
-        return None
+            return Blocked.TOKEN, f"the token did not come for {ms_text(self._token_gap)}"
+        return None, ""
 
     def _all_want_parameters(self, now: int) -> Stalled | None:
         """No gap was seen, but the watchdogs of all slaves ran out in the same moment: a clock that stood still.
 
         One slave alone is its own restart.
         """
-        present = [h for h in self._handlers.values() if h.watchdog_effective_ns and h.state not in _AWAY]
+        present = [h for h in self._handlers.values() if h.watchdog_effective_ns and h.state not in AWAY]
         times = [handler.prm_req_at for handler in present]
         if len(present) < _ALL or NEVER in times:
             return None
@@ -226,3 +221,60 @@ class OutputsWatch:
         slaves = tuple(sorted(handler.setup.address for handler in present))
         why = "all slaves with a watchdog want parameters (Prm_Req) at once, as after a time in which nobody asked them"
         return Stalled(t_ns=now, gap_ns=None, slaves=slaves, blocked=None, reason=why)
+
+
+#: without a token for T_TR and so long nobody can be in data exchange any more; an ordered end waits only so long
+_SILENCE: Final = NS_PER_S
+
+
+class TokenAge:
+    """``watch_at``: when :meth:`too_old` is to be asked, in ns, or NEVER. It is moved on only there."""
+
+    def __init__(self, params: BusParams) -> None:
+        #: first bit of the last request: what is sent after a token is its sign of life
+        self.sent_at = 0
+        self.watch_at = NEVER
+        self._at = NEVER
+        self._since = 0
+        self._held_ns = 0  # nobody ran this station for so long since the last token
+        # at 9.6 kbit/s one rotation may rightly take T_TR = 5 s
+        self._limit = _SILENCE + params.ns(params.t_tr)
+
+    @property
+    def known(self) -> bool:
+        """There was a token, and it is not known to be lost."""
+        return self._at != NEVER
+
+    def received(self, now: int) -> None:
+        """A token hold begins."""
+        self._at = now
+        self._held_ns = 0
+        if self.watch_at == NEVER:
+            self.watch_at = self._quiet_at()
+
+    def ending(self, now: int) -> None:
+        """The end was ordered: it is not waited for as long as otherwise."""
+        self._limit = _SILENCE
+        self._since = now
+        self.watch_at = self._quiet_at()
+
+    def held_up(self, for_ns: int) -> None:
+        """Nobody ran this station for so long: it could take no token in that time, which does not count therefore."""
+        self._held_ns += for_ns
+
+    def lost(self) -> None:
+        """No token, or none is needed any more."""
+        self._at = self.watch_at = NEVER
+
+    def too_old(self, now: int) -> bool:
+        """Whether the present silence is too long."""
+        quiet_at = self._quiet_at()
+        if now < quiet_at:
+            self.watch_at = quiet_at
+            return False
+        return True
+
+    def _quiet_at(self) -> int:
+        if self._at == NEVER:
+            return NEVER
+        return max(self._at, self.sent_at, self._since) + self._held_ns + self._limit

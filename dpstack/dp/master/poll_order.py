@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.settings import MasterContext
-from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.dp.master.slave_handler import AWAY, SlaveHandler
 from dpstack.dp.rate_groups import offsets, round_interval_ns
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import share
@@ -65,10 +65,6 @@ class RateTurns:
     def away(self, address: int) -> None:
         """It left data exchange: when it comes back it takes the next turn of its own."""
         self._due.pop(address, None)
-
-
-#: states in which a slave is left alone or not there: its Min_Slave_Interval holds nobody up
-_AWAY = (SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED)
 
 
 class Turns:
@@ -134,7 +130,7 @@ class Turns:
         new = [h for h in wanting if h not in known]
         urgent = [h for h in new if h.diag_due]
         self._services = deque(urgent + kept + [h for h in new if not h.diag_due])
-        spoken_with = [h.setup for h in by_address if h.state not in _AWAY]
+        spoken_with = [h.setup for h in by_address if h.state not in AWAY]  # others hold nobody up
         self.interval = round_interval_ns((s.every, s.min_slave_interval_ns) for s in spoken_with)
         self.interval_all = max((s.min_slave_interval_ns for s in spoken_with), default=0)
         for handler in wanting:

@@ -45,6 +45,8 @@ _SRD_HIGH: Final = Req.SRD_HIGH
 _NEW: Final = tuple.__new__  # NamedTuple's own constructor costs four times as much
 #: asked in every exchange: an enum's member costs ten times a name of the module
 _DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
+#: states in which a slave is left alone or not there
+AWAY: Final = (SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED)
 _BRINGING_UP: Final = (SlaveState.DIAGNOSIS, SlaveState.SET_PRM, SlaveState.CHK_CFG, SlaveState.WAIT_READY)
 
 
@@ -64,7 +66,9 @@ class SlaveHandler:
         before: SlaveHandler | None,
     ) -> None:
         self.setup = setup
-        self.watchdog = setup.watchdog(context.settings.watchdog_ms)
+        self._watchdog = setup.watchdog(context.settings.watchdog_ms)
+        #: the watchdog time of the slave in ns, 0 when off
+        self.watchdog_effective_ns = self._watchdog.ns if self._watchdog else 0
         self.image: SlaveImage = image_of(setup, None if before is None else before.image)
         self.reports = SlaveReports(setup, context.emit, context.params.address)
         self.unit = UnitHost(self.image, setup, self.reports)
@@ -106,11 +110,6 @@ class SlaveHandler:
     def ident(self) -> int:
         """The ident number in Set_Prm: as configured, or as taken from the first diagnosis (0 before)."""
         return self.reports.ident or 0
-
-    @property
-    def watchdog_effective_ns(self) -> int:
-        """The slave's watchdog time in ns, 0 when off."""
-        return self.watchdog.ns if self.watchdog else 0
 
     @property
     def diagnosis(self) -> Diagnosis | None:
@@ -217,7 +216,7 @@ class SlaveHandler:
             self.restart = True
         if state is SlaveState.SET_PRM:
             self.owned = True
-            self._prm_sent = set_prm(self.setup, self.ident, self.watchdog)
+            self._prm_sent = set_prm(self.setup, self.ident, self._watchdog)
             return self._service(SAP_SET_PRM, self._prm_sent)
         if state is SlaveState.CHK_CFG:
             self._ready.cfg_sent = True
@@ -316,7 +315,7 @@ class SlaveHandler:
         verdict, fault = self._ready.judge(self.setup, diagnosis, self._prm_sent, waited)
         if verdict is Trigger.DIAG_WAIT:
             self._pacing.not_ready(now, waited)
-        elif verdict is Trigger.DIAG_READY and self.watchdog and not diagnosis.wd_on:
+        elif verdict is Trigger.DIAG_READY and self._watchdog and not diagnosis.wd_on:
             self.reports.remark(fault_texts.NOT_WATCHING, now)
         self._step(verdict, now, fault)
 

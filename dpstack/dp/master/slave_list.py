@@ -42,7 +42,6 @@ class Leaving:
     safe: bool = False  # it was sent safe values
 
 
-Change = AddSlave | RemoveSlave | DeactivateSlave | ActivateSlave | ReparameteriseSlave
 #: gives the observer of the diagnoses of a slave; second: its handler under other parameters before, if any
 ObserverOf = Callable[[SlaveHandler, SlaveHandler | None], DiagObserver]
 
@@ -86,8 +85,8 @@ class Roster:
             raise UsageError(f"no slave with address {address} is configured (configured: {known})")
         return handler
 
-    def command(self, command: Change, now: int) -> None:
-        """Carry out one change. Raises UsageError or ConfigError before anything is changed."""
+    def command(self, command: object, now: int) -> bool:
+        """Carry out one change; False for another command. Raises UsageError or ConfigError before any change."""
         match command:
             case AddSlave(setup):
                 self.add(setup)
@@ -105,6 +104,9 @@ class Roster:
                 self._remove(before, now)
                 self._handlers[setup.address] = handler
                 handler.reports.event(SlaveStateChanged, now, state=handler.state)
+            case _:
+                return False
+        return True
 
     def add(self, setup: SlaveParams) -> None:
         """Take up one more. Raises ConfigError."""

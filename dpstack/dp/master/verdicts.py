@@ -33,8 +33,7 @@ class OddAnswers:
     """Counts them; one good exchange forgives all (:attr:`none` is False while there is something to forgive)."""
 
     def __init__(self) -> None:
-        self.none = True
-        self._wrong = self._busy = 0
+        self.clear()
 
     def clear(self) -> None:
         """A good exchange, or a new state."""

@@ -9,7 +9,7 @@ from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu.dpv1_status import FAIL_SAFE, WD_BASE_1MS
 from dpstack.dp.pdu.requests import SetPrm
 from dpstack.dp.slave.device import DpV0Device
-from dpstack.dp.slave_params import watchdog_ns
+from dpstack.dp.slave_params import WatchdogTime
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import agree, io_lengths
@@ -53,7 +53,7 @@ def watchdog_time(device: DpV0Device, prm: SetPrm) -> int:
     if prm.watchdog is None:
         return 0
     fine = device.wd_base_1ms and _dpv1_status(prm) & WD_BASE_1MS
-    return watchdog_ns(prm.watchdog, 1 if fine else 10)
+    return WatchdogTime(prm.watchdog, 1 if fine else 10).ns
 
 
 def _dpv1_status(prm: SetPrm) -> int:

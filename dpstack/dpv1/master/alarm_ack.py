@@ -76,7 +76,7 @@ class Alarms(Provider):
         #: of slaves that are parameterised for DP-V1
         self._alarms: dict[int, AlarmHandler] = {}
         if ms1.master is not None:
-            ms1.master.observe(self._observer)
+            ms1.master.roster.observe(self._observer)
 
     def _observer(self, handler: SlaveHandler, before: SlaveHandler | None) -> DiagObserver:
         address = handler.setup.address

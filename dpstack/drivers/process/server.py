@@ -226,7 +226,7 @@ class Host:
 
     def _publish(self) -> None:
         slaves = {address: image_snapshot(handler) for address, handler in self._master.handlers.items()}
-        self._image.inputs.write(Picture(self._master.rounds, self._master.rotation_count, slaves))
+        self._image.inputs.write(Picture(self._master.rounds, self._master.rotation.count, slaves))
 
     def _publish_drives(self) -> None:
         """What the plugins tell of their drives, where that has changed."""
