@@ -373,7 +373,7 @@ class Bus(Sealed, BusBase):
     def _on_events(self, events: list[Event]) -> None:
         for event in events:
             self._ordered_end.on_event(event)
-            if self.services.take(event):  # only the caller that awaits this service gets it
+            if self.services.handle_event(event):  # only the caller that awaits this service gets it
                 continue
             match event:
                 case DriveEvent(address=address, payload=payload):

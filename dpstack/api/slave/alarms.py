@@ -37,7 +37,7 @@ class SlaveAlarm:
     ``diagnosis``: the telegram with the alarm, ``texts``: its other blocks. ``t_ns``: bus time.
     """
 
-    def __init__(self, raised: AlarmRaised, desk: AlarmListeners, keepers: set[_Listener]) -> None:
+    def __init__(self, raised: AlarmRaised, listeners: AlarmListeners, keepers: set[_Listener]) -> None:
         self.address = raised.address
         self.name = raised.name
         self.type = raised.alarm.type
@@ -50,10 +50,10 @@ class SlaveAlarm:
         self.diagnosis: Diagnosis = raised.diagnosis
         self.texts = raised.texts
         self.t_ns = raised.t_ns
-        #: all of it in one line, with the slave
+        #: slave and alarm in one line
         self.text = raised.text
         self._raised = raised
-        self._desk = desk
+        self._bus_listeners = listeners
         #: listeners that have not read it
         self._keepers = keepers
         self._end: Outcome | None = None
@@ -84,7 +84,7 @@ class SlaveAlarm:
         May be repeated. Raises AcyclicError and ServiceRefused where the slave refuses, SlaveFault when it left data
         exchange before (its alarms are void then), UsageError, BusError.
         """
-        await self._desk.acknowledge(self)
+        await self._bus_listeners.acknowledge(self)
 
 
 class _Listener(Stream[SlaveAlarm]):
@@ -98,19 +98,19 @@ class _Listener(Stream[SlaveAlarm]):
 class AlarmStream(AsyncIterator[SlaveAlarm]):
     """An async iterator over the alarms of one slave. Ends with the bus, or when the slave is removed from it."""
 
-    def __init__(self, desk: AlarmListeners, address: int, acknowledge: bool) -> None:
-        self._desk = desk
+    def __init__(self, listeners: AlarmListeners, address: int, acknowledge: bool) -> None:
+        self._bus_listeners = listeners
         self._address = address
         self._acknowledge = acknowledge
         self._listener = _Listener()
-        desk.listen(address, self._listener)
+        listeners.listen(address, self._listener)
         # a program may leave an ``async for`` without close(): the slave must not wait for it
-        self._leave = when_dropped(self, desk.leave, address, self._listener)
+        self._leave = when_dropped(self, listeners.leave, address, self._listener)
 
     def close(self) -> None:
         """End the stream; its unread alarms are acknowledged. May be repeated."""
         self._leave.detach()
-        self._desk.leave(self._address, self._listener)
+        self._bus_listeners.leave(self._address, self._listener)
 
     async def __anext__(self) -> SlaveAlarm:
         listener = self._listener
@@ -119,7 +119,7 @@ class AlarmStream(AsyncIterator[SlaveAlarm]):
         except StopAsyncIteration:
             raise listener.error or StopAsyncIteration from None
         if self._acknowledge:
-            self._desk.release(alarm, listener)
+            self._bus_listeners.release(alarm, listener)
         return alarm
 
 
@@ -186,9 +186,9 @@ class AlarmListeners:
         with contextlib.suppress(DpError):  # the bus has ended, or the slave was removed
             self._command(command)
 
-    # --- from the machine ---------------------------------------------------------------------------------------
+    # --- events of the machine ---------------------------------------------------------------------------------------
 
-    def take(self, event: Event) -> bool:
+    def handle_event(self, event: Event) -> bool:
         """True for events that no other reader gets."""
         match event:
             case AlarmRaised(held=True):

@@ -108,7 +108,7 @@ class Services:
             with contextlib.suppress(DpError):  # the bus may have ended meanwhile
                 self._command(CloseConnection(token))
 
-    def take(self, event: Event) -> bool:
+    def handle_event(self, event: Event) -> bool:
         """An event from the machine: True for the end of a service, which only its caller gets."""
         if isinstance(event, ConnectionOver):
             ending = self.connections.pop(event.connection, None)
@@ -119,7 +119,7 @@ class Services:
         if isinstance(event, ConnectionsClosed):
             return True
         if not isinstance(event, ServiceEnd | ControlSent | ControlFailed | PictureTaken | ScanDone):
-            return self.alarms.take(event)
+            return self.alarms.handle_event(event)
         if (waiting := self._waiting.get(event.token)) is not None:
             future, kinds = waiting
             if isinstance(event, kinds) and not future.done():

@@ -123,7 +123,7 @@ class Ms2(Connections):
         busy = self.queue.lanes()
         for connection in self.connections.values():
             if connection.phase is Phase.OPEN and connection.lane not in busy:
-                quiet_ns = now - connection.heard_at
+                quiet_ns = now - connection.answered_at
                 if connection.outstanding or quiet_ns >= connection.send_timeout_ns // QUIET_SHARE:
                     job = IdleJob(connection, self)
                     self.queue.put(job, job.timeout_ns, now)
@@ -136,7 +136,7 @@ class Ms2(Connections):
     def request_ended(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request to any station."""
         if isinstance(request.tag, MasterConnection) and isinstance(outcome, Telegram):
-            request.tag.heard_at = now
+            request.tag.answered_at = now
             if request.data and classify(outcome, requested=True) is Reply.AGAIN:
                 request.tag.outstanding = False
 
@@ -153,16 +153,15 @@ class Ms2(Connections):
         """The time at which an open connection will have been silent for too long."""
         if not self.connections:
             return NEVER
-        return min(
-            (c.heard_at + c.send_timeout_ns for c in self.connections.values() if c.phase is Phase.OPEN), default=NEVER
-        )
+        ends = (c.answered_at + c.send_timeout_ns for c in self.connections.values() if c.phase is Phase.OPEN)
+        return min(ends, default=NEVER)
 
     def tick(self, now: int) -> bool:
         """End the silent connections; True if there were any."""
         if not self.connections:
             return False
         connections = self.connections.values()
-        silent = [c for c in connections if c.phase is Phase.OPEN and now >= c.heard_at + c.send_timeout_ns]
+        silent = [c for c in connections if c.phase is Phase.OPEN and now >= c.answered_at + c.send_timeout_ns]
         for connection in silent:
             seconds = ns_to_s(connection.send_timeout_ns)
             reason = f"nothing was heard of the slave for {seconds:g} s (the send time-out)"

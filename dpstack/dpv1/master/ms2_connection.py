@@ -61,7 +61,7 @@ class MasterConnection:
     max_len: int = 0
     phase: Phase = Phase.OPENING
     #: time of the slave's last answer
-    heard_at: int = 0
+    answered_at: int = 0
     #: the slave may hold a connection for this master
     taken: bool = False
     #: a request was sent and its answer has not come
