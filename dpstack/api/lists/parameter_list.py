@@ -254,7 +254,7 @@ class Readable(Listing, Protocol):
 
 
 def _kept(file: FileToBe, part: ParameterList) -> str:
-    """Where the ``part`` is of a list that was cut short. What cut it short is told, not that there is no room, too."""
+    """A note about the file with the ``part`` of a list; if it cannot be written, the note says so."""
     read = f"cut short: the {len(part.parameters)} parameters read so far are"
     try:
         return f"{read} in {part.keep(file)}"

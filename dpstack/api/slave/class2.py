@@ -37,9 +37,9 @@ class ProcessData:
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """The identifier octets of a slave (Get_Cfg), and what they say.
+    """The identifier octets of a slave (Get_Cfg), decoded.
 
-    ``finding``: why they cannot be read to the end; then there are no ``identifiers`` and no lengths.
+    ``finding``: the reason why they cannot be decoded; then there are no ``identifiers`` and no lengths.
     """
 
     octets: bytes
@@ -59,9 +59,9 @@ class Configuration:
 
 @dataclass(frozen=True, slots=True)
 class ReadDiagnosis(Diagnosis):
-    """A diagnosis, and ``diagnosis_texts``: what it says, for people, as :attr:`dpstack.Slave.diagnosis_texts` has it.
+    """A diagnosis with its ``diagnosis_texts``, as in :attr:`dpstack.Slave.diagnosis_texts`.
 
-    The texts of its GSD file are among them where this bus has such a slave there.
+    They include texts of the GSD file if this bus has such a slave at that address.
     """
 
     diagnosis_texts: tuple[str, ...] = ()
@@ -70,9 +70,9 @@ class ReadDiagnosis(Diagnosis):
 class Class2(Sealed):
     """The class 2 services of one bus. A ``timeout`` in seconds counts from the call: others may be waiting before.
 
-    All raise UsageError for what cannot be (another address range, a closed bus, 32 services waiting), SlaveTimeout
-    when no answer came in time, ServiceRefused when the slave says no, SlaveFault for an answer that cannot be one,
-    BusError when the port vanished meanwhile.
+    All raise UsageError for impossible orders (another address range, a closed bus, 32 services waiting), SlaveTimeout
+    when no answer came in time, ServiceRefused when the slave refuses, SlaveFault for an impossible answer, BusError
+    when the port vanished meanwhile.
     """
 
     def __init__(self, bus: Host, slaves: Mapping[int, Slave], find: Callable[[str], Slave]) -> None:
@@ -210,7 +210,7 @@ class Class2(Sealed):
         return address
 
     def _check_settable(self, old: int, new: int, ident: int | None) -> None:
-        """Raises UsageError where its GSD file says that it cannot be given an address."""
+        """Raises UsageError for a slave whose GSD file excludes Set_Slave_Add."""
         alike = [slave for slave in self._slaves.values() if ident is not None and slave.setup.ident == ident]
         known = self._slaves.get(old) or (alike[0] if alike else self._slaves.get(new) if ident is None else None)
         device = None if known is None else known.config.device

@@ -38,7 +38,7 @@ from dpstack.profile.record47 import (
 from dpstack.units import NEVER, NS_PER_S, s_to_ns
 
 T = TypeVar("T")
-#: Carries out one Read or Write of the slave: what was read, b"" after a Write, its negative answer, or none.
+#: carries out one Read or Write: returns the data read, b"" after a Write, the negative response, or Silent
 CarryOut = Callable[[ReadReq | WriteReq], Awaitable[bytes | Refused | Silent]]
 
 
@@ -74,7 +74,7 @@ class RecordParameters:
         return self._client.counters
 
     async def limits(self, timeout: float | None = None) -> Limits:
-        """What the drive's PNU 974 says; respected from now on."""
+        """The limits in the drive's PNU 974; requests respect them from now on."""
         found = await self._run(lambda deadline: read_limits(self._client, deadline), timeout)
         self._limits_known = True
         return found
@@ -114,9 +114,10 @@ class RecordParameters:
         progress: Progress | None = None,
         describing: Progress | None = None,
     ) -> list[ReadParameter]:
-        """Every parameter of the drive's list with its values; ``progress`` of these, ``describing`` what is before.
+        """Every parameter of the drive's list with its values. ``progress`` counts the values, ``describing`` the
+        descriptions before.
 
-        Its limits are asked for first where they are not known.
+        Reads its limits first if they are not known.
         """
 
         def begin(deadline: int) -> Transport[list[ReadParameter]]:
@@ -163,7 +164,7 @@ def drive_error(name: str, kind: object, text: object, number: object = None) ->
 
 
 def _wanted(items: Iterable[Address | Item | int]) -> list[Address | Item]:
-    """A list of addresses, whatever way they are named. Raises UsageError for what is none."""
+    """``items`` as a list of addresses. Raises UsageError for anything else."""
     if not isinstance(items, Iterable) or isinstance(items, (Address, Item, str)):
         raise UsageError(f"{items!r} is no list of parameters: give for instance [930, Address(964, 0, 7)]")
     found = list(items)

@@ -109,7 +109,7 @@ class Services:
                 self._command(CloseConnection(token))
 
     def handle_event(self, event: Event) -> bool:
-        """An event from the machine: True for the end of a service, which only its caller gets."""
+        """Returns True for the end of a service, an event for its caller only."""
         if isinstance(event, ConnectionOver):
             ending = self.connections.pop(event.connection, None)
             if ending is not None:

@@ -104,7 +104,7 @@ class AlarmHandler(DiagObserver):
         self._asked: OpenAlarm | None = None
         self._settling = Settling(in_order=self._limit > 0)
         self._dropped = False
-        self._silence_told = False
+        self._silence_reported = False
         self._last: Diagnosis | None = None
         #: blocks of the last diagnosis: they bring no new alarm
         self._before: set[bytes] = set()
@@ -177,7 +177,7 @@ class AlarmHandler(DiagObserver):
         fresh = octets not in self._before
         if known is not None:
             if not (fresh and known.maybe_taken):
-                if fresh and known.octets != octets:  # over the one that nobody has acknowledged
+                if fresh and known.octets != octets:  # it replaces an alarm without acknowledgement
                     self._too_many(now)
                 known.shown = known.shown or known.maybe_taken or known.octets != octets
                 return
@@ -295,8 +295,8 @@ class AlarmHandler(DiagObserver):
             known.not_before = now + _AGAIN[min(known.attempts, len(_AGAIN)) - 1]
             if outcome.failure not in (ServiceFailure.CLOSED, ServiceFailure.NEGATIVE):
                 known.unanswered = True
-                if not self._silence_told:
-                    self._silence_told = True
+                if not self._silence_reported:
+                    self._silence_reported = True
                     self._reports.remark(f"{self._remark_of(outcome)}; it is acknowledged again until it answers", now)
 
     def _remark_of(self, outcome: Outcome) -> str:
