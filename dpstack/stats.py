@@ -8,7 +8,6 @@ from typing import Final
 from dpstack.units import NS_PER_US
 
 _SUB_BITS: Final = 8  # 256 buckets an octave: values are kept to 0.4 %
-_SUB: Final = 1 << _SUB_BITS
 
 
 @dataclass(slots=True)
