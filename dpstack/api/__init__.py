@@ -1,4 +1,4 @@
-"""What a user imports: configuration, bus, slaves, drives.
+"""The interface for applications: configuration, bus, slaves, drives.
 
 - ``bus/``: A bus as its user sees it: made from a configuration, opened, planned, watched, closed
 - ``config/``: Configurations: a TOML file or a dict, checked key by key

@@ -22,7 +22,8 @@ DEPTH: Final = 1000
 
 OnEvent = Callable[[Event], None]
 
-#: A slave's state changes, faults and diagnoses are told one by one up to so many at once and so many a second.
+#: The application gets the state changes, faults and diagnoses of a slave one by one, up to so many at once and so
+#: many a second.
 _BURST: Final = 40
 _PER_S: Final = 5
 #: After this time a slave that had more of them is reported: how many there were, and the newest of each kind.
@@ -97,13 +98,13 @@ def hand_to(on_event: OnEvent | None, event: Event) -> None:
         try:
             on_event(event)
         except Exception as error:
-            told = {"message": f"on_event raised at {event.text!r}", "exception": error}
-            asyncio.get_running_loop().call_exception_handler(told)
+            context = {"message": f"on_event raised at {event.text!r}", "exception": error}
+            asyncio.get_running_loop().call_exception_handler(context)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveFlapping(SlaveEvent):
-    """A slave's state or diagnosis changes too often to be told one by one: ``count`` changes were left out.
+    """The state or the diagnosis of a slave changes too often: ``count`` changes were left out.
 
     The newest state, fault and diagnosis among them follow this event. ``drive``: the changes are those of the drive.
     """

@@ -157,7 +157,7 @@ _WHOLE: Final = {
 #: the highest bit number of a parameter
 _LAST_BIT: Final = 31
 
-#: type, default, allowed values, what is wrong (empty: nothing)
+#: type, default, allowed values, problem (empty: none)
 _TypeItem: TypeAlias = tuple[PrmType, int, Ranges, str]
 
 

@@ -104,7 +104,7 @@ def reach_of(prm: PrmBlock, parameters: Mapping[int, Parameter]) -> int:
 
 
 def _check_device(device: Device, settings: Settings, findings: Findings) -> None:
-    """Report what is wrong with the file as a whole."""
+    """Report the faults of the file as a whole."""
     if device.ident is None:
         findings.error(1, "no Ident_Number: the file is damaged, or it is of no DP slave; get a whole copy of it")
     if not device.speeds:

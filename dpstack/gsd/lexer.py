@@ -52,7 +52,7 @@ class Statement:
 
     @property
     def column(self) -> int:
-        """Where the value begins in its logical line, from 1."""
+        """Column of the value in its logical line, from 1."""
         match = _LINE.match(self.text)
         return 1 if match is None else match.start(4) + 1
 

@@ -466,5 +466,5 @@ def _is_f(keyword: str) -> bool:
 
 
 def folded(name: str) -> str:
-    """A name as people compare it: case and runs of blanks do not count."""
+    """``name`` for comparisons: in one case, runs of blanks as one blank."""
     return " ".join(name.split()).casefold()

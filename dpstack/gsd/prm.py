@@ -46,12 +46,12 @@ class Field:
 
     @property
     def key(self) -> str:
-        """How to name it without doubt: ``2/Filter@4``, bits ``2/Filter@4.3``."""
+        """The unambiguous key: ``2/Filter@4``, of bits ``2/Filter@4.3``."""
         return f"{self.place}/{self.local_key}"
 
     @property
     def local_key(self) -> str:
-        """Its key within the device's or the module's part: ``Filter@4``, ``Filter@4.3``."""
+        """The key within the part of the device or the module: ``Filter@4``, ``Filter@4.3``."""
         kind = self.parameter.type
         bit = f".{kind.first}" if kind.kind in (PrmKind.BIT, PrmKind.BIT_AREA) else ""
         return f"{self.parameter.name}@{self.offset}{bit}"
@@ -83,8 +83,8 @@ class Contradiction:
         """The value of each :class:`Reading`, without the parameter's name."""
         parameter = self.field.parameter
         return (
-            f"its default is {_shown(parameter, parameter.default)}, the constant octets say "
-            f"{_shown(parameter, self.const)}"
+            f"its default is {_value_text(parameter, parameter.default)}, the constant octets say "
+            f"{_value_text(parameter, self.const)}"
         )
 
 
@@ -184,7 +184,7 @@ class UserPrm:
         if len(found) == 1:
             return found[0]
         if not found:
-            raise GsdError(f"there is no parameter {key!r}; {_nearest(key, self._fields)}")
+            raise GsdError(f"there is no parameter {key!r}; {_nearest_names(key, self._fields)}")
         meant = ", ".join(repr(field.key) for field in found[:8])
         more = f" and {len(found) - 8} more" if len(found) > 8 else ""
         raise GsdError(f"{key!r} may be {len(found)} parameters; write one of {meant}{more}")
@@ -206,7 +206,7 @@ class UserPrm:
         return tuple(
             Contradiction(field, const.value)
             for field, const in zip(self._fields, consts, strict=True)
-            if not field.slot_number and field.key not in self._set and const.value != _fitted(field.parameter)
+            if not field.slot_number and field.key not in self._set and const.value != _default_in_bits(field.parameter)
         )
 
 
@@ -221,12 +221,12 @@ _SLOT_NUMBER: Final = folded("[SlotNumber]")
 def value_of(parameter: Parameter, value: int | str | bool) -> int:
     """The number for ``value``; texts without regard to case. Raises GsdError with the allowed values."""
     number = _number(parameter, value)
-    if not _may_be(parameter, number):
+    if not _is_allowed(parameter, number):
         raise GsdError(f"{parameter.name!r} = {number} is not allowed; allowed are {_allowed(parameter)}")
     return number
 
 
-def _may_be(parameter: Parameter, value: int) -> bool:
+def _is_allowed(parameter: Parameter, value: int) -> bool:
     return in_ranges(value, (parameter.type.limits,)) and in_ranges(value, parameter.allowed)
 
 
@@ -280,7 +280,7 @@ def containing(part: str, names: Sequence[str]) -> list[str]:
     return found or [name for name in names if whole and all(word in folded(name) for word in whole.split())]
 
 
-def _nearest(key: str, fields: Iterable[Field]) -> str:
+def _nearest_names(key: str, fields: Iterable[Field]) -> str:
     names = list(dict.fromkeys(field.parameter.name for field in fields))
     if not names:
         return "this device with these modules has none: leave it out"
@@ -298,7 +298,7 @@ def _matches(field: Field, key: str) -> bool:
 
 
 def _parts(device: Device, modules: Sequence[Module | None], first_slot: int | None) -> Iterator[_Part]:
-    own = device.user_prm_data if _legacy(device) else None
+    own = device.user_prm_data if _uses_user_prm_data(device) else None
     place = "device" if first_slot == 0 and any(modules[:1]) else "0"
     part = _Part(0, 0, own, ()) if own is not None else _part(device.prm, device.parameters, 0, 0, place)
     yield part
@@ -308,7 +308,7 @@ def _parts(device: Device, modules: Sequence[Module | None], first_slot: int | N
             continue
         part = _part(module.prm, device.parameters, slot, at, str(slot), numbered=first_slot is not None)
         for field in part.fields:
-            if field.slot_number and not _may_be(field.parameter, slot):
+            if field.slot_number and not _is_allowed(field.parameter, slot):
                 raise GsdError(
                     f"module {module.title} cannot be in slot {slot}: its parameter {field.parameter.name} allows "
                     f"{_allowed(field.parameter)}; plug it there, or leave it out"
@@ -317,7 +317,7 @@ def _parts(device: Device, modules: Sequence[Module | None], first_slot: int | N
         at += len(part.const)
 
 
-def _legacy(device: Device) -> bool:
+def _uses_user_prm_data(device: Device) -> bool:
     """Whether User_Prm_Data counts: the file has neither Ext_User_Prm_Data nor Max_User_Prm_Data_Len."""
     return device.user_prm_data is not None and not device.prm.present and device.max_user_prm_data_len is None
 
@@ -346,13 +346,13 @@ def _part(
     return _Part(slot, at, bytes(octets[:size]), tuple(fields))
 
 
-def _fitted(parameter: Parameter) -> int:
+def _default_in_bits(parameter: Parameter) -> int:
     """The default as its bits hold it."""
     octets = bytearray(parameter.type.size)
     write_bits(octets, 0, parameter.type, parameter.default)
     return read_bits(bytes(octets), 0, parameter.type)
 
 
-def _shown(parameter: Parameter, value: int) -> str:
+def _value_text(parameter: Parameter, value: int) -> str:
     text = parameter.texts.get(value)
     return str(value) if text is None else f"{value} ({text})"

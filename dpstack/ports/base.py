@@ -38,7 +38,7 @@ class Pending(Protocol):
 
 
 class Loop(Protocol):
-    """What a port needs of the event loop that it is attached to; asyncio's loops have it."""
+    """The methods that a port calls on the event loop it is attached to; asyncio's loops have them."""
 
     def add_reader(self, fd: int, callback: Callable[[], object], /) -> object: ...
 

@@ -36,7 +36,7 @@ AVAILABLE: Final = (
 
 
 class Applied(NamedTuple):
-    """What a tty is set to after :func:`set_raw`: rate in bit/s, whether it has even parity, and marks errors."""
+    """The settings of a tty after :func:`set_raw`: rate in bit/s, even parity, marks of damaged octets."""
 
     baud: int
     parity: bool

@@ -210,7 +210,7 @@ def _existing() -> str:
 
 
 def how_to_be_permitted(name: str) -> str:
-    """What a user without permission on ``name`` can do."""
+    """Advice to a user who has no permission on ``name``."""
     group = "dialout"
     with contextlib.suppress(OSError, KeyError):
         group = grp.getgrgid(os.stat(name).st_gid).gr_name

@@ -16,7 +16,7 @@ AUTO: Final = "auto"
 SAFE: Final = "safe"
 #: an application watchdog is not shorter: an event loop has pauses of some milliseconds
 _LEAST_APPLICATION_MS: Final = 10
-#: the longest cycle; what is shorter than possible the plan refuses
+#: the longest cycle; the plan refuses a cycle that is too short
 _MAX_CYCLE_MS: Final = 60_000
 
 
@@ -38,7 +38,7 @@ def _baud(table: Table, name: str, key: Key) -> object:
 
 
 def _cycle_ms(table: Table, name: str, key: Key) -> object:
-    """More than 0: what is too short for the slaves depends on them and on the rate."""
+    """Reader of ``cycle_ms``, more than 0; the plan checks it against the slaves and the rate."""
     cycle = table.number(name, key.low, key.high)
     if round(cycle * NS_PER_MS) < 1:
         table.fail(name, f"{name} = {cycle:g} is no time", "give milliseconds, or leave it out")

@@ -38,7 +38,7 @@ class Config:
     source: Source = field(repr=False, compare=False)
 
     def with_bus(self, **changes: object) -> Config:
-        """A copy with other bus settings (what is None is left as it is), checked again."""
+        """A copy with other bus settings, checked again; None leaves a setting as it is."""
         given = {key: value for key, value in changes.items() if value is not None}
         if not given:
             return self

@@ -23,7 +23,7 @@ class Choice:
 
 
 def module_key(device: Device, module: Module | None) -> int | str:
-    """How a configuration names ``module``: by name where that is enough, else by reference number.
+    """The entry of ``modules`` for ``module``: its name where that is enough, else its reference number.
 
     Raises GsdError where the file leaves no way.
     """

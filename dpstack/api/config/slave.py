@@ -65,7 +65,7 @@ _PERCENT: Final = Key(0.001, 1_000_000)
 
 
 def _ident(table: Table, name: str, key: Key) -> object:
-    """ "ask" is None."""
+    """Reader of ``ident``; "ask" becomes None."""
     value = table.raw(name)
     if isinstance(value, str):
         if value.strip().lower() != "ask":
@@ -75,7 +75,7 @@ def _ident(table: Table, name: str, key: Key) -> object:
 
 
 def _interval(table: Table, name: str, key: Key) -> object:
-    """In ns."""
+    """Reader of ``min_slave_interval``: from units of 100 us to ns."""
     return table.integer(name, key.low, key.high) * INTERVAL_UNIT
 
 
@@ -186,7 +186,7 @@ class SlaveConfig:
     description: SlaveDescription | None = field(default=None, compare=False, repr=False)
     #: what its GSD file says
     device: Device | None = field(default=None, compare=False, repr=False)
-    #: names for what is in the process data
+    #: names for the process data
     input_fields: FieldMap = field(default_factory=FieldMap)
     output_fields: FieldMap = field(default_factory=FieldMap)
     #: the application makes the outputs octet by octet, also where there is a drive plugin

@@ -45,27 +45,27 @@ class Who(TypedDict):
 
 
 def basis_of(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
-    """Of the slave whose keys are ``given`` in ``table``. Raises ConfigError, one line."""
+    """The basis of the slave whose keys are ``given`` in ``table``. Raises ConfigError, one line."""
     if "gsd" in given:
         _leave_out(table, "config", "beside gsd", "leave config out, or gsd")
     else:
         for key in _GSD_KEYS:
             _leave_out(table, key, "without gsd", f"name the GSD file, or leave {key} out")
     if "drive" in given:
-        return _drive(table, given, who)
+        return _basis_of_drive(table, given, who)
     for key in _DRIVE_KEYS:
         _leave_out(table, key, "without drive", f"add drive, or leave {key} out")
-    return _gsd(table, given, who) if "gsd" in given else _raw(table, given, who)
+    return _basis_of_gsd(table, given, who) if "gsd" in given else _basis_of_octets(table, given, who)
 
 
-def _gsd(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
+def _basis_of_gsd(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     found = read_gsd_slave(table, given, who)
     description = slave_description(found.device, found.configuration, ident=found.device.ident or 0)
     rest = {"device": found.device, "notes": found.notes, "baud_rates": found.baud_rates, "description": description}
     return found.params, rest
 
 
-def _drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
+def _basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     _leave_out(table, "config", "beside drive", "leave config out: it follows from drive and telegram")
     with table.blaming("drive"):
         profile = registry.find(given["drive"])
@@ -76,7 +76,7 @@ def _drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
         like = telegram.config, _lengths(telegram)
         found = read_gsd_slave(table, given, who, lambda device: configuration_like(device, *like))
         telegram = _telegram_for(table, profile, telegram, found.configuration)
-        # what a GSD file says goes before what the plugin knows
+        # the GSD file has priority over the plugin
         profile = profile.described(telegram, found.params, tuple(sorted(found.baud_rates)))
         telegram = profile.telegram(telegram.name)
     references = {key: given[key] for key in _REFERENCES if key in given}
@@ -136,7 +136,7 @@ def _telegram_for(table: Table, profile: DriveProfile, default: TelegramSpec, ch
     )
 
 
-def _raw(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
+def _basis_of_octets(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     if "config" not in given:
         table.fail(
             None,
@@ -185,7 +185,7 @@ def read_gsd_slave(
 ) -> GsdSlave:
     """Read the file (relative to the configuration) and make the choices. Raises ConfigError, one line.
 
-    ``preset``: what is plugged where the table does not say it; may raise GsdError.
+    ``preset`` returns the configuration for a table without ``modules``; it may raise GsdError.
     """
     with table.blaming("gsd"):
         device = read_gsd(given["gsd"], table.folder).device
@@ -195,7 +195,7 @@ def read_gsd_slave(
         prm = configuration.user_prm(reading)
     parameters = given.get("parameters", {})
     _set_parameters(table, parameters, prm)
-    octets = _given(table, given, prm)
+    octets = _own_user_prm(table, given, prm)
     notes = list(configuration.notes)
     differing = [contradiction for contradiction in prm.contradictions() if contradiction.matters]
     if differing and octets is None and "defaults" not in given:
@@ -208,8 +208,8 @@ def read_gsd_slave(
     if octets is None:
         octets, others = prm.octets(), configuration.user_prm(_OTHER[reading])
         _set_parameters(table, parameters, others)
-        note = _contradicting(reading, octets, others.octets())
-    told = device.dpv1.slave and len(octets) >= DPV1_STATUS_LEN
+        note = _contradictions_note(reading, octets, others.octets())
+    has_status = device.dpv1.slave and len(octets) >= DPV1_STATUS_LEN
     fail_safe = device.fail_safe or device.dpv1.fail_safe_required  # what needs empty frames in Clear can take them
     longest = device.max_diag_data_len
     with table.blaming():
@@ -219,8 +219,8 @@ def read_gsd_slave(
             config=configuration.config,
             user_prm=octets,
             fail_safe=fail_safe,
-            fail_safe_told=told and fail_safe,
-            wd_base_1ms=told and device.dpv1.wd_base_1ms,
+            fail_safe_told=has_status and fail_safe,
+            wd_base_1ms=has_status and device.dpv1.wd_base_1ms,
             min_slave_interval_ns=(device.min_slave_interval or 0) * INTERVAL_UNIT,
             max_tsdr={speed.baud: speed.max_tsdr for speed in device.speeds if speed.max_tsdr is not None},
             max_diag_len=None if longest is None else min(max(FIXED_LEN, longest), MAX_LEN),
@@ -232,8 +232,8 @@ def read_gsd_slave(
     return GsdSlave(configuration, params, tuple(notes))
 
 
-def _contradicting(reading: Reading, octets: bytes, others: bytes) -> str:
-    """Where defaults and constants of the file contradict each other: in which octets of Set_Prm, and the way out."""
+def _contradictions_note(reading: Reading, octets: bytes, others: bytes) -> str:
+    """The octets of Set_Prm in which defaults and constants of the file contradict each other, and the way out."""
     pairs = enumerate(zip(octets, others, strict=True), SET_PRM_LEN + 1)
     differing = [str(number) for number, (mine, its) in pairs if mine != its]
     if not differing:
@@ -263,8 +263,8 @@ def _set_parameters(table: Table, parameters: Mapping[str, object], prm: UserPrm
             prm.set(name, wanted)
 
 
-def _given(table: Table, given: Mapping[str, Any], prm: UserPrm) -> bytes | None:
-    """``user_prm`` of the table instead of the parameters of the file."""
+def _own_user_prm(table: Table, given: Mapping[str, Any], prm: UserPrm) -> bytes | None:
+    """``user_prm`` of the table, which replaces the parameters of the file; None: it has none."""
     octets: bytes | None = given.get("user_prm")
     if octets is None:
         return None
@@ -281,7 +281,7 @@ def _given(table: Table, given: Mapping[str, Any], prm: UserPrm) -> bytes | None
 
 
 def remarks(device: Device | None, dpv1: Dpv1 | None) -> Iterator[str]:
-    """Texts for people, without the name of the slave; ``dpv1``: what is used of DP-V1, None: nothing."""
+    """Remarks for people, without the name of the slave. ``dpv1``: the DP-V1 settings in use, None: no DP-V1."""
     if device is None:
         return
     said = device.dpv1

@@ -28,8 +28,8 @@ Octets: TypeAlias = bytes | str | Sequence[int]
 
 @dataclass(frozen=True, slots=True)
 class Gsd:
-    """What a GSD file says to a flag: ``keyword``, that is 0 where the device does not have it, or 1 where the device
-    wants it (``required``)."""
+    """The keyword of a GSD file that limits a flag: at 0 the device does not have the function; with ``required``, at 1
+    the device needs it."""
 
     keyword: str
     says: Callable[[Device], bool]
@@ -155,7 +155,7 @@ class Table:
 
     @property
     def folder(self) -> Path:
-        """Where paths in it begin: the folder of the file it is in."""
+        """The folder of its file, where relative paths begin."""
         return Path(self._source.name).parent
 
     def __contains__(self, key: str) -> bool:

@@ -116,12 +116,12 @@ class Simulation(Bench):
 
     @property
     def telegrams(self) -> int:
-        """Telegrams that its receiver has heard, to any station."""
+        """Number of telegrams received, to any station."""
         return self._line.decoder_stats.telegrams
 
     @property
     def bad(self) -> dict[str, int]:
-        """Damaged telegrams and stray octets that its receiver heard, by cause, as in BusStats."""
+        """Damaged telegrams and stray octets received, by cause, as in BusStats."""
         damage = {f"uart_{cause}": count for cause, count in self.runtime.damage().items() if count}
         return self._line.decoder_stats.by_cause() | damage
 

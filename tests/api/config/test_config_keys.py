@@ -150,7 +150,7 @@ LISTS = {
     "services.set_prm": "from the parameters to the octets",
     "slave.Changes": "the keys of the configuration",
     "slave_source.read_gsd_slave": "from what a GSD file says to the parameters",
-    "slave_source._drive": "from what a drive plugin says to the parameters",
+    "slave_source._basis_of_drive": "from what a drive plugin says to the parameters",
     "drive_profile.DriveProfile": "what a drive plugin says",
     "drive_profile.DriveProfile.described": "a drive plugin as a GSD file has it",
 }
