@@ -414,7 +414,8 @@ class DriveCore:
 
     def warnings(self) -> tuple[str, ...]:
         """The present warnings by name."""
-        word = self.word("warning")
+        place = self._places.get("warning")
+        word = 0 if place is None else self.words[place]
         if not word:
             return ()
         return tuple(self.warning_names.get(bit, f"bit {bit}") for bit in range(16) if word >> bit & 1)

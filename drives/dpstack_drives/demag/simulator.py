@@ -79,6 +79,7 @@ class DemagDevice(DriveDevice):
         self._vf = options["application"] == "vf"
         factory = {"392": 0} if options["application"] == "torque" else {}
         super().__init__(profile, telegram, options, {**factory, **presets})
+        self._use_scan_time(telegram)
         if not self._vf and self.store.value("state_transition_5") == _DC_BRAKE:
             raise ConfigError(f"{self.title}: 392 = 1 (DC brake) needs application = 'vf'")
         self.machine = drivecom_states.DrivecomMachine()
@@ -105,8 +106,12 @@ class DemagDevice(DriveDevice):
     # -- conditions -----------------------------------------------------------------------------------------------
 
     def enter(self, config: bytes, now: int) -> None:
-        self.scan_ns = t.scan_ms(self.profile.telegrams_of(config)[0]) * NS_PER_MS
+        self.advance(now)  # by the scan time of the telegram so far
+        self._use_scan_time(self.profile.telegrams_of(config)[0])
         super().enter(config, now)
+
+    def _use_scan_time(self, telegram: TelegramSpec) -> None:
+        self.scan_ns = t.scan_ms(telegram) * NS_PER_MS
 
     @property
     def active_set(self) -> int:
