@@ -40,26 +40,33 @@ class Layout(Generic[R]):
         self._names = {field.name: field.docs or field.name for field in fields}
         #: the names of the values
         self.fields = tuple(field.name for field in fields if not field.flagbuildnone)
-        self._row: Any = cs.Struct(*fields)
-        self._struct: Any = cs.Bitwise(cs.Struct(*fields, "beyond" / ignored()))
-
-    @property
-    def size(self) -> int:
-        """Octets of a PDU of one length."""
-        return int(self._row.sizeof()) // 8
+        self._struct: Any = cs.Bitwise(cs.Struct(*fields))
+        #: where each field ends, in bits from the first; REST has no end
+        self._ends: dict[str, int] = {}
+        self._is_exact = True
+        end = 0
+        for field in fields:
+            try:
+                end += field.sizeof()
+            except cs.SizeofError:
+                self._is_exact = False
+            else:
+                self._ends[field.name] = end
+        #: octets without REST
+        self.size = end // 8
 
     def parse(self, octets: bytes) -> R:
         """Read ``octets``. Raises PduError naming the octet: one is missing, too many, or of another function."""
-        try:
-            found = self._struct.parse(octets)
-        except cs.ConstructError as error:
-            where = f"octet {len(octets) + 1} ({self._names[_field(error)]})"
-            raise PduError(f"{self.name} ends after {len(octets)} octets: {where} is missing") from None
+        count = len(octets)
+        if count < self.size:
+            missing = next(name for name, end in self._ends.items() if end > 8 * count)
+            where = f"octet {count + 1} ({self._names[missing]})"
+            raise PduError(f"{self.name} ends after {count} octets: {where} is missing")
         if self._function not in (None, octets[0]):
             raise PduError(f"octet 1 is 0x{octets[0]:02X}, {self.name} is 0x{self._function:02X}")
-        if found["beyond"]:
-            last = len(octets) - len(found["beyond"])
-            raise PduError(f"{self.name} has {len(octets)} octets, octet {last} is the last one")
+        if self._is_exact and count > self.size:
+            raise PduError(f"{self.name} has {count} octets, octet {self.size} is the last one")
+        found = self._struct.parse(octets)
         return self.make(**{name: found[name] for name in self.fields})
 
     def build(self, source: object = None, **values: object) -> bytes:
@@ -69,14 +76,9 @@ class Layout(Generic[R]):
         try:
             return bytes(self._struct.build(given))
         except cs.ConstructError as error:
-            field = _field(error)
+            field = str(error.path).rpartition(" -> ")[2]  # "(building) -> ident"
             what = f"{self._names[field]} = {given.get(field)}"
             raise PduError(f"{self.name}: {what} does not fit its octets") from None
-
-
-def _field(error: Any) -> str:
-    """The field that a construct error is about, from its path ("(parsing) -> ident")."""
-    return str(error.path).rpartition(" -> ")[2]
 
 
 #: what declarations are made of: ``"name" / OCTET``

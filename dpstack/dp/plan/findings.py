@@ -8,7 +8,7 @@ from dpstack.dp.plan.rotation_time import Case, Figures
 from dpstack.units import NS_PER_MS, baud_text, ms_text
 
 
-def findings(figures: Figures, watchdogs: dict[int, int], data_control_ns: int) -> Iterable[str]:
+def plan_findings(figures: Figures, watchdogs: dict[int, int], data_control_ns: int) -> Iterable[str]:
     """The values out of bounds; ``watchdogs`` are the effective ones in ms by address, 0 is off."""
     params = figures.params
     at = baud_text(params.baud)
@@ -59,7 +59,7 @@ def _slow_for_auto_clear(figures: Figures, data_control_ns: int) -> Iterable[str
             )
 
 
-def notes(figures: Figures, watchdogs: dict[int, int]) -> Iterable[str]:
+def plan_notes(figures: Figures, watchdogs: dict[int, int]) -> Iterable[str]:
     for setup in figures.setups:
         watchdog = watchdogs[setup.address]
         if not watchdog:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.plan.cycle_check import CyclePlan, Refusal, judge_cycle
-from dpstack.dp.plan.findings import findings as find
-from dpstack.dp.plan.findings import notes as note
+from dpstack.dp.plan.findings import plan_findings, plan_notes
 from dpstack.dp.plan.rotation_time import ALONE, Case, Figures, OtherMasters, Rotation, rate_offsets
 from dpstack.dp.services import planned_prm
 from dpstack.dp.slave_params import SlaveParams
@@ -143,9 +142,9 @@ def make_plan(
             *findings,
             *([refusal.text for refusal in cycle.refusals] if cycle else []),
             *(cycle.findings if cycle else ()),
-            *find(counted, watchdogs, data_control_ns),
+            *plan_findings(counted, watchdogs, data_control_ns),
         ),
-        notes=(*notes, *(cycle.notes if cycle else ()), *note(counted, watchdogs)),
+        notes=(*notes, *(cycle.notes if cycle else ()), *plan_notes(counted, watchdogs)),
         beside=beside,
         cycle=cycle,
     )

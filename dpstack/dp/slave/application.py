@@ -59,7 +59,7 @@ class SlaveApp(SlaveCore):
         self._device_due = self._clock.due
         self.stats: SlaveAppStats = self.report.stats
         #: the events since the last call, oldest first; the station calls it in every step
-        self.take_events: Callable[[], list[Event]] = self.report.take
+        self.take_events: Callable[[], list[Event]] = self.report.take_events
 
     def __repr__(self) -> str:
         return f"<SlaveApp {self.device.name} at {self.address}: {self.state.value}>"
@@ -120,7 +120,7 @@ class SlaveApp(SlaveCore):
         data = self.data
         if data is None or request.sa != self.master or request.fc & _SRD_MASK != _SRD:
             return self._service(request, now)  # not open
-        self.watchdog.heard = now
+        self.watchdog.last_request = now
         octets = request.data
         try:
             if data.plain and len(octets) == data.output_len:
@@ -215,8 +215,8 @@ class SlaveApp(SlaveCore):
             return RS_REPLY
         self.stats.services += 1
         if not foreign:
-            self.watchdog.heard = now
-            self.diag.heard(request.fc)
+            self.watchdog.last_request = now
+            self.diag.owner_asked(request.fc)
         reply = handler(request, now)
         if reply is None:
             self.stats.refused += 1

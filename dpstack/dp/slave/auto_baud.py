@@ -68,7 +68,7 @@ class Searching(abc.ABC):
     __slots__ = (
         "_control_ns",
         "_events",
-        "_heard_at",
+        "_last_telegram",
         "_listener",
         "_lost",
         "_params_at",
@@ -103,7 +103,7 @@ class Searching(abc.ABC):
         self._events: list[Event] = []
         self._search: AutoBaud | None = None  # begins with the first call that has a time
         self._rate = max(rates)
-        self._heard_at = 0
+        self._last_telegram = 0
         self._control_ns = 0
 
     @property
@@ -121,7 +121,7 @@ class Searching(abc.ABC):
         telegrams = self._listener.decoder_stats.telegrams
         self._listener.receive(chunk, now)
         if self._listener.decoder_stats.telegrams > telegrams:
-            self._heard_at = now
+            self._last_telegram = now
 
     def sent(self, at: int) -> None:
         """The answer leaves the line at ``at``."""
@@ -137,9 +137,9 @@ class Searching(abc.ABC):
         watched = self._watched()
         if watched is not (self.state is BaudState.DP_MODE):
             # the time without a watchdog over it begins, or ends, here
-            self._heard_at = now
+            self._last_telegram = now
             self._reach(BaudState.DP_MODE if watched else BaudState.CONTROL, now)
-        elif not watched and now >= self._heard_at + self._control_ns:
+        elif not watched and now >= self._last_telegram + self._control_ns:
             self._rate = max(self._rates)
             self._reach(BaudState.SEARCH, now)
 
@@ -156,7 +156,7 @@ class Searching(abc.ABC):
         watched = self._watched()
         if watched is not (self.state is BaudState.DP_MODE):
             return NOW
-        return at if watched else min(at, self._heard_at + self._control_ns)
+        return at if watched else min(at, self._last_telegram + self._control_ns)
 
     def take_events(self) -> list[Event]:
         """Its own events and the listener's."""
@@ -189,7 +189,7 @@ class Searching(abc.ABC):
             self._rate = result.baud
             self._search = None
             self._control_ns = params.ns(_CONTROL_SLOTS * params.t_sl) + self._slack_ns
-            self._heard_at = now
+            self._last_telegram = now
             self._found(params, now)
             self._reach(BaudState.DP_MODE if self._watched() else BaudState.CONTROL, now)
 
@@ -259,7 +259,7 @@ class SearchingSlave(Searching):
             self._begun(now).telegram(telegram, now)
             self._judge_search(now)
         else:
-            self._heard_at = now
+            self._last_telegram = now
             self.station.telegram(telegram, now)
 
     def activity(self, now: int) -> None:

@@ -29,8 +29,8 @@ class DiagState:
         "_ident",
         "_messages",
         "_offered",
+        "_read_by_owner",
         "_room",
-        "_told",
         "cfg_fault",
         "not_supported",
         "prm_fault",
@@ -41,7 +41,7 @@ class DiagState:
     def __init__(self, device: DpV0Device, messages: DiagMessages | None = None) -> None:
         self._ident = device.ident
         self._room = device.max_diag_len - FIXED_LEN
-        self._told = NO_DIAG
+        self._read_by_owner = NO_DIAG
         self._offered: UserDiag | None = None  # in an answer that the owner may not have received
         self.prm_fault = self.cfg_fault = self.not_supported = False
         is_plain = device.leaves_default("user_diag", "ext_diag")
@@ -55,16 +55,16 @@ class DiagState:
 
     def new_owner(self) -> None:
         """Another master has read nothing yet."""
-        self._told = NO_DIAG
+        self._read_by_owner = NO_DIAG
         self._offered = None
 
     def offer(self, user: UserDiag) -> None:
-        """An answer with ``user`` in it goes to the owner; :meth:`heard` tells whether it arrived."""
+        """An answer with ``user`` in it goes to the owner; :meth:`owner_asked` finds out whether it arrived."""
         if self._messages is not None:
             self._messages.offered()
         self._offered = user
 
-    def heard(self, fc: int) -> None:
+    def owner_asked(self, fc: int) -> None:
         """The owner's next new request: it has the answer before, unless it had to take the station up afresh.
 
         A request again with the same FCB never gets here: the link layer repeats the answer
@@ -72,7 +72,7 @@ class DiagState:
         """
         if self._offered is not None:
             if fc & (FC_FCV | FC_FCB) != FC_FCB:
-                self._told = self._offered
+                self._read_by_owner = self._offered
                 if self._messages is not None:
                     self._messages.fetched()
             self._offered = None
@@ -81,13 +81,13 @@ class DiagState:
         """True when the owner, whose request has ``fc``, must fetch the diagnosis (DH)."""
         if self.silent:
             return False
-        self.heard(fc)
+        self.owner_asked(fc)
         # both are asked: with the first Data_Exchange alarms may be shown
-        news = self._messages is not None and self._messages.news()
-        if news or self.user is None:
-            return news
+        must_fetch = self._messages is not None and self._messages.must_fetch()
+        if must_fetch or self.user is None:
+            return must_fetch
         try:
-            return self.user() != self._told
+            return self.user() != self._read_by_owner
         except Exception as error:
             DEVICE_CALL.mark(error)
             raise

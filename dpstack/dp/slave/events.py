@@ -158,14 +158,14 @@ class Report:
         if self.station is not None and self.station.address != address:
             self.station.set_address(address)
 
-    def take(self) -> list[Event]:
+    def take_events(self) -> list[Event]:
         """The events since the last call, oldest first."""
         events = self._events
         if events:
             self._events = []
         return events
 
-    def forget(self) -> None:
+    def report_again(self) -> None:
         """Report refusals again that were reported before."""
         self._reported.clear()
 
@@ -179,7 +179,7 @@ class Report:
         self.emit(DeviceFailed, now, during=during, error=error_text(error), origin=origin_of(error))
 
     def refused(self, service: str, master: int, reason: str, now: int) -> None:
-        """Count a refusal and report it once until :meth:`forget`; of a master whose requests are always wrong in
+        """Count a refusal and report it once until :meth:`report_again`; of a master whose requests are always wrong in
         another way only the first ones."""
         self.stats.refused += 1
         news = self._reported[master].novelty((service, reason))

@@ -17,7 +17,7 @@ Handler = Callable[[Telegram, int], Reply | None]
 class DiagMessages(Protocol):
     """Blocks that stand in the diagnosis before the device's own: alarms and status messages."""
 
-    def news(self) -> bool:
+    def must_fetch(self) -> bool:
         """A Data_Exchange is answered: whether the master must fetch a diagnosis."""
 
     def octets(self) -> bytes:

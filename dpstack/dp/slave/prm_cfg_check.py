@@ -92,31 +92,27 @@ def check_device(device: DpV0Device) -> None:
 
 
 class Watchdog:
-    """Response monitoring of the owner. ``heard`` is the time of its last request, ``at`` when to judge (or NEVER).
+    """Monitors the owner. ``last_request``: the time of its last request; ``at``: when to judge, or NEVER.
 
     The deadline is moved only when it has come: an exchange just notes its time.
     """
 
-    __slots__ = ("at", "heard", "time_ns")
+    __slots__ = ("at", "last_request", "time_ns")
 
     def __init__(self) -> None:
         self.at = NEVER
-        self.heard = 0
+        self.last_request = 0
         self.time_ns = 0
 
     def arm(self, time_ns: int, now: int) -> None:
         """Watch for ``time_ns`` from now on, 0 = off."""
-        self.heard = now
+        self.last_request = now
         self.time_ns = time_ns
         self.at = now + time_ns if time_ns else NEVER
-
-    def disarm(self) -> None:
-        self.time_ns = 0
-        self.at = NEVER
 
     def expired(self, now: int) -> bool:
         """Whether the time is over; otherwise the deadline moves on."""
         if self.at > now:
             return False
-        self.at = self.heard + self.time_ns
+        self.at = self.last_request + self.time_ns
         return self.at <= now

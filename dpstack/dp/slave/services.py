@@ -75,7 +75,7 @@ def _rd_outp(core: SlaveCore, request: Telegram, now: int) -> Reply:
 def _set_prm(core: SlaveCore, request: Telegram, now: int) -> Reply:
     sa = request.sa
     if core.master is not None and sa != core.master:
-        core.foreign("Set_Prm", sa, AppTrigger.PRM_FOREIGN, now)
+        core.refuse_foreign("Set_Prm", sa, AppTrigger.PRM_FOREIGN, now)
         return SC_REPLY
     try:
         prm = SetPrm.parse(request.data)
@@ -94,7 +94,7 @@ def _set_prm(core: SlaveCore, request: Telegram, now: int) -> Reply:
     elif prm.lock:
         _prm_good(core, sa, prm, now)
     else:
-        core.take_min_tsdr(prm.min_tsdr)
+        core.set_min_tsdr(prm.min_tsdr)
         core.step(AppTrigger.PRM_KEEP, now)
     return SC_REPLY
 
@@ -111,7 +111,7 @@ def _prm_bad(core: SlaveCore, sa: int, refusal: Refusal, now: int) -> None:
 def _prm_good(core: SlaveCore, sa: int, prm: SetPrm, now: int) -> None:
     core.diag.clear_faults()
     core.diag.new_owner()
-    core.take_min_tsdr(prm.min_tsdr)
+    core.set_min_tsdr(prm.min_tsdr)
     core.master = sa
     core.group = prm.group_mask
     core.watchdog.arm(watchdog_time(core.device, prm), now)
@@ -126,7 +126,7 @@ def _prm_good(core: SlaveCore, sa: int, prm: SetPrm, now: int) -> None:
 def _chk_cfg(core: SlaveCore, request: Telegram, now: int) -> Reply:
     config = real_cfg(core.device, request.data)
     if request.sa != core.master:
-        core.foreign("Chk_Cfg", request.sa, AppTrigger.CFG_FOREIGN, now)
+        core.refuse_foreign("Chk_Cfg", request.sa, AppTrigger.CFG_FOREIGN, now)
     elif core.failure is not None:
         core.step(AppTrigger.CFG_HELD, now)
     elif core.data is not None and config == core.data.config:
@@ -164,7 +164,7 @@ def _cfg_good(core: SlaveCore, config: bytes, inputs: int, outputs: int, now: in
     core.data = data
     for service in core.services:
         service.entered()
-    core.report.forget()
+    core.report.report_again()
     core.step(AppTrigger.CFG_GOOD, now)
 
 

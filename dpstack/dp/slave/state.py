@@ -138,7 +138,7 @@ class SlaveCore:
                 self.fail("Slave_Diag", error, now)
         return NO_DIAG
 
-    def take_min_tsdr(self, bits: int) -> None:
+    def set_min_tsdr(self, bits: int) -> None:
         """Hand min T_SDR of Set_Prm to the station."""
         if self.report.station is not None:
             self.report.station.set_min_tsdr(bits)
@@ -149,9 +149,9 @@ class SlaveCore:
         self.end_services("the slave was switched off", now)
         self.failure = None
         self.diag.clear_faults()
-        self.take_min_tsdr(LOWEST_TSDR)
+        self.set_min_tsdr(LOWEST_TSDR)
         self.set_address.restart()
-        self.report.forget()
+        self.report.report_again()
 
     def restart_at(self, address: int, now: int) -> None:
         """The device restarts by itself, at an address that was set at it."""
@@ -168,7 +168,7 @@ class SlaveCore:
         if state is SlaveAppState.WAIT_PRM:
             self.master = None
             self.group = 0
-            self.watchdog.disarm()
+            self.watchdog.arm(0, now)
         if state is not was:
             self.report.emit(SlaveAppStateChanged, now, state=state, why=event, master=self.master)
         if leave is not None and state is not SlaveAppState.DATA_EXCH:
@@ -200,7 +200,7 @@ class SlaveCore:
         for service in self.services:
             service.end(why, now)
 
-    def foreign(self, service: str, sa: int, event: AppTrigger, now: int) -> None:
+    def refuse_foreign(self, service: str, sa: int, event: AppTrigger, now: int) -> None:
         """A service of a master that does not own the slave: counted and reported, without effect."""
         self.report.stats.foreign += 1
         owner = "nobody has parameterised the slave" if self.master is None else f"it is locked by master {self.master}"

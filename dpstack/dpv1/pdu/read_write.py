@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar, Final, NamedTuple
+from types import SimpleNamespace
+from typing import ClassVar, Final
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier
 from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT, OCTET, REST, Layout, adapted, bits, flags
@@ -43,20 +44,10 @@ class Function(IntEnum):
 FUNCTIONS: Final[frozenset[int]] = frozenset(Function)
 
 
-class RecordOctets(NamedTuple):
-    """Read, Write and Data_Transport, requests and positive responses: four octets, and the data where there are
-    any."""
-
-    function: int
-    slot: int
-    record: int
-    length: int
-    data: bytes
-
-
+#: Read, Write and Data_Transport, requests and positive responses: four octets, and the data where there are any
 RECORD: Final = Layout(
     "DP-V1 service",
-    RecordOctets,
+    SimpleNamespace,
     "function" / OCTET,
     "slot" / OCTET,
     "record" / OCTET,

@@ -1,14 +1,14 @@
 """The slave's end of DP-V1: records, alarms, connections.
 
 - ``alarms``: Alarms and status messages of a slave: raised by its application, shown in the diagnosis
-- ``description``: What a slave is, as its GSD file or its maker says; the checks of Set_Prm and Chk_Cfg follow from it
-- ``description_from_gsd``: From what a GSD file says to the description that a slave is made of
-- ``device``: A device as its author writes it: its records, alarms and class 2 connections
+- ``description``: The description of a type of slave; the checks of Set_Prm and Chk_Cfg follow from it
+- ``description_from_gsd``: The description of a slave from its GSD file
+- ``device``: The base class of a device with DP-V1: its records, alarms and class 2 connections
 - ``loopback_device``: Devices that mirror their outputs to their inputs: the simulation of a slave without a drive
 - ``ms1``: MS1 of a slave: requests come in, records answer now or later, the master polls for the answer
-- ``ms2_connection``: One class 2 connection at the slave, from Initiate to whatever ends it
-- ``ms2_states``: The states of one class 2 connection at the slave as a table: what is heard, what is done
-- ``record_requests``: One request for a record and the way its answer goes: the same for MS1 and MS2, whoever asks
+- ``ms2_connection``: One class 2 connection at the slave, from Initiate to its end
+- ``ms2_states``: The states of one class 2 connection at the slave as a table: trigger, action, source
+- ``record_requests``: One request for a record and the way of its answer, the same for MS1 and MS2
 - ``record_table``: Records that a slave has without a function of its own: a table of octets, and I&M at index 255
 - ``resource_manager``: MS2 of a slave: the resource manager at SAP 49, the connections that it gives out
 - ``user_slave``: The slave that a user builds: a description and one function from outputs and elapsed time to inputs

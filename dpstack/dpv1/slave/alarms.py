@@ -186,7 +186,7 @@ class AlarmServer:
         for raised in over:
             raised.finish(AlarmEnd.LEFT)
 
-    def news(self) -> bool:
+    def must_fetch(self) -> bool:
         """A Data_Exchange is answered: whether the master must fetch a diagnosis."""
         if not self._is_open:
             return False

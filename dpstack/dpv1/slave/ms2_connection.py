@@ -66,17 +66,17 @@ class Offer(Enum):
 class ServerConnection:
     """One connection. ``ssap``: its master's SAP, 50 as a rule; ``send_timeout_ns``: as agreed.
 
-    ``heard``: the last sign of life of its master; ``services``: how many it has asked for.
+    ``last_request``: the time of the last sign of life of its master; ``services``: how many it has asked for.
     """
 
     __slots__ = (
         "_answer",
         "_device",
-        "_lived",
+        "_last_sign",
         "_report",
         "_request",
         "asker",
-        "heard",
+        "last_request",
         "offer",
         "send_timeout_ns",
         "services",
@@ -90,10 +90,10 @@ class ServerConnection:
         self.send_timeout_ns = least_send_timeout(report.baud)
         self.state = State.ANSWERED
         self.offer = Offer.WAITING
-        self.heard = now
+        self.last_request = now
         self.services = 0
         #: its last sign of life to its master
-        self._lived = now
+        self._last_sign = now
         self._answer: bytes | None = None
         self._request: RecordRequest | None = None
         self._device = device
@@ -103,7 +103,7 @@ class ServerConnection:
     def deadline(self) -> int:
         """When silence ends it, in ns: the send time-out, twice that while nothing is asked (VPC3+)."""
         patience = PATIENCE if self.state is State.OPEN else 1
-        return self.heard + patience * self.send_timeout_ns
+        return self.last_request + patience * self.send_timeout_ns
 
     def is_of(self, sa: int, ssap: int | None) -> bool:
         """Whether that is its master, the only one that the SAP is open for."""
@@ -136,7 +136,8 @@ class ServerConnection:
         longest = self._device.ms2_max_len
         self._answer = InitiateRes(longest, source=wanted.destination, destination=wanted.source).build()
         self._report.stats.connections += 1
-        self._emit(ConnectionOpened, now, send_timeout_ns=self.send_timeout_ns)
+        who = self.asker
+        self._report.emit(ConnectionOpened, now, master=who.master, sap=who.sap, send_timeout_ns=self.send_timeout_ns)
 
     def _unwanted(self, error: Exception, now: int) -> None:
         """Refused by the device: the negative response is its answer, and all that is left of it."""
@@ -158,7 +159,7 @@ class ServerConnection:
 
     def receive(self, octets: bytes, now: int) -> None:
         """A request of its master."""
-        self.heard = now
+        self.last_request = now
         trigger, why = _trigger_of(octets)
         match TABLE[self.state, trigger].act:
             case Act.SERVE:
@@ -178,7 +179,7 @@ class ServerConnection:
 
     def poll(self, now: int) -> bytes | None:
         """The answer to a poll, None for SC; an Abort that was fetched frees the connection."""
-        self.heard = now
+        self.last_request = now
         if self.state is State.WORKING and self._request is not None:
             self._answer = self._request.octets(self._report, now)
             if self._answer is not None:
@@ -190,8 +191,8 @@ class ServerConnection:
                 answer, self._answer = self._answer, None
                 return answer
             case Act.LOOK:
-                if now - self._lived >= self.send_timeout_ns // WORKING_SHARE:
-                    self._lived = now
+                if now - self._last_sign >= self.send_timeout_ns // WORKING_SHARE:
+                    self._last_sign = now
                     return IDLE
             case Act.FREE:
                 answer, self._answer = self._answer, None
@@ -204,8 +205,8 @@ class ServerConnection:
         if TABLE[self.state, Ms2Trigger.SILENCE].act is Act.FREE:
             self._answer = None
             return
-        waited = (now - self.heard) // NS_PER_MS
-        self.heard = now
+        waited = (now - self.last_request) // NS_PER_MS
+        self.last_request = now
         self.end(f"nothing was heard of its master for {waited} ms", now, Abort(AbortReason.TIMEOUT))
 
     @property
@@ -216,7 +217,7 @@ class ServerConnection:
     def abort(self, reason: int, now: int) -> None:
         """The user of the slave ends it; both users know the meaning of ``reason`` 0..15."""
         self.end(f"it was aborted here (reason {reason})", now, Abort(reason, Instance.USER))
-        self.heard = now
+        self.last_request = now
 
     def end(self, why: str, now: int, abort: Abort | None = None) -> None:
         """It is over; its master may fetch ``abort``; None: nothing is sent."""
@@ -227,17 +228,15 @@ class ServerConnection:
             if request is not None:
                 request.drop()
             self._report.stats.closed += 1
-            self._emit(ConnectionClosed, now, services=self.services, reason=why)
+            who = self.asker
+            self._report.emit(ConnectionClosed, now, master=who.master, sap=who.sap, services=self.services, reason=why)
         self._answer = None if abort is None else abort.build()
-
-    def _emit(self, kind: type[SlaveAppEvent], now: int, **fields: object) -> None:
-        self._report.emit(kind, now, master=self.asker.master, sap=self.asker.sap, **fields)
 
     # --- inside ---------------------------------------------------------------------------------------------------
 
     def _serve(self, octets: bytes, now: int) -> None:
         """A service: what its application can be asked, else a negative response like that of MS1."""
-        self._lived = now
+        self._last_sign = now
         self.state = State.WORKING
         try:
             service = parse_transport(octets) if octets[0] == Function.DATA_TRANSPORT else parse_request(octets)

@@ -84,7 +84,7 @@ def test_the_table_holds_every_bit_once() -> None:
 
 
 @pytest.mark.parametrize("length", [0, 1, 5, 245, 300])
-def test_what_is_no_diagnosis(length: int) -> None:
+def test_octets_of_an_impossible_length_are_no_diagnosis(length: int) -> None:
     assert Diagnosis.parse(bytes(length)) is None
 
 
@@ -143,7 +143,7 @@ def test_channel_texts(octets: str, text: str) -> None:
         ("C1 40", [RevisionBlock(b"\xc1", 1)], "octet 8 announces a block without any octets"),
     ],
 )
-def test_lengths_that_lie(ext: str, blocks: list[Block], finding: str) -> None:
+def test_wrong_lengths_in_the_extended_diagnosis(ext: str, blocks: list[Block], finding: str) -> None:
     found, text = split_blocks(bytes.fromhex(ext))
     assert list(found) == blocks
     assert text is not None

@@ -71,7 +71,7 @@ def test_blocks(block: Block, octets: str) -> None:
         (lambda: revision_block(64), "value = 64"),
     ],
 )
-def test_what_does_not_fit_a_block(make: Callable[[], Block], text: str) -> None:
+def test_values_that_do_not_fit_a_block(make: Callable[[], Block], text: str) -> None:
     with pytest.raises(PduError, match=text):
         make()
 
@@ -127,7 +127,7 @@ def test_any_blocks_come_back_and_are_cut_between_blocks(blocks: list[Block], ro
         ),
     ],
 )
-def test_what_is_set_is_what_is_read(diag: UserDiag, octets: str) -> None:
+def test_the_diagnosis_set_is_the_diagnosis_read(diag: UserDiag, octets: str) -> None:
     device = slave()
     bench = Bench(device).up()
     device.diag = diag
@@ -147,7 +147,7 @@ def test_every_change_is_fetched(diag: UserDiag) -> None:
         assert bench.dx().status is Resp.DL
 
 
-def test_what_was_taken_back_before_anybody_read_it_is_no_news() -> None:
+def test_a_diagnosis_taken_back_before_the_master_read_it_is_not_fetched() -> None:
     device = slave()
     bench = Bench(device).up()
     device.diag = UserDiag.of(stat=True)
@@ -229,7 +229,7 @@ def test_a_repeated_request_gets_the_same_diagnosis_again_on_the_wire() -> None:
     assert wire.ask("68 04 04 68 08 02 7D 55 DC 16") == "68 04 04 68 02 08 08 55 67 16"  # DL
 
 
-def test_a_new_owner_reads_it_too() -> None:
+def test_a_new_owner_reads_the_diagnosis_too() -> None:
     device = slave()
     device.diag = UserDiag.of(device_block(b"\x01"))
     bench = Bench(device).up()

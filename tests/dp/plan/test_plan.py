@@ -157,7 +157,7 @@ def test_watchdog_of_every_nth_round() -> None:
     assert make_plan(p, [slave(watchdog=watchdog, every=5)]).findings
 
 
-def test_what_happens_when_the_master_stops() -> None:
+def test_outputs_of_each_slave_when_the_master_stops() -> None:
     plan = make_plan(params(), [slave(3, on_loss="coasts"), slave(4, watchdog=0), slave(5, watchdog=1234)])
     assert [s.on_loss for s in plan.slaves] == [
         "after 200 ms: coasts",

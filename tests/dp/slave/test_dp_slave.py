@@ -189,7 +189,7 @@ def test_a_bytearray_that_goes_on_being_written_to() -> None:
     assert bench.app.inputs == b"\x01"
 
 
-def test_why_data_exchange_ended_is_told() -> None:
+def test_the_device_gets_the_reason_why_data_exchange_ended() -> None:
     reasons: list[Leave] = []
     bench = served(Log(), on_leave=reasons.append).up()
     bench.pass_time(100 * MS)

@@ -74,7 +74,7 @@ def test_what_the_application_is_told() -> None:
         ("FF 0A 35 00", "octet 1: address 255"),
     ],
 )
-def test_what_changes_nothing(octets: str, reason: str) -> None:
+def test_requests_that_leave_the_address(octets: str, reason: str) -> None:
     """The acknowledgement says nothing about it (Acromag): the master looks for the slave at the new address."""
     bench, station = fresh()
     assert bench.ask(55, bytes.fromhex(octets)) == SC_REPLY
@@ -103,7 +103,7 @@ def test_closed_on_a_device_that_does_not_have_it() -> None:
     assert bench.app.address == 8
 
 
-def test_no_add_chg_closes_it_until_an_initial_reset() -> None:
+def test_no_add_chg_closes_set_slave_add_until_an_initial_reset() -> None:
     bench, station = fresh(keeps=True)
     bench.ask(55, FIX)
     assert bench.ask(55, b"\x05" + ADD[1:]) == RS_REPLY

@@ -134,7 +134,7 @@ def test_chk_cfg_before_set_prm_changes_nothing() -> None:
 
 @pytest.mark.parametrize("start", [WAIT_CFG, DATA_EXCH])
 @pytest.mark.parametrize("unit", [PRM, UNLOCK, "3D 3E 00 01 01 37 0A 35 00", "3D 3E", CFG, "3E 3E 11"])
-def test_what_another_master_sends_changes_nothing(unit: str, start: SlaveAppState) -> None:
+def test_requests_of_another_master_change_nothing(unit: str, start: SlaveAppState) -> None:
     """docs/protocol.md#lock-and-unlock: locked; acknowledged, and the diagnosis names the owner."""
     slave = Slave().to(start)
     before = slave.diagnosis(9)

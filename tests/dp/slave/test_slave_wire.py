@@ -132,7 +132,7 @@ def test_dies_and_is_revived() -> None:
     assert bench.diag()[:2] == b"\x02\x05"
 
 
-def test_never_ready() -> None:
+def test_a_slave_that_never_gets_ready() -> None:
     bench = bench_of(NeverReady(MirrorDevice(0x0A35, CFG))).up()
     assert bench.diag()[:2] == b"\x02\x0c"
     assert bench.dx() == RS_REPLY

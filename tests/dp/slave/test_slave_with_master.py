@@ -115,13 +115,13 @@ def test_each_faulty_slave_ends_in_its_fault(make: Callable[[], SlaveApp], kind:
     plant.assert_the_other_goes_on()
 
 
-def test_one_that_never_gets_ready_is_only_waited_for() -> None:
+def test_the_master_only_waits_for_a_slave_that_never_gets_ready() -> None:
     plant = Plant(NeverReady(mirror())).run(200)
     assert plant.states()[-1] is SlaveState.WAIT_READY
     plant.assert_the_other_goes_on()
 
 
-def test_a_dead_one_is_taken_up_again_when_it_is_back() -> None:
+def test_a_dead_slave_is_taken_up_again_when_it_is_back() -> None:
     app = Dies(mirror(), 20)
     plant = Plant(app).run(200)
     assert plant.faults() == [FaultKind.LOST]
@@ -132,7 +132,7 @@ def test_a_dead_one_is_taken_up_again_when_it_is_back() -> None:
     plant.assert_the_other_goes_on()
 
 
-def test_a_broken_device_is_out_and_told() -> None:
+def test_a_broken_device_leaves_data_exchange_and_is_reported() -> None:
     class Breaks(MirrorDevice):
         count = 0
 

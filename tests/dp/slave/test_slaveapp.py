@@ -88,7 +88,7 @@ def test_user_parameters_are_the_device_s_to_judge() -> None:
     assert "octet 8 on: octet 9 must be 1..3" in bench.texts()[0]
 
 
-def test_the_same_refusal_is_told_once() -> None:
+def test_the_same_refusal_is_reported_once() -> None:
     bench = Bench()
     for _ in range(5):
         bench.prm(b"\x88")
@@ -262,7 +262,7 @@ def test_the_watchdog_clears_the_outputs() -> None:
 
 
 @pytest.mark.parametrize(("dsap", "data"), [(None, b"\x55"), (60, b""), (62, CFG), (59, b""), (56, b""), (61, KEEP)])
-def test_what_re_arms_the_watchdog(dsap: int | None, data: bytes) -> None:
+def test_requests_that_re_arm_the_watchdog(dsap: int | None, data: bytes) -> None:
     bench = Bench().up()
     for _ in range(10):
         bench.pass_time(90 * MS)
@@ -272,7 +272,7 @@ def test_what_re_arms_the_watchdog(dsap: int | None, data: bytes) -> None:
     assert bench.app.state is WAIT_PRM
 
 
-def test_what_does_not_re_arm_the_watchdog() -> None:
+def test_requests_that_do_not_re_arm_the_watchdog() -> None:
     bench = Bench().up()
     bench.pass_time(90 * MS)
     bench.control(b"\x00\x00")
@@ -290,7 +290,7 @@ def test_the_watchdog_runs_from_set_prm_on() -> None:
     assert bench.app.state is WAIT_PRM
 
 
-def test_without_watchdog_it_stays() -> None:
+def test_without_watchdog_the_slave_stays_in_data_exchange() -> None:
     bench = Bench().up(PRM_NO_WD)
     assert bench.diag() == bytes.fromhex("00 04 00 02 0A 35")
     assert bench.app.wake_at() == NEVER
@@ -321,7 +321,7 @@ def test_restart() -> None:
     assert [event.t_ns for event in bench.app.take_events()] == [5]
 
 
-def test_devices_that_cannot_be() -> None:
+def test_impossible_devices_are_refused() -> None:
     device = Recorder()
     device.configs = ()
     with pytest.raises(ConfigError, match="configs"):

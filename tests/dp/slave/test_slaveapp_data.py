@@ -24,7 +24,7 @@ def test_clear_and_operate() -> None:
     assert bench.recorder.take() == ["operate", "exchange 11", "clear", "exchange 00", "operate", "exchange 33"]
 
 
-def test_operate_is_told_once_after_entry_also_by_global_control() -> None:
+def test_operate_is_called_once_after_entry_also_by_global_control() -> None:
     bench = Bench().up()
     bench.control(OPERATE)
     bench.dx()
@@ -208,7 +208,7 @@ def test_global_control_is_for_the_owner_in_data_exchange_only() -> None:
     assert bench.app.stats.foreign == 1
 
 
-def test_global_control_of_the_wrong_length_is_told_and_dropped() -> None:
+def test_global_control_of_the_wrong_length_is_reported_and_dropped() -> None:
     bench = Bench().up()
     bench.control(b"\x02")
     bench.control(b"\x02\x00\x00")

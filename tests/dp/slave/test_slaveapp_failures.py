@@ -55,7 +55,7 @@ def test_a_broken_device(call: str) -> None:
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_it_waits_in_wait_cfg_until_restarted(call: str) -> None:
+def test_a_broken_device_waits_in_wait_cfg_until_restarted(call: str) -> None:
     bench = Bench()
     bench.recorder.broken = call
     walk(bench)
@@ -98,7 +98,7 @@ def test_inputs_of_the_wrong_length_are_the_device_s_failure(length: int, frozen
     assert bench.texts()[0].endswith("its configuration has 1); correct and restart it")
 
 
-def test_a_failing_leave_on_top_of_a_watchdog_is_told_too() -> None:
+def test_a_failing_leave_after_a_watchdog_is_reported_too() -> None:
     bench = Bench().up()
     bench.dx()
     bench.recorder.broken = "leave"

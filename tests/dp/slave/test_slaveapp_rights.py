@@ -30,7 +30,7 @@ class Station:
 
 @pytest.mark.parametrize("sa", [MASTER, OTHER])
 @pytest.mark.parametrize("state", list(SlaveAppState))
-def test_services_are_open_as_the_table_says(state: SlaveAppState, sa: int) -> None:
+def test_services_are_open_as_in_the_table(state: SlaveAppState, sa: int) -> None:
     data = {None: b"\x55", 61: PRM, 62: CFG}
     for dsap in [None, *range(64)]:
         if dsap == 58:

@@ -64,7 +64,7 @@ def _telegram(sap: int, master: int, unit: str, *, request: bool) -> bytes:
         (17, 62, "->", "58 00 25", ""),  # no class 2 connection
     ],
 )
-def test_what_is_in_telegrams(sap: int, master: int, way: str, unit: str, text: str) -> None:
+def test_texts_of_telegrams(sap: int, master: int, way: str, unit: str, text: str) -> None:
     octets = _telegram(sap, master, unit, request=way == "->")
     telegram = decode(octets)
     assert telegram is not None
@@ -86,7 +86,7 @@ def test_there_is_a_text_for_everything(function: int, rest: bytes, request: boo
 
 @examples(200)
 @given(st.binary(max_size=60), st.sampled_from((0, 48, 49, 50, 51, 60)), st.booleans())
-def test_no_telegram_is_too_odd(unit: bytes, sap: int, request: bool) -> None:
+def test_any_telegram_has_a_text(unit: bytes, sap: int, request: bool) -> None:
     telegram = decode(_telegram(sap, 50, unit.hex(), request=request))
     assert telegram is not None
     assert describe(telegram, inside)

@@ -77,13 +77,13 @@ def test_types_that_are_octets_only() -> None:
         ("04 81 FF 00", "parameter block 1: parameter block of type 129 for slot 255: type and specifier 0..255, slot"),
     ],
 )
-def test_lengths_that_lie_name_block_and_octet(octets: str, text: str) -> None:
+def test_errors_of_wrong_lengths_name_block_and_octet(octets: str, text: str) -> None:
     with pytest.raises(PduError) as caught:
         parse_blocks(bytes.fromhex(octets), 11)
     assert text in str(caught.value)
 
 
-def test_blocks_that_cannot_be() -> None:
+def test_impossible_blocks() -> None:
     with pytest.raises(ConfigError, match="specifier"):
         PrmBlock(2, 0, b"", 256)
     with pytest.raises(PduError, match="output_hold_time = 65536 does not fit"):
@@ -155,7 +155,7 @@ def test_without_prm_structure_they_are_octets() -> None:
         ("80 00 08 04 81 00 00 07 02 00 00 01 02 03", "octet 15: parameter block 2: type 2 (prm_cmd) has 4 octets"),
     ],
 )
-def test_lengths_that_lie_are_a_prm_fault(user_prm: str, text: str) -> None:
+def test_wrong_lengths_are_a_prm_fault(user_prm: str, text: str) -> None:
     seen: list[object] = []
     app, told = set_prm(rig(seen), user_prm)
     assert app.state is SlaveAppState.WAIT_PRM

@@ -79,7 +79,7 @@ def test_blocks(pdu: Alarm | Status, octets: str, text: str) -> None:
         ("04 01 FF 00", "there is no slot 255"),
     ],
 )
-def test_blocks_that_lie(octets: str, what: str) -> None:
+def test_invalid_blocks(octets: str, what: str) -> None:
     with pytest.raises(PduError) as caught:
         parse_block(bytes.fromhex(octets))
     assert what in str(caught.value)
@@ -166,7 +166,7 @@ PRIMARY = "primary, data exchange, baud rate found"
         ("08 81 00 00 02 2A 21 00", None, "status message, slot 0, data 02 2a 21 00"),
     ],
 )
-def test_what_a_redundant_slave_says(octets: str, found: Redundancy | None, told: str) -> None:
+def test_status_of_a_redundant_slave(octets: str, found: Redundancy | None, told: str) -> None:
     status = parse_block(bytes.fromhex(octets))
     assert isinstance(status, Status)
     assert status.redundancy == found

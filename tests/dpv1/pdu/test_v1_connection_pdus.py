@@ -83,7 +83,7 @@ def test_idle() -> None:
         (Abort, "58 00", "octet 3"),
     ],
 )
-def test_what_lies(kind: type[Pdu], octets: str, what: str) -> None:
+def test_invalid_pdus(kind: type[Pdu], octets: str, what: str) -> None:
     with pytest.raises(PduError) as caught:
         kind.parse(bytes.fromhex(octets))
     assert what in str(caught.value)

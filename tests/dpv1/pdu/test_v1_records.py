@@ -70,7 +70,7 @@ def test_responses(pdu: RecordRes, octets: str) -> None:
         ("DE 80 B0 00", "DE 80 A9 00", "no service 0xDE"),
     ],
 )
-def test_requests_that_cannot_be(octets: str, answer: str, what: str) -> None:
+def test_invalid_requests(octets: str, answer: str, what: str) -> None:
     with pytest.raises(UnacceptableError) as raised:
         parse_request(bytes.fromhex(octets))
     assert what in str(raised.value)
@@ -91,14 +91,14 @@ def test_requests_that_cannot_be(octets: str, answer: str, what: str) -> None:
         ("57 01 02 03", "octet 1: Initiate answers neither Read nor Write"),
     ],
 )
-def test_responses_that_cannot_be(octets: str, what: str) -> None:
+def test_invalid_responses(octets: str, what: str) -> None:
     with pytest.raises(PduError) as raised:
         parse_response(bytes.fromhex(octets))
     assert what in str(raised.value)
 
 
 @pytest.mark.parametrize("pdu", [ReadReq(255, 0), ReadReq(0, 256), ReadReq(0, 0, 241), WriteReq(0, 0, bytes(241))])
-def test_what_cannot_be_asked(pdu: RecordReq) -> None:
+def test_requests_with_values_that_do_not_fit(pdu: RecordReq) -> None:
     with pytest.raises(PduError):
         pdu.build()
 
@@ -171,7 +171,7 @@ def test_every_letter_of_a_software_revision(letter: str) -> None:
     assert found.build() == octets
 
 
-def test_what_devices_say_beside_the_rules_is_read() -> None:
+def test_im0_of_devices_beside_the_rules_is_read() -> None:
     wild = bytearray.fromhex(IM0)
     wild[12:32] = b"  \xb5Drive\0\0".ljust(20, b"\0")  # a blank in front, ISO 8859-1, filled up with zeros
     wild[32:48] = bytes(16)

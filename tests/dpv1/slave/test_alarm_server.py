@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from slave_alarm_kit import AlarmBench, prm
 from slave_kit import CFG, OTHER, PRM, UNLOCK
@@ -118,7 +120,7 @@ def test_an_acknowledgement_of_the_wrong_length(octets: str) -> None:
     assert bench.ack(octets, 50) == "DC 80 B8 00"
 
 
-def test_it_is_not_acknowledged_before_it_was_shown() -> None:
+def test_an_alarm_is_not_acknowledged_before_it_was_shown() -> None:
     bench = AlarmBench().start()
     alarm = bench.raise_("01 01 01")
     assert bench.ack("01 01 01") == "DC 80 B8 00"
@@ -164,7 +166,7 @@ def test_a_diagnosis_that_was_lost_is_fetched_again() -> None:
     assert bench.fetch() == "04 06 01 08"
 
 
-def test_one_that_was_read_but_never_confirmed_is_acknowledged_all_the_same() -> None:
+def test_an_alarm_that_was_read_but_never_confirmed_is_acknowledged() -> None:
     bench = AlarmBench().start()
     alarm = bench.raise_("02 01 00")
     bench.fetch()
@@ -183,7 +185,7 @@ def test_class_2_reading_the_diagnosis_takes_nothing_away() -> None:
     assert bench.ext(OTHER) == "04 02 01 00"
 
 
-def test_only_what_the_device_has_and_the_master_enabled() -> None:
+def test_only_alarms_that_the_device_has_and_the_master_enabled() -> None:
     bench = AlarmBench().start(prm(0x40))
     bench.raise_("02 01 00")
     for text in ("01 01 01", "03 01 00", "04 01 00", "05 01 00", "06 01 00", "20 01 00"):
@@ -221,32 +223,33 @@ def test_the_extra_sap_is_open_where_the_device_has_it() -> None:
     assert bench.poll() == "DE 80 B0 00"  # alarms, and no records
 
 
-@pytest.mark.parametrize("way", ["unlock", "parameters", "configuration", "watchdog", "length", "restart", "failure"])
-def test_leaving_data_exchange_ends_them(way: str) -> None:
+def _break(bench: AlarmBench) -> None:
+    bench.recorder.broken = "exchange"
+    bench.dx()
+
+
+WAYS_OUT: dict[str, Callable[[AlarmBench], object]] = {
+    "unlock": lambda bench: bench.prm(UNLOCK),
+    "parameters": lambda bench: bench.prm(prm()),
+    "configuration": lambda bench: bench.cfg(b"\x20"),
+    "watchdog": lambda bench: bench.pass_time(200_000_000),
+    "length": lambda bench: bench.dx(b"\1\2\3"),
+    "restart": lambda bench: bench.app.restart(bench.now),
+    "failure": _break,
+}
+
+
+@pytest.mark.parametrize("way", WAYS_OUT)
+def test_leaving_data_exchange_ends_alarms(way: str) -> None:
     bench = AlarmBench(extra_sap=True).start()
     raised = [bench.raise_(text) for text in ("01 01 01", "02 01 00", "01 01 02")]
-    told: list[AlarmEnd | None] = []
+    ends: list[AlarmEnd | None] = []
     for alarm in raised:
-        alarm.ended = lambda alarm=alarm: told.append(alarm.end)
+        alarm.ended = lambda alarm=alarm: ends.append(alarm.end)
     bench.alarms.status(Status(1, 1))
     bench.fetch()
-    match way:
-        case "unlock":
-            bench.prm(UNLOCK)
-        case "parameters":
-            bench.prm(prm())
-        case "configuration":
-            bench.cfg(b"\x20")
-        case "watchdog":
-            bench.pass_time(200_000_000)
-        case "length":
-            bench.dx(b"\1\2\3")
-        case "restart":
-            bench.app.restart(bench.now)
-        case _:
-            bench.recorder.broken = "exchange"
-            bench.dx()
-    assert told == [AlarmEnd.LEFT] * 3
+    WAYS_OUT[way](bench)
+    assert ends == [AlarmEnd.LEFT] * 3
     assert bench.alarms.pending == ()
     assert bench.ext() == ""
     with pytest.raises(AlarmError, match="not in data exchange"):
@@ -284,7 +287,7 @@ def test_at_most_32_wait() -> None:
         bench.alarms.status(Status(1, 1))
 
 
-def test_withdrawn() -> None:
+def test_an_alarm_is_withdrawn_until_the_master_has_it() -> None:
     bench = AlarmBench().start()
     shown, second, third = (bench.raise_("02 01 00") for _ in range(3))
     bench.fetch()
@@ -360,7 +363,7 @@ def test_a_status_that_has_no_room_beside_the_alarm_comes_after_it() -> None:
 
 
 @pytest.mark.parametrize("alarm", [Alarm(0, 1), Alarm(7, 1), Alarm(127, 1), Alarm(1, 255), Alarm(1, 1, 4)])
-def test_an_alarm_that_cannot_be(alarm: Alarm) -> None:
+def test_impossible_alarms(alarm: Alarm) -> None:
     with pytest.raises(PduError):
         AlarmBench().start().alarms.alarm(alarm)
 
@@ -371,14 +374,14 @@ def test_too_much_data() -> None:
 
 
 @pytest.mark.parametrize("sequence", [-1, 1, 33])
-def test_a_support_that_cannot_be(sequence: int) -> None:
+def test_impossible_alarm_support(sequence: int) -> None:
     with pytest.raises(ConfigError, match="alarms at a time"):
         AlarmSupport(sequence=sequence)
     with pytest.raises(ConfigError, match="no 'fire' alarm"):
         AlarmSupport(frozenset(("fire",)))
 
 
-def test_kinds() -> None:
+def test_kinds_of_alarm_types() -> None:
     assert [kind_of(number) for number in (1, 2, 3, 4, 5, 6, 32, 126)] == [
         "diagnostic",
         "process",
@@ -391,7 +394,7 @@ def test_kinds() -> None:
     ]
 
 
-def test_closed_from_the_beginning() -> None:
+def test_no_alarm_before_data_exchange() -> None:
     server = AlarmServer(AlarmSupport(frozenset(("process",))), 63)
     with pytest.raises(AlarmError, match="not in data exchange"):
         server.alarm(Alarm(2, 1))

@@ -166,7 +166,7 @@ def test_a_function_that_raises_is_answered_and_told_and_data_exchange_goes_on()
     assert bench.app.failure is None
 
 
-def test_what_cannot_be_read_is_told_with_its_octet() -> None:
+def test_an_invalid_request_is_reported_with_its_octet() -> None:
     bench = bench_with(RecordTable(TABLE))
     answer_to(bench, "5F 01 02 05 BB")
     assert bench.texts() == ["slave 8 (recorder): MS1 of master 2 refused: octet 4 says 5 octets of data, 1 came"]

@@ -135,7 +135,7 @@ def test_several_masters_at_once_and_nobody_gets_what_is_not_his() -> None:
         ("51 FF 01 01 55", "D1 80 B2 00"),
     ],
 )
-def test_what_is_answered_with_a_code_and_the_connection_goes_on(request_: str, response: str) -> None:
+def test_refusals_with_a_code_that_keep_the_connection(request_: str, response: str) -> None:
     slave = Slave()
     sap = slave.master.connect()
     assert slave.master.service(sap, request_) == response
@@ -154,7 +154,7 @@ def test_what_is_answered_with_a_code_and_the_connection_goes_on(request_: str, 
         ("5C 00 01 00", ABORT_SEQUENCE),
     ],
 )
-def test_what_has_no_place_in_a_connection_ends_it(request_: str, abort: str) -> None:
+def test_requests_out_of_place_end_a_connection(request_: str, abort: str) -> None:
     slave = Slave(count=1)
     sap = slave.master.connect()
     assert slave.master.service(sap, request_) == abort
@@ -282,7 +282,7 @@ def test_a_device_that_is_broken_is_still_asked() -> None:
     assert slave.master.service(sap, READ) == READ_RES
 
 
-def test_what_cannot_be_is_refused_at_once() -> None:
+def test_impossible_settings_are_refused_at_once() -> None:
     for count, max_len in ((50, 240), (-1, 240), (1, 0), (1, 241)):
         with pytest.raises(ConfigError, match="ms2"):
             Slave(count=count, max_len=max_len)

@@ -195,7 +195,7 @@ REQUESTS = {
 }
 
 
-def test_the_table_is_whole() -> None:
+def test_the_table_has_every_state_and_trigger() -> None:
     assert set(TABLE) == {(state, event) for state in State for event in Ms2Trigger}
     assert all(row.source for row in TABLE.values())
 

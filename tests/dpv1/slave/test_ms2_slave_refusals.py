@@ -100,7 +100,7 @@ def test_an_initiate_that_is_too_long() -> None:
 
 
 @pytest.mark.parametrize("longest", [19, 245])
-def test_lengths_of_initiate_that_cannot_be(longest: int) -> None:
+def test_impossible_lengths_of_initiate(longest: int) -> None:
     with pytest.raises(ConfigError, match="ms2_max_initiate"):
         Bench(longest)
 
@@ -125,7 +125,7 @@ def test_the_application_aborts(step: str, reason: int) -> None:
         ms2_of(bench.app).abort(sap, 0, bench.wire.now)
 
 
-def test_an_abort_that_nobody_fetches_holds_nothing() -> None:
+def test_an_abort_that_is_not_fetched_frees_the_connection() -> None:
     bench = Bench()
     sap = bench.master.initiate(initiate(0x1234))
     bench.master.ask(sap)
