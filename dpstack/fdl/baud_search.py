@@ -42,32 +42,26 @@ _TOKENS_NEEDED: Final = 3
 
 
 class Confidence(Enum):
-    """What a rate was recognised by."""
+    """The kind of telegrams by which a rate was recognised."""
 
     CHECKED = "checked"  # telegrams with FCS, nothing left over between them
     TOKEN = "token"  # the same token again and again, nothing left over between
 
 
 class Evidence:
-    """What is heard at one rate: octets to telegrams, telegrams to runs. ``stall_ns``: see the decoder."""
-
-    __slots__ = ("_checked", "_decoder", "_last", "_token", "_tokens", "octets", "run", "unexplained")
+    """Octets and telegrams heard at one rate; ``run``: telegrams in a row. ``stall_ns``: see the decoder."""
 
     def __init__(self, stall_ns: int) -> None:
         self._decoder = Decoder(stall_ns=stall_ns)
         self.octets = 0
         #: octets that belonged to no telegram, since the last one that was
         self.unexplained = 0
-        #: telegrams in a row
-        self.run = 0
-        self._checked = 0
-        self._tokens: dict[Telegram, int] = {}  # of the run, how often
-        self._token: Telegram | None = None  # the last one of the run
-        self._last: Telegram | None = None
+        self._skipped = 0  # by the decoder, up to the last call
+        self._break()
 
     @property
     def confidence(self) -> Confidence | None:
-        """What the rate is recognised by; None while it is not."""
+        """The telegrams by which the rate is recognised; None while it is not."""
         if self._checked >= _FCS_NEEDED:
             return Confidence.CHECKED
         if any(count >= _TOKENS_NEEDED for count in self._tokens.values()):
@@ -76,22 +70,19 @@ class Evidence:
 
     @property
     def promising(self) -> bool:
-        """More of the same would be enough."""
+        """Whether more of the same telegrams would be enough."""
         return self._checked > 0 or len(self._tokens) > 1 or any(count > 1 for count in self._tokens.values())
 
     def hear(self, chunk: bytes, now: int) -> None:
-        decoder = self._decoder
         self.octets += len(chunk)
         for at in range(len(chunk)):
-            skipped = decoder.stats.skipped
-            found = decoder.feed(chunk[at : at + 1], now)
-            self._judge(found, decoder.stats.skipped - skipped)
+            self._judge(self._decoder.feed(chunk[at : at + 1], now))
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         """A whole telegram, decoded by the medium."""
         self.octets += 1
         self.wake(now, given_up=True)
-        self._take(telegram)
+        self._add_to_run(telegram)
 
     def stall_at(self) -> int:
         """When :meth:`wake` is wanted, in ns."""
@@ -99,22 +90,21 @@ class Evidence:
 
     def wake(self, now: int, *, given_up: bool = False) -> None:
         """Give up a telegram that has stalled (or surely does not go on: ``given_up``)."""
-        decoder = self._decoder
-        if given_up or decoder.stall_at() <= now:
-            skipped = decoder.stats.skipped
-            found = decoder.stalled(now)
-            self._judge(found, decoder.stats.skipped - skipped)
+        if given_up or self._decoder.stall_at() <= now:
+            self._judge(self._decoder.stalled(now))
 
-    def _judge(self, found: list[Telegram], skipped: int) -> None:
+    def _judge(self, found: list[Telegram]) -> None:
+        skipped = self._decoder.stats.skipped - self._skipped
         if skipped:
             # telegrams that come out of the rest of a damaged one are none to rely on
+            self._skipped += skipped
             self.unexplained += skipped
             self._break()
             return
         for telegram in found:
-            self._take(telegram)
+            self._add_to_run(telegram)
 
-    def _take(self, telegram: Telegram) -> None:
+    def _add_to_run(self, telegram: Telegram) -> None:
         if not self._follows(telegram):
             self._break()
         self.run += 1
@@ -127,7 +117,7 @@ class Evidence:
             self._checked += 1
 
     def _follows(self, telegram: Telegram) -> bool:
-        """It may stand where it stands in the run."""
+        """Whether ``telegram`` may stand at this place of the run."""
         if telegram.kind is Kind.SC:
             return self._last is not None and self._last.is_request
         if telegram.kind is Kind.SD4 and self._token is not None:
@@ -136,8 +126,9 @@ class Evidence:
 
     def _break(self) -> None:
         self.run = self._checked = 0
-        self._tokens = {}
-        self._token = self._last = None
+        self._tokens: dict[Telegram, int] = {}  # of the run, how often
+        self._token: Telegram | None = None  # the last one of the run
+        self._last: Telegram | None = None
 
 
 class Missing(Enum):
@@ -244,17 +235,22 @@ class AutoBaud:
 
     def receive(self, chunk: bytes, now: int) -> None:
         """Octets heard at :attr:`baud`."""
-        if self.result is None and now >= self._settled_at:
-            self._heard_at = now
+        if self._counts(now):
             self._evidence.hear(chunk, now)
             self._decide(now)
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         """A whole telegram heard at :attr:`baud`."""
-        if self.result is None and now >= self._settled_at:
-            self._heard_at = now
+        if self._counts(now):
             self._evidence.telegram(telegram, now)
             self._decide(now)
+
+    def _counts(self, now: int) -> bool:
+        """Whether what is heard now was sent since the last change of the rate, and the search goes on."""
+        if self.result is not None or now < self._settled_at:
+            return False
+        self._heard_at = now
+        return True
 
     def activity(self, now: int) -> None:
         """A start edge tells nothing."""
@@ -269,14 +265,14 @@ class AutoBaud:
         self._next(now)
 
     def wake(self, now: int) -> None:
-        """Judge what has stalled, the dwell and the end."""
+        """Give up a stalled telegram, end the dwell or the search."""
         if self.result is not None:
             return
         self._evidence.wake(now)
         if self._decide(now):
             return
         if now >= self._end():
-            self._give_up(now)
+            self._finish(self.in_vain(now))
         elif now >= self._dwell_until:
             if self._evidence.promising and not self._extended:
                 self._extended = True
@@ -336,19 +332,20 @@ class AutoBaud:
         self._begin(now)
 
     def _decide(self, now: int) -> bool:
-        """What was heard is enough, for this rate or against it."""
+        """Whether enough was heard, for this rate or against it."""
         evidence = self._evidence
         confidence = evidence.confidence
         if confidence is not None:
-            self.result = BaudFound(
-                t_ns=now,
-                baud=self.baud,
-                listened_ns=now - self._start,
-                confidence=confidence,
-                telegrams=evidence.run,
-                tried=self.tried,
+            self._finish(
+                BaudFound(
+                    t_ns=now,
+                    baud=self.baud,
+                    listened_ns=now - self._start,
+                    confidence=confidence,
+                    telegrams=evidence.run,
+                    tried=self.tried,
+                )
             )
-            self._events.append(self.result)
             return True
         if evidence.unexplained < _TOO_MANY:
             return False
@@ -358,12 +355,12 @@ class AutoBaud:
     def _end(self) -> int:
         return min(self._heard_at + self._silence_ns, self._start + self._limit_ns)
 
-    def _give_up(self, now: int) -> None:
-        self.result = self.in_vain(now)
-        self._events.append(self.result)
+    def _finish(self, result: BaudFound | BaudNotFound) -> None:
+        self.result = result
+        self._events.append(result)
 
     def in_vain(self, now: int) -> BaudNotFound:
-        """What is to be said if nothing more is heard: why no rate was recognised up to now."""
+        """The result if nothing more is heard: why no rate was recognised up to now."""
         octets = self._octets + self._evidence.octets
         return BaudNotFound(
             t_ns=now,
