@@ -8,8 +8,8 @@
 - ``commands``: Orders to a station: to an active one's link layer, and what is done at a passive one itself
 - ``decoder``: Octets as they arrive to telegrams: incremental, driven by length, resynchronising octet by octet
 - ``describe``: Telegrams and wire logs in words, for people
-- ``events``: What the link layer tells
-- ``interface``: What the link layer asks of its users, of a slave's application, and the medium of a station
+- ``events``: Events of the link layer: the token ring, stations that come and go, requests that fit into no cycle
+- ``interface``: Interfaces of the link layer: to its users, to the application of a passive station, to the medium
 - ``livelist``: The live list: which stations 0..126 are on the bus, of what type and how ready, asked by FDL status
 - ``telegram``: FDL telegrams as values: kinds, function codes, service access points
 """

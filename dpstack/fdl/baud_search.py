@@ -57,7 +57,13 @@ class Evidence:
         #: octets that belonged to no telegram, since the last one that was
         self.unexplained = 0
         self._skipped = 0  # by the decoder, up to the last call
-        self._break()
+        self._begin_run()
+
+    def _begin_run(self) -> None:
+        self.run = self._checked = 0
+        self._tokens: dict[Telegram, int] = {}  # of the run, how often
+        self._token: Telegram | None = None  # the last one of the run
+        self._last: Telegram | None = None
 
     @property
     def confidence(self) -> Confidence | None:
@@ -99,14 +105,14 @@ class Evidence:
             # telegrams that come out of the rest of a damaged one are none to rely on
             self._skipped += skipped
             self.unexplained += skipped
-            self._break()
+            self._begin_run()
             return
         for telegram in found:
             self._add_to_run(telegram)
 
     def _add_to_run(self, telegram: Telegram) -> None:
         if not self._follows(telegram):
-            self._break()
+            self._begin_run()
         self.run += 1
         self.unexplained = 0
         self._last = telegram
@@ -123,12 +129,6 @@ class Evidence:
         if telegram.kind is Kind.SD4 and self._token is not None:
             return telegram.sa in (self._token.da, self._token.sa)
         return True
-
-    def _break(self) -> None:
-        self.run = self._checked = 0
-        self._tokens: dict[Telegram, int] = {}  # of the run, how often
-        self._token: Telegram | None = None  # the last one of the run
-        self._last: Telegram | None = None
 
 
 class Missing(Enum):

@@ -36,7 +36,7 @@ _KIND_SD1: Final = Kind.SD1
 _KIND_SD2: Final = Kind.SD2
 _KIND_SD4: Final = Kind.SD4
 
-#: what stands behind the checked octets, made once; what stands before the data is kept too (:func:`_head`)
+#: FCS and ED by FCS, made once; the octets before the data are kept too (:func:`_head`)
 _TAILS: Final = tuple(bytes((check, ED)) for check in range(256))
 #: so many heads are kept: 126 stations with both FCB each way are 504
 _KEPT_HEADS: Final = 1_024
@@ -84,7 +84,7 @@ def encode_sd2(da: int, sa: int, fc: int, data: bytes = b"", dsap: int | None = 
 def _head(
     da: int, sa: int, fc: int, size: int, dsap: int | None, ssap: int | None, *segments: int | None
 ) -> tuple[bytes, int]:
-    """What stands before the ``size`` octets of data, and its part of the FCS: made once, the data are added to it.
+    """The octets before the ``size`` octets of data, and their part of the FCS; made once for all data.
 
     In data exchange only FCB, data and FCS change from one request to the next. ``segments``: DSEG and SSEG.
     """

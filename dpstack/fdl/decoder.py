@@ -67,7 +67,7 @@ class DecoderStats:
         return sum(counters[flaw.value] for flaw in Flaw) + self.stalled
 
     def by_cause(self) -> dict[str, int]:
-        """What was damaged or belonged to no telegram, zeros left out."""
+        """Counters of damage and of octets outside of telegrams, without zeros."""
         return {name: n for name, n in self.as_dict().items() if n and name not in ("octets", "telegrams")}
 
     def as_dict(self) -> dict[str, int]:
@@ -228,7 +228,7 @@ class Decoder:
         return stop
 
     def _headless(self, in_doubt: bool) -> int:
-        """What is left of the telegram of which this SD may be the second one, the first being lost; 0: of none."""
+        """Octets to the end of the telegram whose second SD this may be, the first one being lost; 0: there is none."""
         tail = self._tail
         if not tail or not EMPTY_LE <= tail[-1] <= MAX_LE:
             return 0

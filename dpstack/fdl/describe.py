@@ -75,7 +75,7 @@ _SHORT_NAMES: Final[dict[int, str]] = {
 #: Global_Control octet 1, in the order of the bits; Operate is the absence of Clear_Data
 _CONTROLS: Final = ((0x04, "Unfreeze"), (0x08, "Freeze"), (0x10, "Unsync"), (0x20, "Sync"))
 
-#: what is in a telegram, in words; empty where nothing is known
+#: describes the content of a telegram in words; empty where it is unknown
 Inside = Callable[[Telegram], str]
 
 #: so many octets of a transmission are shown in full

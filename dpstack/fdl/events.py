@@ -1,4 +1,4 @@
-"""What the link layer tells."""
+"""Events of the link layer: the token ring, stations that come and go, requests that fit into no cycle."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dpstack.fdl.telegram import StationType
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ms_text
 
-#: what fits into no gap waits for so many cycles, and one in so many may be put at risk
+#: a request that fits into no gap waits for so many cycles; one cycle in so many may begin late because of it
 PATIENCE: Final = 8
 
 
@@ -87,7 +87,7 @@ class StationFound(Event):
 
 
 def le3_notice(source: str, sender: int, now: int) -> Notice:
-    """Told once of each ``sender`` of SD2 telegrams with LE = 3."""
+    """Reported once for each ``sender`` of SD2 telegrams with LE = 3."""
     message = (
         f"station {sender} sends SD2 telegrams without a data unit (LE = 3), which no standard knows; "
         "they are taken as empty"
@@ -97,7 +97,7 @@ def le3_notice(source: str, sender: int, now: int) -> Notice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DoesNotFit(Event):
-    """What fits between no two cycles was sent all the same, after its wait; told once for each service.
+    """A request that fits between no two cycles was sent after its wait; reported once for each service.
 
     ``takes_ns``: the longest it can take; ``slack_ns``: what the port's slack is in each of its slot times.
     """

@@ -1,7 +1,7 @@
-"""What the link layer asks of its users, of a passive station's application, and the medium of a station.
+"""Interfaces of the link layer: to its users, to the application of a passive station, to the medium.
 
 The link layer asks for the next request when it holds the token; DP master, live list and scanner are users side by
-side. It owns FC, FCB, retries, slot times and the token; a user owns what is said to whom and judges the answers.
+side. It owns FC, FCB, retries, slot times and the token; a user chooses requests and judges the answers.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ RS_REPLY = Reply(Resp.RS)
 
 
 class StationControl(Protocol):
-    """What a passive station lets its application change."""
+    """The settings of a passive station that its application may change."""
 
     @property
     def address(self) -> int:
@@ -149,6 +149,7 @@ class Responder(Protocol):
 
     def attached(self, station: StationControl) -> None:
         """Called once, when a station is built around this application: keep ``station`` for min T_SDR and address."""
+        return
 
     def take_events(self) -> list[Event]:
         """The events of the application since the last call, oldest first; asked after every step: be quick."""
@@ -237,7 +238,7 @@ class BusStation(Machine, Protocol):
     def activity(self, now: int) -> None:
         """A start edge on a silent line. What follows is a telegram, octets, or nothing that can be read.
 
-        Only told to stations that hear all, and to the addressee. Ports that cannot see edges never call it.
+        Called for stations that hear all, and for the addressee. Ports that cannot see edges never call it.
         """
 
     def telegram(self, telegram: Telegram, now: int) -> None:

@@ -33,7 +33,7 @@ _BUSY_POLLS: Final = 50
 
 
 def live_allowance(params: BusParams, patience: Patience, now: int) -> Allowance:
-    """What silent polls of a live list may take beside data exchange: half of what the port's patience allows."""
+    """The bus time for silent polls of a live list beside data exchange: half of the share that the patience allows."""
     return Allowance(_SHARES * patience.unknown_share, patience.silent_ns(params), now)
 
 
@@ -83,7 +83,7 @@ class LiveList(LinkUser):
         self.stations: dict[int, StationType] = {}
         #: addresses from which only damaged octets came: two stations with one address, or a bad line
         self.unreadable: set[int] = set()
-        #: every address was asked as often as it takes, once at least
+        #: every address was asked once, the silent ones in all passes
         self.done = False
         self._addresses = [address for address in addresses if address != own]
         self._passes = passes
@@ -110,7 +110,7 @@ class LiveList(LinkUser):
             self._queue.appendleft(address)
 
     def forget(self, address: int, now: int) -> None:
-        """``address`` has fallen silent, as somebody else found out."""
+        """Another user of the link layer found ``address`` silent."""
         self._settle(address, None, now)
 
     # --- link user ----------------------------------------------------------------------------------------------
@@ -136,11 +136,11 @@ class LiveList(LinkUser):
         return Request(address, Req.FDL_STATUS, patient=known, retry=known, extra_ns=self._extra_ns, answer=0)
 
     def started(self, request: Request, at: int) -> None:
-        """What a silent poll takes counts from here."""
+        """The time of a silent poll counts from here."""
         self._started = at
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
-        """The answer says the type; silence is believed in the end."""
+        """Note the type that the answer has. Silence counts in the last pass."""
         address = request.da
         self._waiting = -1
         if outcome in (Failure.ABANDONED, Failure.REFUSED, Failure.HELD_BACK):

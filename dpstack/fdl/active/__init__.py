@@ -2,10 +2,11 @@
 
 - ``admission``: How long a request can take, how long its answer is waited for, and whether it may start before the
   next cycle
-- ``cycle_window``: What may still be started before the next cycle
+- ``cycle_window``: The rule that keeps everything else out of a fixed cycle: which requests may still start before the
+  next cycle
 - ``exchange``: One exchange with a station: the request, its answer or the lack of it, repetitions, late answers
 - ``fcb``: Requester side of the frame count bit: FCB and FCV of the next request, per responder
-- ``las_gap``: Book-keeping of the token ring as plain data: LAS, GAP, how much bus time silent polls may take
+- ``las_gap``: Book-keeping of the token ring as plain data: LAS, GAP, bus time for silent polls, reported masters
 - ``listen_idle_claim``: Handlers of the states without the token: Offline, Listen_Token, Active_Idle, and Claim_Token
 - ``membership``: This station's place in the token ring: the LAS, whether it is in the ring, and whose token it takes
 - ``parts``: The parts that the states of an active station share: durations, line, state machine, users of the link

@@ -1,10 +1,10 @@
-"""What may still be started before the next cycle: the one rule that keeps everything else out of a fixed cycle.
+"""The rule that keeps everything else out of a fixed cycle: which requests may still start before the next cycle.
 
-The DP master says when it wants the token next (:attr:`CycleWindow.next_at`). Whatever is no part of the cycle itself
-(diagnosis, bring-up, class 2, live list, GAP polls, repeated Global_Control) is started only when its longest course
-ends before that (``ends_at`` in :mod:`dpstack.fdl.active.exchange`: slot times, repetitions, how late the port usually
-is); otherwise its user is told HELD_BACK and asks again. What fits into no gap goes out all the same, the longest
-waiting first, in every eighth cycle at most: the start it may delay is the master's to count.
+The DP master sets the time of the next cycle (:attr:`CycleWindow.next_at`). A request that is no part of the cycle
+itself (diagnosis, bring-up, class 2, live list, GAP polls, repeated Global_Control) starts only when its longest course
+ends before that (``ends_at`` in :mod:`dpstack.fdl.active.admission`: slot times, repetitions, the usual lateness of the
+port); otherwise its user gets HELD_BACK and asks again. A request that fits into no gap goes out all the same, the
+longest waiting first, in every eighth cycle at most; the DP master counts the start that it may delay.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 from dpstack.fdl.events import PATIENCE
 from dpstack.units import NEVER
 
-#: function, DA and DSAP of a request: what waits
+#: function, DA and DSAP of a request that waits
 Key = tuple[int, int, int | None]
 
 
@@ -28,9 +28,9 @@ class CycleWindow:
         self.forced = 0
         #: no other master is in the ring, as far as the link layer knows
         self.alone = True
-        #: what was sent in this cycle without fitting in, for people
+        #: a service that was sent in this cycle without fitting in, for people
         self.overdrawn = ""
-        #: what ran into the next cycle because nobody answered it, for people
+        #: a service that ran into the next cycle because nobody answered it, for people
         self.silent = ""
         self._cycle = 0
         self._forced_in = -PATIENCE

@@ -1,10 +1,11 @@
-"""Book-keeping of the token ring as plain data: LAS, GAP, how much bus time silent polls may take, masters told.
+"""Book-keeping of the token ring as plain data: LAS, GAP, bus time for silent polls, reported masters.
 
 Nothing here sends or waits. Addresses run 0..127, the ring ascends and wraps.
 
 The LAS follows every token at once, as the standard wants. A token has no check sequence, though: at a wrong rate, or
 on a disturbed line, three octets in a row are one now and then. So it takes two tokens, with nothing unreadable
-between, until a master is told as joined or left; what has a check sequence (a GAP poll's answer) counts at once.
+between, until the station reports that a master joined or left. A GAP poll's answer has a check sequence: it counts at
+once.
 """
 
 from __future__ import annotations
@@ -142,7 +143,7 @@ class Gap:
         self.limit(EXACT, 0, 0)
 
     def limit(self, patience: Patience, cost_ns: int, now: int) -> None:
-        """What silent polls of ``cost_ns`` each may take follows from ``patience`` and how large the GAP is."""
+        """Limit the bus time for silent polls of ``cost_ns`` each by ``patience`` and the size of the GAP."""
         self._patience = patience
         self._cost_ns = cost_ns
         #: of silent polls of unknown addresses
@@ -217,7 +218,7 @@ class Announced:
         self._missing: dict[int, int] = {}  # no longer in the LAS, and after whose token
 
     def forget(self) -> None:
-        """Nobody is told any more."""
+        """No master counts as reported any more."""
         self.masters = frozenset()
         self._heard.clear()
         self._missing.clear()

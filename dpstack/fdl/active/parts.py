@@ -40,7 +40,7 @@ class ActiveLine(Line):
         self.after_ns = self.t_id1_ns  # silence that has to follow the last telegram on the line
         self.taken_at = 0  # first bit of the last transmission
         self.busy_until = 0  # a telegram is arriving; deadlines and starts wait so long
-        self.edge_at = 0  # first bit of what is arriving
+        self.edge_at = 0  # first bit of the telegram that is arriving
         self._edge_seen = False
 
     def edge(self, now: int, longest_ns: int) -> None:
@@ -113,7 +113,7 @@ class ActiveLine(Line):
         self.after_ns = self.t_id1_ns
 
     def expect_no_answer(self) -> None:
-        """What was sent last has no answer: T_ID2 follows."""
+        """The last telegram has no answer: T_ID2 follows."""
         self.after_ns = self.t_id2_ns
 
 
@@ -128,7 +128,7 @@ class Times:
     def set_patience(self, patience: Patience) -> None:
         params, line = self.params, self._line
         self.patience = patience
-        #: nothing is delivered late, edges are told
+        #: the port delivers nothing late and reports start edges
         self.exact = patience == EXACT
         # Octets are seen at their end: without edges the slot time counts from there.
         self.slot_ns = slot_ns = line.t_sl_ns if self.exact else params.ns(params.t_sl + BITS_PER_CHAR)

@@ -26,7 +26,7 @@ SERVICES: Final[dict[Req, Service]] = {
 # an enum's member costs ten times a name of the module
 _SC: Final = Kind.SC
 _FDL_STATUS: Final = Req.FDL_STATUS
-#: responses that say no or plainly yes
+#: negative acknowledgements, and the positive one without data
 _WITHOUT_DATA: Final = frozenset({int(Resp.OK), int(Resp.UE), int(Resp.RR), int(Resp.RS), int(Resp.NR)})
 
 

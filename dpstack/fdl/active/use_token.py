@@ -163,7 +163,7 @@ class TokenHold(Parts):
         self.machine.row[CHECK](NONE, now)
 
     def check(self, _: Telegram, now: int) -> None:
-        """What comes next: high priority once even when T_TH is over, everything while time is left, GAP, token."""
+        """Choose the next telegram: high priority once even after T_TH, others within T_TH, then GAP, then token."""
         if not self.membership.leaving:
             budget = self.budget
             over = now >= self._until

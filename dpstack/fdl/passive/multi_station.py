@@ -1,7 +1,7 @@
 """Several passive stations behind one port: one decoder, one answer at a time, broadcasts to all.
 
 This is what a simulation of many slaves on one serial port is. The stations share the receiver, so a telegram is
-decoded once and handed whole to its addressee. What one of them answers need not be told to the others: a passive
+decoded once and handed whole to its addressee. The others need not hear the answer of one: a passive
 station takes no notice of responses.
 """
 

@@ -175,7 +175,7 @@ class PassiveStation:
         return octets
 
     def wake_at(self) -> int:
-        """The next of: the answer's start, the stall of what is pending, what the application wants."""
+        """The next of: start of the answer, stall of an unfinished telegram, deadline of the application."""
         at = self.responder.wake_at()
         if self.decoder.pending:
             own = self.decoder.stall_at()
@@ -206,7 +206,7 @@ class PassiveStation:
 
     # --- the rules ---
     def take(self, telegram: Telegram, now: int) -> None:
-        """A telegram from whoever holds the receiver; ``line`` has been told when the line fell silent."""
+        """Process a telegram from the receiver; ``line`` knows already when the line fell silent."""
         # whoever sends now does not wait for the answer any more
         if self._tx is not None:
             self.drop()

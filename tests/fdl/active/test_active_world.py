@@ -8,35 +8,19 @@ from support import MS, WorldFactory
 
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
-from dpstack.fdl.interface import SC_REPLY, Reply, Request, StationControl
+from dpstack.fdl.interface import SC_REPLY, Reply, Request, Responder
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Req, Resp, StationType, Telegram
 from dpstack.params import BusParams
 from dpstack.sim.world import World
-from dpstack.trace import Event
-from dpstack.units import BAUD_RATES, NEVER
+from dpstack.units import BAUD_RATES
 
 
-class Echo:
-    """An application that answers with what it was sent."""
-
-    def attached(self, station: StationControl) -> None:
-        pass
+class Echo(Responder):
+    """An application that answers with the octets of the request."""
 
     def serve(self, request: Telegram, now: int) -> Reply | None:
         return Reply(Resp.DL, request.data) if request.data else SC_REPLY
-
-    def indicate(self, telegram: Telegram, now: int) -> None:
-        pass
-
-    def wake_at(self) -> int:
-        return NEVER
-
-    def tick(self, now: int) -> None:
-        pass
-
-    def take_events(self) -> list[Event]:
-        return []
 
 
 def master(world: World, params: BusParams, *users: ListUser) -> ActiveStation:
