@@ -1,4 +1,4 @@
-"""Futures of asyncio as the drivers use them."""
+"""Waiting for futures of asyncio through cancellations; orders that take effect at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every driver offers to the API: one machine kept running on one line inside an asyncio loop."""
+"""The interface of all drivers to the API (one machine, kept running on one line), and their events."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dpstack.units import BITS_PER_CHAR, NS_PER_S, ms_text, ns_to_s
 if TYPE_CHECKING:
     import asyncio
 
-#: the ordered end takes a few rotations; nobody waits longer than this for each of its steps (plus ten rotations)
+#: Time limit of each step of the ordered end, plus ten rotations; it takes a few rotations.
 END_LIMIT: Final = 2 * NS_PER_S
 #: Global_Control, the longest telegram of the end
 _LAST_OCTETS: Final = 13
@@ -23,11 +23,11 @@ _LAST_OCTETS: Final = 13
 #: Why nobody keeps a machine running in the child of a fork, for people.
 IN_PARENT: Final = "the bus runs in the process from which this one was forked"
 
-#: Takes what a machine told, in order; called from the loop, never from another thread.
+#: Called with the events of a machine, in order; from the loop, never from another thread.
 OnEvents = Callable[[list[Event]], None]
-#: Told when the machine raised: a defect of ours, the driver has stopped.
+#: Called with the exception of the machine: a defect of dpstack, the driver has stopped.
 OnFailure = Callable[[Exception], None]
-#: Told an order that nobody awaits and that a machine in another process refused, or dropped, with the error.
+#: Called with an order that nobody awaits and that a machine in another process refused or dropped, and the error.
 OnRefused = Callable[[object, DpError], None]
 
 

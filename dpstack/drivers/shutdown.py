@@ -134,9 +134,10 @@ class Ending:
             self._why = why
             self._advance()
 
-    def on_event(self, event: Event) -> None:
+    def on_events(self, events: list[Event]) -> None:
         if self._why is not None:
-            self.steps.on_event(event)
+            for event in events:
+                self.steps.on_event(event)
             self._go_on()
 
     def _go_on(self) -> None:
@@ -196,12 +197,7 @@ def end_on_port(port: Port, station: ActiveStation, echo: Echo) -> str:
     if not _nobody_else_sends(port, station):
         return "somebody else sends on the bus, and without the token nothing may be sent"
     loop = SelectLoop()
-
-    def on_events(events: list[Event]) -> None:
-        for event in events:
-            ending.on_event(event)
-
-    runtime = SelectRuntime(port, station, on_events, echo=echo)
+    runtime = SelectRuntime(port, station, lambda events: ending.on_events(events), echo=echo)
 
     def give(order: EndOrder) -> None:
         if isinstance(order, Shutdown):  # before the first step, which might find that the token was lost long ago

@@ -1,4 +1,4 @@
-"""Snapshots: what an application sees of its bus. The bus side makes them, and they are the same with every driver."""
+"""Snapshots of a bus for its application: made on the side of the bus, the same with every driver."""
 
 from __future__ import annotations
 

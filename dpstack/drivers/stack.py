@@ -1,4 +1,4 @@
-"""The machines of one bus, from plain data, and their snapshots: what every driver runs, in whichever process."""
+"""The machines of one bus, made from plain data, and their snapshots; every driver runs these, in whichever process."""
 
 from __future__ import annotations
 
@@ -35,7 +35,10 @@ _DIAGNOSIS_PERIOD: Final = 500 * NS_PER_MS
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StackSpec:
-    """What the machines of a bus are made from. ``watched``: a read-only bus shows the state of its stations."""
+    """The plain data that the machines of a bus are made from.
+
+    ``watched``: a read-only bus shows the state of its stations.
+    """
 
     params: BusParams
     patience: Patience
@@ -136,7 +139,7 @@ class Stack:
         self.master.handlers[address].image.outputs = octets
 
     def counted(self) -> Counters:
-        """Everything that is counted: not copied, it goes on."""
+        """The counters themselves, which the machines go on changing."""
         master, station, line = self.master, self.station, self.line
         return Counters(
             t_ns=line.now(),

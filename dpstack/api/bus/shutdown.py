@@ -108,12 +108,9 @@ class OrderedEnd:
         try:
             yield
         finally:
-            if not self._is_ender():
+            ender = self._bus.ender
+            if ender is None or asyncio.current_task() is not ender:
                 await self._close()
-
-    def _is_ender(self) -> bool:
-        ender = self._bus.ender
-        return ender is not None and asyncio.current_task() is ender
 
     async def unwatch(self) -> None:
         """The bus is closed: undo :meth:`watch`."""

@@ -1,4 +1,4 @@
-"""The channel between an application and its bus process: one process, one socket, orders and answers, news.
+"""The application's end of the socket: start and end of the bus process, orders and their answers, news.
 
 Nothing here waits for the bus process: an order is sent, and its answer ends a future. Where nobody awaits it, a
 refusal is handed on.
@@ -36,6 +36,7 @@ from dpstack.drivers.process.messages import (
     SetUp,
     error_of,
     named,
+    received,
     typed,
 )
 from dpstack.drivers.process.shared_image import SharedImage, Word
@@ -43,22 +44,21 @@ from dpstack.errors import BusError, DpError, OrderDropped, UsageError
 from dpstack.machine import Order
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ms_text, ns_to_s
 
-#: a bus process without a sign of life for so long is silent; orders and outputs that it does not take in this time are
-#: dropped
+#: after this time without a sign of life a bus process is silent; orders and outputs that it does not take in this time
+#: are dropped
 LIMIT_NS: Final = NS_PER_S
-#: so long the answer to an order may take that the bus process has taken (a plugin may have to be imported)
+#: time limit of the answer to an order that the bus process has taken (a plugin may have to be imported)
 ANSWER_NS: Final = 5 * NS_PER_S
-#: so long a silent bus process is waited for where an order ends something
+#: time limit of the answer of a silent bus process to an order that ends something
 _AGAIN_NS: Final = 500 * NS_PER_MS
 #: the interpreter starts, the plugins are imported, the port is opened
 START_LIMIT_NS: Final = 30 * NS_PER_S
 _END_S: Final = 3.0
-#: so often the application looks whether a bus process that is about to end has ended
+#: interval of the looks whether a bus process that is about to end has ended
 _LOOK_S: Final = 0.005
-_CHUNK: Final = 65_536
-#: so many chunks are read before an order counts as unanswered: more than a bus process keeps for a slow reader
+#: chunks that are read before an order counts as unanswered: more than a bus process keeps for a slow reader
 _CHUNKS: Final = 16
-#: what the end of a bus takes longer at most where the bus process hangs: four orders, and its own end
+#: the end of a bus takes longer by at most this where the bus process hangs: four orders, and its own end
 CLOSE_LIMIT_S: Final = (ANSWER_NS + 3 * _AGAIN_NS) / NS_PER_S + 2 * _END_S
 
 
@@ -79,12 +79,12 @@ class _Sent:
 
 
 class Channel:
-    """Starts the bus process and talks to it. ``on_news`` takes what it tells.
+    """Starts the bus process and exchanges messages with it. ``on_news`` is called with its messages.
 
-    ``on_refused`` takes an order that nobody awaits and that the bus process refused, or dropped, with the error.
-    ``why_gone`` makes the error of a bus process that ended unasked from its exit code (negative: a signal; None: it
-    runs on, but has hung up) and its last words; from then on that is raised by every order. ``on_gone`` is told
-    when all that came before was handed on.
+    ``on_refused`` is called with an order that nobody awaits and that the bus process refused, or dropped, and the
+    error. ``why_gone`` makes the error of a bus process that ended unasked from its exit code (negative: a signal;
+    None: it runs on, but has hung up) and its last message; from then on every order raises that error. ``on_gone`` is
+    called with it after all earlier news.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Channel:
         self._number = 0
         self._sent: dict[int, _Sent] = {}
         self._gone: DpError | None = None
-        self._silent = False  # it owes an answer, and has said nothing since
+        self._silent = False  # an answer is overdue, and no news has come since
         self._image: SharedImage | None = None
 
     @property
@@ -298,14 +298,9 @@ class Channel:
 
     def _on_readable(self) -> bool:
         """Read news of the bus process; False where there are no more."""
-        if self._sock is None:
+        octets = None if self._sock is None else received(self._sock)
+        if octets is None:
             return False
-        try:
-            octets = self._sock.recv(_CHUNK)
-        except BlockingIOError:
-            return False
-        except OSError:
-            octets = b""
         if not octets:
             self._hung_up()
             return False

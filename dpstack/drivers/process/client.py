@@ -49,7 +49,7 @@ from dpstack.machine import Order
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import s_to_ns
 
-#: so often the application looks whether the bus process lives and takes the outputs
+#: interval of the looks whether the bus process is alive and takes the outputs
 _WATCH_S: Final = 0.1
 _EMPTY: Final = Picture(0, 0, {})
 _UNKNOWN: Final = SlaveSnapshot()
@@ -58,7 +58,7 @@ _UNKNOWN: Final = SlaveSnapshot()
 class ProcessRuntime:
     """A :class:`~dpstack.drivers.runtime.Runtime`, and the :class:`~dpstack.drivers.snapshots.View` of its bus.
 
-    ``on_failure`` is told when the bus process ends without having been told to.
+    ``on_failure`` is called when the bus process ends without an order to end.
     """
 
     def __init__(self, setup: SetUp, on_events: OnEvents, on_failure: OnFailure, on_refused: OnRefused) -> None:

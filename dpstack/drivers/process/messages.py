@@ -43,6 +43,7 @@ _LENGTH: Final = 4
 #: beyond this events are dropped (and counted) until somebody reads again
 FULL: Final = 256 * 1024
 _LAST_WORDS_S: Final = 0.5
+_CHUNK: Final = 65_536
 #: signals that a terminal sends to all in front of it: the application's, whose way out is the bus process's, too
 FROM_TERMINALS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
 
@@ -190,6 +191,16 @@ class Frames(Generic[T]):
             with _readable("a message between bus process and application"):
                 message = self._decoder.decode(octets)
             yield message
+
+
+def received(sock: socket.socket) -> bytes | None:
+    """The octets that ``sock`` has now: None where there are none yet, empty where the other process has hung up."""
+    try:
+        return sock.recv(_CHUNK)
+    except BlockingIOError:
+        return None
+    except OSError:
+        return b""
 
 
 class Outbox:

@@ -28,6 +28,7 @@ from dpstack.drivers.process.messages import (
     error_pair,
     named,
     order_of,
+    received,
 )
 from dpstack.drivers.process.plugins import AttachPlugin, core_at, load
 from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
@@ -49,7 +50,6 @@ _BEATS_TO_NEWS: Final = 5
 _DRIVES_NS: Final = 10 * NS_PER_MS
 #: SIGTERM is for the application, too, if that begins its end within this time
 _GRACE: Final = 200 * NS_PER_MS
-_CHUNK: Final = 65_536
 #: no more is read while so many orders wait
 _WAITING: Final = 32
 
@@ -77,10 +77,8 @@ class Host:
             core_at(place)
         for plugin in setup.plugins:
             self._handler_image(plugin.address).unit = load(plugin)
-        port = open_port(setup.port, setup.stack.params.baud, event_char=setup.event_char, rs485=setup.rs485)
-        self._port = port
         self.runtime = SelectRuntime(
-            port,
+            open_port(setup.port, setup.stack.params.baud, event_char=setup.event_char, rs485=setup.rs485),
             self._station,
             self.on_events,
             echo=setup.echo,
@@ -133,12 +131,9 @@ class Host:
     # --- the application's orders ---
 
     def _on_readable(self) -> None:
-        try:
-            octets = self._sock.recv(_CHUNK)
-        except BlockingIOError:
+        octets = received(self._sock)
+        if octets is None:
             return
-        except OSError:
-            octets = b""
         if not octets:
             self._loop.remove_reader(self._sock.fileno())
             self.end("the application is gone")
@@ -270,8 +265,7 @@ class Host:
     # --- news for the application ---
 
     def on_events(self, events: list[Event]) -> None:
-        for event in events:
-            self._ending.on_event(event)
+        self._ending.on_events(events)
         self._send_news(events)
 
     def _send_news(
