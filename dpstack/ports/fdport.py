@@ -83,7 +83,7 @@ class FdPort(Port):
             close(fd)
 
     def _forsake_fd(self, fd: int) -> None:
-        os.close(fd)
+        self._close_fd(fd)
 
     def _use(self, fd: int) -> None:
         """Read and write on ``fd``, an open non-blocking descriptor."""

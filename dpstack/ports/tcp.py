@@ -64,9 +64,6 @@ class SocketPort(FdPort):
         self._read, self._send = self._socket.recv, self._socket.send
         self.notices = [f"the far end must be set to {self.baud} bit/s 8E1 itself"]
 
-    def _forsake_fd(self, fd: int) -> None:
-        self._close_fd(fd)  # the connection ends with its last descriptor only
-
     def _close_fd(self, fd: int) -> None:
         if self._socket is not None:
             self._socket.close()

@@ -167,7 +167,7 @@ class TtyPort(FdPort):
     def _forsake_fd(self, fd: int) -> None:
         # the lock and the settings belong to the open file, which is the parent's
         self._tuning = None
-        super()._forsake_fd(fd)
+        os.close(fd)
 
     def _close_fd(self, fd: int) -> None:
         tuning, self._tuning = self._tuning, None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
@@ -18,6 +18,7 @@ from dpstack.api.config.bus import AUTO, VIRTUAL, BusConfig, read_bus
 from dpstack.api.config.slave import SlaveConfig, read_slave
 from dpstack.api.config.table import Source, Table
 from dpstack.api.config.toml import MAX_OCTETS, TomlError, read_toml
+from dpstack.api.config.toml import Path as KeyPath
 from dpstack.api.files import read_file
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError, ParamError
@@ -202,38 +203,32 @@ def slave_config(
 
 
 def _checked(config: Config) -> Config:
-    """Checks across tables: addresses and names are unique, also that of the master."""
+    """``config``. Raises ConfigError for the first conflict between its tables."""
+    for path, what, todo in _conflicts(config):
+        raise config.source.error(path, what, todo)
+    return config
+
+
+def _conflicts(config: Config) -> Iterator[tuple[KeyPath, str, str]]:
+    """(key, problem, remedy) of addresses and names that are not unique, also that of the master."""
     addresses: dict[int, str] = {}
     names: dict[str, int] = {}
     for number, slave in enumerate(config.slaves):
-        path = ("slave", number)
-        if slave.address == config.bus.address:
-            raise config.source.error(
-                (*path, "address"),
-                f"slave {slave.name} has address {slave.address}, which is the master's own",
-                "give one of the two another address",
-            )
-        if slave.address in addresses:
-            raise config.source.error(
-                (*path, "address"),
-                f"slaves {addresses[slave.address]} and {slave.name} both have address {slave.address}",
-                "give one of them another address",
-            )
-        if slave.name in names:
-            raise config.source.error(
-                (*path, "name"),
-                f"the slaves at address {names[slave.name]} and {slave.address} are both called {slave.name!r}",
-                "give each a name of its own",
-            )
-        addresses[slave.address] = slave.name
-        names[slave.name] = slave.address
+        key, address, name = ("slave", number, "address"), slave.address, slave.name
+        if address == config.bus.address:
+            what = f"slave {name} has address {address}, which is the master's own"
+            yield key, what, "give one of the two another address"
+        if address in addresses:
+            what = f"slaves {addresses[address]} and {name} both have address {address}"
+            yield key, what, "give one of them another address"
+        if name in names:
+            what = f"the slaves at address {names[name]} and {address} are both called {name!r}"
+            yield ("slave", number, "name"), what, "give each a name of its own"
+        addresses[address] = name
+        names[name] = address
     if config.bus.address > config.bus.hsa:
-        raise config.source.error(
-            ("bus", "hsa"),
-            f"[bus]: address {config.bus.address} lies above hsa {config.bus.hsa}",
-            "no other master would ever find it: raise hsa or take a lower address",
-        )
-    return config
+        what = f"[bus]: address {config.bus.address} lies above hsa {config.bus.hsa}"
+        yield ("bus", "hsa"), what, "no other master would ever find it: raise hsa or take a lower address"
 
 
 def rate_findings(config: Config, baud: int) -> list[str]:
