@@ -1,6 +1,6 @@
 """DP: service PDUs, process image, master, slave application, rotation plan.
 
-- ``acyclic/``: The acyclic services of the master: who may ask what next, and class 2
+- ``acyclic/``: The acyclic services of the master: the queue, its jobs, and class 2
 - ``master/``: The DP master: its mode, its cycle, and one slave handler a slave
 - ``pdu/``: The octets of DP-V0: requests, diagnosis, and what they mean
 - ``plan/``: The plan of a bus: rotation time, cycle, T_TR, before anything is sent

@@ -1,4 +1,4 @@
-"""What everything acyclic is to the queue (:mod:`dpstack.dp.acyclic.queue`): a job with one end.
+"""Jobs of the acyclic queue (:mod:`dpstack.dp.acyclic.queue`): a service as a sequence of requests with one end.
 
 A job is a generator of :class:`Step`: it gives the next request and is sent what became of it, and when
 (:class:`Heard`): that is all the time that a job knows, and it judges by it how long the slave has had. Its end is one

@@ -9,7 +9,7 @@
 - ``master``: The class 1 master: modes and the ordered end
 - ``outputs_watch``: When the master goes to Clear by itself: auto-clear, the stall rule, the application watchdog
 - ``plugin_host``: Runs a slave's cyclic unit (a drive plugin) so that its defects stay its own
-- ``poll_order``: Whose turn it is: who is exchanged data with in a round, and whose service comes next
+- ``poll_order``: The order of polls: which slaves have Data_Exchange in a round, and whose service comes next
 - ``retry_timing``: When a slave is asked next: the back-off of retries
 - ``scanner``: The scanner: the live list, filled up with ident number, state and owner of each slave
 - ``settings``: Settings of a DP master that do not depend on its slaves, and the state that all its parts share

@@ -34,11 +34,7 @@ _ANSWERS: Final = {SAP_SET_PRM: 0, SAP_CHK_CFG: 0, SAP_GET_CFG: 244}
 
 
 class Round:
-    """One round over the slaves; ``open`` between its beginning and its end.
-
-    It calls ``begins()`` at its beginning, before it takes outputs, and ``ended(now)`` at its end in
-    :meth:`next_request`.
-    """
+    """One round over the slaves; ``open`` between its beginning and its end, when it calls ``ended(now)``."""
 
     def __init__(
         self,
@@ -47,7 +43,6 @@ class Round:
         turns: Turns,
         controls: Controls,
         cadence: Cadence,
-        begins: Callable[[], None],
         ended: Callable[[int], None],
     ) -> None:
         self.open = False
@@ -58,7 +53,6 @@ class Round:
         self._turns = turns
         self._controls = controls
         self._cadence = cadence
-        self._begins = begins
         self._ended = ended
         self._due: list[SlaveHandler] = []
         self._cursor = 0
@@ -88,7 +82,7 @@ class Round:
             fixed = self._cadence.fixed
             if not (fixed or self._at_once):
                 return None
-            # Global_Control is told to be over when it begins, and nothing can begin before its end
+            # the link layer reports the end of Global_Control as it begins, and nothing can begin before its end
             if not self._cadence.due(max(now, self._free_at) if fixed else now):
                 return self._between(now) if fixed else None
             if not (fixed or self._may_take_all(now)):
@@ -124,7 +118,7 @@ class Round:
         self._cadence.begin(now, fixed=bool(exchanging) and not context.descending, interval=interval)
         self._controls.begin_round()
         self._due = exchanging if everybody else turns.due(self._cadence.number)
-        self._begins()
+        context.on_begin()
         for handler in self._due:
             handler.image.latch()
         self.open = True

@@ -40,9 +40,8 @@ _HELD_BACK: Final = Failure.HELD_BACK
 class Master:
     """A DP class 1 master over ``slaves``. Starts in Clear, or in Stop where the bus is read-only.
 
-    ``on_round(now)`` is called at the end of every round with data exchange, after :attr:`cycle` was published,
-    ``on_begin()`` as a round begins: what it puts into the process image goes out in that one. With a fixed cycle give
-    :attr:`budget` to the station. Raises ConfigError.
+    ``on_round(now)`` is called at the end of every round with data exchange, after :attr:`cycle` was published. With a
+    fixed cycle give :attr:`budget` to the station. Raises ConfigError.
     """
 
     def __init__(
@@ -56,7 +55,6 @@ class Master:
         self.rotation = Histogram()
         self.rounds = 0
         self.on_round: Callable[[int], None] | None = None
-        self.on_begin: Callable[[], None] | None = None
         #: the last round with data exchange, while ``on_round`` is set
         self.cycle: CycleData | None = None
         self.controls = Controls(context, self.handlers)
@@ -67,9 +65,7 @@ class Master:
         self._token = TokenAge(params)
         self._cadence = Cadence(context)
         self.roster = Roster(context, self.handlers, self._turns, self.controls, self._cadence, self._watch)
-        self._round = Round(
-            context, self.roster, self._turns, self.controls, self._cadence, self._round_begins, self._round_ended
-        )
+        self._round = Round(context, self.roster, self._turns, self.controls, self._cadence, self._round_ended)
         self._round_at = 0  # first bit of the last round's first Data_Exchange
         self._safe_until = 0  # so long safe values stand on the way down
         for setup in slaves:
@@ -263,10 +259,6 @@ class Master:
             self._watch.look(now)
         self._watch.outdated = False
         return self._round.next_request(now) if self.context.mode > _STOP else None
-
-    def _round_begins(self) -> None:
-        if self.on_begin is not None:
-            self.on_begin()
 
     def _round_ended(self, now: int) -> None:
         self.rounds += 1

@@ -1,4 +1,4 @@
-"""Whose turn it is: who is exchanged data with in a round, and whose service comes next.
+"""The order of polls: which slaves have Data_Exchange in a round, and whose service comes next.
 
 While the bus runs the rate groups decide (their offsets: :mod:`dpstack.dp.rate_groups`). A turn that could not be taken
 (the cycle was left out) is taken in the next cycle, the one after that in its own.

@@ -52,6 +52,8 @@ class MasterContext:
         #: the mode that the master is on its way to
         self.target = Mode.CLEAR
         self.events: list[Event] = []
+        #: called as a round begins: outputs that it puts into the process image go out in that round
+        self.on_begin: Callable[[], None] = lambda: None
         #: gives the addresses of the masters in the token ring, None where they are not known
         self.ring: Callable[[], Collection[int] | None] = lambda: None
 

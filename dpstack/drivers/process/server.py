@@ -110,7 +110,7 @@ class Host:
         ``notices``: what this process was not permitted, for people.
         """
         self._master.on_round = self._on_round
-        self._master.on_begin = self._take_outputs
+        self._master.context.on_begin = self._take_outputs
         self.runtime.open(self._loop)
         self._image.words[Word.HEARTBEAT] = monotonic_ns()
         self._publish_counters()

@@ -34,7 +34,7 @@ def tight(world: WorldFactory, baud: int) -> CycleBus:
 def test_the_token_is_kept_and_outputs_are_taken_for_each_cycle(baud: int, world: WorldFactory) -> None:
     bus = tight(world, baud)
     asked: list[int] = []
-    bus.master.on_begin = lambda: asked.append(bus.world.now)
+    bus.master.context.on_begin = lambda: asked.append(bus.world.now)
     begun, tokens = bus.master.cycles.begun, bus.station.stats.tokens
     bus.world.run_for(CYCLES * bus.cycle_ns)
     cycles = bus.master.cycles.begun - begun
