@@ -34,8 +34,12 @@ def baud(text: str) -> int:
     return value
 
 
-def baud_or_auto(text: str) -> int | str:
-    return text if text == AUTO else baud(text)
+def baud_or(word: str) -> Callable[[str], int | str]:
+    """The type of an argument: a baud rate, or ``word``."""
+    return lambda text: text if text == word else baud(text)
+
+
+baud_or_auto: Final = baud_or(AUTO)
 
 
 def number(read: Callable[[str], _N | None], low: float, below: float, what: str) -> Callable[[str], _N]:

@@ -29,14 +29,10 @@ _CASES: Final = {Case.SHORTEST: "shortest", Case.TYPICAL: "typical", Case.LONGES
 def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack plan plant.toml --baud all --cycle-ms 4"
     parser.value("config", "CONFIG", "configuration file")
-    parser.value("--baud", "B|all", "another rate, or all of them", type=_baud_or_all)
+    parser.value("--baud", "B|all", "another rate, or all of them", type=options.baud_or("all"))
     parser.value("--cycle-ms", "X", "judge this cycle, and tell which rate it needs", type=options.milliseconds)
     parser.flag("--octets", "the octets of Set_Prm and Chk_Cfg of each slave, as they will be sent")
     parser.run_by(execute)
-
-
-def _baud_or_all(text: str) -> int | str:
-    return text if text == "all" else options.baud(text)
 
 
 def execute(args: argparse.Namespace) -> int:
@@ -57,31 +53,34 @@ def execute(args: argparse.Namespace) -> int:
 
 def _all_rates(config: Config, needs: Needs, *, json: bool, octets: bool) -> int:
     """One plan for each baud rate, or the reason why the bus parameters are impossible at that rate."""
-    plans: list[Plan] = []
+    plans: dict[int, Plan] = {}
     without: dict[int, ConfigError] = {}
     for rate in BAUD_RATES:
         try:
-            plans.append(plan_bus(config, rate))
+            plans[rate] = plan_bus(config, rate)
         except ConfigError as error:
             without[rate] = error
     own = config.bus.baud if plans else BAUD_RATES[0]
     if isinstance(own, int) and own in without:
         raise without[own]
     if json:
-        dicts = {plan.params.baud: _with_rates(plan.as_dict(), needs) for plan in plans}
-        dicts |= {
-            rate: {"baud": rate, "rotation_us": None, "parameters": None, "slaves": [], "findings": [str(why)]}
-            for rate, why in without.items()
-        }
-        output.json_line([dicts[rate] for rate in BAUD_RATES])
+        nothing: dict[str, object] = {"rotation_us": None, "parameters": None, "slaves": []}
+        output.json_line(
+            [
+                {"baud": rate, **nothing, "findings": [str(without[rate])]}
+                if rate in without
+                else _with_rates(plans[rate].as_dict(), needs)
+                for rate in BAUD_RATES
+            ]
+        )
     else:
         _show_rates(config, plans)
         for rate, why in without.items():
             output.line(f"{baud_text(rate)}: no plan: {why}")
         _show_needs(needs)
-        for plan in plans if octets else ():
-            _show_octets(plan, f"{baud_text(plan.params.baud)}: ")
-    return 1 if any(plan.findings for plan in plans if plan.params.baud == config.bus.baud) else 0
+        for rate, plan in plans.items() if octets else ():
+            _show_octets(plan, f"{baud_text(rate)}: ")
+    return int(any(plan.findings for rate, plan in plans.items() if rate == config.bus.baud))
 
 
 def _rotation_text(plan: Plan, case: Case) -> str:
@@ -166,23 +165,23 @@ def _show_octets(plan: Plan, where: str = "") -> None:
         output.line("..: an octet of the ident number, which the slave is asked for")
 
 
-def _show_rates(config: Config, plans: list[Plan]) -> None:
+def _show_rates(config: Config, plans: Mapping[int, Plan]) -> None:
     rows = [
         (
-            baud_text(plan.params.baud),
+            baud_text(rate),
             *(_rotation_text(plan, case) for case in _CASES),
             *([plan.cycle.verdict.value] if plan.cycle else []),
             f"{plan.watchdog_ms} ms",
             len(plan.findings) or "none",
         )
-        for plan in plans
+        for rate, plan in plans.items()
     ]
     title = f"Bus rotation time of {len(config.slaves)} slaves"
     cycle = [f"cycle {config.bus.cycle_ms:g} ms"] if config.bus.cycle_ms else []
     output.table(title, ("rate", *_CASES.values(), *cycle, "watchdog", "findings"), rows)
-    for plan in plans:
+    for rate, plan in plans.items():
         for finding in plan.findings:
-            output.line(f"{baud_text(plan.params.baud)}: {finding}")
+            output.line(f"{baud_text(rate)}: {finding}")
 
 
 def _show_needs(needs: Needs) -> None:
