@@ -422,11 +422,9 @@ async def test_a_drive_that_is_not_there_is_told_with_its_reason(plant: Path) ->
         await bus.until(lambda: not bus.slave(4).ready_now, 5)
         found = await find_drive(dpstack.load_config(plant), "fan")
         assert found is not None
-        with pytest.raises(
-            (DriveTimeout, dpstack.DriveError), match="slave 4 is not in data exchange: stopped answering"
-        ):
+        says = "slave 4 is not in data exchange: stopped answering"
+        with found.client, pytest.raises((DriveTimeout, dpstack.DriveError), match=says):
             await order(found, "start", "timeout=0.2")
-        found.client.close()
 
 
 # -- programs -----------------------------------------------------------------------------------------------------
