@@ -1,7 +1,7 @@
 """PROFIdrive's parameter channel over DP-V1, record 47: both ends without clock and bus.
 
 - ``client``: The master's end of record 47: a Write, then Reads until the drive has its response ready; requests one
-  by one
+  by one, within the drive's limits
 - ``drive_access``: Parameter access of a drive plugin over record 47: parameters by name, scaled values, checks
   before sending
 - ``formats``: The data formats of values in record 47: number, octets of one value, conversion
@@ -10,13 +10,12 @@
 - ``pdu``: PDUs of record 47 (parameter access of PROFIdrive's base mode): requests and responses, both ends; their
   services
 - ``server``: The drive's end of record 47: takes a request by Write, carries it out, returns the response by Read
-- ``split``: Splits any number of parameters into requests within the drive's limits and joins the results
 """
 
 from dpstack.dpv1.master.plugin_queue import ReadReq, RecordQueue, WriteReq
 from dpstack.dpv1.pdu.im import Im0
 from dpstack.dpv1.slave.record_table import ImRecords
-from dpstack.profile.record47.client import PLUGIN, PROGRAM, Counters, ParameterClient, Progress
+from dpstack.profile.record47.client import PLUGIN, PROGRAM, Counters, Item, ParameterClient, Progress
 from dpstack.profile.record47.drive_access import AcyclicAccess, Place, plain_places
 from dpstack.profile.record47.formats import FORMATS, UNSIGNED16, UNSIGNED32, WORD, Format, format_of
 from dpstack.profile.record47.param_lists import (
@@ -34,6 +33,7 @@ from dpstack.profile.record47.pdu import (
     Answer,
     Attribute,
     ErrorValue,
+    Limits,
     Pause,
     Refused,
     Request,
@@ -51,7 +51,6 @@ from dpstack.profile.record47.server import (
     StoreParameters,
     TimedRecords,
 )
-from dpstack.profile.record47.split import Item, Limits
 
 __all__ = [
     "FORMATS",

@@ -15,10 +15,9 @@ from dpstack.errors import PduError
 from dpstack.profile.model.jobs import CommandError
 from dpstack.profile.model.param_errors import BAD_ADDRESS, BAD_SUBINDEX, ILLEGAL_NUMBER, NO_ARRAY, TOO_LONG, error_text
 from dpstack.profile.record47 import formats
-from dpstack.profile.record47.client import ParameterClient, Progress
+from dpstack.profile.record47.client import Item, ParameterClient, Progress
 from dpstack.profile.record47.formats import FORMATS, UNSIGNED16, Format, Value, format_of
-from dpstack.profile.record47.pdu import Address, Attribute, ErrorValue, Result, Transport, Values
-from dpstack.profile.record47.split import Item, Limits
+from dpstack.profile.record47.pdu import Address, Attribute, ErrorValue, Limits, Result, Transport, Values
 from dpstack.units import NEVER, NS_PER_S
 
 PNU_LIMITS: Final = 974

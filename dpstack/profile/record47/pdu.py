@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple, TypeVar
@@ -21,6 +21,7 @@ from dpstack.dpv1.pdu.error_codes import Code, code_text
 from dpstack.dpv1.pdu.read_write import PARAMETER_INDEX, ReadReq, WriteReq
 from dpstack.errors import PduError
 from dpstack.profile.record47.formats import ERROR, ZERO, Raw, format_of
+from dpstack.units import NS_PER_MS
 
 T = TypeVar("T")
 #: the record's index, and its longest content
@@ -33,10 +34,36 @@ MAX_ELEMENTS: Final = 234
 HEADER_LEN: Final = 4
 ADDRESS_LEN: Final = 6
 VALUE_HEADER_LEN: Final = 2
+_LATENCY_UNIT: Final = 10 * NS_PER_MS
+#: the shortest block of a drive: a request and an answer for one parameter of one double word
+_LEAST_OCTETS: Final = HEADER_LEN + ADDRESS_LEN + VALUE_HEADER_LEN + 4
 _ADDRESS: Final = struct.Struct(">BBHH")
 _NEGATIVE: Final = 0x80
 #: the id of a response to a request id that the drive does not have, without the bit of a negative one
 UNSUPPORTED: Final = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of one request and its response (PNU 974, Yaskawa Sigma-7 manual p529).
+
+    ``octets``: of either; ``elements`` of an array. ``latency_ns``: the longest time from request to response, 0: unknown.
+    """
+
+    octets: int = MAX_OCTETS
+    parameters: int = MAX_PARAMETERS
+    elements: int = MAX_ELEMENTS
+    latency_ns: int = 0
+
+    def of_974(self, words: Sequence[int]) -> Limits:
+        """These limits narrowed by PNU 974: octets, parameters, latency in 10 ms; impossible values are ignored."""
+        octets, parameters, latency = (*words, 0, 0, 0)[:3]
+        return Limits(
+            min(self.octets, octets) if octets >= _LEAST_OCTETS else self.octets,
+            min(self.parameters, parameters) if parameters else self.parameters,
+            self.elements,
+            latency * _LATENCY_UNIT or self.latency_ns,
+        )
 
 
 class RequestId(IntEnum):

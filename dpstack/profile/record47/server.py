@@ -32,6 +32,7 @@ from dpstack.profile.record47.pdu import (
     Address,
     Attribute,
     ErrorValue,
+    Limits,
     Refused,
     Request,
     RequestId,
@@ -39,7 +40,6 @@ from dpstack.profile.record47.pdu import (
     Result,
     Values,
 )
-from dpstack.profile.record47.split import Limits
 from dpstack.units import NS_PER_MS
 
 _BUSY: Final = Refused(Code.STATE_CONFLICT)

@@ -9,12 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
-from dpstack.profile.record47.client import ParameterClient
+from dpstack.profile.record47.client import Item, ParameterClient
 from dpstack.profile.record47.formats import FORMATS
 from dpstack.profile.record47.param_lists import Description, ReadParameter, read_limits, read_out
-from dpstack.profile.record47.pdu import Address, ErrorValue, Refused, Request, Response, Result, Values
+from dpstack.profile.record47.pdu import Address, ErrorValue, Limits, Refused, Request, Response, Result, Values
 from dpstack.profile.record47.server import ParameterModel, ParameterServer, Rules
-from dpstack.profile.record47.split import Item, Limits
 
 # -- both ends ---------------------------------------------------------------------------------------------------------
 

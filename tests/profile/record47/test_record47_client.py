@@ -9,8 +9,7 @@ from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.profile.model.jobs import CommandError
 from dpstack.profile.record47.client import PLUGIN, PROGRAM, ParameterClient
 from dpstack.profile.record47.param_lists import defined, describe, read_limits, texts
-from dpstack.profile.record47.pdu import Address, Answer, ErrorValue, Refused, Service, Silent, Values
-from dpstack.profile.record47.split import Limits
+from dpstack.profile.record47.pdu import Address, Answer, ErrorValue, Limits, Refused, Service, Silent, Values
 
 
 def client(**limits: int) -> ParameterClient:

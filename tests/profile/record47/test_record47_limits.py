@@ -24,7 +24,7 @@ from dpstack.profile.record47 import (
     read_limits,
     read_out,
 )
-from dpstack.profile.record47.split import Limits
+from dpstack.profile.record47.pdu import Limits
 from dpstack.units import NS_PER_MS, NS_PER_S
 
 TABLE = ParamTable(
