@@ -129,11 +129,11 @@ class ParameterClient:
     def _all(
         self, ident: RequestId, items: list[Item], deadline: int, progress: Progress | None
     ) -> Transport[list[Result]]:
-        waiting = list(pieces(items, self.limits))
+        waiting = list(_pieces(items, self.limits))
         most = self.limits.parameters
         done: list[tuple[Piece, Result]] = []
         while waiting:
-            count = min(batch(waiting, self.limits), most)
+            count = min(_batch_size(waiting, self.limits), most)
             now, waiting = waiting[:count], waiting[count:]
             results = yield from self._batch(ident, now, deadline)
             if results is None:  # too long to be written
@@ -152,7 +152,7 @@ class ParameterClient:
             if progress is not None:
                 progress(waiting[0].of if waiting else len(items), len(items))
         try:
-            return joined(len(items), sorted(done, key=_order))
+            return _joined(len(items), sorted(done, key=_order))
         except PduError as error:
             raise CommandError("parameter", str(error)) from None
 
@@ -168,7 +168,7 @@ class ParameterClient:
         ):
             return ()
         self.counters.split += 1
-        return (halves(piece) or ()) if alone else (piece,)
+        return (_halves(piece) or ()) if alone else (piece,)
 
     def _batch(self, ident: RequestId, now: list[Piece], deadline: int) -> Transport[list[Result] | None]:
         """The results of one request; None where it is too long for the drive."""
@@ -349,7 +349,7 @@ class Piece(NamedTuple):
         return VALUE_HEADER_LEN + max(octets + (octets & 1), 4)
 
 
-def pieces(items: Iterable[Item], limits: Limits) -> Iterator[Piece]:
+def _pieces(items: Iterable[Item], limits: Limits) -> Iterator[Piece]:
     """Split the items: arrays that are too long become several pieces."""
     for of, item in enumerate(items):
         address, values = item.address, item.values
@@ -375,7 +375,7 @@ def _part(piece: Piece, at: int, count: int) -> Piece:
     )
 
 
-def halves(piece: Piece) -> tuple[Piece, Piece] | None:
+def _halves(piece: Piece) -> tuple[Piece, Piece] | None:
     """A piece of an array in two; None where it is one value."""
     address, values = piece.address, piece.values
     if address.elements < 2 or (values is not None and len(values.raws) < 2):
@@ -384,7 +384,7 @@ def halves(piece: Piece) -> tuple[Piece, Piece] | None:
     return _part(piece, 0, first), _part(piece, first, address.elements - first)
 
 
-def batch(waiting: Sequence[Piece], limits: Limits) -> int:
+def _batch_size(waiting: Sequence[Piece], limits: Limits) -> int:
     """How many of ``waiting`` fit into one request, at least one."""
     request = response = HEADER_LEN
     for count, piece in enumerate(waiting):
@@ -395,7 +395,7 @@ def batch(waiting: Sequence[Piece], limits: Limits) -> int:
     return len(waiting)
 
 
-def joined(count: int, answers: Iterable[tuple[Piece, Result]]) -> list[Result]:
+def _joined(count: int, answers: Iterable[tuple[Piece, Result]]) -> list[Result]:
     """One result for each of ``count`` items from those of the pieces, which are in the order of their subindexes.
 
     An item with a piece that failed has failed. Raises PduError where the pieces of one came in different formats.

@@ -47,7 +47,8 @@ UNSUPPORTED: Final = 0
 class Limits:
     """Limits of one request and its response (PNU 974, Yaskawa Sigma-7 manual p529).
 
-    ``octets``: of either; ``elements`` of an array. ``latency_ns``: the longest time from request to response, 0: unknown.
+    ``octets``: of either; ``elements`` of an array. ``latency_ns``: the longest time from request to
+    response, 0: unknown.
     """
 
     octets: int = MAX_OCTETS
