@@ -229,7 +229,8 @@ class Bus(Sealed, BusBase):
         ``Slave.outputs`` are those from before. Raises UsageError when the bus is not open, BusError when it is over.
         """
         self.check_open()
-        await self._unless_over(self.runtime.hand_over_outputs())
+        with self._reason_of_the_end():
+            await self.runtime.hand_over_outputs()
         self._raise_refused()
 
     async def ready(self, timeout: float | None = 5.0) -> None:

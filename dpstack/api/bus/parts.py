@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Final
 
@@ -183,17 +184,14 @@ class BusBase:
         ``stop()`` or ``outputs_taken()``.
         """
         self.check_open()
-        try:
+        with self._reason_of_the_end():
             self.runtime.command(command)
-        except BusError:
-            if self._over is not None:
-                raise self._over from None
-            raise
 
     async def order(self, command: object) -> None:
         """As :meth:`command`; returns when the machine has carried it out, and raises the machine's exception."""
         self.check_open()
-        await self._unless_over(self.runtime.order(command))
+        with self._reason_of_the_end():
+            await self.runtime.order(command)
 
     def check_open(self) -> None:
         """Raises UsageError when the bus is not open."""
@@ -202,9 +200,11 @@ class BusBase:
         if not self._open:
             raise UsageError("the bus is not open: use it inside `async with open_bus(...)`")
 
-    async def _unless_over(self, order: Awaitable[object]) -> None:
+    @contextlib.contextmanager
+    def _reason_of_the_end(self) -> Iterator[None]:
+        """Raises the reason of the end instead of a BusError of a bus that is over."""
         try:
-            await order
+            yield
         except BusError:
             if self._over is not None:
                 raise self._over from None

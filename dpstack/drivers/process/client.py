@@ -51,7 +51,6 @@ from dpstack.units import s_to_ns
 
 #: interval of the looks whether the bus process is alive and takes the outputs
 _WATCH_S: Final = 0.1
-_EMPTY: Final = Picture(0, 0, {})
 _UNKNOWN: Final = SlaveSnapshot()
 
 
@@ -81,7 +80,7 @@ class ProcessRuntime:
         self._on_failure = on_failure
         self._channel = channel.Channel(self._on_news, on_refused, self._why_gone, self._on_gone)
         self._image: SharedImage | None = None
-        self._picture = _EMPTY
+        self._picture = Picture(0, 0, {})
         self._outputs: dict[int, Outputs] = {}
         self._changed: set[int] = set()  # outputs that are not published yet
         self._awaited: dict[int, int] = {}  # the picture that outputs were published in and are to be taken from
@@ -217,10 +216,10 @@ class ProcessRuntime:
                 del self.setups[address]
                 self._slaves.pop(address, None)
 
-    # --- what else the bus process does -------------------------------------------------------------------------------
+    # --- drives -------------------------------------------------------------------------------
 
     def drive_status(self, address: int) -> object | None:
-        """What the drive plugin of a slave told last, as plain data; None when nobody tells."""
+        """The last status of the drive plugin of a slave as plain data; None where there is none."""
         if not self._channel.is_open or self._image is None:
             return None
         new = self._image.drives.read_new()
@@ -236,7 +235,7 @@ class ProcessRuntime:
         return self._slaves.get(address, _UNKNOWN)
 
     def image(self, setup: SlaveParams) -> ImageSnapshot:
-        """Inputs and outputs of the newest round; the outputs are the application's where it has set some."""
+        """Inputs and outputs of the newest round; outputs that the application has set take precedence."""
         own = self._outputs.get(setup.address)
         found = self._newest_picture().slaves.get(setup.address)
         if found is None or (len(found.inputs), len(found.outputs)) != (setup.input_len, setup.output_len):
@@ -254,7 +253,7 @@ class ProcessRuntime:
         self._put_outputs(address, octets)
 
     def counters(self) -> Counters:
-        """What was counted, as the bus process published it last; it is never asked."""
+        """The counters as the bus process published them last; it is never asked."""
         if self._image is not None:
             self._counters = self._image.counters.read_new() or self._counters
         return self._counters

@@ -73,7 +73,6 @@ class Segment:
         self.baud = baud
         self.paced = paced
         self.echo = echo
-        self._count = stations
         self._rng = random.Random(seed)
         self._noise = BitNoise(error_rate, random.Random(seed + 1))
         self._lost = self._changed = 0  # octets dropped or changed by noise
@@ -123,7 +122,7 @@ class Segment:
 
     def _connected(self, number: int) -> SegmentStation:
         if not 0 <= number < len(self._stations):
-            raise UsageError(f"no station {number} on this segment; it has 0 to {self._count - 1}")
+            raise UsageError(f"no station {number} on this segment; it has 0 to {len(self._links) - 1}")
         return self._stations[number]
 
     def stats(self) -> dict[str, object]:
