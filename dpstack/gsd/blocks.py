@@ -374,7 +374,7 @@ class DiagBlock(Block):
 
     def add(self, inner: Block) -> None:
         if isinstance(inner, AreaBlock):
-            self.areas.append(DiagArea(inner.first, inner.last, inner.values, inner.helps, inner.line))
+            self.areas.append(DiagArea(inner.first, inner.last, inner.values, inner.helps))
         elif isinstance(inner, (RawBlock, DiagTypeBlock)):
             self.raws += inner.raws
 
@@ -385,7 +385,7 @@ class DiagBlock(Block):
         merged: dict[str, dict[int, str]] = {name: {} for name in _NAMES}
         for keyword, texts in sorted(self.texts.items(), key=lambda item: item[0].startswith(_X)):
             merged[_FIELDS[keyword.removeprefix(_X)]].update(texts)
-        return Diagnosis(**merged, areas=tuple(self.areas), type=type_number, line=self.line)
+        return Diagnosis(**merged, areas=tuple(self.areas), type=type_number)
 
     handlers = dict.fromkeys((*_FIELDS, *(_X + keyword for keyword in _FIELDS)), diag_text)
 

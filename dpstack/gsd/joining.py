@@ -64,7 +64,7 @@ def _parameters(
                 findings.error(block.line, f"more than {MAX_TEXTS} texts of parameters: from here on they have none")
             prm_text = prm_text if left >= 0 else None
         known = {} if prm_text is None else prm_text.texts
-        found[ref] = Parameter(ref, block.name, **block.fields, texts=known, line=block.line)
+        found[ref] = Parameter(ref, block.name, **block.fields, texts=known)
     return found
 
 

@@ -165,7 +165,6 @@ class Parameter:
     texts: Mapping[int, str] = field(default_factory=dict)
     changeable: bool = True
     visible: bool = True
-    line: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +208,6 @@ class DiagArea:
     last: int
     values: Mapping[int, str]
     helps: Mapping[int, str] = field(default_factory=dict)
-    line: int = 0
 
 
 class DiagText(NamedTuple):
@@ -243,7 +241,6 @@ class Diagnosis:
     channel: Mapping[int, str] = field(default_factory=dict)
     channel_helps: Mapping[int, str] = field(default_factory=dict)
     type: int | None = None
-    line: int = 0
 
     def texts(self) -> Iterator[DiagText]:
         """All texts: bits, bits that are 0, areas, channel errors."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 from typing import Any, Final
 
@@ -38,18 +38,6 @@ _RENAMED: Final = {
     "isochron_mode_supp": "supported",
     "isochron_mode_required": "required",
     **{f"{name}_supp": name for name in _SUPPORTED.split()},
-}
-#: keyword -> field, of each field that is one flag, number, text or list of octets
-KEYWORDS: Final = {
-    **{
-        field.name: field.name
-        for section in (Device, DpV1, Isochronous)
-        for field in fields(section)
-        # slave_family: see Settings._family
-        if field.type in ("bool", "int", "int | None", "str", "bytes | None")
-        and field.name not in ("slave_family", *_RENAMED.values())
-    },
-    **_RENAMED,
 }
 #: lowest and highest value by keyword; numbers of other keywords may have 32 bits
 _LIMITS: Final = {
@@ -100,19 +88,12 @@ class Settings:
 
     def _fields(self, section: type[Device | DpV1 | Isochronous]) -> dict[str, Any]:
         """The fields of ``section`` that are one value, as far as the file has their keywords."""
-        readers = {
-            "bool": self._flag,
-            "int": self._int,
-            "int | None": self._int,
-            "str": self._text,
-            "bytes | None": self._octets,
-        }
         types = {field.name: str(field.type) for field in fields(section)}
         found: dict[str, Any] = {}
         for keyword, name in KEYWORDS.items():
-            reader = readers.get(types.get(name, ""))
+            reader = _READERS.get(types.get(name, ""))
             if keyword in self._settings and reader is not None:
-                value = reader(keyword)
+                value = reader(self, keyword)
                 if value is not None:
                     found[name] = value
         return found
@@ -178,6 +159,27 @@ class Settings:
         if value is None:
             self._unreadable("slave_family", "begins with no number; only its path is kept")
         return {"slave_family": value, "slave_family_path": tuple(part.strip() for part in path if part.strip())}
+
+
+#: type of a field, as its dataclass states it -> reader
+_READERS: Final[dict[str, Callable[[Settings, str], object]]] = {
+    "bool": Settings._flag,
+    "int": Settings._int,
+    "int | None": Settings._int,
+    "str": Settings._text,
+    "bytes | None": Settings._octets,
+}
+#: keyword -> field, of each field that is one flag, number, text or list of octets
+KEYWORDS: Final = {
+    **{
+        field.name: field.name
+        for section in (Device, DpV1, Isochronous)
+        for field in fields(section)
+        # slave_family: see Settings._family
+        if field.type in _READERS and field.name not in ("slave_family", *_RENAMED.values())
+    },
+    **_RENAMED,
+}
 
 
 def contradictions(dpv1: DpV1) -> Iterator[tuple[str, str]]:
