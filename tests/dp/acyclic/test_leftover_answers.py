@@ -1,7 +1,7 @@
-"""What services that are over left behind at the slave, and services that have less time than the slave: the time in
-which such an answer is fetched is the slave's, however many services come meanwhile.
+"""Answers that wait at the slave after their service was given up, and services with less time than the slave needs.
 
-Slaves are octets.
+The next service fetches such an answer first; the slave's own time decides how long, however many services come
+meanwhile. The slaves are octets.
 """
 
 from __future__ import annotations

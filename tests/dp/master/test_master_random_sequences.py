@@ -171,7 +171,7 @@ def setup(address: int, **changes: Any) -> SlaveParams:
 addresses = st.sampled_from(ADDRESSES)
 
 
-class AnyOrder(RuleBasedStateMachine):
+class RandomSequences(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.bus = Link(Master(BusParams.preset(500_000, address=2), map(setup, ADDRESSES)), period=15 * MS)
@@ -284,5 +284,5 @@ class AnyOrder(RuleBasedStateMachine):
         assert ended == set(range(self.tokens))
 
 
-TestAnyOrder = AnyOrder.TestCase
-TestAnyOrder.settings = settings(examples(25), stateful_step_count=25)
+TestRandomSequences = RandomSequences.TestCase
+TestRandomSequences.settings = settings(examples(25), stateful_step_count=25)

@@ -1,4 +1,4 @@
-"""Whatever happens on the wire and in whatever order: every service that was taken has exactly one end.
+"""Random sequences of orders and faults on the wire: every service that was taken has exactly one end.
 
 Losses, damaged telegrams, late answers, wrong answers, refusals, tokens lost, the port gone and back, cancellations.
 """
