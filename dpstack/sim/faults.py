@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from dpstack.errors import ConfigError
 from dpstack.phy.noise import BitNoise
+from dpstack.sim.transmission import Transmission
 from dpstack.units import BITS_PER_CHAR
 
-if TYPE_CHECKING:
-    from dpstack.sim.transmission import Transmission
-
 #: Chooses transmissions by sender, octets or telegram.
-Which = Callable[["Transmission"], bool]
+Which = Callable[[Transmission], bool]
 
 _DATA_BIT_0: Final = 0x002
 

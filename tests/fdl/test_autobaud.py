@@ -60,7 +60,7 @@ def heard(octets: bytes) -> Evidence:
         (TOKEN + bytes.fromhex("DC0907") + TOKEN + bytes.fromhex("DC0907") + TOKEN, None, 1),
     ],
 )
-def test_what_a_rate_is_recognised_by(octets: bytes, confidence: Confidence | None, run: int) -> None:
+def test_the_telegrams_that_a_rate_is_recognised_by(octets: bytes, confidence: Confidence | None, run: int) -> None:
     evidence = heard(octets)
     assert (evidence.confidence, evidence.run) == (confidence, run)
     piecewise = Evidence(stall_ns=100_000)
@@ -87,7 +87,7 @@ def test_a_telegram_that_stalls_breaks_the_run() -> None:
     assert evidence.unexplained == 6
 
 
-def test_whole_telegrams_from_the_medium_count_and_break_off_what_came_before() -> None:
+def test_whole_telegrams_from_the_medium_count_and_end_unfinished_ones() -> None:
     token = Telegram(Kind.SD4, 2, 2)
     evidence = Evidence(stall_ns=100_000)
     found = []
@@ -147,7 +147,7 @@ def test_three_hundred_octets_without_a_telegram_end_the_dwell() -> None:
     assert search.tried == 2
 
 
-def test_the_result_is_told_once_and_nothing_is_ever_sent() -> None:
+def test_the_result_is_reported_once_and_nothing_is_sent() -> None:
     search = AutoBaud(0, rates=(500_000,))
 
     def transmit(octets: bytes, now: int) -> int:

@@ -167,7 +167,7 @@ FLAWS: list[tuple[str, Flaw]] = [
 
 
 @pytest.mark.parametrize(("octets", "flaw"), FLAWS)
-def test_flaws_are_told_as_early_as_they_show(octets: str, flaw: Flaw) -> None:
+def test_flaws_are_recognised_by_the_first_octet_that_shows_them(octets: str, flaw: Flaw) -> None:
     raw = bytes.fromhex(octets)
     assert parse(raw, 0, len(raw)) is flaw
     assert decode(raw) is None

@@ -114,7 +114,7 @@ def test_sd3_agrees_with_construct(data: st.DataObject) -> None:
 
 
 @given(st.integers(0, 255), st.binary(min_size=3, max_size=16), st.booleans())
-def test_whatever_construct_refuses_is_refused(start: int, rest: bytes, close: bool) -> None:
+def test_frames_that_construct_refuses_are_refused(start: int, rest: bytes, close: bool) -> None:
     octets = bytes((start,)) + rest
     if close and len(octets) > 4:  # make FCS and ED right, so that more than the sum is judged
         octets = octets[:-2] + bytes((_sum(octets[1:-2]), 0x16))

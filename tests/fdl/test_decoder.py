@@ -69,7 +69,7 @@ def feed_all(decoder: Decoder, chunks: list[bytes], now: int = 0) -> list[Telegr
 
 # --- good telegrams ---------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(("octets", "telegram"), ALL, ids=lambda x: "")
-def test_whole_bytewise_prefixes_trailing(octets: bytes, telegram: Telegram) -> None:
+def test_a_telegram_whole_bytewise_in_two_pieces_and_followed_by_another(octets: bytes, telegram: Telegram) -> None:
     assert fresh().feed(octets, 0) == [telegram]
     assert feed_all(fresh(), [octets[i : i + 1] for i in range(len(octets))]) == [telegram]
     for end in range(1, len(octets)):
@@ -87,7 +87,7 @@ def test_whole_bytewise_prefixes_trailing(octets: bytes, telegram: Telegram) -> 
 
 
 @pytest.mark.parametrize(("octets", "telegram"), ALL, ids=lambda x: "")
-def test_an_octet_that_is_none_of_it(octets: bytes, telegram: Telegram) -> None:
+def test_octets_before_and_behind_a_telegram_are_counted(octets: bytes, telegram: Telegram) -> None:
     for noise in (b"\x00", b"\xff", b"\x16"):
         decoder = fresh()
         assert decoder.feed(noise + octets + noise, 0) == [telegram]
@@ -359,7 +359,7 @@ def test_cuts_do_not_matter_in_garbage(octets: bytes, cuts: list[int]) -> None:
 
 
 @given(garbage, st.sampled_from([pair for pair in ALL if len(pair[0]) > 3]))
-def test_a_telegram_after_a_silence_is_found_whatever_came_before(octets: bytes, pair: tuple[bytes, Telegram]) -> None:
+def test_a_telegram_after_a_silence_is_always_found(octets: bytes, pair: tuple[bytes, Telegram]) -> None:
     decoder = fresh()
     decoder.feed(octets, 0)
     decoder.stalled(STALL)
@@ -374,7 +374,7 @@ def test_every_flaw_has_its_counter() -> None:
 @pytest.mark.parametrize("inside", ["DC 02 03", "E5", "E5 DC 02 03 E5"], ids=lambda x: x)
 @pytest.mark.parametrize("lost", [(0,), (1,), (2,), (3,), (0, 1), (0, 4), (5,)], ids=str)
 @pytest.mark.parametrize("bytewise", [True, False])
-def test_what_lies_in_a_telegram_whose_head_was_damaged_is_no_token_and_no_acknowledgement(
+def test_data_of_a_telegram_with_a_damaged_head_are_no_token_and_no_acknowledgement(
     inside: str, lost: tuple[int, ...], bytewise: bool
 ) -> None:
     data = bytes(10) + bytes.fromhex(inside) + bytes(3)

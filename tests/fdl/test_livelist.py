@@ -68,7 +68,7 @@ def test_the_types_of_masters() -> None:
     assert live.stations == {7: StationType.MASTER_IN_RING}
 
 
-def test_a_damaged_answer_hides_nobody() -> None:
+def test_a_damaged_answer_hides_no_station() -> None:
     bus = RingBus()
     live = LiveList(2)
     bus.slaves[4] = fixed(TO_4, SLAVE_4)
@@ -89,7 +89,7 @@ def test_a_damaged_answer_hides_nobody() -> None:
     assert station.stats.stations[4].bad
 
 
-def test_an_address_that_is_never_readable_is_told() -> None:
+def test_an_address_that_is_never_readable_is_reported() -> None:
     bus = RingBus()
     live = LiveList(2)
     bus.slaves[4] = fixed(TO_4, SLAVE_4)
@@ -101,7 +101,7 @@ def test_an_address_that_is_never_readable_is_told() -> None:
     assert live.unreadable == {4}
 
 
-def test_a_repeated_list_loses_who_is_gone() -> None:
+def test_a_repeated_live_list_drops_stations_that_are_gone() -> None:
     bus = RingBus()
     live = LiveList(2, addresses=[3, 4], period_ns=100 * NS_PER_MS)
     bus.slaves[4] = fixed(TO_4, SLAVE_4)

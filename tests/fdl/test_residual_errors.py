@@ -24,7 +24,7 @@ PAIRS = [1 << one | 1 << other for one, other in combinations(range(1, 10), 2)]
 
 
 @pytest.mark.parametrize("octets", [ANSWER, STATUS, DIAG], ids=["exchange", "status", "diagnosis"])
-def test_whatever_befalls_one_octet_gives_no_wrong_data(octets: bytes) -> None:
+def test_damage_to_one_octet_gives_no_wrong_data(octets: bytes) -> None:
     """Up to three errors are always noticed; four can make another start octet: of a token, or of the same in SD3."""
     sound = decode(octets)
     assert sound is not None

@@ -117,7 +117,7 @@ def test_a_sender_that_is_cut_off_gives_no_octet_twice(world: WorldFactory) -> N
     assert host.text == STATUS[:2]
 
 
-def test_what_reception_costs_is_counted(world: WorldFactory) -> None:
+def test_the_cost_of_reception_is_counted(world: WorldFactory) -> None:
     w = world(referee=False)
     adapter = Adapter(Dummy(hears_all=True), FTDI)
     w.add(adapter)
@@ -210,7 +210,9 @@ def test_bring_up_and_stable_exchange(world: WorldFactory, baud: int, habits: Ha
         (16, 3, 3 * 16),
     ],
 )
-def test_what_an_exchange_costs_on_an_adapter(world: WorldFactory, latency_ms: int, slaves: int, round_ms: int) -> None:
+def test_the_duration_of_an_exchange_on_an_adapter(
+    world: WorldFactory, latency_ms: int, slaves: int, round_ms: int
+) -> None:
     """500 kbit/s, twelve octets each way: 1.02 ms on the wire."""
     bus = AdapterBus(world(), 500_000, Habits(latency_ns=latency_ms * MS), slaves=slaves, gap=0)
     bus.bring_up()

@@ -52,7 +52,7 @@ def test_the_wire_log_is_the_same_for_the_same_seed_and_another_for_another(worl
 
 
 @pytest.mark.parametrize("per_bit", [1e-5, 1e-4, 1e-3])
-def test_noise_makes_nobody_break_the_rules(world: WorldFactory, per_bit: float) -> None:
+def test_no_station_breaks_the_rules_under_noise(world: WorldFactory, per_bit: float) -> None:
     for seed in range(2):
         bus = bring_up(world, seed=seed)
         bus.world.faults.noise(per_bit)
@@ -126,7 +126,7 @@ def test_a_damaged_answer_is_asked_for_again(world: WorldFactory) -> None:
     assert bus.exchanging
 
 
-def test_garbage_on_the_line_disturbs_nobody_for_long(world: WorldFactory) -> None:
+def test_garbage_on_the_line_disturbs_the_ring_only_shortly(world: WorldFactory) -> None:
     bus = bring_up(world)
     for number in range(50):
         bus.world.run_for(777_777)

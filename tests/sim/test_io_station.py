@@ -167,7 +167,7 @@ def test_only_what_is_enabled_and_nothing_without_dpv1() -> None:
     assert bench.fetch() == "42 01"
 
 
-def test_a_fault_from_before_is_told_when_data_exchange_begins() -> None:
+def test_an_earlier_fault_is_reported_when_data_exchange_begins() -> None:
     bench = Station(up=False)
     bench.io.pull(7)
     bench.start_with(PRM, CFG, bytes(7))
@@ -246,7 +246,7 @@ def test_the_gsd_file_says_the_same() -> None:
     assert GSD.endswith("io-station.gsd")
 
 
-def test_what_simulates_a_slave_table() -> None:
+def test_a_simulated_station_from_a_slave_table() -> None:
     table = {"name": "io", "address": 8, "gsd": "io-station", "modules": ROW}
     device = device_of(slave_config(table))
     assert isinstance(device, IoStation)

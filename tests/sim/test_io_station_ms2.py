@@ -58,7 +58,7 @@ def test_records_by_slot_before_any_parameters() -> None:
     assert bytes.fromhex(master.service(sap, "5E 03 FF F0"))[20:40] == b"2 AI".ljust(20)
 
 
-def test_what_is_transported_to_the_head_comes_back() -> None:
+def test_the_head_returns_transported_octets() -> None:
     field = Field()
     master = Class2(field.wire)
     sap = master.connect()

@@ -152,7 +152,7 @@ def test_a_station_whose_rate_changes_hears_at_the_new_one(world: WorldFactory) 
     assert station.heard == [(MS + 66 * BIT, ASKED)]
 
 
-def test_a_collision_leaves_what_was_complete_and_garbles_the_rest(world: WorldFactory) -> None:
+def test_a_collision_leaves_complete_octets_and_garbles_the_rest(world: WorldFactory) -> None:
     w = world(seed=5)
     assert w.referee is not None
     w.referee.token_rules = False
@@ -189,7 +189,7 @@ def test_a_third_transmission_prolongs_the_collision(world: WorldFactory) -> Non
     assert 150 * BIT < listener.octets[-1][0] <= (60 + 33 * 11) * BIT
 
 
-def test_a_start_edge_at_the_same_instant_holds_nobody_back(world: WorldFactory) -> None:
+def test_a_start_edge_at_the_same_instant_holds_no_station_back(world: WorldFactory) -> None:
     w = world()
     assert w.referee is not None
     w.referee.token_rules = False
@@ -202,7 +202,7 @@ def test_a_start_edge_at_the_same_instant_holds_nobody_back(world: WorldFactory)
     assert [station.edges for station in stations] == [[]] * 3  # all three were sending already
 
 
-def test_who_sends_does_not_hear(world: WorldFactory) -> None:
+def test_a_station_does_not_hear_while_it_sends(world: WorldFactory) -> None:
     w = world()
     assert w.referee is not None
     w.referee.token_rules = False
@@ -242,7 +242,7 @@ class _Counting(Dummy):
         return super().__getattribute__(name)
 
 
-def test_a_station_that_changes_its_address_when_told_to_is_found_at_once(world: WorldFactory) -> None:
+def test_a_station_is_found_under_its_new_address_at_once(world: WorldFactory) -> None:
     class Obeys(Dummy):
         def telegram(self, telegram: Telegram, now: int) -> None:
             super().telegram(telegram, now)
@@ -264,7 +264,7 @@ def test_a_station_that_changes_its_address_when_told_to_is_found_at_once(world:
     starts=st.lists(st.tuples(st.integers(0, 2_000), st.integers(0, 3)), max_size=12),
     seed=st.integers(0, 3),
 )
-def test_a_telegram_arrives_whole_if_and_only_if_nobody_disturbed_it(starts: list[tuple[int, int]], seed: int) -> None:
+def test_a_telegram_arrives_whole_if_and_only_if_it_was_not_disturbed(starts: list[tuple[int, int]], seed: int) -> None:
     octets = (ASK, DATA, ALL, TOKEN)
     # one sender each, so that only the medium decides
     sent = sorted((at * 500, ends(at * 500, octets[which]), octets[which]) for at, which in starts)

@@ -46,7 +46,7 @@ from dpstack.trace import Severity
         (500_000, EXACT, 2, 0),
     ],
 )
-def test_what_the_neighbours_need(baud: int, patience: Patience, lowest: int, t_sl: int) -> None:
+def test_the_t_sl_that_neighbours_need(baud: int, patience: Patience, lowest: int, t_sl: int) -> None:
     assert Neighbours(BusParams.preset(baud, address=5), patience, lowest).t_sl == t_sl
 
 
@@ -91,7 +91,7 @@ def test_how_long_joining_takes() -> None:
     assert join_limit_s(slow, ADAPTER) == pytest.approx(2 * (5.208 + 127 * 0.31563), abs=1)
 
 
-def test_a_newcomer_is_told_how_long_and_what_the_others_need_once() -> None:
+def test_a_newcomer_reports_once_how_long_it_waits_and_what_the_others_need() -> None:
     params = BusParams.preset(187_500, address=5)
     bus = BusSnapshot(Mode.CLEAR, ADAPTER)
     beside = OtherMasterNotices(params, lambda: bus)
@@ -157,7 +157,7 @@ CASES = {
 
 
 @pytest.mark.parametrize(("one", "other", "patience"), CASES.values(), ids=CASES.keys())
-def test_with_the_t_sl_that_is_told_the_ring_stands(
+def test_the_ring_is_stable_with_the_advised_t_sl(
     world: WorldFactory, one: Habits | None, other: Habits, patience: Patience
 ) -> None:
     t_sl = Neighbours(BusParams.preset(500_000, address=5), patience, 2).t_sl

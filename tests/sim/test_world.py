@@ -28,7 +28,7 @@ def quiet(world: WorldFactory, *, seed: int = 0) -> World:
 
 
 # --- time ---
-def test_time_goes_to_where_it_was_told(world: WorldFactory) -> None:
+def test_run_until_ends_at_the_given_time(world: WorldFactory) -> None:
     w = world(start_ns=7)
     assert w.now == 7
     w.run_until(1_000)
@@ -95,7 +95,7 @@ def test_octets_come_before_orders_and_timers_of_the_same_instant(world: WorldFa
     assert order[0] == "octets"
 
 
-def test_a_station_is_woken_at_its_time_and_not_for_what_it_gave_up(world: WorldFactory) -> None:
+def test_a_station_is_woken_at_its_deadline_and_not_at_one_it_gave_up(world: WorldFactory) -> None:
     w = world()
     station = Dummy(5, plan=[(10, b"")])
     w.add(station)
@@ -158,7 +158,7 @@ def test_names_in_the_log(world: WorldFactory) -> None:
     assert "FDL_Status request 2 -> 5" in wire_log(w)
 
 
-def test_misuse_is_told(world: WorldFactory) -> None:
+def test_misuse_raises_with_a_reason(world: WorldFactory) -> None:
     w = world()
     station = Dummy(5)
     with pytest.raises(UsageError, match=r"is not on this bus: add\(\) it first"):
@@ -229,7 +229,7 @@ def sending(w: World, count: int = 3) -> Dummy:
     return receiver
 
 
-def test_a_dropped_transmission_is_heard_by_nobody(world: WorldFactory) -> None:
+def test_no_station_hears_a_dropped_transmission(world: WorldFactory) -> None:
     w = quiet(world)
     w.faults.drop(from_2, times=2)
     receiver = sending(w)
@@ -369,7 +369,7 @@ def test_faults_hit_injected_octets_too(world: WorldFactory) -> None:
     assert [at for at, _ in receiver.heard] == [ends(2 * MS, ASK)]
 
 
-def test_injecting_into_a_telegram_is_nobodys_violation(world: WorldFactory) -> None:
+def test_injecting_into_a_telegram_is_no_violation(world: WorldFactory) -> None:
     w = quiet(world)
     receiver = sending(w, 1)
     w.call_at(50 * BIT, lambda: w.inject(b"\x00"))

@@ -48,11 +48,11 @@ RS = Telegram(Kind.SD1, 2, 3, 0x03)
         (Request(3, Req.IDENT), SHORT_ACK, False),
     ],
 )
-def test_what_answers(request_: Request, telegram: Telegram, fits: bool) -> None:
+def test_which_telegram_answers_which_request(request_: Request, telegram: Telegram, fits: bool) -> None:
     assert answers(request_, telegram) is fits
 
 
-def test_a_wrong_answer_is_told_as_such() -> None:
+def test_a_wrong_answer_ends_as_wrong() -> None:
     slave = Slave(DIAG_ANSWER)
     bus, user, station = bus_with(slave, DX)
     bus.run(20 * NS_PER_MS)
@@ -60,7 +60,7 @@ def test_a_wrong_answer_is_told_as_such() -> None:
     assert station.stats.stations[3].wrong == 1
 
 
-def test_a_garbled_answer_is_told_as_such() -> None:
+def test_a_garbled_answer_ends_as_garbled() -> None:
     for mode in ("octets", "chunk"):
         bus, user, station = bus_with(Slave(), DX, mode=mode)
         bus.drop = lambda sent: sent.sender == 3
@@ -134,7 +134,7 @@ def test_the_answer_to_both_attempts_is_not_taken_for_the_next_one() -> None:
     assert station.stats.late == 1
 
 
-def test_who_answered_late_is_waited_for_longer() -> None:
+def test_a_station_that_answered_late_gets_more_slack() -> None:
     """A simulated slave on a busy machine needs 5 ms: its first answer is late, which shows that it is there."""
     user = ListUser()
     station = ActiveStation(BusParams.preset(500_000, address=2, gap=0), [user], patience=HOST)
@@ -223,7 +223,7 @@ def test_octets_before_the_request_are_no_garbled_answer_to_it() -> None:
     assert station.stats.garbled == 0
 
 
-def test_answers_with_le_3_are_taken_as_empty_and_told_once() -> None:
+def test_answers_with_le_3_count_as_empty_and_are_reported_once() -> None:
     slave = Slave(bytes.fromhex("68 03 03 68 02 03 08 0D 16"))
     bus, user, _ = bus_with(slave, DX, DX, DX)
     bus.run(20 * NS_PER_MS)
@@ -242,7 +242,7 @@ def test_answers_with_le_3_are_taken_as_empty_and_told_once() -> None:
         "A2 09 03 08 01 02 03 04 05 06 07 08 38 16",
     ],
 )
-def test_whoever_listens_is_told_the_octets_as_they_were(octets: str) -> None:
+def test_a_wire_listener_gets_the_octets_unchanged(octets: str) -> None:
     bus, _, station = bus_with(Slave())
     heard: list[WireEntry] = []
     station.wire = heard.append

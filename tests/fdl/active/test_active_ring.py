@@ -281,7 +281,7 @@ def test_a_second_station_with_the_address_stays_out() -> None:
     assert second.in_ring
 
 
-def test_a_collision_in_the_ring_is_told_and_backed_off() -> None:
+def test_a_collision_in_the_ring_is_reported_and_backed_off() -> None:
     bus = RingBus()
     a, b = bus.master(2, hsa=6), bus.master(5, hsa=6)
     bus.run(300 * NS_PER_MS)
@@ -371,7 +371,7 @@ def test_commands_ticks_and_events_of_users() -> None:
     assert first.tokens == second.tokens
 
 
-def test_the_wire_tap_is_told_everything() -> None:
+def test_the_wire_tap_gets_every_telegram() -> None:
     bus = RingBus()
     heard: list[WireEntry] = []
     a = bus.master(2, hsa=6)

@@ -43,7 +43,7 @@ def test_left_when_its_predecessor_passes_it_over_twice() -> None:
     assert told.token(4, of(4)) == [(9, False)]
 
 
-def test_what_cannot_be_read_between_begins_anew() -> None:
+def test_an_unreadable_octet_between_two_tokens_begins_anew() -> None:
     received = DecoderStats()
     told = Announced(received)
     told.token(4, of(4))
@@ -56,7 +56,7 @@ def test_what_cannot_be_read_between_begins_anew() -> None:
     assert told.token(7, of(7)) == [(4, False), (7, True)]
 
 
-def test_what_is_certain_counts_at_once() -> None:
+def test_a_checked_telegram_counts_at_once() -> None:
     told = Announced(DecoderStats())
     assert told.certain(5, True) == [(5, True)]
     assert told.certain(5, True) == []

@@ -26,7 +26,7 @@ def test_without_a_cycle_everything_fits() -> None:
     assert CycleWindow().admits(A, NEVER - 1)
 
 
-def test_what_ends_before_the_next_cycle_fits_to_the_nanosecond() -> None:
+def test_a_request_that_ends_before_the_next_cycle_fits_to_the_nanosecond() -> None:
     budget = CycleWindow()
     budget.begin(1000)
     assert budget.admits(A, 1000)
@@ -34,7 +34,7 @@ def test_what_ends_before_the_next_cycle_fits_to_the_nanosecond() -> None:
     assert (budget.held_back, budget.forced) == (1, 0)
 
 
-def test_what_never_fits_goes_out_in_every_eighth_cycle() -> None:
+def test_a_request_that_never_fits_goes_out_in_every_eighth_cycle() -> None:
     budget = CycleWindow()
     sent = []
     for cycle in range(1, 41):
@@ -48,7 +48,7 @@ def test_what_never_fits_goes_out_in_every_eighth_cycle() -> None:
     assert budget.held_back == 36  # once in each cycle
 
 
-def test_who_waits_longest_is_first_and_one_in_eight_cycles_is_put_at_risk() -> None:
+def test_the_longest_waiting_request_is_first_and_one_in_eight_cycles_may_begin_late() -> None:
     budget = CycleWindow()
     sent = []
     for cycle in range(1, 31):
@@ -67,7 +67,7 @@ def test_a_wait_that_was_given_up_does_not_count() -> None:
 
 
 @given(st.lists(st.lists(st.tuples(st.integers(0, 5), st.booleans()), max_size=6), min_size=1, max_size=120))
-def test_nobody_starves_and_the_risk_is_bounded(cycles: list[list[tuple[int, bool]]]) -> None:
+def test_no_request_starves_and_late_cycles_are_bounded(cycles: list[list[tuple[int, bool]]]) -> None:
     """Whoever asks in every cycle waits eight of them for each that waits before it, at most; one in eight is late."""
     budget = CycleWindow()
     since: dict[int, int] = {}
@@ -134,12 +134,12 @@ DATA = Request(5, Req.SRD_HIGH, patient=True)
 PORT = Patience(known_ns=50_000_000, unknown_ns=2_000_000, sending_ns=1_000_000)
 
 
-def test_nobody_there_is_counted_with_the_wire_alone_and_waited_for_as_long_as_there_is_room() -> None:
+def test_an_unknown_address_is_planned_with_the_wire_time_alone() -> None:
     wire = (66 + 200 + 11 + 121 + 37) * 2_000  # octets are seen at their end: one more
     assert ends_after(PORT, POLL, known=False) == wire + 1_000_000
 
 
-def test_who_is_there_is_counted_with_one_attempt_and_what_the_port_usually_needs() -> None:
+def test_a_known_station_is_planned_with_one_attempt_and_the_usual_lateness_of_the_port() -> None:
     once = (66 + 200 + 11 + 2805 + 37) * 2_000
     assert ends_after(PORT, DATA, known=True) == once + 1_000_000 + 2_000_000
     assert ends_after(PORT, POLL, known=True) == (66 + 200 + 11 + 121 + 37) * 2_000 + 1_000_000 + 2_000_000
@@ -170,7 +170,7 @@ def test_an_answer_that_may_be_kept_back_as_a_late_one_needs_that_time_too() -> 
         (-50, 422 + 242),
     ],
 )
-def test_how_long_nobody_is_waited_for(room_us: int, waited_us: int) -> None:
+def test_how_long_an_unknown_address_is_waited_for(room_us: int, waited_us: int) -> None:
     patience = Patience(known_ns=50_000_000, unknown_ns=2_000_000)
     station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()], patience=patience)
     admission = station._hold.admission

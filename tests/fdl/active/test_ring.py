@@ -65,7 +65,7 @@ def test_a_token_over_our_head_skips_us() -> None:
     assert not ring.skips(7, 2)
 
 
-def test_two_tokens_to_itself_are_a_claim_the_third_says_alone() -> None:
+def test_two_tokens_to_itself_are_a_claim_the_third_means_alone() -> None:
     ring = Ring(4)
     rotate(ring, [2, 7], 3)
     for _ in range(2):
@@ -137,7 +137,7 @@ def test_gap_can_be_off() -> None:
     assert not gap.enabled
 
 
-def test_gap_tells_news_only() -> None:
+def test_the_gap_reports_changes_only() -> None:
     gap = Gap(BusParams.preset(500_000, address=2))
     assert gap.polled(3, StationType.SLAVE)
     assert not gap.polled(3, StationType.SLAVE)

@@ -158,7 +158,7 @@ def test_masters_with_slaves_heal(scenario: Scenario) -> None:
 
 
 @pytest.mark.parametrize("bits", [660, 690])
-def test_two_who_claim_in_step_are_set_apart_by_their_addresses(bits: int) -> None:
+def test_two_stations_that_claim_in_step_are_set_apart_by_their_addresses(bits: int) -> None:
     """Neither heard the other claim; without that they send at the same time for ever, each deaf while it sends."""
     troubles = [
         Trouble("join", 0, 1, 1, 0),

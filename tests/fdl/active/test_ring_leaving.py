@@ -47,7 +47,7 @@ def test_a_leaving_master_costs_the_stall_of_a_host_once(leaving: int) -> None:
 
 
 @pytest.mark.parametrize("mode", ["whole", "octets"])
-def test_the_new_successor_takes_the_first_token_of_who_repeated_a_pass_in_vain(mode: str) -> None:
+def test_the_new_successor_takes_the_first_token_of_a_station_that_repeated_a_pass_in_vain(mode: str) -> None:
     bus = ring(EXACT, 2, 3, 5, mode=mode)
     two, three, five = bus.stations
     bus.until(three, State.ACTIVE_IDLE)
@@ -72,7 +72,7 @@ def test_the_new_successor_takes_the_first_token_of_who_repeated_a_pass_in_vain(
         (("dc0302", "100903495516", "dc0502", "dc0502"), True),  # as ever
     ],
 )
-def test_who_repeats_a_pass_in_vain_and_who_does_not(heard: tuple[str, ...], taken: bool) -> None:
+def test_which_station_counts_as_repeating_a_pass_in_vain(heard: tuple[str, ...], taken: bool) -> None:
     """Station 3 comes before station 5 in its ring: a token from another one is a stranger's, refused once.
 
     Station 5 has heard one pass from 2 to 3 when its time begins.

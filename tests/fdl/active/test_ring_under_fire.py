@@ -81,7 +81,7 @@ def test_a_master_joins_through_the_gap(ring_of: Make) -> None:
     assert lost_slaves(ring, start) == set()
 
 
-def test_a_master_leaves_in_order_and_nobody_loses_the_token(ring_of: Make) -> None:
+def test_a_master_leaves_in_order_and_the_token_is_not_lost(ring_of: Make) -> None:
     ring = ring_of(2, 5, 9)
     start = ring.world.now
     ring.until(lambda: holder(ring) == 5)
@@ -216,7 +216,7 @@ def test_an_edge_of_which_nothing_comes_does_not_bring_all_claims_to_one_instant
 
 
 # --- one address twice ---
-def test_a_second_master_with_the_address_stays_out_and_says_so(ring_of: Make) -> None:
+def test_a_second_master_with_the_address_stays_out_and_reports_it(ring_of: Make) -> None:
     ring = ring_of(2, 5)
     start = ring.world.now
     events = len(ring.events)

@@ -95,7 +95,7 @@ def test_each_station_answers_for_itself_in_time() -> None:
     assert [station.address for station in rig.port.stations] == [3, 4]
 
 
-def test_octet_by_octet_it_is_the_same() -> None:
+def test_single_octets_give_the_same_answer() -> None:
     rig = Rig()
     for i in range(10):
         rig.run_until(10**6 + i * 11 * BIT)
@@ -124,7 +124,7 @@ def test_one_answer_at_a_time() -> None:
     assert len(rig.sent) == 1
 
 
-def test_a_repetition_is_answered_from_what_was_kept() -> None:
+def test_a_repetition_gets_the_kept_answer() -> None:
     rig = Rig()
     assert rig.say(REQUEST[3], 10**6) == [ANSWER[3]]
     assert rig.say(REPEAT_3, 10**8) == [ANSWER[3]]
@@ -170,7 +170,7 @@ def test_stations_come_and_go_while_running() -> None:
     assert rig.say(REQUEST[5], 4 * 10**9) == [ANSWER[5]]
 
 
-def test_what_is_done_at_a_station_may_change_its_address_and_its_deadline() -> None:
+def test_an_action_at_a_station_may_change_its_address_and_its_deadline() -> None:
     rig = Rig()
 
     def act(now: int) -> None:

@@ -84,7 +84,7 @@ def test_fdl_status_is_answered_without_the_application(how: str) -> None:
 
 
 @pytest.mark.parametrize("octets", [LSAP, MSRD_57])
-def test_request_kinds_that_nobody_serves_are_refused(how: str, octets: str) -> None:
+def test_request_kinds_without_a_service_are_refused(how: str, octets: str) -> None:
     bench, application = build(how)
     assert bench.answers(octets, 1_000_000) == [RS_ANSWER]
     assert application.served == []
@@ -112,7 +112,7 @@ def test_request_kinds_that_nobody_serves_are_refused(how: str, octets: str) -> 
         "68 05 05 68 03 82 5D 41 11 34 16",  # from one
     ],
 )
-def test_what_is_not_for_it_is_ignored(how: str, octets: str) -> None:
+def test_telegrams_to_other_stations_are_ignored(how: str, octets: str) -> None:
     bench, application = build(how)
     assert bench.answers(octets, 1_000_000) == []
     assert application.served == []
@@ -293,7 +293,7 @@ def test_another_baud_rate_forgets_and_moves_the_gates(how: str) -> None:
     assert bench.station.answer_at() == 10**8 + 13_333
 
 
-def test_what_a_medium_asks(how: str) -> None:
+def test_the_attributes_that_a_medium_reads(how: str) -> None:
     bench, application = build(how)
     assert not bench.station.hears_all
     assert bench.station.baud == BAUD

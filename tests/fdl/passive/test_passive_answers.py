@@ -77,7 +77,7 @@ def test_a_response_time_under_11_bits_is_misuse() -> None:
 
 # --- answers that are not sent ----------------------------------------------------------------------------------------
 @pytest.mark.parametrize("second", [TOKEN, DX_TO_5, SC, "10 02 05 00 07 16", GC_ALL])
-def test_whoever_sends_has_given_up_waiting(how: str, second: str) -> None:
+def test_an_answer_is_dropped_when_another_station_sends(how: str, second: str) -> None:
     bench, application = build(how, t_sdr=500)
     bench.say(DX_FIRST, 10**6)
     assert bench.answers(second, 10**6 + 400 * BIT) == []
@@ -131,7 +131,7 @@ def test_the_line_going_down_forgets_the_answer_and_the_frame_count(how: str) ->
         bench.station.command("jump", 0)
 
 
-def test_what_is_done_at_the_station_keeps_answer_and_frame_count(how: str) -> None:
+def test_an_action_at_the_station_keeps_answer_and_frame_count(how: str) -> None:
     bench, application = build(how)
     times: list[int] = []
     bench.say(DX_7D, 10**6)
@@ -170,14 +170,14 @@ def test_an_answer_held_longer_than_the_slot_time_is_not_sent() -> None:
     assert bench.station.stats.dropped == 1
 
 
-def test_a_request_found_when_what_stood_before_it_stalls() -> None:
+def test_a_request_is_found_behind_a_telegram_that_stalls() -> None:
     bench, _ = build("octets")
     bench.say("68 C8 C8 68 " + DX_7D, 10**6)
     bench.run_until(10**8)
     assert bench.sent == [(10**6 + 33 * BIT, DX_ANSWER)]  # T_SDR is over when it is found
 
 
-def test_a_whole_telegram_ends_what_came_in_octets_before() -> None:
+def test_a_whole_telegram_ends_an_unfinished_one() -> None:
     bench, application = build("telegram")
     bench.station.receive(bytes.fromhex("68 C8 C8"), 10**6)
     assert bench.answers(DX_7D, 10**6 + 10 * BIT) == [DX_ANSWER]
