@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from ms2_slave_kit import Later
 from slave_kit import CFG, MASTER, OTHER, PRM, UNLOCK, Bench, Recorder
 
 from dpstack.dp.slave.application import SlaveAppState
@@ -38,16 +39,6 @@ def answer_to(bench: Bench, octets: str) -> str:
     reply = ask(bench, "")
     assert reply.status is Resp.DL
     return reply.data.hex(" ").upper()
-
-
-class Later:
-    """Keeps the requests."""
-
-    def __init__(self) -> None:
-        self.requests: list[RecordRequest] = []
-
-    def ask(self, request: RecordRequest) -> None:
-        self.requests.append(request)
 
 
 TABLE = {(0, 1): b"\x11\x22\x33", (1, 2): b"\xaa"}

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import pytest
-from octet_class2 import ABORT_REQUEST, INITIATE, OPENED, RS, SC, Class2
-from octet_wire import MS, Wire
+from ms2_slave_kit import READ, Slave
+from octet_class2 import ABORT_REQUEST, INITIATE, OPENED, RS, SC
+from octet_wire import MS
 from slave_kit import Recorder
 
-from dpstack.dp.slave.application import SlaveApp, make_slave
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.errors import ConfigError, RecordRefused, UsageError
-from dpstack.params import BusParams
-
-READ = "5E 00 01 F0"
 
 
 class Picky(Recorder):
@@ -22,9 +19,7 @@ class Picky(Recorder):
 
     def __init__(self, longest: int = 244) -> None:
         super().__init__()
-        self.ms2 = 1
         self.ms2_max_initiate = longest
-        self.records = self
         self.dropped = 0
 
     def initiate(self, master: int, wanted: InitiateReq) -> None:
@@ -40,19 +35,12 @@ class Picky(Recorder):
         self.dropped += 1
 
 
-class Bench:
-    """Slave 8, and a master of class 2."""
+class PickySlave(Slave):
+    """Slave 8 with a picky device, and a master of class 2."""
 
     def __init__(self, longest: int = 244) -> None:
-        self.device = Picky(longest)
-        station = make_slave(8, self.device, BusParams.preset(500_000))
-        assert isinstance(station.responder, SlaveApp)
-        self.app = station.responder
-        self.wire = Wire(station)
-        self.master = Class2(self.wire)
-
-    def texts(self) -> list[str]:
-        return [event.text.removeprefix("slave 8 (recorder): ") for event in self.wire.station.take_events()]
+        self.picky = Picky(longest)
+        super().__init__(self.picky, count=1, device=self.picky)
 
 
 def initiate(profile: int, extra: str = "") -> str:
@@ -73,67 +61,67 @@ def initiate(profile: int, extra: str = "") -> str:
     ],
 )
 def test_a_device_refuses_initiate_by_a_negative_response(profile: int, answer: str, told: str) -> None:
-    bench = Bench()
-    sap = bench.master.initiate(initiate(profile))
-    assert ms2_of(bench.app).connections == ()
-    assert bench.master.ask(sap) == answer
-    assert bench.master.ask(sap) == RS
-    (text,) = bench.texts()
+    slave = PickySlave()
+    sap = slave.master.initiate(initiate(profile))
+    assert ms2_of(slave.app).connections == ()
+    assert slave.master.ask(sap) == answer
+    assert slave.master.ask(sap) == RS
+    (text,) = slave.texts()
     assert text.startswith(told)
-    assert bench.app.stats.connections == 0
-    sap = bench.master.initiate(initiate(0x1234))
-    assert bench.master.ask(sap) == OPENED
-    assert bench.device.calls == []
+    assert slave.app.stats.connections == 0
+    sap = slave.master.initiate(initiate(0x1234))
+    assert slave.master.ask(sap) == OPENED
+    assert slave.picky.calls == []
 
 
 def test_an_initiate_that_is_too_long() -> None:
-    bench = Bench(longest=27)
+    slave = PickySlave(longest=27)
     longer = initiate(0x1234, "00 01 02 03 04 05 06 07")
     assert len(bytes.fromhex(longer)) == 28
-    sap = bench.master.initiate(longer)
-    assert bench.master.ask(sap) == ABORT_REQUEST
-    (text,) = bench.texts()
+    sap = slave.master.initiate(longer)
+    assert slave.master.ask(sap) == ABORT_REQUEST
+    (text,) = slave.texts()
     assert "Initiate of 28 octets, 27 are possible (Max_Initiate_PDU_Length)" in text
-    bench.device.ms2_max_initiate = 28
-    sap = bench.master.initiate(longer)
-    assert bench.master.ask(sap)[:2] == "57"
+    slave.picky.ms2_max_initiate = 28
+    sap = slave.master.initiate(longer)
+    assert slave.master.ask(sap)[:2] == "57"
 
 
 @pytest.mark.parametrize("longest", [19, 245])
 def test_impossible_lengths_of_initiate(longest: int) -> None:
     with pytest.raises(ConfigError, match="ms2_max_initiate"):
-        Bench(longest)
+        PickySlave(longest)
 
 
 @pytest.mark.parametrize("step", ["opened", "working"])
 @pytest.mark.parametrize("reason", [0, 15])
 def test_the_application_aborts(step: str, reason: int) -> None:
     """Its master fetches the Abort; who works at a service is told; then there is room again."""
-    bench = Bench()
-    sap = bench.master.initiate(initiate(0x1234))
-    assert bench.master.ask(sap)[:2] == "57"
+    slave = PickySlave()
+    sap = slave.master.initiate(initiate(0x1234))
+    assert slave.master.ask(sap)[:2] == "57"
     if step == "working":
-        assert bench.master.ask(sap, READ) == SC
-    ms2_of(bench.app).abort(sap, reason, bench.wire.now)
-    assert ms2_of(bench.app).connections == ()
-    assert bench.device.dropped == (step == "working")
-    assert bench.master.ask(sap) == f"58 00 2{reason:X}"
-    assert bench.master.ask(sap) == RS
-    assert bench.texts()[-1].endswith(f"services: it was aborted here (reason {reason})")
-    assert ms2_of(bench.app).free == 1
+        assert slave.master.ask(sap, READ) == SC
+    ms2_of(slave.app).abort(sap, reason, slave.wire.now)
+    assert ms2_of(slave.app).connections == ()
+    assert slave.picky.dropped == (step == "working")
+    assert slave.master.ask(sap) == f"58 00 2{reason:X}"
+    assert slave.master.ask(sap) == RS
+    assert slave.texts()[-1].endswith(f"services: it was aborted here (reason {reason})")
+    assert ms2_of(slave.app).free == 1
     with pytest.raises(UsageError, match=f"no open class 2 connection at server SAP {sap}; see connections"):
-        ms2_of(bench.app).abort(sap, 0, bench.wire.now)
+        ms2_of(slave.app).abort(sap, 0, slave.wire.now)
 
 
 def test_an_abort_that_is_not_fetched_frees_the_connection() -> None:
-    bench = Bench()
-    sap = bench.master.initiate(initiate(0x1234))
-    bench.master.ask(sap)
+    slave = PickySlave()
+    sap = slave.master.initiate(initiate(0x1234))
+    slave.master.ask(sap)
     with pytest.raises(UsageError, match=r"an Abort has no reason 16: 0\.\.15"):
-        ms2_of(bench.app).abort(sap, 16, bench.wire.now)
-    ms2_of(bench.app).abort(sap, 0, bench.wire.now)
+        ms2_of(slave.app).abort(sap, 16, slave.wire.now)
+    ms2_of(slave.app).abort(sap, 0, slave.wire.now)
     with pytest.raises(UsageError, match="no open class 2 connection"):
-        ms2_of(bench.app).abort(sap, 0, bench.wire.now)
-    bench.wire.pass_time(2_001 * MS)
-    assert bench.master.ask(sap) == RS
-    assert bench.master.initiate(INITIATE) == sap
+        ms2_of(slave.app).abort(sap, 0, slave.wire.now)
+    slave.wire.pass_time(2_001 * MS)
+    assert slave.master.ask(sap) == RS
+    assert slave.master.initiate(INITIATE) == sap
