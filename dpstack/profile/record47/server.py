@@ -248,6 +248,7 @@ class StoreParameters(ParameterModel):
         limits = Limits() if limits is None else limits
         lists = _lists(sorted(self._places))
         lists[PNU_LIMITS] = (limits.octets, limits.parameters, -(-limits.latency_ns // (10 * NS_PER_MS)))
+        self._own = frozenset(lists)
         for pnu, words in lists.items():
             spec = ParamSpec(number=pnu, name=str(pnu), title="", read_only=True)
             self._places[pnu] = {at: _Place(spec, fixed=word) for at, word in enumerate(words)}
@@ -259,11 +260,11 @@ class StoreParameters(ParameterModel):
         return Values(_format_number(places[0].spec), tuple(map(self._raw, places)))
 
     def change(self, address: Address, values: Values) -> ErrorValue | None:
+        if address.pnu in self._own:
+            return ErrorValue(errors.READ_ONLY, address.subindex)
         places = self._wanted(address)
         if isinstance(places, ErrorValue):
             return places
-        if places[0].fixed is not None:
-            return ErrorValue(errors.READ_ONLY, address.subindex)
         raws: list[int] = []
         for at, (place, raw) in enumerate(zip(places, values.raws, strict=True), address.subindex):
             checked = self._checked(place.spec, values.format, raw, at)

@@ -115,6 +115,19 @@ def test_a_drive_that_says_no_latency_has_its_2_s_and_one_that_says_5_s_has_10()
             talk(master.read([Address(1)]), drive(limits, busy_ns))
 
 
+@pytest.mark.parametrize(
+    ("address", "number"),
+    [
+        (Address(974, 0, 3), 6),
+        (Address(974, 99, 1), 6),  # behind its end
+        (Address(980, 0, 1), 4),  # in another format
+    ],
+)
+def test_a_write_to_the_drives_own_lists_is_read_only_whatever_else_is_wrong(address: Address, number: int) -> None:
+    model = StoreParameters(ParamStore(TABLE, {}, sets=8))
+    assert model.change(address, Values(number, (1,) * max(address.elements, 1))) == ErrorValue(1, address.subindex)
+
+
 class Bare(ParameterModel):
     """A drive without descriptions: arrays by number; ``sloppy`` numbers answer to any subindex."""
 
