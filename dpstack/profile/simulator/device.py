@@ -74,7 +74,7 @@ class DriveDevice(Device):
         configs = [telegram.config, *(spec.config for spec in profile.telegrams.values())]
         self.configs = tuple(dict.fromkeys(configs))
         self.telegram = telegram
-        self.motor = Motor(load=float(options["load"]))
+        self.motor = Motor(load=float(options["load"])) if "load" in options else Motor()
         self.channel: ChannelServer = PkwServer(self.dialect, self.carry_out, refuse=self.refuse_order)
         #: record 47, for a subclass that has it among its ``records``
         self.record47: ParameterServer | None = None
