@@ -124,7 +124,7 @@ def test_the_program_with_a_gsd_file_runs(
     program = tmp_path / "program.py"
     program.write_text(text, encoding="utf-8")
     runpy.run_path(str(program))
-    assert capsys.readouterr().out.splitlines() == ["2010 80000008000100fa 1 1", "('fuse blown',)"]
+    assert capsys.readouterr().out.splitlines() == ["2010 80000008000100fa 1 1", "['fuse blown']"]
 
 
 @pytest.mark.usefixtures("fast")

@@ -120,7 +120,7 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
         "presets": [{"name": m.name, "reference": m.reference} for m in device.modules if m.preset],
         "diagnosis": diagnosis_texts(device.diagnosis),
         "diagnosis_types": [{"type": d.type, "diagnosis": diagnosis_texts(d)} for d in device.diag_types],
-        "unit_diag_bits": len(device.diagnosis.bits),
+        "unit_diag_bits": sum(text.kind == "bit" for text in device.diagnosis.texts),
         "slots": [
             {"number": s.number, "name": s.name, "default": s.default, "allowed": [list(pair) for pair in s.allowed]}
             for s in device.slots
@@ -165,7 +165,7 @@ def parameter_places(device: Device, prm: PrmBlock) -> list[dict[str, object]]:
 
 def diagnosis_texts(diagnosis: Diagnosis) -> list[dict[str, object]]:
     """The texts for a diagnosis, with the names of :class:`~dpstack.gsd.model.DiagText`."""
-    return [text._asdict() for text in diagnosis.texts()]
+    return [text._asdict() for text in diagnosis.texts]
 
 
 def module_lengths(module: Module) -> tuple[int | None, int | None]:

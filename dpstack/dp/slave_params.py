@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from dpstack.dp.pdu.diag_texts import DiagTexts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu.dpv1_status import DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
 from dpstack.dp.pdu.requests import MAX_USER_PRM
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import UNADDRESSED
 from dpstack.text import octets_text

@@ -8,14 +8,15 @@ occurs again and each occurrence is reported.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final, Self, TypeAlias, TypeVar
 
 from dpstack.gsd.lexer import Statement, first_number, number, numbers, ranges, ranges_only, string
 from dpstack.gsd.model import (
-    DiagArea,
     Diagnosis,
+    DiagText,
     Findings,
     Module,
     PrmBlock,
@@ -305,18 +306,18 @@ class RawBlock(Block):
         return True
 
 
-_FIELDS: Final = {
-    "unit_diag_bit": "bits",
-    "unit_diag_bit_help": "bit_helps",
-    "unit_diag_not_bit": "not_bits",
-    "unit_diag_not_bit_help": "not_bit_helps",
-    "unit_diag_!bit": "not_bits",  # two vendors' spelling
-    "unit_diag_!bit_help": "not_bit_helps",
+#: keyword -> kind of a DiagText, or of the help that belongs to it
+_DIAG_KINDS: Final = {
+    "unit_diag_bit": "bit",
+    "unit_diag_bit_help": "bit_help",
+    "unit_diag_not_bit": "not_bit",
+    "unit_diag_not_bit_help": "not_bit_help",
+    "unit_diag_!bit": "not_bit",  # two vendors' spelling
+    "unit_diag_!bit_help": "not_bit_help",
     "channel_diag": "channel",
-    "channel_diag_help": "channel_helps",
+    "channel_diag_help": "channel_help",
 }
 _X: Final = "x_"
-_NAMES: Final = tuple(dict.fromkeys(_FIELDS.values()))
 
 
 @dataclass(eq=False)
@@ -349,6 +350,12 @@ class AreaBlock(Block):
             self.warn(statement, line, message)
         (self.helps if statement.keyword.endswith("help") else self.values)[at] = text
 
+    def diag_texts(self) -> list[DiagText]:
+        return [
+            DiagText("area", self.first, self.last, value, text, self.helps.get(value, ""))
+            for value, text in sorted(self.values.items())
+        ]
+
     handlers = dict.fromkeys(("value", "x_value", "value_help", "x_value_help"), text)
 
 
@@ -357,11 +364,11 @@ class DiagBlock(Block):
     """A block in which diagnosis texts may stand."""
 
     texts: dict[str, dict[int, str]] = field(default_factory=dict, init=False)
-    areas: list[DiagArea] = field(default_factory=list, init=False)
+    areas: list[DiagText] = field(default_factory=list, init=False)
     raws: list[Raw] = field(default_factory=list, init=False)
 
     def diag_text(self, statement: Statement, line: int) -> None:
-        """Unit_Diag_Bit(n) = "..." and the other keywords of _FIELDS."""
+        """Unit_Diag_Bit(n) = "..." and the other keywords of _DIAG_KINDS."""
         item = text_item(self, statement, line, "text")
         if item is None:
             return
@@ -374,7 +381,7 @@ class DiagBlock(Block):
 
     def add(self, inner: Block) -> None:
         if isinstance(inner, AreaBlock):
-            self.areas.append(DiagArea(inner.first, inner.last, inner.values, inner.helps))
+            self.areas += inner.diag_texts()
         elif isinstance(inner, (RawBlock, DiagTypeBlock)):
             self.raws += inner.raws
 
@@ -382,12 +389,19 @@ class DiagBlock(Block):
         """The texts read so far. Where a plain and an X_ text have the same number, the X_ text (of DP-V1) counts."""
         if not self.texts and not self.areas and type_number is None:
             return EMPTY
-        merged: dict[str, dict[int, str]] = {name: {} for name in _NAMES}
+        merged: defaultdict[str, dict[int, str]] = defaultdict(dict)
         for keyword, texts in sorted(self.texts.items(), key=lambda item: item[0].startswith(_X)):
-            merged[_FIELDS[keyword.removeprefix(_X)]].update(texts)
-        return Diagnosis(**merged, areas=tuple(self.areas), type=type_number)
+            merged[_DIAG_KINDS[keyword.removeprefix(_X)]].update(texts)
+        found: list[DiagText] = []
+        for kind, value in (("bit", 1), ("not_bit", 0)):
+            for bit, text in sorted(merged[kind].items()):
+                found.append(DiagText(kind, bit, bit, value, text, merged[f"{kind}_help"].get(bit, "")))
+        found += self.areas
+        for error, text in sorted(merged["channel"].items()):
+            found.append(DiagText("channel", None, None, error, text, merged["channel_help"].get(error, "")))
+        return Diagnosis(tuple(found), type_number)
 
-    handlers = dict.fromkeys((*_FIELDS, *(_X + keyword for keyword in _FIELDS)), diag_text)
+    handlers = dict.fromkeys((*_DIAG_KINDS, *(_X + keyword for keyword in _DIAG_KINDS)), diag_text)
 
 
 EMPTY: Final = Diagnosis()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from dpstack.gsd.model import Device, Diagnosis, Module
+from dpstack.gsd.model import Device, Diagnosis, DiagText, Module
 
 
 class DiagTexts:
@@ -21,27 +21,14 @@ class DiagTexts:
         self._types = {d.type: d for d in device.diag_types}
         self._modules = tuple(modules)
 
-    def unit_diag_texts(self, octets: bytes, module: int | None = None) -> tuple[str, ...]:
+    def unit_diag_texts(self, octets: bytes, module: int | None = None) -> tuple[DiagText, ...]:
         """Texts of a device related block; ``octets`` behind its header. ``module``: its index in the configuration."""
-        return tuple(text for text, _ in self._found(octets, module))
+        return tuple(self._found(octets, module))
 
-    def unit_diag_helps(self, octets: bytes, module: int | None = None) -> tuple[str, ...]:
-        """The help for each of :meth:`unit_diag_texts`, empty where the file has none."""
-        return tuple(help_text for _, help_text in self._found(octets, module))
-
-    def channel_text(self, error_type: int, module: int | None = None) -> str | None:
-        """The text of a channel related error, 0..31."""
-        return self._channel(error_type, module)[0]
-
-    def channel_help(self, error_type: int, module: int | None = None) -> str | None:
-        """The help that belongs to :meth:`channel_text`."""
-        return self._channel(error_type, module)[1]
-
-    def _channel(self, error_type: int, module: int | None) -> tuple[str | None, str | None]:
-        for diagnosis in self._sources(module):
-            if error_type in diagnosis.channel:
-                return diagnosis.channel[error_type], diagnosis.channel_helps.get(error_type)
-        return None, None
+    def channel_text(self, error_type: int, module: int | None = None) -> DiagText | None:
+        """The text of a channel related error, 0..31; None where the file has none."""
+        texts = (text for diagnosis in self._sources(module) for text in diagnosis.texts)
+        return next((text for text in texts if text.kind == "channel" and text.value == error_type), None)
 
     def module_name(self, module: int) -> str:
         """The name of a module by its index in the configuration; empty for an empty slot and where there is none."""
@@ -57,16 +44,17 @@ class DiagTexts:
     def _module(self, number: int | None) -> Module | None:
         return self._modules[number] if number is not None and 0 <= number < len(self._modules) else None
 
-    def _found(self, octets: bytes, module: int | None) -> Iterator[tuple[str, str]]:
+    def _found(self, octets: bytes, module: int | None) -> Iterator[DiagText]:
         # UnitDiagType names the first octet, the type of a DP-V1 alarm or status: its texts replace the general ones
         typed = self._types.get(octets[0]) if octets else None
         sources = self._sources(module) if typed is None else (typed,)
         value, size = int.from_bytes(octets, "little"), 8 * len(octets)
         found: set[tuple[str, int]] = set()
         for diagnosis in sources:
-            for kind, first, last, wanted, text, help_text in diagnosis.texts():
+            for text in diagnosis.texts:
+                kind, first, last, wanted, _, _ = text
                 if first is None or last is None or first < 0 or last >= size or (kind, first) in found:
                     continue
                 if value >> first & (1 << last - first + 1) - 1 == wanted:
                     found.add((kind, first))
-                    yield text, help_text
+                    yield text

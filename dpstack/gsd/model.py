@@ -7,7 +7,7 @@ units: min_slave_interval in 100 us, response time-outs in 10 ms, MaxTsdr in bit
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple, TypeAlias
@@ -200,21 +200,11 @@ class PrmBlock:
         return self.length is not None or bool(self.consts) or bool(self.refs)
 
 
-@dataclass(frozen=True, slots=True)
-class DiagArea:
-    """Unit_Diag_Area: bits ``first``..``last`` of the device related diagnosis are one value."""
-
-    first: int
-    last: int
-    values: Mapping[int, str]
-    helps: Mapping[int, str] = field(default_factory=dict)
-
-
 class DiagText(NamedTuple):
     """One text for a diagnosis and its condition. ``kind``: "bit", "not_bit", "area" or "channel".
 
-    Of a bit or an area: the bits ``first``..``last``, counted from the first octet behind the block's header, have the
-    ``value``. Of a channel: the error type is ``value``. ``help``: empty where the file has none.
+    Of a bit or an area: the bits ``first``..``last``, counted from 0 at the first octet behind the block's header, have
+    the ``value``. Of a channel: the error type is ``value``. ``help``: empty where the file has none.
     """
 
     kind: str
@@ -229,32 +219,12 @@ class DiagText(NamedTuple):
 class Diagnosis:
     """Texts of the diagnosis: of a device, a module or one UnitDiagType (``type``, the first octet after the header).
 
-    Bits count from 0 at the first octet after the block's header. X_ texts (the same for DP-V1 blocks) are merged
-    with the others.
+    ``texts``: those for bits, for bits that are 0, for areas, for channel errors. Where the file has a plain and an X_
+    text (of DP-V1) for the same condition, the X_ text.
     """
 
-    bits: Mapping[int, str] = field(default_factory=dict)
-    bit_helps: Mapping[int, str] = field(default_factory=dict)
-    not_bits: Mapping[int, str] = field(default_factory=dict)
-    not_bit_helps: Mapping[int, str] = field(default_factory=dict)
-    areas: tuple[DiagArea, ...] = ()
-    channel: Mapping[int, str] = field(default_factory=dict)
-    channel_helps: Mapping[int, str] = field(default_factory=dict)
+    texts: tuple[DiagText, ...] = ()
     type: int | None = None
-
-    def texts(self) -> Iterator[DiagText]:
-        """All texts: bits, bits that are 0, areas, channel errors."""
-        for kind, value, texts, helps in (
-            ("bit", 1, self.bits, self.bit_helps),
-            ("not_bit", 0, self.not_bits, self.not_bit_helps),
-        ):
-            for bit, text in sorted(texts.items()):
-                yield DiagText(kind, bit, bit, value, text, helps.get(bit, ""))
-        for area in self.areas:
-            for value, text in sorted(area.values.items()):
-                yield DiagText("area", area.first, area.last, value, text, area.helps.get(value, ""))
-        for error, text in sorted(self.channel.items()):
-            yield DiagText("channel", None, None, error, text, self.channel_helps.get(error, ""))
 
 
 @dataclass(frozen=True, slots=True)

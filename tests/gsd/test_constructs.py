@@ -6,7 +6,7 @@ import gsd_kit
 import pytest
 from gsd_kit import device, made, read, texts
 
-from dpstack.gsd.model import DpV1, Isochronous, PrmConst, PrmKind, PrmRef, Ranges, Raw, Slot, Speed
+from dpstack.gsd.model import DiagText, DpV1, Isochronous, PrmConst, PrmKind, PrmRef, Ranges, Raw, Slot, Speed
 from dpstack.gsd.parser import load_gsd, parse_gsd
 
 
@@ -70,8 +70,7 @@ def test_a_whole_file() -> None:
     assert d.modules[0].prm.refs == (PrmRef(1, 2),)
     assert d.modules[0].line == 82
     assert d.prm.consts == (PrmConst(0, b"\x80\0\0\0\0"),)
-    assert d.diagnosis.bits == {0: "fuse blown"}
-    assert d.diagnosis.bit_helps == {0: "replace F1"}
+    assert d.diagnosis.texts == (DiagText("bit", 0, 0, 1, "fuse blown", "replace F1"),)
     assert d.parameters[1].texts == {0: "off", 1: "on"}
     assert (d.parameters[2].default, d.parameters[2].allowed) == (500, ((0, 1000),))
 
@@ -157,9 +156,12 @@ def test_continuations() -> None:
 def test_blanks_inside_and_before_parentheses() -> None:
     file = read("blanks")
     d = file.device
-    assert d.diagnosis.bits == {0: "zero", 2: "two"}
-    area = d.diagnosis.areas[0]
-    assert (area.first, area.last, area.values) == (8, 15, {0: "none", 0x60: "sixty"})
+    assert d.diagnosis.texts == (
+        DiagText("bit", 0, 0, 1, "zero", ""),
+        DiagText("bit", 2, 2, 1, "two", ""),
+        DiagText("area", 8, 15, 0, "none", ""),
+        DiagText("area", 8, 15, 0x60, "sixty", ""),
+    )
     assert [(m.name, m.config) for m in d.modules] == [("x", b"\x20"), ("spaces", b"\x10\x20")]
     assert file.diagnostics == ()
 
@@ -207,7 +209,7 @@ def test_blanks_at_the_ends_of_texts_are_left_out() -> None:
         'SlotDefinition\nSlot(1) = "head " 1 1\nEndSlotDefinition\n'
     )
     assert file.device.prm_texts == {1: {0: "off"}}
-    assert file.device.diagnosis.bits == {1: "fuse blown"}
+    assert file.device.diagnosis.texts == (DiagText("bit", 1, 1, 1, "fuse blown", ""),)
     assert file.device.slots[0].name == "head"
 
 
@@ -216,7 +218,7 @@ def test_order_is_free() -> None:
     d = file.device
     assert (d.gsd_revision, d.modules[0].name) == (1, "early")
     assert d.parameters[1].texts == {0: "slow", 1: "fast"}
-    assert d.diagnosis.bits == {3: "second"}
+    assert d.diagnosis.texts == (DiagText("bit", 3, 3, 1, "second", ""),)
     assert texts(file) == [
         "13:1: warning: PrmText 4 stands twice (first on line 10); the last one counts",
         "18:20: warning: Unit_Diag_Bit(3) stands twice with different texts; the last one counts",
@@ -226,7 +228,7 @@ def test_order_is_free() -> None:
 def test_unknown_keywords_and_blocks_are_kept_raw() -> None:
     file = read("unknown")
     d = file.device
-    assert d.diagnosis.not_bits == {5: "no load voltage"}
+    assert DiagText("not_bit", 5, 5, 0, "no load voltage", "") in d.diagnosis.texts
     assert d.pins_24v == 1
     assert (d.slave_family, d.slave_family_path) == (3, ("TERMINAL-SYSTEM 750",))
     assert d.settings["our_own_keyword"] == '"kept"'
@@ -240,10 +242,13 @@ def test_unknown_keywords_and_blocks_are_kept_raw() -> None:
     }
     assert d.prm.consts == ()  # the one in an unknown block is not the device's
     assert [raw.keyword for raw in d.modules[0].raw] == ["Data_Area_Beg", "Length", "F_Ext_Module_Prm_Data_Len"]
-    assert d.diagnosis.bits == {3: "of DP-V1"}
+    assert [text for text in d.diagnosis.texts if text.kind == "bit"] == [DiagText("bit", 3, 3, 1, "of DP-V1", "")]
     (typed,) = d.diag_types
-    assert (typed.type, typed.bits) == (129, {24: "parity"})
-    assert (typed.areas[0].values, typed.areas[0].helps) == ({64: "address differs"}, {64: "set the switches"})
+    assert typed.type == 129
+    assert DiagText("bit", 24, 24, 1, "parity", "") in typed.texts
+    assert [(text.value, text.text, text.help) for text in typed.texts if text.kind == "area"] == [
+        (64, "address differs", "set the switches")
+    ]
     assert [line for line in texts(file) if "info" not in line] == []
     assert len(file.diagnostics) == 5  # each unknown keyword once
 

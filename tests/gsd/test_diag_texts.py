@@ -6,6 +6,7 @@ import pytest
 from gsd_kit import device
 
 from dpstack.gsd.diag_texts import DiagTexts
+from dpstack.gsd.model import DiagText
 
 D = device("diagnosis")
 TEXTS = DiagTexts(D, [None, D.modules[0]])
@@ -27,22 +28,25 @@ TEXTS = DiagTexts(D, [None, D.modules[0]])
     ],
 )
 def test_device_related(octets: str, texts: tuple[str, ...]) -> None:
-    assert TEXTS.unit_diag_texts(bytes.fromhex(octets)) == texts
+    assert tuple(found.text for found in TEXTS.unit_diag_texts(bytes.fromhex(octets))) == texts
 
 
 def test_helps_go_with_the_texts() -> None:
-    octets = bytes.fromhex("01 04 09 00")
-    assert TEXTS.unit_diag_texts(octets) == ("fuse blown", "stopped")
-    assert TEXTS.unit_diag_helps(octets) == ("replace F1", "start it")
+    found = TEXTS.unit_diag_texts(bytes.fromhex("01 04 09 00"))
+    assert [(text.text, text.help) for text in found] == [("fuse blown", "replace F1"), ("stopped", "start it")]
 
 
 def test_channel_related() -> None:
-    assert (TEXTS.channel_text(16), TEXTS.channel_help(16)) == ("sensor missing", "plug it in")
-    assert (TEXTS.channel_text(17), TEXTS.channel_help(17)) == (None, None)
+    assert TEXTS.channel_text(16) == DiagText("channel", None, None, 16, "sensor missing", "plug it in")
+    assert TEXTS.channel_text(17) is None
 
 
-def test_a_modules_own_texts_come_first() -> None:
-    assert TEXTS.channel_text(16, module=1) == "coil open"
-    assert TEXTS.channel_text(16, module=0) == "sensor missing"
-    assert TEXTS.channel_text(16, module=99) == "sensor missing"
-    assert TEXTS.unit_diag_texts(b"\x01", module=1) == ("module fuse",)
+@pytest.mark.parametrize(("module", "text"), [(1, "coil open"), (0, "sensor missing"), (99, "sensor missing")])
+def test_a_modules_own_channel_texts_come_first(module: int, text: str) -> None:
+    found = TEXTS.channel_text(16, module)
+    assert found is not None
+    assert found.text == text
+
+
+def test_a_modules_own_unit_texts_come_first() -> None:
+    assert [found.text for found in TEXTS.unit_diag_texts(b"\x01", module=1)] == ["module fuse"]

@@ -3,34 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Protocol
 
 from dpstack.dp.pdu.alarm_blocks import parse_block
 from dpstack.dp.pdu.diag_blocks import FIRST_SLOT, Block, ChannelBlock, DeviceBlock, IdentifierBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.errors import PduError
-
-
-class DiagTexts(Protocol):
-    """The texts of one kind of device (its GSD file has them). Neither raises, whatever a slave sends."""
-
-    @property
-    def first_slot(self) -> int:
-        """The number of the slot of the first module (Modul_Offset, else 1)."""
-
-    def unit_diag_texts(self, octets: bytes) -> tuple[str, ...]:
-        """Texts for a device related block: ``octets`` without its header, bit 0 of the first octet is bit 0."""
-
-    def unit_diag_helps(self, octets: bytes) -> tuple[str, ...]:
-        """The remedy for each of :meth:`unit_diag_texts`; empty where the file has none."""
-
-    def channel_text(self, error_type: int, module: int | None = None) -> str | None:
-        """A maker's own channel error (16..31) of the ``module``, None where the file has no text for it."""
-
-    def channel_help(self, error_type: int, module: int | None = None) -> str | None: ...
-
-    def module_name(self, module: int) -> str:
-        """The name of a module by its place in the configuration, from 0; empty where there is none."""
+from dpstack.gsd.diag_texts import DiagTexts
 
 
 def block_texts(diagnosis: Diagnosis, texts: DiagTexts | None = None, *, dpv1: bool = False) -> tuple[str, ...]:
@@ -70,8 +48,8 @@ def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool, messa
             said = ""
     if said and messages:
         yield said
-    if texts is not None and known:
-        yield from map(_explained, known, texts.unit_diag_helps(block.data))
+    if known:
+        yield from (_explained(own.text, own.help) for own in known)
     elif not said and any(block.data):
         yield f"device: {block.data.hex(' ')}"
 
@@ -87,11 +65,11 @@ def _lines(block: Block, texts: DiagTexts | None, dpv1: bool, messages: bool) ->
                 yield "slots with a diagnosis: " + ", ".join(slots)
         case ChannelBlock(identifier=module, error=error):
             own = None if texts is None else texts.channel_text(error, module)
-            remedy = None if texts is None or own is None else texts.channel_help(error, module)
-            yield f"{block.place(_name(texts, module), first)}: {_explained(own or block.cause, remedy)}"
+            text = block.cause if own is None else _explained(own.text or block.cause, own.help)
+            yield f"{block.place(_name(texts, module), first)}: {text}"
 
 
-def _explained(text: str, more: str | None) -> str:
+def _explained(text: str, more: str) -> str:
     return f"{text} ({more})" if more else text
 
 

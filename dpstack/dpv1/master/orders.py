@@ -12,12 +12,13 @@ from typing import Final
 from dpstack.dp.acyclic.job import Outcome, ServiceEnd
 from dpstack.dp.master.events import SlaveEvent
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status
-from dpstack.dp.pdu.diag_texts import DiagTexts, texts_of
+from dpstack.dp.pdu.diag_texts import texts_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, Service, WriteReq
 from dpstack.dpv1.timeouts import SERVICE_TIMEOUT, least_send_timeout
+from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.machine import Order
 from dpstack.trace import Event
 
@@ -246,6 +247,6 @@ class StatusTold(SlaveEvent):
 def texts_beside(diagnosis: Diagnosis, alarm: Alarm, texts: DiagTexts | None) -> tuple[str, ...]:
     """The texts of the GSD file for ``alarm``, and the texts of the other blocks of ``diagnosis``."""
     block = alarm.build()
-    own = () if texts is None else texts.unit_diag_texts(block[1:])
+    own = () if texts is None else tuple(found.text for found in texts.unit_diag_texts(block[1:]))
     others = tuple(other for other in diagnosis.blocks if other.octets != block)
     return own + texts_of(others, texts, dpv1=True)

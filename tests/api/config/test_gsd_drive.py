@@ -66,7 +66,7 @@ def test_the_file_goes_before_what_was_made_up(folder: Path) -> None:
     assert (slave.telegram, slave.notes, slave.params.sync) == ("PPO3", (), True)
     assert (slave.params.min_slave_interval_ns, slave.params.max_tsdr[500_000]) == (300_000, 100)
     assert slave.params.texts is not None
-    assert slave.params.texts.unit_diag_texts(b"\x01") == ("inverter trip",)
+    assert [found.text for found in slave.params.texts.unit_diag_texts(b"\x01")] == ["inverter trip"]
 
 
 def test_the_telegram_follows_from_the_modules_where_only_one_fits(folder: Path) -> None:

@@ -28,7 +28,7 @@ def test_what_follows_from_the_file() -> None:
     assert (slave.params.min_slave_interval_ns, slave.params.fail_safe) == (600_000, True)
     assert (slave.params.max_tsdr[12_000_000], slave.params.max_tsdr.get(19_200)) == (800, None)
     assert slave.params.texts is not None
-    assert slave.params.texts.unit_diag_texts(b"\x01") == ("fuse blown",)
+    assert [found.text for found in slave.params.texts.unit_diag_texts(b"\x01")] == ["fuse blown"]
     assert rate_findings(found, 500_000) == []
     assert rate_findings(found, 19_200) == [
         "slave 8 (io): by its GSD file it does not know 19.2 kbit/s; take another rate"

@@ -19,14 +19,14 @@ from dpstack.dpv1.master.alarm_handler import AlarmBook, AlarmHandler
 from dpstack.dpv1.master.orders import AlarmRaised
 from dpstack.drivers.process.client import worded
 from dpstack.errors import ConfigError
-from dpstack.gsd.diag_texts import DiagTexts as GsdTexts
+from dpstack.gsd.diag_texts import DiagTexts
 
 ALL = ("pull_plug", "process", "diagnostic", "manufacturer", "status", "update")
 
 
 @pytest.mark.parametrize("rest", ["", "42 01 80 40 30"])
 def test_the_words_of_the_gsd_file_in_either_process(rest: str) -> None:
-    texts = GsdTexts(device("diagnosis"), [None])
+    texts = DiagTexts(device("diagnosis"), [None])
     setup = SlaveParams(
         address=9, name="rig", ident=1, config=b"\x10", user_prm=bytes(3), dpv1=Dpv1(alarms=ALL), texts=texts
     )

@@ -25,6 +25,8 @@ from scripted_link import (
 from dpstack.dp.master.commands import DeactivateSlave
 from dpstack.dp.master.events import SlaveDiagnosis, SlaveState
 from dpstack.dp.pdu.diag_bits import FLAGS, Does, SetBy
+from dpstack.gsd.diag_texts import DiagTexts
+from dpstack.gsd.model import Device, Diagnosis, DiagText
 
 
 def inputs_valid(bus: ScriptedLink) -> bool:
@@ -146,29 +148,22 @@ def test_a_slave_that_does_not_watch_its_master_is_told() -> None:
 # --- extended diagnosis ---------------------------------------------------------------------------------------------
 
 
-class Texts:
-    """As a GSD file gives them, one with Modul_Offset = 4."""
-
-    first_slot = 4
-
-    def unit_diag_texts(self, octets: bytes) -> tuple[str, ...]:
-        return ("24 V is missing",) if octets[:1] == b"\x01" else ()
-
-    def unit_diag_helps(self, octets: bytes) -> tuple[str, ...]:
-        return ("",) * len(self.unit_diag_texts(octets))
-
-    def channel_text(self, error_type: int, module: int | None = None) -> str | None:
-        return {16: "sensor dirty"}.get(error_type)
-
-    def channel_help(self, error_type: int, module: int | None = None) -> str | None:
-        return None
-
-    def module_name(self, module: int) -> str:
-        return ""
+#: of a GSD file with Modul_Offset = 4
+TEXTS = DiagTexts(
+    Device(
+        diagnosis=Diagnosis(
+            (
+                DiagText("bit", 0, 0, 1, "24 V is missing", ""),
+                DiagText("channel", None, None, 16, "sensor dirty", ""),
+            )
+        )
+    ),
+    first_slot=4,
+)
 
 
 def test_extended_diagnosis_is_told_in_words() -> None:
-    bus = link(setup(3, texts=Texts()), setup(4))
+    bus = link(setup(3, texts=TEXTS), setup(4))
     for slave in bus.slaves.values():
         slave.ready = bytes.fromhex("08 0C 00 02 06 96 03 01 00 42 05 82 43 B0 C7")
     bus.run(20 * MS)

@@ -18,7 +18,6 @@ from property_kit import examples
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.commands import AddSlave, DriveCommand, ReparameteriseSlave
-from dpstack.dp.pdu.diag_texts import DiagTexts
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.dp.slave_params import SlaveParams
@@ -39,7 +38,7 @@ from dpstack.drivers.snapshots import Counters
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, ConfigError, DpError, PortBusyError, SlaveFault, UsageError
 from dpstack.fdl.interface import LinkStats
-from dpstack.gsd.diag_texts import DiagTexts as GsdTexts
+from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.model import Device
 from dpstack.machine import Order
 from dpstack.params import BusParams
@@ -165,8 +164,7 @@ SETUP: dict[str, Any] = {"address": 4, "name": "valves", "ident": 0x1234, "confi
 
 
 def test_the_texts_of_a_gsd_file_stay_here() -> None:
-    texts: DiagTexts = GsdTexts(Device())
-    setup = SlaveParams(address=4, name="v", ident=1, config=b"\x21", texts=texts)
+    setup = SlaveParams(address=4, name="v", ident=1, config=b"\x21", texts=DiagTexts(Device()))
     order = order_sent(ReparameteriseSlave(setup))
     assert order == ReparameteriseSlave(setup)  # texts are not compared
     assert isinstance(order, ReparameteriseSlave)
