@@ -2,15 +2,15 @@
 
 Each class has a table of handlers by keyword; :data:`BLOCKS` has the classes by the keyword that opens them. At its
 closing keyword a block hands its content to the block around it.
-``Statement.item`` keeps the parsed value of a statement (False where it cannot be parsed), because the same line often
-occurs again and each occurrence is reported.
+A line often occurs again in a file. All its occurrences are one :class:`Statement`, which keeps the parsed value as
+``item`` (False where it cannot be parsed). Each occurrence is reported.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final, Self, TypeAlias, TypeVar
 
 from dpstack.gsd.lexer import Statement, first_number, number, numbers, ranges, ranges_only, string
@@ -32,8 +32,8 @@ from dpstack.gsd.model import (
 )
 from dpstack.text import shortened
 
-#: (block, statement, line)
-Handler: TypeAlias = Callable[[Any, Statement, int], None]
+#: (block, statement)
+Handler: TypeAlias = Callable[[Any, Statement], None]
 
 
 @dataclass(eq=False)
@@ -51,16 +51,16 @@ class Block:
     end: str = field(default="\n", init=False)
 
     @classmethod
-    def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self | None:
+    def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
         """The block that ``statement`` opens; None where its :attr:`head` cannot be parsed."""
-        return cls(line, findings)
+        return cls(statement.line, findings)
 
     @property
     def full_title(self) -> str:
         """The block for people: ``Module 'x'``, ``PrmText 3``."""
         return self.title
 
-    def other(self, statement: Statement, line: int) -> bool:
+    def other(self, statement: Statement) -> bool:
         """Handle a keyword that has no handler. False: this block has no use for it either."""
         return False
 
@@ -70,9 +70,9 @@ class Block:
     def finish(self, complete: bool) -> None:
         """End the block. Not ``complete``: its closing keyword is missing."""
 
-    def warn(self, statement: Statement, line: int, message: str) -> None:
+    def warn(self, statement: Statement, message: str) -> None:
         """Report ``message`` at the value of ``statement``."""
-        self.findings.warning(line, message, statement.column)
+        self.findings.warning(statement.line, message, statement.column)
 
 
 _T = TypeVar("_T")
@@ -97,7 +97,7 @@ def _numbered_text(statement: Statement) -> tuple[int, str] | None:
     return None if at is None or text is None or not closed else (at, text.strip())
 
 
-def text_item(block: Block, statement: Statement, line: int, what: str) -> tuple[int, str] | None:
+def text_item(block: Block, statement: Statement, what: str) -> tuple[int, str] | None:
     """(number, text) of ``Text(3) = "on"`` and similar statements; None and a warning where it cannot be parsed."""
     item = _parsed(statement, _numbered_text)
     if item is None:
@@ -108,7 +108,7 @@ def text_item(block: Block, statement: Statement, line: int, what: str) -> tuple
             problem = "a text in quotes is missing"
         else:
             problem = f"{statement.index or 'nothing'} in parentheses is no number"
-        block.warn(statement, line, f"{statement.written}: {problem}; this {what} is left out")
+        block.warn(statement, f"{statement.written}: {problem}; this {what} is left out")
     return item
 
 
@@ -121,9 +121,9 @@ class NumberedBlock(Block):
     ref: int
 
     @classmethod
-    def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self | None:
+    def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
         ref = number(statement.value)
-        return None if ref is None else cls(line, findings, ref)
+        return None if ref is None else cls(statement.line, findings, ref)
 
     @property
     def full_title(self) -> str:
@@ -138,12 +138,12 @@ class PrmTextBlock(NumberedBlock):
 
     texts: dict[int, str] = field(default_factory=dict)
 
-    def text(self, statement: Statement, line: int) -> None:
-        item = text_item(self, statement, line, "value")
+    def text(self, statement: Statement) -> None:
+        item = text_item(self, statement, "value")
         if item is not None:
             at, text = item
             if self.texts.get(at, text) != text:
-                self.warn(statement, line, f"Text({at}) stands twice in {self.full_title}; the last one counts")
+                self.warn(statement, f"Text({at}) stands twice in {self.full_title}; the last one counts")
             self.texts[at] = text
 
     handlers = {"text": text}
@@ -174,12 +174,12 @@ class ParameterBlock(NumberedBlock):
     fields: dict[str, Any] = field(default_factory=dict, init=False)
 
     @classmethod
-    def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self | None:
+    def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
         ref, rest = first_number(statement.value)
         name, _, closed = string(rest)
-        return None if ref is None or name is None or not closed else cls(line, findings, ref, name.strip())
+        return None if ref is None or name is None or not closed else cls(statement.line, findings, ref, name.strip())
 
-    def typed(self, statement: Statement, line: int) -> None:
+    def typed(self, statement: Statement) -> None:
         """``Unsigned8 0 0-255``, ``Bit(3) 1 0-1``, ``BitArea(0-2) 0 0,1,5``."""
         item = _parsed(statement, _type_item)
         if isinstance(item, tuple):
@@ -188,14 +188,14 @@ class ParameterBlock(NumberedBlock):
         else:
             problem = item or ""
         if problem:
-            self.warn(statement, line, f"{self.full_title}: {problem}")
+            self.warn(statement, f"{self.full_title}: {problem}")
 
-    def setting(self, statement: Statement, line: int) -> None:
+    def setting(self, statement: Statement) -> None:
         """Prm_Text_Ref = n, Changeable = 0 or 1, Visible = 0 or 1."""
         value = number(statement.value)
         if value is None:
             message = f"{statement.written} = {statement.value or 'nothing'} is no number; left out"
-            self.warn(statement, line, message)
+            self.warn(statement, message)
         if statement.keyword in ("changeable", "visible"):
             self.fields[statement.keyword] = value != 0
         else:
@@ -262,7 +262,7 @@ class SlotBlock(Block):
     #: by number, the last one of each
     slots: dict[int, Slot] = field(default_factory=dict)
 
-    def slot(self, statement: Statement, line: int) -> None:
+    def slot(self, statement: Statement) -> None:
         """``Slot(1) = "name" default allowed`` (module references)."""
         at = _index(statement)
         name, rest, _ = string(statement.value)
@@ -270,16 +270,16 @@ class SlotBlock(Block):
         default, rest = first_number(rest)
         allowed = ranges(rest)
         if at is None or allowed is None:
-            self.warn(statement, line, f"{statement.written}: cannot be read; the slot is left out")
+            self.warn(statement, f"{statement.written}: cannot be read; the slot is left out")
             return
         if default is not None and not allowed:
             allowed = ((default, default),)
         if default is not None and not any(low <= default <= high for low, high in allowed):
             message = f"Slot({at}): the default module {default} is not among those allowed ({ranges_text(allowed)})"
-            self.warn(statement, line, message)
+            self.warn(statement, message)
         if at in self.slots:
-            self.warn(statement, line, f"Slot({at}) stands twice; the last one counts")
-        self.slots[at] = Slot(at, name, default, allowed, line)
+            self.warn(statement, f"Slot({at}) stands twice; the last one counts")
+        self.slots[at] = Slot(at, name, default, allowed, statement.line)
 
     handlers = {"slot": slot}
 
@@ -292,17 +292,17 @@ class RawBlock(Block):
     raws: list[Raw] = field(default_factory=list)
 
     @classmethod
-    def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self:
-        block = cls(line, findings, statement.written)
-        block.other(statement, line)
+    def opened_by(cls, statement: Statement, findings: Findings) -> Self:
+        block = cls(statement.line, findings, statement.written)
+        block.other(statement)
         return block
 
     @property
     def full_title(self) -> str:
         return self.name
 
-    def other(self, statement: Statement, line: int) -> bool:
-        self.raws.append(Raw(line, statement.written, statement.index, statement.value, self.name))
+    def other(self, statement: Statement) -> bool:
+        self.raws.append(Raw(statement.line, statement.written, statement.index, statement.value, self.name))
         return True
 
 
@@ -333,21 +333,21 @@ class AreaBlock(Block):
     helps: dict[int, str] = field(default_factory=dict)
 
     @classmethod
-    def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self | None:
+    def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
         bits = ranges(statement.value)
         if not bits or not 0 <= bits[0][0] <= bits[-1][1] < 8 * 244:
             return None
-        return cls(line, findings, bits[0][0], bits[-1][1])
+        return cls(statement.line, findings, bits[0][0], bits[-1][1])
 
-    def text(self, statement: Statement, line: int) -> None:
+    def text(self, statement: Statement) -> None:
         """Value(n) = "...", Value_Help(n) = "..."."""
-        item = text_item(self, statement, line, "value")
+        item = text_item(self, statement, "value")
         if item is None:
             return
         at, text = item
         if at >> (self.last - self.first + 1):
             message = f"{statement.written}({at}) does not fit bits {self.first}..{self.last}; it can never be shown"
-            self.warn(statement, line, message)
+            self.warn(statement, message)
         (self.helps if statement.keyword.endswith("help") else self.values)[at] = text
 
     def diag_texts(self) -> list[DiagText]:
@@ -367,16 +367,16 @@ class DiagBlock(Block):
     areas: list[DiagText] = field(default_factory=list, init=False)
     raws: list[Raw] = field(default_factory=list, init=False)
 
-    def diag_text(self, statement: Statement, line: int) -> None:
+    def diag_text(self, statement: Statement) -> None:
         """Unit_Diag_Bit(n) = "..." and the other keywords of _DIAG_KINDS."""
-        item = text_item(self, statement, line, "text")
+        item = text_item(self, statement, "text")
         if item is None:
             return
         at, text = item
         texts = self.texts.setdefault(statement.keyword, {})
         if texts.get(at, text) != text:
             message = f"{statement.written}({at}) stands twice with different texts; the last one counts"
-            self.warn(statement, line, message)
+            self.warn(statement, message)
         texts[at] = text
 
     def add(self, inner: Block) -> None:
@@ -429,18 +429,18 @@ class PrmUser(DiagBlock):
     refs: list[PrmRef] = field(default_factory=list, init=False)
     prm_line: int = field(default=0, init=False)
 
-    def part(self, statement: Statement, line: int) -> None:
+    def part(self, statement: Statement) -> None:
         """Ext_User_Prm_Data_Ref(offset) = number, Ext_User_Prm_Data_Const(offset) = octets."""
         item = _parsed(statement, _prm_part)
         if isinstance(item, PrmRef):
             self.refs.append(item)
-            self.used.setdefault(item.number, line)
+            self.used.setdefault(item.number, statement.line)
         elif isinstance(item, PrmConst):
             self.consts.append(item)
-            self.prm_line = self.prm_line or line
+            self.prm_line = self.prm_line or statement.line
         else:
             written = f"{statement.written}({statement.index or ''}) = {statement.value}"
-            self.warn(statement, line, f"{shortened(written)} cannot be read; it is left out")
+            self.warn(statement, f"{shortened(written)} cannot be read; it is left out")
 
     handlers = {**DiagBlock.handlers, "ext_user_prm_data_ref": part, "ext_user_prm_data_const": part}
 
@@ -480,44 +480,44 @@ class ModuleBlock(PrmUser):
     complete: bool = True
 
     @classmethod
-    def opened_by(cls, statement: Statement, line: int, findings: Findings) -> Self | None:
+    def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
         name, rest, closed = string(statement.value)
         if name is None or not closed:
             return None
         config = octets_of(rest)
         if config is None:
             message = f"module {name!r}: {rest[:40]} is no list of identifier octets; the module cannot be used"
-            findings.error(line, message, statement.column)
-        return cls(line, findings, name.strip(), config or b"", complete=config is not None)
+            findings.error(statement.line, message, statement.column)
+        return cls(statement.line, findings, name.strip(), config or b"", complete=config is not None)
 
     @property
     def full_title(self) -> str:
         return f"{self.title} {self.name!r}"
 
-    def prm_len(self, statement: Statement, line: int) -> None:
+    def prm_len(self, statement: Statement) -> None:
         length = number(statement.value)
         if length is None or not 0 <= length <= MAX_USER_PRM:
             message = f"{statement.written} = {shortened(statement.value)} is no length of 0..{MAX_USER_PRM}; left out"
-            self.warn(statement, line, message)
+            self.warn(statement, message)
         else:
             self.length = length
-            self.prm_line = line
+            self.prm_line = statement.line
 
-    def info_text(self, statement: Statement, line: int) -> None:
+    def info_text(self, statement: Statement) -> None:
         text, _, _ = string(statement.value)
         self.info = statement.value if text is None else text
 
-    def is_preset(self, statement: Statement, line: int) -> None:
+    def is_preset(self, statement: Statement) -> None:
         self.preset = number(statement.value) not in (0, None)
 
-    def other(self, statement: Statement, line: int) -> bool:
+    def other(self, statement: Statement) -> bool:
         """A number on a line of its own: the module reference."""
         reference = number(statement.keyword)
         if reference is None or statement.equals or statement.value:
             return False
         if self.reference not in (None, reference):
             message = f"module {self.name!r} has two references, {self.reference} and {reference}; the last one counts"
-            self.findings.warning(line, message)
+            self.findings.warning(statement.line, message)
         self.reference = reference
         return True
 
@@ -557,24 +557,24 @@ NO_PRM: Final = PrmBlock()
 class DeviceBlock(PrmUser):
     """The file itself: the statements outside of all blocks, and the content of the blocks that have ended."""
 
-    #: keyword -> its last (statement, line)
-    settings: dict[str, tuple[Statement, int]] = field(default_factory=dict)
+    #: by keyword, the last one of each
+    settings: dict[str, Statement] = field(default_factory=dict)
     modules: list[Module] = field(default_factory=list)
     slots: list[Slot] = field(default_factory=list)
     parameters: dict[int, ParameterBlock] = field(default_factory=dict)
     prm_texts: dict[int, PrmTextBlock] = field(default_factory=dict)
     diag_types: list[Diagnosis] = field(default_factory=list)
 
-    def other(self, statement: Statement, line: int) -> bool:
+    def other(self, statement: Statement) -> bool:
         """Keep every other ``keyword = value`` as a setting."""
         if not statement.equals or statement.index is not None or not statement.keyword:
             return False
         before = self.settings.get(statement.keyword)
         # old files have Revision twice: as a text and as a number
-        if before is not None and before[0].value != statement.value and statement.keyword != "revision":
-            message = f"{statement.written} stands twice (first on line {before[1]}); the last one counts"
-            self.findings.warning(line, message)
-        self.settings[statement.keyword] = (statement, line)
+        if before is not None and before.value != statement.value and statement.keyword != "revision":
+            message = f"{statement.written} stands twice (first on line {before.line}); the last one counts"
+            self.findings.warning(statement.line, message)
+        self.settings[statement.keyword] = replace(statement)
         return True
 
     def add(self, inner: Block) -> None:

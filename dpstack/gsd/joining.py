@@ -38,7 +38,7 @@ def join(block: DeviceBlock, findings: Findings) -> Device:
         prm=PrmBlock(None, tuple(block.consts), tuple(block.refs), block.prm_line),
         diagnosis=block.diagnosis(),
         diag_types=tuple(block.diag_types),
-        settings={keyword: statement.value for keyword, (statement, _) in block.settings.items()},
+        settings={keyword: statement.value for keyword, statement in block.settings.items()},
         raw=tuple(block.raws),
     )
     _check_device(device, settings, findings)

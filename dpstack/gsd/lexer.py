@@ -39,7 +39,8 @@ _COMMON: Final[dict[str, int]] = {
 class Statement:
     """One statement. ``keyword`` in lower case, ``written`` as in the file; ``index`` and ``value`` are stripped.
 
-    ``item``: its parsed value, kept because the same line may come again; False where a block cannot parse it.
+    ``line``: the number of the physical line; the parser sets it anew for each occurrence of the same text. ``item``:
+    the parsed value, kept for the next occurrence; False where a block cannot parse it.
     """
 
     written: str
@@ -48,6 +49,7 @@ class Statement:
     equals: bool
     value: str
     text: str
+    line: int = 0
     item: object = None
 
     @property

@@ -122,43 +122,44 @@ class _Reader:
                 statement = known[line] = lex(line)
             if statement is None:
                 continue
+            statement.line = at
             block = self._block
             keyword = statement.keyword
             handler = block.handlers.get(keyword)
             if handler is not None:
-                handler(block, statement, at)
+                handler(block, statement)
             elif keyword == block.end:
                 self._close(True)
             else:
-                self._structure(statement, at)
+                self._structure(statement)
         while self._outer:
             self._broken_off("the end of the file")
 
-    def _structure(self, statement: Statement, line: int) -> None:
+    def _structure(self, statement: Statement) -> None:
         """Handle a keyword unknown to the open block: it opens a block, closes an outer block, or is kept raw."""
         block, keyword = self._block, statement.keyword
         known = BLOCKS.get(keyword)
         if known is not None and (known[0] is not AreaBlock or not isinstance(block, RawBlock)):
-            self._open_known(statement, line, *known)
+            self._open_known(statement, *known)
         elif keyword in _CLOSING:
-            self._end_of_outer(statement, line)
-        elif not self._open_raw(statement, line):
-            self._keep(statement, line)
+            self._end_of_outer(statement)
+        elif not self._open_raw(statement):
+            self._keep(statement)
 
-    def _open_known(self, statement: Statement, line: int, kind: type[Block], end: str) -> None:
+    def _open_known(self, statement: Statement, kind: type[Block], end: str) -> None:
         """Open a block of ``kind``. Where its head cannot be parsed, its inside is kept raw."""
         # only areas stand in other blocks: where another block begins, the end of the open one is missing
         while self._outer and not (kind is AreaBlock and isinstance(self._block, DiagBlock)):
-            self._broken_off(f"{statement.written} on line {line}")
-        block = kind.opened_by(statement, line, self._findings)
+            self._broken_off(f"{statement.written} on line {statement.line}")
+        block = kind.opened_by(statement, self._findings)
         if block is None:
             shown = statement.value[:40] or "nothing"
             message = f"{statement.written} = {shown} is not {kind.head}; the block is kept as it stands"
-            self._findings.warning(line, message, statement.column)
-            block = RawBlock.opened_by(statement, line, self._findings)
+            self._findings.warning(statement.line, message, statement.column)
+            block = RawBlock.opened_by(statement, self._findings)
         self._open(block, end.lower())
 
-    def _open_raw(self, statement: Statement, line: int) -> bool:
+    def _open_raw(self, statement: Statement) -> bool:
         """Open a block that dpstack has no use for, if the file has its closing keyword too."""
         keyword, block = statement.keyword, self._block
         if isinstance(block, RawBlock) or statement.index is not None or not keyword[:1].isalpha():
@@ -172,8 +173,8 @@ class _Reader:
         if end is None or end in (known.lower() for _, known in BLOCKS.values()):
             return False
         if keyword not in RAW_BLOCKS:
-            self._unknown(statement, line)
-        self._open(RawBlock.opened_by(statement, line, self._findings), end)
+            self._unknown(statement)
+        self._open(RawBlock.opened_by(statement, self._findings), end)
         return True
 
     def _open(self, block: Block, end: str) -> None:
@@ -192,31 +193,31 @@ class _Reader:
         self._findings.error(block.line, message)
         self._close(False)
 
-    def _end_of_outer(self, statement: Statement, line: int) -> None:
+    def _end_of_outer(self, statement: Statement) -> None:
         if any(block.end == statement.keyword for block in self._outer):
             while self._block.end != statement.keyword:
-                self._broken_off(f"{statement.written} on line {line}")
+                self._broken_off(f"{statement.written} on line {statement.line}")
             self._close(True)
         else:
-            self._findings.warning(line, f"{statement.written} ends nothing here; it is skipped")
+            self._findings.warning(statement.line, f"{statement.written} ends nothing here; it is skipped")
 
-    def _keep(self, statement: Statement, line: int) -> None:
+    def _keep(self, statement: Statement) -> None:
         block = self._block
         known = statement.keyword in _KNOWN
-        if not block.other(statement, line):
-            raw = Raw(line, statement.written, statement.index, statement.value, block.title)
+        if not block.other(statement):
+            raw = Raw(statement.line, statement.written, statement.index, statement.value, block.title)
             (block if isinstance(block, DiagBlock) else self.device).raws.append(raw)
             if known or not statement.keyword:
                 where = "outside of all blocks" if block is self.device else f"in {block.full_title}"
                 what = statement.written or statement.value[:20]
-                self._findings.warning(line, f"{what} does not belong here ({where}); kept as it stands")
+                self._findings.warning(statement.line, f"{what} does not belong here ({where}); kept as it stands")
                 return
         elif isinstance(block, (RawBlock, ModuleBlock)):
             return
         if not known:
-            self._unknown(statement, line)
+            self._unknown(statement)
 
-    def _unknown(self, statement: Statement, line: int) -> None:
+    def _unknown(self, statement: Statement) -> None:
         if statement.keyword not in self._reported:
             self._reported.add(statement.keyword)
-            self._findings.info(line, f"{statement.written[:60]} has no meaning here; kept as it stands")
+            self._findings.info(statement.line, f"{statement.written[:60]} has no meaning here; kept as it stands")

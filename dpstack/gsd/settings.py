@@ -64,7 +64,7 @@ _LEAST_INITIATE: Final = 20
 class Settings:
     """Typed access to the settings of one file. A value that cannot be parsed is reported and left out."""
 
-    def __init__(self, settings: Mapping[str, tuple[Statement, int]], findings: Findings) -> None:
+    def __init__(self, settings: Mapping[str, Statement], findings: Findings) -> None:
         self._settings = settings
         self._findings = findings
 
@@ -101,20 +101,20 @@ class Settings:
     def line(self, keyword: str) -> int:
         """The line of ``keyword``, 0 where the file does not have it."""
         found = self._settings.get(keyword)
-        return found[1] if found else 0
+        return found.line if found else 0
 
     def _warn(self, keyword: str, message: str) -> None:
-        statement, line = self._settings[keyword]
-        self._findings.warning(line, message, statement.column)
+        statement = self._settings[keyword]
+        self._findings.warning(statement.line, message, statement.column)
 
     def _unreadable(self, keyword: str, problem: str) -> None:
-        statement, _ = self._settings[keyword]
+        statement = self._settings[keyword]
         self._warn(keyword, f"{statement.written} = {statement.value[:40]} {problem}")
 
     def _int(self, keyword: str) -> int | None:
         if keyword not in self._settings:
             return None
-        statement, _ = self._settings[keyword]
+        statement = self._settings[keyword]
         value, rest = first_number(statement.value)
         if value is None or rest:
             text = string(statement.value)[0] or ""
@@ -133,7 +133,7 @@ class Settings:
         return None if value is None else value != 0
 
     def _text(self, keyword: str) -> str:
-        statement, line = self._settings[keyword]
+        statement = self._settings[keyword]
         text, rest, closed = string(statement.value)
         if text is None:
             return statement.value
@@ -141,11 +141,11 @@ class Settings:
             self._warn(keyword, f"{statement.written}: the text has no closing quote")
         elif rest:
             message = f"{statement.written}: {rest!r} behind the text is not used"
-            self._findings.info(line, message, statement.column)
+            self._findings.info(statement.line, message, statement.column)
         return text.strip()
 
     def _octets(self, keyword: str) -> bytes | None:
-        octets = octets_of(self._settings[keyword][0].value)
+        octets = octets_of(self._settings[keyword].value)
         if octets is None:
             self._unreadable(keyword, "is no list of octets; left out")
         return octets
@@ -154,7 +154,7 @@ class Settings:
         """``Slave_Family = 3@group@subgroup``."""
         if "slave_family" not in self._settings:
             return {}
-        main, *path = self._settings["slave_family"][0].value.strip('"').split("@")
+        main, *path = self._settings["slave_family"].value.strip('"').split("@")
         value = number(main)
         if value is None:
             self._unreadable("slave_family", "begins with no number; only its path is kept")
