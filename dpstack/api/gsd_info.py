@@ -180,7 +180,7 @@ def module_prm(file: GsdFile, module: Module) -> bytes:
     """The module's part of the user parameters with its defaults, in no slot; empty where they fit no Set_Prm."""
     try:
         # without the device's own parameters, which every module would go through
-        return UserPrm(Device(parameters=file.device.parameters), (module,), first_slot=None).octets_of(1)
+        return UserPrm(Device(parameters=file.device.parameters), (module,), first_slot=None).octets()
     except ConfigError:
         return b""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
@@ -31,18 +31,16 @@ class Reading(Enum):
 class Field:
     """One parameter at its place. ``at``: octet of the whole, ``offset``: octet of the device's or the module's part.
 
-    ``slot``: the number of the module's slot; of the device itself 0, with ``place`` "device" where a module is in
-    slot 0. ``set``: the user has set it. ``slot_number``: its value is always the number of its slot.
+    ``place``: the number of the module's slot; of the device itself 0, or "device" where a module is in slot 0.
+    ``slot_number``: its value is always the number of its slot.
     """
 
-    slot: int
+    place: str
     offset: int
     at: int
     parameter: Parameter
     value: int
-    set: bool = False
     slot_number: bool = False
-    place: str = "0"
 
     @property
     def key(self) -> str:
@@ -103,16 +101,6 @@ def write_bits(octets: bytearray, at: int, kind: PrmType, value: int) -> None:
     octets[at : at + kind.size] = whole.to_bytes(kind.size, "big")
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """The part of one slot: where it begins, its constants, its fields with their defaults."""
-
-    slot: int
-    at: int
-    const: bytes
-    fields: tuple[Field, ...]
-
-
 class UserPrm:
     """The user parameters of ``device`` with ``modules`` in slot order (None: an empty slot).
 
@@ -130,38 +118,60 @@ class UserPrm:
     ) -> None:
         self.device = device
         self.reading = reading
-        self._parts = list(_parts(device, modules, first_slot))
-        self._fields = [field for part in self._parts for field in part.fields]
-        self._size = size = sum(len(part.const) for part in self._parts)
-        limit = device.max_user_prm_data_len
+        # User_Prm_Data counts only where the file has neither Ext_User_Prm_Data nor Max_User_Prm_Data_Len
+        own = device.user_prm_data
+        if own is None or device.prm.present or device.max_user_prm_data_len is not None:
+            own = b""
+        #: the constants of the device and of all modules, and the fields with their defaults
+        self._const = bytearray(own)
+        self._fields: list[Field] = []
+        self._set: dict[str, int] = {}
+        self._add(device.prm, 0, "device" if first_slot == 0 and any(modules[:1]) else "0", None)
+        for slot, module in enumerate(modules, 1 if first_slot is None else first_slot):
+            if module is not None and module.prm.present:
+                self._add(module.prm, slot, str(slot), None if first_slot is None else module)
+        size, limit = len(self._const), device.max_user_prm_data_len
         if size > MAX_USER_PRM:
             raise GsdError(f"{size} octets of user parameters; a Set_Prm carries {MAX_USER_PRM}: take out modules")
         if limit is not None and size > limit:
             raise GsdError(
                 f"{size} octets of user parameters, Max_User_Prm_Data_Len of the device is {limit}; take out modules"
             )
-        self._set: dict[str, int] = {}
+
+    def _add(self, prm: PrmBlock, slot: int, place: str, plugged: Module | None) -> None:
+        """Append the part of the device or of a module. ``[SlotNumber]`` of a ``plugged`` module is ``slot``."""
+        at, parameters = len(self._const), self.device.parameters
+        size = reach_of(prm, parameters) if prm.length is None else prm.length
+        octets = bytearray(size)
+        for const in prm.consts:
+            octets[const.offset : const.offset + len(const.octets)] = const.octets[: max(0, size - const.offset)]
+        self._const += octets
+        for ref in prm.refs:
+            parameter = parameters.get(ref.number)
+            if parameter is None or ref.offset + parameter.type.size > size:
+                continue
+            slot_number = plugged is not None and is_slot_number(parameter)
+            if plugged is not None and slot_number and not _is_allowed(parameter, slot):
+                raise GsdError(
+                    f"module {plugged.title} cannot be in slot {slot}: its parameter {parameter.name} allows "
+                    f"{_allowed(parameter)}; plug it there, or leave it out"
+                )
+            value = slot if slot_number else parameter.default
+            self._fields.append(Field(place, ref.offset, at + ref.offset, parameter, value, slot_number))
 
     @property
     def fields(self) -> tuple[Field, ...]:
         """Every named parameter with the value it has now, in the order of slots and of the file."""
-        return tuple(replace(field, set=field.key in self._set) for field in self.read(self.octets()))
+        return self.read(self.octets())
 
     def octets(self) -> bytes:
-        return b"".join(map(self._octets_of, self._parts))
-
-    def octets_of(self, slot: int) -> bytes:
-        """The part of one slot, 0 for the device itself."""
-        return next((self._octets_of(part) for part in self._parts if part.slot == slot), b"")
-
-    def _octets_of(self, part: _Part) -> bytes:
-        octets = bytearray(part.const)
-        for field in part.fields:
-            value = field.slot if field.slot_number else self._set.get(field.key)
-            if value is None and self.reading is Reading.REFS:
-                value = field.parameter.default
+        octets = bytearray(self._const)
+        for field in self._fields:
+            value = self._set.get(field.key)
+            if value is None and (field.slot_number or self.reading is Reading.REFS):
+                value = field.value
             if value is not None:
-                write_bits(octets, field.offset, field.parameter.type, value)
+                write_bits(octets, field.at, field.parameter.type, value)
         return bytes(octets)
 
     def set(self, key: str, value: int | str | bool) -> None:
@@ -196,13 +206,13 @@ class UserPrm:
 
     def read(self, octets: bytes) -> tuple[Field, ...]:
         """The named values that ``octets`` (of this device with these modules) hold. Raises GsdError on the length."""
-        if len(octets) != self._size:
-            raise GsdError(f"{len(octets)} octets of user parameters; this configuration has {self._size}")
+        if len(octets) != len(self._const):
+            raise GsdError(f"{len(octets)} octets of user parameters; this configuration has {len(self._const)}")
         return tuple(replace(field, value=read_bits(octets, field.at, field.parameter.type)) for field in self._fields)
 
     def contradictions(self) -> tuple[Contradiction, ...]:
         """Defaults that differ from the constants at their place, of parameters that the user has not set."""
-        consts = self.read(b"".join(part.const for part in self._parts))
+        consts = self.read(bytes(self._const))
         return tuple(
             Contradiction(field, const.value)
             for field, const in zip(self._fields, consts, strict=True)
@@ -295,55 +305,6 @@ def _matches(field: Field, key: str) -> bool:
     name, wanted = field.parameter.name, folded(key)
     places = ("", f"@{field.offset}", field.key[field.key.rindex("@") :])
     return any(wanted in (folded(name + place), folded(f"{field.place}/{name}{place}")) for place in places)
-
-
-def _parts(device: Device, modules: Sequence[Module | None], first_slot: int | None) -> Iterator[_Part]:
-    own = device.user_prm_data if _uses_user_prm_data(device) else None
-    place = "device" if first_slot == 0 and any(modules[:1]) else "0"
-    part = _Part(0, 0, own, ()) if own is not None else _part(device.prm, device.parameters, 0, 0, place)
-    yield part
-    at = len(part.const)
-    for slot, module in enumerate(modules, 1 if first_slot is None else first_slot):
-        if module is None or not module.prm.present:
-            continue
-        part = _part(module.prm, device.parameters, slot, at, str(slot), numbered=first_slot is not None)
-        for field in part.fields:
-            if field.slot_number and not _is_allowed(field.parameter, slot):
-                raise GsdError(
-                    f"module {module.title} cannot be in slot {slot}: its parameter {field.parameter.name} allows "
-                    f"{_allowed(field.parameter)}; plug it there, or leave it out"
-                )
-        yield part
-        at += len(part.const)
-
-
-def _uses_user_prm_data(device: Device) -> bool:
-    """Whether User_Prm_Data counts: the file has neither Ext_User_Prm_Data nor Max_User_Prm_Data_Len."""
-    return device.user_prm_data is not None and not device.prm.present and device.max_user_prm_data_len is None
-
-
-def _part(
-    prm: PrmBlock, parameters: Mapping[int, Parameter], slot: int, at: int, place: str, *, numbered: bool = False
-) -> _Part:
-    """The part of one slot. ``numbered``: its parameter ``[SlotNumber]`` has the number of the slot."""
-    size = reach_of(prm, parameters) if prm.length is None else prm.length
-    octets = bytearray(size)
-    for const in prm.consts:
-        octets[const.offset : const.offset + len(const.octets)] = const.octets[: max(0, size - const.offset)]
-    fields = [
-        Field(
-            slot,
-            ref.offset,
-            at + ref.offset,
-            parameter,
-            parameter.default,
-            slot_number=numbered and is_slot_number(parameter),
-            place=place,
-        )
-        for ref in prm.refs
-        if (parameter := parameters.get(ref.number)) is not None and ref.offset + parameter.type.size <= size
-    ]
-    return _Part(slot, at, bytes(octets[:size]), tuple(fields))
 
 
 def _default_in_bits(parameter: Parameter) -> int:

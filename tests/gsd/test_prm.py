@@ -30,10 +30,6 @@ def test_the_constants_alone() -> None:
     assert prm(Reading.CONST).octets().hex(" ") == "c0 00 00 ff 11 0f 00 05 00 00 00 00 00 00 00 00"
 
 
-def test_parts() -> None:
-    assert [prm().octets_of(slot).hex() for slot in range(4)] == ["c00000d711", "5ffffe000000", "", "0001117009"]
-
-
 def test_contradictions_are_told() -> None:
     assert [c.text for c in prm().contradictions()] == [
         "0/Diagnosis@3.3: its default is 0 (off), the constant octets say 1 (on)",
@@ -58,7 +54,6 @@ def test_what_is_set_counts_in_both_readings(reading: Reading) -> None:
     assert after[5] == 0x0F  # bits 4..6 cleared, the others kept
     assert after[6:8] == b"\xff\x9c"
     assert after[11:15] == b"\x00\x00\x00\x10"
-    assert {f.key for f in p.fields if f.set} == {"0/Diagnosis@3.3", "1/Range@0.4", "1/Offset@1", "3/Limit@0"}
 
 
 def test_octets_back_to_names() -> None:
@@ -99,7 +94,7 @@ def test_refused(key: str, value: int | str, message: str) -> None:
 
 
 def test_a_reference_beyond_the_modules_length_is_left_out() -> None:
-    assert UserPrm(D, [TOO_LONG]).octets_of(1) == b"\0"
+    assert UserPrm(D, [TOO_LONG]).octets()[5:] == b"\0"
 
 
 def test_user_prm_data_counts_only_where_nothing_else_is() -> None:

@@ -128,7 +128,7 @@ def test_a_slot_number_outside_of_its_range_is_refused() -> None:
 
 def test_a_module_in_no_slot_keeps_the_default() -> None:
     d = numbered(kind="Unsigned8 4 4-6")
-    assert UserPrm(d, d.modules[:1], first_slot=None).octets_of(1).hex() == "a00403"
+    assert UserPrm(d, d.modules[:1], first_slot=None).octets().hex() == "a00403"
 
 
 def test_a_module_in_slot_0_and_the_device_itself_are_told_apart() -> None:
