@@ -169,6 +169,14 @@ def test_remote_that_goes_to_0_while_it_runs_takes_the_command_back() -> None:
     assert any("remote (bit 9) went to 0" in notice for notice in bench.notices())
 
 
+def test_remote_that_is_0_when_a_running_drive_is_stopped_takes_the_command_back() -> None:
+    """The status word stays the same from the order on: the watch judges it at once, not when it reads 412 again."""
+    bench = ppo1(ZERO + "00 27 20 00")
+    bench.order("stop")
+    words(bench, 400)
+    assert any("remote (bit 9) went to 0" in notice for notice in bench.notices())
+
+
 def test_without_a_channel_a_drive_that_runs_on_after_a_stop_gets_zeros() -> None:
     """412 became 2 with the data set: 0007 is S1IND to S3IND then, and only zeros open the release."""
     bench = ppo3()

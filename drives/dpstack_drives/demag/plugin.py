@@ -336,10 +336,12 @@ class DemagCore(MappedCore[OutMap]):
             due = self.now + _MODE_AGE
             away: int | None = None
             mark: tuple[int, float] | None = None
+            judged = False
             while self.online and self.goal is not Goal.IDLE:
-                if away is None and self.access is not None:
-                    self.sleep_until(due)  # while the status word stays as it is there is nothing to judge
+                if judged and away is None and self.access is not None:
+                    self.sleep_until(due)  # while the status word stays as it is there is nothing new to judge
                 yield
+                judged = True
                 runs = self.raw_state is State.RUNNING
                 away = None if self._remote() or not runs else self.now if away is None else away
                 if away is not None and self.now >= away + self.settle_ns:
