@@ -259,19 +259,18 @@ def _asked(sockets: Sockets, names: Iterable[str]) -> list[dict[str, Any]]:
 
 def _chosen(clients: list[ControlClient], port: str, config: Path | None) -> ControlClient:
     """The client of the run with the configuration file ``config``; closes the others. Raises as :func:`find_run`."""
+    chosen = None
     try:
         runs = [(client, client.help()) for client in clients]
         fitting = [client for client, one in runs if _is_file(one.get("config"), config)]
         if len(fitting) != 1:
             raise UsageError(_not_one([one for _, one in runs], len(fitting), port, config))
-    except BaseException:
+        chosen = fitting[0]
+        return chosen
+    finally:
         for client in clients:
-            client.close()
-        raise
-    for client in clients:
-        if client is not fitting[0]:
-            client.close()
-    return fitting[0]
+            if client is not chosen:
+                client.close()
 
 
 def _not_one(runs: list[dict[str, Any]], fitting: int, port: str, config: Path | None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final
 
@@ -12,7 +12,7 @@ from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.control import errors
 from dpstack.api.control.commands import Arguments, Order, Spec, find_word
-from dpstack.api.control.server import kept_alive
+from dpstack.api.control.server import LongCommand, kept_alive
 from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue
 from dpstack.api.slave.drive import Drive
 from dpstack.errors import BusError, ParameterError, UsageError
@@ -42,20 +42,14 @@ WORDS: Final = (
     Spec(PARAMETERS, "", "the parameters that its plugin declares", ""),
     Spec(READ_MANY, "JSON", "several parameters, with data_set and index", '[{"number":964,"index":6}]'),
 )
-_MOTIONS: Final[Mapping[str, Callable[..., Coroutine[object, object, None]]]] = {
-    START: Drive.start,
-    "stop": Drive.stop,
-    "quick_stop": Drive.quick_stop,
-    "coast": Drive.coast,
-    "reached": Drive.reached,
-    "acknowledge": Drive.acknowledge,
-}
+#: methods of a drive, too
+_MOTIONS: Final = frozenset({*HALTS, START, "reached", "acknowledge"})
 #: which words an option is for
 OPTIONS: Final[Mapping[str, frozenset[str]]] = {
     "data_set": frozenset({"read", "write"}),
     "index": frozenset({"read", "write"}),
     "ram": frozenset({"write"}),
-    "timeout": frozenset({*_MOTIONS, "read", READ_MANY, "write"}),
+    "timeout": _MOTIONS | {"read", READ_MANY, "write"},
 }
 
 
@@ -76,7 +70,7 @@ def parse_order(word: str, texts: Sequence[str]) -> Order:
     return spec.order(args, ARGUMENTS, options)
 
 
-def drive_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
+def drive_order(bus: Bus, args: list[str]) -> LongCommand:
     """``NAME ORDER [ARG]...`` at the drive of a run. A client that hangs up ends the order: nothing starts then."""
     if bus.searching:
         raise BusError(f"{SEARCHING}: the drives are known once it is found")
@@ -84,7 +78,8 @@ def drive_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
         raise BusError("this run is read only: it gives no drive an order; end it and run without read_only")
     name, word, *texts = args
     drive = bus.drive(number_or_name(name))
-    return kept_alive(carry_out(drive, parse_order(word, texts)), lambda: {"status": drive.status.as_dict()})
+    order = parse_order(word, texts)
+    return lambda send: kept_alive(carry_out(drive, order), lambda: {"status": drive.status.as_dict()}, send)
 
 
 async def carry_out(drive: Drive, order: Order) -> dict[str, Any]:
@@ -105,7 +100,7 @@ async def carry_out(drive: Drive, order: Order) -> dict[str, Any]:
         case "status":
             pass
         case _:
-            await _MOTIONS[word](drive, **values)
+            await getattr(drive, word)(**values)
     return {**answer, "status": drive.status.as_dict()}
 
 

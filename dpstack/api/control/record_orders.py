@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.config.table import parse_hex
 from dpstack.api.control.commands import Arguments, Order, Spec, find_word
-from dpstack.api.control.server import Result, kept_alive
+from dpstack.api.control.server import LongCommand, Send, kept_alive
 from dpstack.api.lists.record_list import ListedValues
 from dpstack.api.slave.ms2_connection import Connection
 from dpstack.api.slave.slave import Slave
@@ -50,7 +49,7 @@ def parse_order(word: str, args: Sequence[str], *, class2: bool = False, who: st
     return find_word(word, (*WORDS, TRANSPORT) if class2 else WORDS, who).order(args, _ARGUMENTS)
 
 
-async def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> AsyncGenerator[object, None]:
+def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> LongCommand:
     """``SLAVE ORDER [ARG]...`` at a slave of a run, with ``class2`` over a connection of its own, which is closed
     afterwards. A client that hangs up ends the order.
 
@@ -82,13 +81,14 @@ async def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> A
         async with bus.class2.connect(slave) as connection:
             return await carry_out(connection, order, on_progress)
 
-    async with contextlib.aclosing(kept_alive(work(), sign)) as items:
-        async for item in items:
-            if isinstance(item, Result) and isinstance(item.value, dict):
-                found = item.value.pop(PARAMETERS, ())
-                for at in range(0, len(found), _IN_A_LINE):
-                    yield {PARAMETERS: found[at : at + _IN_A_LINE]}
-            yield item
+    async def long_command(send: Send) -> dict[str, Any]:
+        answer = await kept_alive(work(), sign, send)
+        found = answer.pop(PARAMETERS, ())
+        for at in range(0, len(found), _IN_A_LINE):
+            await send({PARAMETERS: found[at : at + _IN_A_LINE]})
+        return answer
+
+    return long_command
 
 
 async def carry_out(slave: Slave | Connection, order: Order, progress: OnProgress | None = None) -> dict[str, Any]:

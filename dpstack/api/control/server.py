@@ -12,11 +12,11 @@ import itertools
 import json
 import os
 import socket
-from collections.abc import AsyncGenerator, Callable, Coroutine, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic_ns
-from typing import Any, Final, NamedTuple, Never
+from typing import Any, Final, TypeVar
 
 from dpstack.api.config.bus import VIRTUAL
 from dpstack.api.control.commands import Spec, find
@@ -38,8 +38,13 @@ from dpstack.ports.runtime_dir import user_name
 from dpstack.text import json_text
 from dpstack.units import NEVER, ms_text
 
-#: Carries out a command: from its arguments to a JSON value, an awaitable of it, or an async generator of items.
+_T = TypeVar("_T")
+#: Carries out a command: from its arguments to a JSON value, an awaitable of it, or a :data:`LongCommand`.
 Handler = Callable[[list[str]], object]
+#: Sends the client of a long command an item before the result.
+Send = Callable[[object], Awaitable[None]]
+#: Carries out a command with items; cancelled when the client closes the connection.
+LongCommand = Callable[[Send], Awaitable[object]]
 
 #: octets of a request at most
 _LONGEST: Final = 65_536
@@ -55,24 +60,17 @@ _UNREAD: Final = 1 << 18
 _PATIENCE_S: Final = 5.0
 
 
-class Result(NamedTuple):
-    """Yielded last by a command with items that has a result, too."""
-
-    value: object
-
-
 class _GoneError(Exception):
     """The client closed the connection or does not read."""
 
 
 class _Client:
-    """A connection. ``idle``: no request is being answered, ``since`` this time of the loop in s."""
+    """A connection. ``idle_since``: time of the loop in s; None while a request is being answered."""
 
-    def __init__(self, connection: socket.socket, now: float) -> None:
+    def __init__(self, connection: socket.socket) -> None:
         self.connection = connection
         self.writer: asyncio.StreamWriter | None = None
-        self.idle = False
-        self.since = now
+        self.idle_since: float | None = None
 
     @property
     def gone(self) -> bool:
@@ -154,16 +152,12 @@ class ControlServer:
 
     def move_to(self, port: str) -> None:
         """Add ``port``, the new name of the port, to the names of this program. Raises PortError, PortBusyError."""
-        if self._listening is not None:
-            self._link(port)
+        self._link(port)
         self.port = self.name = port
 
     async def __aexit__(self, *_exc: object) -> None:
-        if self._listening is None:
-            return
-        self._remove_names()  # while it listens no other program can take them
+        self._release()  # while it listens no other program can take its names
         self._stop_listening()
-        self._release()
         clients = list(self._clients)
         for task in clients:
             task.cancel()
@@ -172,18 +166,14 @@ class ControlServer:
 
     # --- the socket ---------------------------------------------------------------------------------------------------
 
-    def _remove_names(self) -> None:
+    def _release(self) -> None:
         """Remove the socket and its links."""
         names, self._names = self._names, []
-        if self._sockets is not None:
-            for name in names:
-                self._sockets.remove(name)
-
-    def _release(self) -> None:
-        self._remove_names()
         sockets, self._sockets = self._sockets, None
         if sockets is not None:
-            sockets.close()
+            with sockets:
+                for name in names:
+                    sockets.remove(name)
 
     def _take_names(self) -> socket.socket:
         """Bind under the first name; the others are links to it."""
@@ -225,7 +215,7 @@ class ControlServer:
     def _link(self, port: str) -> None:
         """Add the names of ``port``. Raises PortError, PortBusyError."""
         sockets = self._sockets
-        if sockets is None:
+        if sockets is None:  # the server is not entered
             return
         names = [name for name in map(socket_name, names_of(port)) if name not in self._names]
         own = [name for name in self._own(port) if name not in self._names]
@@ -284,7 +274,7 @@ class ControlServer:
             loop.remove_reader(listening.fileno())
             self._pause = loop.call_later(_PAUSE_S, self._listen)
             return
-        client = _Client(connection, loop.time())
+        client = _Client(connection)
         why = self._refused(client)
         if why is not None:
             client.hang_up(why)
@@ -307,19 +297,18 @@ class ControlServer:
             return f"this program is told what to do by {user_name(os.geteuid())} and root only"
         if len(self._clients) < _MOST_CLIENTS:
             return None
-        idle = {task: one for task, one in self._clients.items() if one.idle}
+        idle = {task: one.idle_since for task, one in self._clients.items() if one.idle_since is not None}
         if not idle:
             return f"{len(self._clients)} clients have an order under way: end some of them"
-        idlest = min(idle, key=lambda task: idle[task].since)
-        idle[idlest].hang_up("closed: there are too many clients, and this one was idle longest; connect again")
-        del self._clients[idlest]
+        idlest = self._clients.pop(min(idle, key=idle.__getitem__))
+        idlest.hang_up("closed: there are too many clients, and this one was idle longest; connect again")
         return None
 
     async def _serve(self, client: _Client) -> None:
         # gone, does not read, or the program ends
         with contextlib.suppress(_GoneError, OSError, asyncio.CancelledError):
             reader, client.writer = await asyncio.open_unix_connection(sock=client.connection, limit=_LONGEST)
-            client.idle = True
+            client.idle_since = asyncio.get_running_loop().time()
             await self._talk(reader, client)
 
     async def _talk(self, reader: asyncio.StreamReader, client: _Client) -> None:
@@ -336,17 +325,17 @@ class ControlServer:
             if not line or client.writer is None or client.gone:
                 return
             if line.strip():
-                client.idle = False
+                client.idle_since = None
                 await self._answer(line, client.writer)
-                client.idle, client.since = True, asyncio.get_running_loop().time()
+                client.idle_since = asyncio.get_running_loop().time()
 
     async def _answer(self, line: bytes, writer: asyncio.StreamWriter) -> None:
         try:
             spec, args = self._understand(line)
             result = self._handlers[spec.name](args)
-            if inspect.isasyncgen(result):
-                result = await self._go_on(result, writer)
-            elif inspect.isawaitable(result):
+            if callable(result):
+                result = result(lambda item: self._send(writer, {"item": item}))
+            if inspect.isawaitable(result):
                 result = await result
             answer: dict[str, object] = {"ok": True, "result": result}
         except _GoneError:
@@ -356,15 +345,6 @@ class ControlServer:
         except Exception as error:  # a defect of a command must not end the bus
             answer = _error(f"failed by a defect, please report it: {type(error).__name__}: {error}")
         await self._send(writer, answer)
-
-    async def _go_on(self, items: AsyncGenerator[object, Never], writer: asyncio.StreamWriter) -> object:
-        """Send the items; returns the result, where there is one. A closed connection ends them."""
-        async with contextlib.aclosing(items):
-            async for item in items:
-                if isinstance(item, Result):
-                    return item.value
-                await self._send(writer, {"item": item})
-        return None
 
     def _understand(self, line: bytes) -> tuple[Spec, list[str]]:
         """Raises UsageError, and OrderDropped for a request that was read after its time limit."""
@@ -419,13 +399,13 @@ def _error(text: str) -> dict[str, object]:
 _SIGN_OF_LIFE_S: Final = 0.5
 
 
-async def kept_alive(work: Coroutine[Any, Any, object], sign: Callable[[], object]) -> AsyncGenerator[object, None]:
-    """``sign()`` as items until ``work`` is done, then its result."""
+async def kept_alive(work: Coroutine[Any, Any, _T], sign: Callable[[], object], send: Send) -> _T:
+    """The result of ``work``. Until then ``sign()`` is sent as an item again and again; cancelled, ``work`` is, too."""
     order = asyncio.ensure_future(work)
     try:
         while not (await asyncio.wait({order}, timeout=_SIGN_OF_LIFE_S))[0]:
-            yield sign()
-        yield Result(order.result())
+            await send(sign())
+        return order.result()
     finally:
         order.cancel()
         with contextlib.suppress(asyncio.CancelledError, Exception):

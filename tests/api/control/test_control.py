@@ -20,7 +20,7 @@ import pytest
 from dpstack.api.control import socket_path
 from dpstack.api.control.client import ControlClient, connect, running
 from dpstack.api.control.commands import COMMON, KINDS, SLAVES, Spec, find
-from dpstack.api.control.server import ControlServer, Handler
+from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send
 from dpstack.errors import BusError, PortBusyError, PortError, SlaveTimeout, UsageError
 
 ECHO = Spec("echo", "WORD...", "says it again", "hello")
@@ -50,9 +50,12 @@ def _bad(args: list[str]) -> object:
     }[args[0]]
 
 
-async def _count(args: list[str]) -> AsyncIterator[object]:
-    for n in range(int(args[0])):
-        yield {"progress": ("steps", n, int(args[0]))}
+def _count(args: list[str]) -> LongCommand:
+    async def count(send: Send) -> None:
+        for n in range(int(args[0])):
+            await send({"progress": ("steps", n, int(args[0]))})
+
+    return count
 
 
 async def _later(_args: list[str]) -> str:
@@ -192,14 +195,14 @@ async def test_a_line_without_end_is_cut() -> None:
 async def test_who_does_not_read_is_dropped_and_the_others_are_served(size: int) -> None:
     ended = asyncio.Event()
 
-    async def flood(_args: list[str]) -> AsyncIterator[str]:
+    async def flood(send: Send) -> None:
         try:
             while True:
-                yield "x" * size
+                await send("x" * size)
         finally:
             ended.set()
 
-    served = ControlServer("sim", "COM3", SPECS, {**HANDLERS, "flood": flood})
+    served = ControlServer("sim", "COM3", SPECS, {**HANDLERS, "flood": lambda _: flood})
     served.patience_s = 0.02
     async with served, raw() as client:
         with socket.socket(socket.AF_UNIX) as deaf:
