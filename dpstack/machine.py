@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, dataclass_transform
 
 from dpstack.trace import Event
 from dpstack.units import NEVER, NOW
@@ -23,9 +23,10 @@ Transmit = Callable[[bytes, int], int]
 _MAX_SETTLE = 1000
 
 
+@dataclass_transform(frozen_default=True)
 class Order:
-    """An order of the application to a machine. Derived classes are dataclasses of plain data, which may go to another
-    process by the name of their class.
+    """An order of the application to a machine. A derived class becomes a frozen dataclass of plain data by itself; an
+    instance may go to another process by the name of its class.
 
     ``ENDS``: see :attr:`ends`.
     """
@@ -33,6 +34,9 @@ class Order:
     __slots__ = ()
 
     ENDS: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True)(cls)
 
     @property
     def ends(self) -> bool:

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, dataclass_transform
 
 from dpstack.text import printable
 
@@ -22,18 +22,23 @@ class Severity(Enum):
     ERROR = "error"
 
 
+@dataclass_transform(frozen_default=True, kw_only_default=True)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
     """Something happened at ``t_ns`` (the machine's time). Layers derive their own events from this one.
 
-    A derived class has a ``TEMPLATE`` of its :attr:`text`, in which ``{e.name}`` stands for an attribute of the event,
-    or ``_text()`` where the words depend on the attributes. ``OWED``: see :attr:`owed`.
+    A derived class needs no decorator: it becomes a frozen dataclass with keyword arguments by itself. It has a
+    ``TEMPLATE`` of its :attr:`text`, in which ``{e.name}`` stands for an attribute of the event, or ``_text()`` where
+    the words depend on the attributes. ``OWED``: see :attr:`owed`.
     """
 
     TEMPLATE: ClassVar[str]
     OWED: ClassVar[bool] = False
 
     t_ns: int
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True, kw_only=True)(cls)
 
     @property
     def text(self) -> str:
@@ -50,7 +55,6 @@ class Event:
         return self.OWED
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Notice(Event):
     """A remark worth one line that has no type of its own. ``source`` names the layer or the station."""
 

@@ -7,7 +7,6 @@ import contextlib
 import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
-from dataclasses import dataclass
 from typing import Final, Self, TypeVar
 
 from dpstack.dp.master.events import DriveEvent, SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveStateChanged
@@ -102,7 +101,6 @@ def hand_to(on_event: OnEvent | None, event: Event) -> None:
             asyncio.get_running_loop().call_exception_handler(context)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveFlapping(SlaveEvent):
     """The state or the diagnosis of a slave changes too often: ``count`` changes were left out.
 

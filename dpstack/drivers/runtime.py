@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 
 from dpstack.dp.master.events import SlaveEvent
@@ -31,7 +30,6 @@ OnFailure = Callable[[Exception], None]
 OnRefused = Callable[[object, DpError], None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PortLost(Event):
     """The port vanished; the driver tries to open it again with back-off."""
 
@@ -41,7 +39,6 @@ class PortLost(Event):
     TEMPLATE = "port {e.port} vanished ({e.reason}): trying to open it again"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PortBack(Event):
     """The port could be opened again."""
 
@@ -50,7 +47,6 @@ class PortBack(Event):
     TEMPLATE = "port {e.port} is back"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BusProcessSilent(Event):
     """The bus process shows no sign of life. Its slaves count as offline, their inputs as not valid."""
 
@@ -65,7 +61,6 @@ class BusProcessSilent(Event):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BusProcessBack(Event):
     """The bus process goes on."""
 
@@ -76,7 +71,6 @@ class BusProcessBack(Event):
         return f"the bus process (pid {self.pid}) goes on after {ms_text(self.silent_ns)}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class OutputsDropped(SlaveEvent):
     """The bus process did not take ``outputs`` of the application in time. They will not go out."""
 
@@ -89,7 +83,6 @@ class OutputsDropped(SlaveEvent):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BehindRealTime(Event):
     """The time of a simulated bus falls behind real time, how fast it goes has changed much, or it keeps up again.
 

@@ -19,7 +19,6 @@ each has a single bit between two others, and such a receiver samples every bit 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
@@ -138,7 +137,6 @@ class Missing(Enum):
     NOISE = "noise"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BaudFound(Event):
     """The bus runs at ``baud`` bit/s; ``telegrams`` in a row were heard, ``tried`` dwells were needed."""
 
@@ -153,7 +151,6 @@ class BaudFound(Event):
         return f"the bus runs at {baud_text(self.baud)}, recognised by {by}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BaudNotFound(Event):
     """No rate was recognised within ``listened_ns``. ``octets`` were heard at all rates; ``slowest`` was tried last.
 

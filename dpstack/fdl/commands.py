@@ -12,12 +12,10 @@ from dpstack.params import BusParams
 from dpstack.phy.patience import Patience
 
 
-@dataclass(frozen=True, slots=True)
 class GoOnline(Order):
     """Leave Offline: listen to the bus, then join the ring or claim the token."""
 
 
-@dataclass(frozen=True, slots=True)
 class GoOffline(Order):
     """Leave the ring in order (the token is passed on first) and stay silent."""
 
@@ -30,8 +28,6 @@ class AttachUser(Order, ABC):
     ``token``: :class:`DetachUser` has the same.
     """
 
-    __slots__ = ()
-
     token: int
 
     @abstractmethod
@@ -39,7 +35,6 @@ class AttachUser(Order, ABC):
         """The user, for a station with ``params`` at a port with ``patience``."""
 
 
-@dataclass(frozen=True, slots=True)
 class DetachUser(Order):
     """Ask the user that came with the order ``token`` no more, if it is there. The end of its request under way is not
     reported."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 from dpstack.fdl.telegram import StationType
@@ -13,7 +12,6 @@ from dpstack.units import ms_text
 PATIENCE: Final = 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RingJoined(Event):
     """This station holds its first token: claimed on a silent bus, or given by another master."""
 
@@ -27,7 +25,6 @@ class RingJoined(Event):
         return f"station {self.address} {how}" + (f"; other masters: {', '.join(others)}" if others else "")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RingLeft(Event):
     """This station is no longer in the ring."""
 
@@ -37,7 +34,6 @@ class RingLeft(Event):
     TEMPLATE = "station {e.address} left the token ring: {e.reason}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class MasterSeen(Event):
     """Another master appeared in, or vanished from, the list of active stations."""
 
@@ -52,7 +48,6 @@ class MasterSeen(Event):
         return f"master {self.address} {'joined' if self.present else 'left'} the token ring"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class AddressCollision(Event):
     """Another station sends with this station's address."""
 
@@ -64,7 +59,6 @@ class AddressCollision(Event):
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TokenLost(Event):
     """The bus was silent for T_TO; this station claims the token."""
 
@@ -73,7 +67,6 @@ class TokenLost(Event):
     TEMPLATE = "station {e.address}: no token for T_TO, claiming it"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class StationFound(Event):
     """A GAP poll was answered by a station not seen before, or one seen before fell silent (kind None)."""
 
@@ -95,7 +88,6 @@ def le3_notice(source: str, sender: int, now: int) -> Notice:
     return Notice(t_ns=now, source=source, message=message, severity=Severity.WARNING)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class DoesNotFit(Event):
     """A request that fits between no two cycles was sent after its wait; reported once for each service.
 

@@ -7,7 +7,6 @@ import contextlib
 import dataclasses
 import functools
 from collections.abc import AsyncIterator, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Literal
@@ -52,7 +51,6 @@ from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BusFailed(Notice):
     """The failure that ends the bus. Every pending and later call on the bus raises it as well."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dpstack.api.streams import SlaveFlapping
 from dpstack.dp.master.events import (
     ApplicationSilent,
@@ -55,7 +53,6 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Injected(Event):
     """``dpstack ctl`` acted on a simulated slave or on the segment.
 

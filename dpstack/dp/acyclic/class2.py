@@ -12,7 +12,6 @@ the service, then Slave_Diag at the new address and silence at the old one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
@@ -76,7 +75,6 @@ class Service(IntEnum):
         return SERVICE_NAMES[self]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ServiceDone(ServiceEnd):
     """The one end of the service with ``token``."""
 
@@ -92,7 +90,6 @@ class ServiceDone(ServiceEnd):
         return f"{self.title}, {len(self.outcome.data)} octets"
 
 
-@dataclass(frozen=True, slots=True)
 class ReadService(Order):
     """Ask ``address`` (0..126) for ``service``, one that reads; the result is the :class:`ServiceDone` with ``token``.
 
@@ -106,7 +103,6 @@ class ReadService(Order):
     timeout_ns: int = READ_TIMEOUT
 
 
-@dataclass(frozen=True, slots=True)
 class ChangeAddress(Order):
     """Give the slave at ``old`` (0..126) the address ``new`` (0..125).
 

@@ -69,7 +69,6 @@ class Outcome:
     codes: tuple[int, int, int] | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ServiceEnd(Event, abc.ABC):
     """The one end of the service that was ordered with ``token``, whatever the service and the way to the slave."""
 

@@ -41,7 +41,6 @@ _IN_VAIN = frozenset((Failure.NO_ANSWER, Failure.GARBLED, Failure.WRONG))
 CAPACITY: Final = 32
 
 
-@dataclass(frozen=True, slots=True)
 class CancelService(Order):
     """Nobody waits for the service with ``token`` any more; one that is over already is no error."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import IntEnum
 
 from dpstack.dp.slave_params import SlaveParams
@@ -19,7 +18,6 @@ class Mode(IntEnum):
     OPERATE = 0xC0
 
 
-@dataclass(frozen=True, slots=True)
 class SetMode(Order):
     """Go to ``mode``, up at once; down from Operate through safe values (as at the end) and Clear.
 
@@ -29,12 +27,10 @@ class SetMode(Order):
     mode: Mode
 
 
-@dataclass(frozen=True, slots=True)
 class Alive(Order):
     """The application is alive: the application watchdog begins anew. Changes nothing while it is not armed."""
 
 
-@dataclass(frozen=True, slots=True)
 class Shutdown(Order):
     """The end in order: safe values (a cycle, and 50 ms where they are not zeros), Clear twice, out of the ring; then
     ``MasterStopped``."""
@@ -42,35 +38,30 @@ class Shutdown(Order):
     ENDS = True
 
 
-@dataclass(frozen=True, slots=True)
 class AddSlave(Order):
     """Take up one more slave while the bus runs."""
 
     setup: SlaveParams
 
 
-@dataclass(frozen=True, slots=True)
 class RemoveSlave(Order):
     """Give a slave up: safe outputs for 50 ms, unlock; one that was added at its address meanwhile waits for that."""
 
     address: int
 
 
-@dataclass(frozen=True, slots=True)
 class DeactivateSlave(Order):
     """Take a slave out of service as :class:`RemoveSlave` does, but keep it: nothing is sent to it until activated."""
 
     address: int
 
 
-@dataclass(frozen=True, slots=True)
 class ActivateSlave(Order):
     """Bring a deactivated slave up again."""
 
     address: int
 
 
-@dataclass(frozen=True, slots=True)
 class ReparameteriseSlave(Order):
     """Give the slave at ``setup.address`` other parameters: safe outputs for 50 ms, unlock, a new bring-up.
 
@@ -81,7 +72,6 @@ class ReparameteriseSlave(Order):
     setup: SlaveParams
 
 
-@dataclass(frozen=True, slots=True)
 class SendControl(Order):
     """Global_Control with one or more of SYNC, UNSYNC, FREEZE, UNFREEZE to ``groups`` (1..8; none: to all slaves).
 
@@ -99,7 +89,6 @@ class SendControl(Order):
     picture: bool = False
 
 
-@dataclass(frozen=True, slots=True)
 class DriveCommand(Order):
     """An order to the cyclic unit of the slave at ``address``; the result is a ``DriveEvent`` with ``token``."""
 

@@ -54,7 +54,6 @@ class Fault:
         return f"{self.message}; {self.remedy}" if self.remedy else self.message
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveEvent(Event):
     address: int
     name: str
@@ -65,7 +64,6 @@ class SlaveEvent(Event):
         return f"slave {self.address} ({self.name})"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveStateChanged(SlaveEvent):
     """The master's handling of the slave reached another state."""
 
@@ -74,7 +72,6 @@ class SlaveStateChanged(SlaveEvent):
     TEMPLATE = "{e.who}: {e.state.value}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveFaulted(SlaveEvent):
     """The slave has a fault. Told when the fault is new or has changed, not at every retry."""
 
@@ -83,7 +80,6 @@ class SlaveFaulted(SlaveEvent):
     TEMPLATE = "{e.who}: {e.fault.text}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveDiagnosis(SlaveEvent):
     """A diagnosis that differs from the last one was read."""
 
@@ -96,7 +92,6 @@ class SlaveDiagnosis(SlaveEvent):
         return f"{self.who}: diagnosis {says}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveRemark(SlaveEvent):
     """A deviation from the standard that is worth one line, once."""
 
@@ -105,7 +100,6 @@ class SlaveRemark(SlaveEvent):
     TEMPLATE = "{e.who}: {e.message}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ModeChanged(Event):
     """The master reached a mode."""
 
@@ -115,7 +109,6 @@ class ModeChanged(Event):
         return f"master: {self.mode.name.lower()}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class MasterStopped(Event):
     """The master has ended. ``cleared``: safe values and Clear were sent; False where it had no token to send them."""
 
@@ -126,7 +119,6 @@ class MasterStopped(Event):
         return f"master: stopped: {sent}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class OperateWaits(Event):
     """Operate was ordered with auto-clear; the master stays in Clear until ``slaves`` are in data exchange."""
 
@@ -137,7 +129,6 @@ class OperateWaits(Event):
         return f"master: auto_clear: stays in Clear until all slaves are in data exchange: {'; '.join(self.reasons)}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ForcedClear(Event):
     """The master goes to Clear by itself, and stays there until Operate is ordered."""
 
@@ -150,7 +141,6 @@ class ForcedClear(Event):
         raise NotImplementedError
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class AutoCleared(ForcedClear):
     """Auto-clear: ``slaves`` had no good data exchange for the Data_Control_Time, so the master goes to Clear."""
 
@@ -174,7 +164,6 @@ class Blocked(Enum):
     TOKEN = "token"  # another master, or noise: the token did not come
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Stalled(ForcedClear):
     """``slaves`` were not asked for longer than their watchdogs, so the master goes to Clear before it asks them again.
 
@@ -199,7 +188,6 @@ class Stalled(ForcedClear):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ApplicationSilent(ForcedClear):
     """The application watchdog ran out: nobody called ``alive()`` for ``limit_ns``."""
 
@@ -212,7 +200,6 @@ class ApplicationSilent(ForcedClear):
     TEMPLATE = "master: outputs become safe: {e.why}; operate() when the application works again"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class CyclesMissed(Event):
     """``count`` fixed cycles did not begin when they were due; ``missed`` with those before. Once a second at most.
 
@@ -232,7 +219,6 @@ class CyclesMissed(Event):
         return f"deadline misses {self.missed - self.count + 1} to {self.missed}: cycle {self.number} was {late}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ControlSent(Event):
     """The Global_Control ordered with ``token`` left the line; ``t_ns`` is the end of its last octet.
 
@@ -249,7 +235,6 @@ class ControlSent(Event):
         return f"master: Global_Control was sent{missed}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PictureTaken(Event):
     """The inputs of every slave of the groups by address, each from an exchange after the order ``token`` was sent."""
 
@@ -262,7 +247,6 @@ class PictureTaken(Event):
         return f"master: inputs of one moment from slaves {', '.join(map(str, self.inputs))}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ControlFailed(Event):
     """The order ``token`` ended without being carried out to its end; ``address`` is of the slave that was missing."""
 
@@ -274,7 +258,6 @@ class ControlFailed(Event):
     address: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class DriveEvent(SlaveEvent):
     """A drive plugin's answer or message: ``payload`` is plain JSON data with a ``"type"`` key."""
 

@@ -89,7 +89,6 @@ class Found:
         }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class StationSeen(Event):
     """A station was found, or is another one or in another state than before; ``present`` False: it fell silent."""
 
@@ -100,7 +99,6 @@ class StationSeen(Event):
         return self.found.text if self.present else f"station {self.found.address} no longer answers"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ScanDone(Event):
     """Every address was asked. ``token``: of the :class:`SurveyOrder`, 0 for the list of a read-only bus.
 
@@ -283,14 +281,12 @@ class Scanner(LinkUser):
             self._events.append(StationSeen(t_ns=now, found=found, present=False))
 
 
-@dataclass(frozen=True, slots=True)
 class SurveyOrder(AttachUser):
     """Ask ``addresses`` once: :class:`ScanDone` has the result. ``skip``: their slaves are not asked further.
 
     ``configs``: ask for identifier octets too. ``quick``: silent addresses without regard to the port's share for them.
     """
 
-    token: int
     addresses: tuple[int, ...]
     skip: tuple[int, ...]
     configs: bool

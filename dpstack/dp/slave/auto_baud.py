@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Protocol
 
@@ -208,7 +207,6 @@ class Searching(abc.ABC):
         """The event of a state that was reached; ``baud`` in bit/s, None while it is searched."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BaudStateChanged(SlaveAppEvent):
     """The slave's watch over the rate reached another state; ``baud`` in bit/s, None while it is searched."""
 
@@ -277,7 +275,6 @@ class SearchingSlave(Searching):
         return BaudStateChanged(t_ns=now, address=self.station.address, name=name, state=self.state, baud=baud)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PortBaudChanged(Event):
     """The watch of a port's slaves over the rate reached another state; ``baud`` in bit/s, None while searched."""
 

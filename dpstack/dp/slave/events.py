@@ -16,7 +16,6 @@ from dpstack.trace import Event
 from dpstack.units import NS_PER_MS
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveAppEvent(Event):
     """Something about one slave application. ``address`` None: it is not on a station yet."""
 
@@ -29,7 +28,6 @@ class SlaveAppEvent(Event):
         return self.name if self.address is None else f"slave {self.address} ({self.name})"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveAppStateChanged(SlaveAppEvent):
     """The slave reached another state. ``master``: who has locked it."""
 
@@ -42,7 +40,6 @@ class SlaveAppStateChanged(SlaveAppEvent):
         return f"{self.who}: {self.state.value} ({self.why.value}{owner})"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class WatchdogExpired(SlaveAppEvent):
     """The master was silent for ``watchdog_ns``: the outputs are cleared."""
 
@@ -53,7 +50,6 @@ class WatchdogExpired(SlaveAppEvent):
         return f"{self.who}: nothing from master {self.master} for {self.watchdog_ns // NS_PER_MS} ms, outputs cleared"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RequestRefused(SlaveAppEvent):
     """A service of ``master`` was refused; ``reason`` names the octet. Reported once for the same reason."""
 
@@ -64,7 +60,6 @@ class RequestRefused(SlaveAppEvent):
     TEMPLATE = "{e.who}: {e.service} of master {e.master} refused: {e.reason}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class AddressChanged(SlaveAppEvent):
     """``address`` is new: set by ``master``; None: at the device itself, 126 by an initial reset or another one by a
     parameter. ``fixed``: No_Add_Chg is set.
@@ -86,7 +81,6 @@ class AddressChanged(SlaveAppEvent):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceFailed(SlaveAppEvent):
     """An exception in the device ``during`` a service: the slave left data exchange until it is restarted.
 

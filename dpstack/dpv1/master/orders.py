@@ -6,7 +6,6 @@ A class 2 connection is named by the token of the order that opened it. The mach
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.acyclic.job import Outcome, ServiceEnd
@@ -29,7 +28,6 @@ _USUAL_REQUEST: Final = InitiateReq(least_send_timeout(500_000))
 # --- Read, Write, Data_Transport ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
 class RecordOrder(Order):
     """Read up to ``length`` octets of a record, or send ``data`` by Write or Data_Transport (``function``).
 
@@ -59,7 +57,6 @@ class RecordOrder(Order):
                 return DataTransport(self.slot, self.index, self.data)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordDone(ServiceEnd):
     """The one end of a RecordOrder; the data that the slave sent are in ``outcome``.
 
@@ -98,7 +95,6 @@ class RecordDone(ServiceEnd):
 # --- class 2 connections -----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
 class OpenConnection(Order):
     """Open a connection to the slave at ``address`` by the Initiate ``request``; its end is the InitiateDone with
     ``token``. The slave may have a longer send time-out than that in the request.
@@ -115,7 +111,6 @@ class OpenConnection(Order):
     timeout_ns: int = SERVICE_TIMEOUT
 
 
-@dataclass(frozen=True, slots=True)
 class CloseConnection(Order):
     """Abort ``connection``, also while it is being opened. Its services end. A connection that is over is no error."""
 
@@ -124,14 +119,12 @@ class CloseConnection(Order):
     connection: int
 
 
-@dataclass(frozen=True, slots=True)
 class CloseConnections(Order):
     """Abort all connections, then emit ConnectionsClosed: for the end of a bus."""
 
     ENDS = True
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class InitiateDone(ServiceEnd):
     """The one end of OpenConnection. Without a failure the connection is open: its server SAP in the slave, the send
     time-out that counts, and the slave's answer to Initiate (``max_len``: octets of data in one service)."""
@@ -150,7 +143,6 @@ class InitiateDone(ServiceEnd):
         return f"class 2 connection open, server SAP {self.server_sap}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionOver(Event):
     """The one end of a connection that was open, emitted when the slave has it back: ``reason`` says who ended it and
     why.
@@ -171,7 +163,6 @@ class ConnectionOver(Event):
     TEMPLATE = "slave {e.address}: class 2 connection (server SAP {e.server_sap}) is over: {e.reason}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionsClosed(Event):
     """The end of CloseConnections: no slave holds anything for this master any more, as far as could be done."""
 
@@ -182,7 +173,6 @@ class ConnectionsClosed(Event):
 # --- alarms ------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
 class HoldAlarms(Order):
     """``on``: from now on only AcknowledgeAlarm acknowledges alarms of the slave at ``address``; otherwise the station
     does it again, and begins with those that wait."""
@@ -191,7 +181,6 @@ class HoldAlarms(Order):
     on: bool
 
 
-@dataclass(frozen=True, slots=True)
 class AcknowledgeAlarm(Order):
     """Acknowledge the alarm ``number`` (of AlarmRaised) of the slave at ``address``; its end is AlarmDone."""
 
@@ -199,7 +188,6 @@ class AcknowledgeAlarm(Order):
     number: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmRaised(SlaveEvent):
     """The slave raised ``alarm``; ``number`` counts the alarms of this slave. ``diagnosis`` is the one with the alarm.
 
@@ -222,7 +210,6 @@ class AlarmRaised(SlaveEvent):
         return "; ".join((f"{self.who}: {self.alarm.full_text}", *self.texts))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmDone(SlaveEvent):
     """The one end of the alarm ``number``: the slave took its acknowledgement, or why there is none."""
 
@@ -235,7 +222,6 @@ class AlarmDone(SlaveEvent):
         return f"{self.who}: " + (self.outcome.text or f"took the acknowledgement of alarm {self.number}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class StatusTold(SlaveEvent):
     """The slave's diagnosis holds a new ``status``. Nobody acknowledges it."""
 

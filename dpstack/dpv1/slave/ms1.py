@@ -5,8 +5,6 @@ Decisions where the sources leave something open: docs/decisions/services.md#ms1
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, DPV1_STATUS_LEN
 from dpstack.dp.pdu.requests import SetPrm
@@ -20,7 +18,6 @@ from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import SAP_MS1, SAP_MS1_ALARM, Resp, Telegram
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmAcknowledged(SlaveAppEvent):
     """``master`` acknowledged ``alarm``, which is over with it."""
 

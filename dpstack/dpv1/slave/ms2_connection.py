@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 from typing import Final
 
@@ -28,7 +28,6 @@ from dpstack.errors import PduError, RecordRefused
 from dpstack.units import NS_PER_MS
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionOpened(SlaveAppEvent):
     """``master`` has opened a connection of class 2 at the server ``sap``."""
 
@@ -41,7 +40,6 @@ class ConnectionOpened(SlaveAppEvent):
         return f"{self.who}: {which}, send time-out {self.send_timeout_ns // NS_PER_MS} ms)"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionClosed(SlaveAppEvent):
     """A connection of class 2 is over and given back; ``services``: how many its master asked for."""
 

@@ -54,7 +54,6 @@ Named = tuple[str, object]
 # --- orders of the application that no machine knows ----------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SetUp(Order):
     """The first message: everything that the bus process needs.
 
@@ -73,12 +72,10 @@ class SetUp(Order):
     preload: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
 class TakeOutputs(Order):
     """Take the outputs that the application has published; answered when that is done."""
 
 
-@dataclass(frozen=True, slots=True)
 class CloseBus(Order):
     """Release the port and end; the bus was left before. Answered with the last :class:`Counters`."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from dpstack.dp.process_image import CyclicUnit
 from dpstack.dpv1.master.plugin_queue import RecordQueue
@@ -12,7 +12,6 @@ from dpstack.errors import ConfigError
 from dpstack.machine import Order
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class AttachPlugin(Order):
     """Put the drive plugin at ``place`` ("package.module:name") onto the process image of the slave at ``address``.
 
