@@ -14,7 +14,6 @@ from dpstack.api.files import FileToBe, read_file
 from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
-from dpstack.gsd.configuration import first_slot
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Diagnosis, Diagnostic, GsdFile, Module, Parameter, PrmBlock
 from dpstack.gsd.parser import load_gsd, parse_gsd
@@ -115,7 +114,7 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
         "parameters": [_parameter(parameter) for parameter in device.parameters.values()],
         "device_parameters": parameter_places(device, device.prm),
         "f_parameters": device.f_parameters,
-        "first_slot": first_slot(device),
+        "first_slot": device.first_slot,
         "fix_preset_modules": device.fix_preset_modules,
         "presets": [{"name": m.name, "reference": m.reference} for m in device.modules if m.preset],
         "diagnosis": diagnosis_texts(device.diagnosis),
@@ -180,7 +179,7 @@ def module_prm(file: GsdFile, module: Module) -> bytes:
     """The module's part of the user parameters with its defaults, in no slot; empty where they fit no Set_Prm."""
     try:
         # without the device's own parameters, which every module would go through
-        return UserPrm(Device(parameters=file.device.parameters), (module,), first_slot=None).octets()
+        return UserPrm(Device(parameters=file.device.parameters), (module,), in_slots=False).octets()
     except ConfigError:
         return b""
 

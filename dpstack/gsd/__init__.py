@@ -12,8 +12,6 @@ Order of work: text, lexer, parser with blocks, joining with settings; the resul
   special format
 - ``joining``: Builds the model (Device) from the parsed blocks: gives parameters their texts and checks the
   references
-- ``keywords``: Keywords of the GSD specification (PNO order 2.122) in lower case: rates, alarms, and those that have
-  no use here
 - ``lexer``: Lexer of GSD files: one logical line to one statement, ``keyword(index) = value`` without comment, and
   its values
 - ``model``: Data model of a GSD file: device, modules, slots, user parameters, diagnosis texts, diagnostics of the

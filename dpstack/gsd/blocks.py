@@ -603,6 +603,13 @@ class DeviceBlock(PrmUser):
             self.findings.warning(block.line, message)
 
 
+#: opening keyword -> closing keyword, as files write it, of the blocks that dpstack only keeps
+RAW_BLOCKS: Final[dict[str, str]] = {
+    "data_area_beg": "Data_Area_End",
+    "physical_interface": "End_Physical_Interface",
+    "version_firmware_download": "end_version_firmware_download",
+    "jokerblock_type": "endjokerblock_type",
+}
 #: opening keyword -> class and closing keyword, as files write it, of the blocks that dpstack uses
 BLOCKS: Final[Mapping[str, tuple[type[Block], str]]] = {
     "prmtext": (PrmTextBlock, "EndPrmText"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from dpstack.errors import GsdError
-from dpstack.gsd.configuration import f_notes, first_slot
+from dpstack.gsd.configuration import f_notes
 from dpstack.gsd.model import Device, Diagnostic, GsdFile
 from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.trace import Severity
@@ -14,52 +14,50 @@ from dpstack.trace import Severity
 def check(file: GsdFile) -> tuple[Diagnostic, ...]:
     """The diagnostics of ``file`` and those of its user parameters, slots and modules, by place."""
     device = file.device
-    found = [*file.diagnostics, *_prm_findings(device), *_slot_findings(device)]
+    warnings = [*_prm_warnings(device), *_slot_warnings(device)]
+    for text in f_notes(device, device.modules, in_slots=False):
+        line = next((module.line for module in device.modules if module.f_parameters), 0)
+        warnings.append((0 if device.f_parameters else line, text))
+    found = [Diagnostic(line, 1, Severity.WARNING, text) for line, text in warnings]
     if device.modular and not device.modules:
         text = "a modular station (Modular_Station = 1) without any Module: the file may be cut short; get a whole copy"
         found.append(Diagnostic(0, 0, Severity.WARNING, text))
-    for text in f_notes(device, device.modules, None):
-        line = next((module.line for module in device.modules if module.f_parameters), 0)
-        found.append(Diagnostic(0 if device.f_parameters else line, 1, Severity.WARNING, text))
-    return tuple(sorted(found))
+    return tuple(sorted((*file.diagnostics, *found)))
 
 
-def _prm_findings(device: Device) -> Iterator[Diagnostic]:
-    """User parameters that fit nowhere, and one finding on all defaults that contradict constant octets."""
+def _prm_warnings(device: Device) -> Iterator[tuple[int, str]]:
+    """(line, text) for user parameters that fit nowhere, and once for all defaults that contradict constant octets."""
     try:
         own = UserPrm(device)
     except GsdError as error:
-        yield Diagnostic(device.prm.line, 1, Severity.WARNING, str(error))
+        yield device.prm.line, str(error)
         return
     found = [(device.prm.line, "the device", contradiction) for contradiction in own.contradictions()]
     bare = Device(parameters=device.parameters)
     for module in device.modules:
         if module.prm.consts and module.prm.refs:
             try:
-                prm = UserPrm(bare, (module,), first_slot=None)
+                prm = UserPrm(bare, (module,), in_slots=False)
             except GsdError as error:
-                yield Diagnostic(module.prm.line, 1, Severity.WARNING, f"module {module.title}: {error}")
+                yield module.prm.line, f"module {module.title}: {error}"
                 continue
             found += [(module.prm.line, f"module {module.title}", c) for c in prm.contradictions()]
     found = [item for item in found if item[2].matters]
     if found:
         line, title, first = min(found, key=lambda item: item[0])
         more = f"; {len(found) - 1} more in this file" if len(found) > 1 else ""
-        yield Diagnostic(
+        yield (
             line,
-            1,
-            Severity.WARNING,
             f"{title}: defaults contradict the constant octets ({first.field.local_key}: {first.readings}{more}); the "
             f'defaults are used, defaults = "{Reading.CONST.value}" takes the constants',
         )
 
 
-def _slot_findings(device: Device) -> Iterator[Diagnostic]:
-    """Slots of SlotDefinition that no module can ever be plugged into."""
-    first = first_slot(device)
+def _slot_warnings(device: Device) -> Iterator[tuple[int, str]]:
+    """(line, text) for each slot of SlotDefinition that no module can ever be plugged into."""
+    first = device.first_slot
     last = first + device.max_module - 1 if device.max_module else None
     for slot in device.slots:
         if slot.number < first or (last is not None and slot.number > last):
             slots = f"slots begin with {first}" if last is None else f"slots are {first}..{last}"
-            text = f"Slot({slot.number}) is never used: the {slots} (Modul_Offset, else 1; Max_Module)"
-            yield Diagnostic(slot.line, 1, Severity.WARNING, text)
+            yield slot.line, f"Slot({slot.number}) is never used: the {slots} (Modul_Offset, else 1; Max_Module)"

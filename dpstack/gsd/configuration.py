@@ -25,7 +25,6 @@ class Configuration:
 
     device: Device
     modules: tuple[Module | None, ...]
-    first_slot: int
     config: bytes
     inputs: int
     outputs: int
@@ -33,15 +32,10 @@ class Configuration:
 
     def user_prm(self, reading: Reading = Reading.REFS) -> UserPrm:
         """Raises GsdError where the user parameters are too long."""
-        return UserPrm(self.device, self.modules, reading, self.first_slot)
+        return UserPrm(self.device, self.modules, reading)
 
     def texts(self) -> DiagTexts:
-        return DiagTexts(self.device, self.modules, self.first_slot)
-
-
-def first_slot(device: Device) -> int:
-    """The number of the first slot: Modul_Offset, else 1."""
-    return 1 if device.modul_offset is None else device.modul_offset
+        return DiagTexts(self.device, self.modules)
 
 
 def fixed_modules(device: Device) -> tuple[Module, ...]:
@@ -71,7 +65,7 @@ def default_modules(device: Device) -> tuple[Module, ...] | None:
     # only a row without gaps from the first slot on: the file has no default for a slot that it does not list
     numbered = {module.reference: module for module in reversed(device.modules) if module.reference is not None}
     defaults = {slot.number: slot.default for slot in device.slots}
-    numbers = range(first_slot(device), first_slot(device) + len(defaults))
+    numbers = range(device.first_slot, device.first_slot + len(defaults))
     found = [None if (at := defaults.get(n)) is None else numbered.get(at) for n in numbers]
     row = tuple(module for module in found if module is not None)
     return row if row and len(row) == len(found) else None
@@ -203,8 +197,7 @@ def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:
     """A configuration of ``modules``; fixed presets are put in front where they are missing. Raises GsdError."""
     row = _behind_fixed(device, modules)
     _check_count(device, row)
-    first = first_slot(device)
-    _check_slots(device, row, first)
+    _check_slots(device, row)
     config = b"".join(_EMPTY if module is None else module.config for module in row)
     if not config:
         raise GsdError("no module with identifier octets is plugged; name at least one")
@@ -222,7 +215,7 @@ def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:
         # a compact device does not need these keywords: 0 is no limit there
         if limit is not None and (device.modular or limit) and length > limit:
             raise GsdError(f"{length} octets of {what}, the device has at most {limit}; take out modules")
-    found = Configuration(device, row, first, config, inputs, outputs, _notes(device, row, first))
+    found = Configuration(device, row, config, inputs, outputs, _notes(device, row))
     found.user_prm()  # refuses what does not fit
     return found
 
@@ -237,7 +230,7 @@ def _behind_fixed(device: Device, modules: Sequence[Module | None]) -> tuple[Mod
         if module is not None and is_fixed(device, module):
             raise GsdError(
                 f"module {module.title} is a fixed preset (FixPresetModules = 1) and stands once, in slot "
-                f"{first_slot(device) + fixed.index(module)}; leave it out, or let the modules begin with all fixed "
+                f"{device.first_slot + fixed.index(module)}; leave it out, or let the modules begin with all fixed "
                 f"presets: {', '.join(preset.title for preset in fixed)}"
             )
     return fixed + rest
@@ -251,10 +244,10 @@ def _check_count(device: Device, modules: Sequence[Module | None]) -> None:
         raise GsdError(f"{len(modules)} modules{among}, the device takes at most {limit} (Max_Module); take out some")
 
 
-def _check_slots(device: Device, modules: Sequence[Module | None], first: int) -> None:
+def _check_slots(device: Device, modules: Sequence[Module | None]) -> None:
     """Check each module against its slot. A slot that SlotDefinition does not list takes every module."""
     slots = {slot.number: slot for slot in device.slots}
-    for number, module in enumerate(modules, first):
+    for number, module in enumerate(modules, device.first_slot):
         slot = slots.get(number)
         if slot is None or module is None or not slot.allowed:
             continue
@@ -266,22 +259,22 @@ def _check_slots(device: Device, modules: Sequence[Module | None], first: int) -
             )
 
 
-def _notes(device: Device, modules: Sequence[Module | None], first: int) -> tuple[str, ...]:
+def _notes(device: Device, modules: Sequence[Module | None]) -> tuple[str, ...]:
     notes = []
     if not device.modular and len(modules) > 1:
         notes.append("the device is no modular station (Modular_Station = 0), but several modules are plugged")
-    return (*notes, *f_notes(device, modules, first))
+    return (*notes, *f_notes(device, modules))
 
 
-def f_notes(device: Device, modules: Sequence[Module | None], first: int | None) -> tuple[str, ...]:
+def f_notes(device: Device, modules: Sequence[Module | None], *, in_slots: bool = True) -> tuple[str, ...]:
     """A note for people where ``device`` or ``modules`` have F_ parameters (PROFIsafe), else nothing.
 
-    ``first``: the number of the first slot; None: the modules are in no slot.
+    Without ``in_slots`` it does not name the slots.
     """
     places = ["the device itself"] if device.f_parameters else []
-    for number, module in enumerate(modules):
+    for slot, module in enumerate(modules, device.first_slot):
         if module is not None and module.f_parameters:
-            places.append(f"module {module.title}" + ("" if first is None else f" in slot {first + number}"))
+            places.append(f"module {module.title}" + (f" in slot {slot}" if in_slots else ""))
     if not places:
         return ()
     more = f" and {len(places) - 3} more" if len(places) > 3 else ""

@@ -12,11 +12,10 @@ class DiagTexts:
 
     Where the module is known, its texts count before the device's. Bits are counted from 0 at the first
     octet behind the block's header (GE's MM300 manual prints it so, table 4-5); an area's first bit is its lowest.
-    ``first_slot``: the number of the slot of the first module.
     """
 
-    def __init__(self, device: Device, modules: Sequence[Module | None] = (), first_slot: int = 1) -> None:
-        self.first_slot = first_slot
+    def __init__(self, device: Device, modules: Sequence[Module | None] = ()) -> None:
+        self.first_slot = device.first_slot
         self._device = device.diagnosis
         self._types = {d.type: d for d in device.diag_types}
         self._modules = tuple(modules)

@@ -124,7 +124,7 @@ class PrmType:
 
     @property
     def signed(self) -> bool:
-        return self.kind in (PrmKind.SIGNED8, PrmKind.SIGNED16, PrmKind.SIGNED32)
+        return self.kind.value.startswith("Signed")
 
     @property
     def width(self) -> int:
@@ -396,6 +396,11 @@ class Device:
     raw: tuple[Raw, ...] = ()
 
     @property
+    def first_slot(self) -> int:
+        """The number of the first slot: Modul_Offset, else 1."""
+        return 1 if self.modul_offset is None else self.modul_offset
+
+    @property
     def f_parameters(self) -> bool:
         """Whether the device itself has parameters of PROFIsafe, beside those of its modules."""
         return any(_is_f(raw.keyword) for raw in self.raw if not raw.block) or any(map(_is_f, self.settings))
@@ -423,9 +428,6 @@ class GsdFile:
     diagnostics: tuple[Diagnostic, ...] = ()
     encoding: str = "ascii"
     fatal: Diagnostic | None = None
-
-    def of(self, severity: Severity) -> tuple[Diagnostic, ...]:
-        return tuple(d for d in self.diagnostics if d.severity is severity)
 
 
 def _is_f(keyword: str) -> bool:

@@ -12,9 +12,8 @@ import re
 from typing import Final
 
 from dpstack.errors import GsdError
-from dpstack.gsd.blocks import BLOCKS, AreaBlock, Block, DeviceBlock, DiagBlock, ModuleBlock, RawBlock
+from dpstack.gsd.blocks import BLOCKS, RAW_BLOCKS, AreaBlock, Block, DeviceBlock, DiagBlock, ModuleBlock, RawBlock
 from dpstack.gsd.joining import join
-from dpstack.gsd.keywords import OTHERS, RAW_BLOCKS, may_open
 from dpstack.gsd.lexer import Statement, lex
 from dpstack.gsd.model import Device, Diagnostic, Findings, GsdFile, Raw
 from dpstack.gsd.settings import KEYWORDS
@@ -36,8 +35,8 @@ _OTHERS: Final = (
 #: closing keyword in lower case -> as files write it
 _CLOSING: Final = {end.lower(): end for end in (*(end for _, end in BLOCKS.values()), *RAW_BLOCKS.values())}
 #: the keywords of the GSD specification. The parser keeps any other one as it stands and reports it.
-_KNOWN: Final = OTHERS.union(
-    KEYWORDS, RAW_BLOCKS, _CLOSING, BLOCKS, DeviceBlock.handlers, *(kind.handlers for kind, _ in BLOCKS.values())
+_KNOWN: Final = KEYWORDS.union(
+    RAW_BLOCKS, _CLOSING, BLOCKS, DeviceBlock.handlers, *(kind.handlers for kind, _ in BLOCKS.values())
 )
 _MISSING: Final = Statement("", "", None, False, "", "")
 
@@ -169,7 +168,7 @@ class _Reader:
         if self._endings is None:
             matches = (_ENDINGS.match(line.strip()) for line in self._text.lines)
             self._endings = frozenset(match[1].lower() for match in matches if match)
-        end = may_open(keyword, self._endings)
+        end = _closing_keyword(keyword, self._endings)
         if end is None or end in (known.lower() for _, known in BLOCKS.values()):
             return False
         if keyword not in RAW_BLOCKS:
@@ -221,3 +220,11 @@ class _Reader:
         if statement.keyword not in self._reported:
             self._reported.add(statement.keyword)
             self._findings.info(statement.line, f"{statement.written[:60]} has no meaning here; kept as it stands")
+
+
+def _closing_keyword(keyword: str, endings: frozenset[str]) -> str | None:
+    """The closing keyword that an unknown ``keyword`` has among the file's ``endings``; None where it has none."""
+    for ending in (f"end{keyword}", f"end_{keyword}", f"{keyword}_end", f"{keyword.removesuffix('_beg')}_end"):
+        if ending in endings:
+            return ending
+    return None

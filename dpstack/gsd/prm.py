@@ -104,7 +104,7 @@ def write_bits(octets: bytearray, at: int, kind: PrmType, value: int) -> None:
 class UserPrm:
     """The user parameters of ``device`` with ``modules`` in slot order (None: an empty slot).
 
-    Slots are numbered from ``first_slot``; None: the modules are in no slot, and ``[SlotNumber]`` keeps its default.
+    Without ``in_slots`` the modules are in no slot, and ``[SlotNumber]`` keeps its default.
     Raises GsdError where they do not fit a Set_Prm or the device, or where a module may not have the number of its
     slot.
     """
@@ -114,7 +114,8 @@ class UserPrm:
         device: Device,
         modules: Sequence[Module | None] = (),
         reading: Reading = Reading.REFS,
-        first_slot: int | None = 1,
+        *,
+        in_slots: bool = True,
     ) -> None:
         self.device = device
         self.reading = reading
@@ -126,10 +127,10 @@ class UserPrm:
         self._const = bytearray(own)
         self._fields: list[Field] = []
         self._set: dict[str, int] = {}
-        self._add(device.prm, 0, "device" if first_slot == 0 and any(modules[:1]) else "0", None)
-        for slot, module in enumerate(modules, 1 if first_slot is None else first_slot):
+        self._add(device.prm, 0, "device" if device.first_slot == 0 and any(modules[:1]) else "0", None)
+        for slot, module in enumerate(modules, device.first_slot):
             if module is not None and module.prm.present:
-                self._add(module.prm, slot, str(slot), None if first_slot is None else module)
+                self._add(module.prm, slot, str(slot), module if in_slots else None)
         size, limit = len(self._const), device.max_user_prm_data_len
         if size > MAX_USER_PRM:
             raise GsdError(f"{size} octets of user parameters; a Set_Prm carries {MAX_USER_PRM}: take out modules")

@@ -7,9 +7,23 @@ from dataclasses import fields
 from typing import Any, Final
 
 from dpstack.gsd.blocks import octets_of
-from dpstack.gsd.keywords import ALARMS, RATES
 from dpstack.gsd.lexer import Statement, first_number, number, string
 from dpstack.gsd.model import Device, DpV1, Findings, Isochronous, Speed
+from dpstack.units import BAUD_RATES
+
+#: baud rate in bit/s by the spelling in ``500_supp``, ``MaxTsdr_500``
+_RATES: Final = "9.6 19.2 31.25 45.45 93.75 187.5 500 1.5m 3m 6m 12m"
+RATES: Final[dict[str, int]] = dict(zip(_RATES.split(), BAUD_RATES, strict=True))
+
+#: alarms of DP-V1 by their keyword (``Diagnostic_Alarm_supp``, ``Diagnostic_Alarm_required``)
+ALARMS: Final = (
+    "Diagnostic_Alarm",
+    "Process_Alarm",
+    "Pull_Plug_Alarm",
+    "Status_Alarm",
+    "Update_Alarm",
+    "Manufacturer_Specific_Alarm",
+)
 
 #: flags whose keyword ends with _supp
 _SUPPORTED: Final = """
@@ -90,7 +104,7 @@ class Settings:
         """The fields of ``section`` that are one value, as far as the file has their keywords."""
         types = {field.name: str(field.type) for field in fields(section)}
         found: dict[str, Any] = {}
-        for keyword, name in KEYWORDS.items():
+        for keyword, name in _FIELDS.items():
             reader = _READERS.get(types.get(name, ""))
             if keyword in self._settings and reader is not None:
                 value = reader(self, keyword)
@@ -170,7 +184,7 @@ _READERS: Final[dict[str, Callable[[Settings, str], object]]] = {
     "bytes | None": Settings._octets,
 }
 #: keyword -> field, of each field that is one flag, number, text or list of octets
-KEYWORDS: Final = {
+_FIELDS: Final = {
     **{
         field.name: field.name
         for section in (Device, DpV1, Isochronous)
@@ -180,6 +194,22 @@ KEYWORDS: Final = {
     },
     **_RENAMED,
 }
+#: keywords that dpstack does not use
+_OTHERS: Final = """
+bitmap_device bitmap_diag bitmap_sf physical_layer user_prm_data_def slave_family alarm_supported
+extra_alarm_sap_required im_0_supp max_iparameter_size area_name related_cfg_identifier io_direction length
+consistency data_type publisher_allowed dp_master_allowed download_supp upload_supp act_para_brct_supp act_param_supp
+max_mps_length max_lsdu_ms max_lsdu_mm min_poll_timeout las_len max_slaves_supp max_master_input_len
+max_master_output_len max_master_data_len dpv1_master dpv1_conformance_class master_freeze_mode_supp
+master_sync_mode_supp master_fail_safe_supp uart_family uart_family_supp slave_max_sapc0 dpv1_data_types
+"""
+#: the keywords of the GSD specification (PNO order 2.122), apart from those that only a block has
+KEYWORDS: Final = frozenset(_FIELDS).union(
+    _OTHERS.split(),
+    (f"{rate}_supp" for rate in RATES),
+    (f"{t}_{rate}" for rate in RATES for t in ("maxtsdr", "trdy", "tqui", "tset", "tsdi", "transmission_delay")),
+    (f"{alarm.lower()}_{ending}" for alarm in ALARMS for ending in ("supp", "required")),
+)
 
 
 def contradictions(dpv1: DpV1) -> Iterator[tuple[str, str]]:

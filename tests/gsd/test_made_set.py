@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from gsd_kit import errors
+
 from dpstack.gsd.parser import parse_gsd
-from dpstack.trace import Severity
 from tools.make_gsd_set import LARGEST, make_file, make_set, sizes
 
 
@@ -12,7 +13,7 @@ def test_forty_files_are_read_without_damage() -> None:
     for number, (name, octets) in enumerate(make_set(40)):
         file = parse_gsd(octets, name)
         assert file.fatal is None
-        assert file.of(Severity.ERROR) == (), name
+        assert errors(file) == (), name
         assert file.device.ident == 0x1000 + number
         assert all(module.complete for module in file.device.modules)
         assert len(file.device.parameters) == sizes(40, 1)[number].parameters

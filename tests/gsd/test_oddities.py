@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import gsd_kit
 import pytest
-from gsd_kit import made, texts
+from gsd_kit import errors, made, texts
 
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.parser import load_gsd, parse_gsd
 from dpstack.gsd.text import MAX_OCTETS
-from dpstack.trace import Severity
 
 
 @pytest.mark.parametrize(
@@ -33,7 +32,7 @@ def test_what_is_no_gsd_file(octets: bytes, message: str) -> None:
     file = parse_gsd(octets, "x.gsd")
     assert file.fatal is not None
     assert file.fatal.message.startswith(message)
-    assert file.of(Severity.ERROR)
+    assert errors(file)
     with pytest.raises(GsdError) as caught:
         load_gsd(octets, "x.gsd")
     assert str(caught.value) == f"x.gsd:1: {file.fatal.message}"
@@ -138,7 +137,7 @@ def test_finding(text: str, wanted: str) -> None:
 def test_a_file_without_ident_number() -> None:
     file = parse_gsd(b'#Profibus_DP\n500_supp = 1\nModule = "m" 0x10\nEndModule\n')
     assert file.fatal is None
-    assert [d.message for d in file.of(Severity.ERROR)] == [
+    assert [d.message for d in errors(file)] == [
         "no Ident_Number: the file is damaged, or it is of no DP slave; get a whole copy of it"
     ]
 
@@ -151,9 +150,7 @@ def test_findings_have_an_end() -> None:
 
 def test_too_many_lines() -> None:
     file = made("\n" * 250_000 + "Max_Module = 3\n")
-    assert [d.text for d in file.of(Severity.ERROR)] == [
-        "200002:1: error: more than 200000 lines: the rest is not read"
-    ]
+    assert [d.text for d in errors(file)] == ["200002:1: error: more than 200000 lines: the rest is not read"]
     assert file.device.max_module is None
 
 
@@ -169,9 +166,7 @@ def test_a_remark_between_continued_lines() -> None:
 
 def test_a_continuation_without_end() -> None:
     file = made('Info_Text = "' + "more and more \\\n" * 20_000 + '"\nMax_Module = 3\n')
-    assert [d.message for d in file.of(Severity.ERROR)] == [
-        "the continued line here has more than 65536 characters; it was ended"
-    ]
+    assert [d.message for d in errors(file)] == ["the continued line here has more than 65536 characters; it was ended"]
     assert file.device.ident == 0x0FFE
 
 

@@ -36,14 +36,14 @@ def test_slots_that_are_not_listed_take_every_module_up_to_max_module() -> None:
 
 def test_counting_does_not_begin_at_the_lowest_listed_slot() -> None:
     d = slots('Slot(3) = "third" 2 2\n')
-    assert configure(d, ["head", "head", "8 DI"]).first_slot == 1
+    assert configure(d, ["head", "head", "8 DI"]).device.first_slot == 1
     with pytest.raises(GsdError, match=r"is not allowed in slot 3 \(third\)"):
         configure(d, ["head", "head", "head"])
 
 
 def test_counting_begins_at_modul_offset() -> None:
     d = slots('Slot(4) = "head" 1 1\n', more="Modul_Offset = 4\n")
-    assert configure(d, ["head", "8 DI"]).first_slot == 4
+    assert configure(d, ["head", "8 DI"]).device.first_slot == 4
     with pytest.raises(GsdError, match="is not allowed in slot 4"):
         configure(d, ["8 DI", "head"])
 
@@ -121,14 +121,14 @@ def test_a_slot_number_outside_of_its_range_is_refused() -> None:
     with pytest.raises(GsdError, match=r"module 'AI' cannot be in slot 7: its parameter \[SlotNumber\] allows 4..6"):
         configure(d, ["AI"] * 4)
     with pytest.raises(GsdError, match="module 'AI' cannot be in slot 1"):
-        UserPrm(d, d.modules[:1])
+        UserPrm(numbered(kind="Unsigned8 4 4-6"), d.modules[:1])
     with pytest.raises(GsdError, match=r"in slot 4: its parameter \[SlotNumber\] allows 0..3"):
         configure(numbered(kind="BitArea(0-1) 1", head="Modul_Offset = 4\n"), ["AI"])
 
 
 def test_a_module_in_no_slot_keeps_the_default() -> None:
     d = numbered(kind="Unsigned8 4 4-6")
-    assert UserPrm(d, d.modules[:1], first_slot=None).octets().hex() == "a00403"
+    assert UserPrm(d, d.modules[:1], in_slots=False).octets().hex() == "a00403"
 
 
 def test_a_module_in_slot_0_and_the_device_itself_are_told_apart() -> None:

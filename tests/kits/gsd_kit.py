@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dpstack.gsd.model import Device, GsdFile
+from dpstack.gsd.model import Device, Diagnostic, GsdFile
 from dpstack.gsd.parser import load_gsd, parse_gsd
+from dpstack.trace import Severity
 
 FILES = Path(__file__).resolve().parents[1] / "gsd" / "files"
 HEAD = "#Profibus_DP\nGSD_Revision = 3\nIdent_Number = 0x0FFE\n500_supp = 1\n"
@@ -34,3 +35,8 @@ def made(text: str) -> GsdFile:
 def texts(file: GsdFile) -> list[str]:
     """Its diagnostics as people see them."""
     return [diagnostic.text for diagnostic in file.diagnostics]
+
+
+def errors(file: GsdFile) -> tuple[Diagnostic, ...]:
+    """Its diagnostics that are errors."""
+    return tuple(diagnostic for diagnostic in file.diagnostics if diagnostic.severity is Severity.ERROR)

@@ -28,7 +28,6 @@ from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
-from dpstack.gsd.configuration import first_slot
 from dpstack.gsd.model import Device, Diagnostic, GsdFile, Parameter, ranges_text
 from dpstack.trace import Severity
 from dpstack.units import baud_text
@@ -195,7 +194,7 @@ def _show(file: GsdFile) -> None:
     )
     if device.slots:
         output.table(
-            f"Slots that SlotDefinition lists (the first slot is {first_slot(device)})",
+            f"Slots that SlotDefinition lists (the first slot is {device.first_slot})",
             ("slot", "slot name", "default module", "allowed modules"),
             [
                 (s.number, s.name, "" if s.default is None else s.default, ranges_text(s.allowed) or "any")

@@ -20,7 +20,7 @@ from dpstack.api.config.gsd_choice import Choice, as_toml, module_key
 from dpstack.cli import options
 from dpstack.cli.terminal import output
 from dpstack.errors import GsdError, UsageError
-from dpstack.gsd.configuration import default_modules, find_module, first_slot, fixed_modules, is_fixed, plug
+from dpstack.gsd.configuration import default_modules, find_module, fixed_modules, is_fixed, plug
 from dpstack.gsd.model import Device, GsdFile, Module, folded, ranges_text
 from dpstack.gsd.prm import Field, containing, is_slot_number, value_of
 from dpstack.text import printable
@@ -163,7 +163,7 @@ class _Dialogue:
         return not limit or len(chosen) < limit
 
     def _slot_prompt(self, chosen: list[Module | None]) -> str:
-        number = first_slot(self._device) + len(chosen)
+        number = self._device.first_slot + len(chosen)
         slot = next((slot for slot in self._device.slots if slot.number == number), None)
         hint = f" {slot.name} ({ranges_text(slot.allowed) or 'any'})" if slot else ""
         return f"slot {number}{hint}: "
@@ -235,8 +235,8 @@ def _seen_from(path: str, config: str) -> str:
 
 
 def _places(device: Device, modules: list[Module | None] | tuple[Module, ...]) -> str:
-    first = first_slot(device)
-    return ", ".join(f"slot {n} {module.name}" for n, module in enumerate(modules, first) if module is not None)
+    numbered = enumerate(modules, device.first_slot)
+    return ", ".join(f"slot {n} {module.name}" for n, module in numbered if module is not None)
 
 
 def _yes(answer: str) -> bool:

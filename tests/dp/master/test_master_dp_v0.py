@@ -151,14 +151,14 @@ def test_a_slave_that_does_not_watch_its_master_is_told() -> None:
 #: of a GSD file with Modul_Offset = 4
 TEXTS = DiagTexts(
     Device(
+        modul_offset=4,
         diagnosis=Diagnosis(
             (
                 DiagText("bit", 0, 0, 1, "24 V is missing", ""),
                 DiagText("channel", None, None, 16, "sensor dirty", ""),
             )
-        )
+        ),
     ),
-    first_slot=4,
 )
 
 
