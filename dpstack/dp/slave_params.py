@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
+from dpstack.dp.pdu.diag_texts import block_texts
+from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.pdu.dpv1_status import DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
 from dpstack.dp.pdu.requests import MAX_USER_PRM
 from dpstack.errors import ConfigError
@@ -127,6 +128,10 @@ class SlaveParams:
     def who(self) -> str:
         """The slave as it stands in front of messages."""
         return f"slave {self.address} ({self.name})"
+
+    def block_texts(self, diagnosis: Diagnosis) -> tuple[str, ...]:
+        """The lines for the blocks of its ``diagnosis``, in the words of its GSD file."""
+        return block_texts(diagnosis, self.texts, dpv1=self.dpv1 is not None)
 
     @property
     def input_len(self) -> int:

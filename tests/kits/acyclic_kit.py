@@ -26,12 +26,12 @@ def outcome(answer: str | Refused | ServiceFailure) -> Outcome:
     """What a service comes to: octets, a negative answer, or none (with the failure's name as text)."""
     match answer:
         case str():
-            return Outcome(octets(answer))
+            return Outcome(data=octets(answer))
         case Refused(code, why):
             codes = (0x80, code, 0) if code else None
-            return Outcome(failure=ServiceFailure.NEGATIVE if code else ServiceFailure.REFUSED, text=why, codes=codes)
+            return Outcome(ServiceFailure.NEGATIVE if code else ServiceFailure.REFUSED, why, codes=codes)
         case failure:
-            return Outcome(failure=failure, text=f"slave 6 {failure.value}")
+            return Outcome(failure, f"slave 6 {failure.value}")
 
 
 class Script:

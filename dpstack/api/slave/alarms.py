@@ -224,7 +224,7 @@ class AlarmListeners:
                     listener.error = error
                     listener.end()
             case AcknowledgeAlarm(address, number):
-                self._done(address, number, Outcome(failure=ServiceFailure.LINE, text=str(error)))
+                self._done(address, number, Outcome(ServiceFailure.LINE, str(error)))
 
     def forget(self, address: int) -> None:
         """The slave was removed from the bus."""
@@ -245,7 +245,7 @@ class AlarmListeners:
             if address in (None, alarm.address):
                 alarm._keepers.clear()  # its number may be used again
                 text = f"an alarm of slave {alarm.address} was not acknowledged: {why}"
-                self._done(*key, alarm._end or Outcome(failure=ServiceFailure.LINE, text=text))
+                self._done(*key, alarm._end or Outcome(ServiceFailure.LINE, text))
 
 
 __all__ = ["AlarmListeners", "AlarmStream", "SlaveAlarm"]

@@ -216,7 +216,7 @@ class Class2(Sealed):
         device = None if known is None else known.config.device
         if known is not None and device is not None and not device.set_slave_add:
             raise UsageError(
-                f"slave {known.address} ({known.name}): its GSD file does not say Set_Slave_Add_supp = 1: its address "
+                f"{known.who}: its GSD file does not say Set_Slave_Add_supp = 1: its address "
                 f"is set at the device (switches, its keypad); force=True asks it all the same"
             )
 
@@ -227,10 +227,9 @@ class Class2(Sealed):
         known = self._slaves.get(done.address)
         if known is not None and known.setup.ident not in (found.ident, None):
             known = None  # another device stands there
-        texts = None if known is None else known.setup.texts
-        said = block_texts(found, texts, dpv1=known is not None and known.setup.dpv1 is not None)
+        lines = block_texts(found) if known is None else known.setup.block_texts(found)
         plain = {one.name: getattr(found, one.name) for one in fields(found)}
-        return ReadDiagnosis(**plain, diagnosis_texts=found.texts + said)
+        return ReadDiagnosis(**plain, diagnosis_texts=found.texts + lines)
 
 
 def _initiate_address(what: str, given: bytes) -> Address:

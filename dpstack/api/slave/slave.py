@@ -18,7 +18,7 @@ from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.dp.pdu.alarm_blocks import Status
-from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text
+from dpstack.dp.pdu.diag_texts import conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.process_data import Field, Value
@@ -48,7 +48,7 @@ class Slave(Sealed, RecordAccess):
     @property
     def who(self) -> str:
         """Address and name, for texts."""
-        return f"slave {self.address} ({self.name})"
+        return self._setup.who
 
     def _no_attribute(self, name: str, *, method: bool) -> str:
         """Named outputs are items, not attributes."""
@@ -149,9 +149,7 @@ class Slave(Sealed, RecordAccess):
     def diagnosis_texts(self) -> tuple[str, ...]:
         """What :attr:`diagnosis` says, one line each: its bits, then its blocks in the words of the GSD file."""
         diagnosis = self.diagnosis
-        if diagnosis is None:
-            return ()
-        return diagnosis.texts + self.block_texts
+        return () if diagnosis is None else diagnosis.texts + self.block_texts
 
     @property
     def conspicuous(self) -> str:
@@ -168,9 +166,7 @@ class Slave(Sealed, RecordAccess):
     def block_texts(self) -> tuple[str, ...]:
         """What the blocks of :attr:`diagnosis` say, one line each, in the words of the GSD file."""
         diagnosis = self.diagnosis
-        if diagnosis is None:
-            return ()
-        return block_texts(diagnosis, self.setup.texts, dpv1=self.setup.dpv1 is not None)
+        return () if diagnosis is None else self.setup.block_texts(diagnosis)
 
     @property
     def inputs(self) -> bytes:

@@ -177,8 +177,8 @@ class AddressChange(Class2Job):
         new, ident = self._order.new, diagnosis.ident
         if (yield from _fdl_status(new)) is not Failure.NO_ANSWER:
             return Outcome(
-                failure=ServiceFailure.TAKEN,
-                text=f"address {new} is in use: a station answers there; nothing was changed: "
+                ServiceFailure.TAKEN,
+                f"address {new} is in use: a station answers there; nothing was changed: "
                 f"take a free address (`dpstack scan` shows them)",
             )
         pdu = SetSlaveAdd(new, ident, self._order.no_add_chg, self._order.rem_slave_data)
@@ -198,8 +198,8 @@ class AddressChange(Class2Job):
         wanted = self._order.ident
         if wanted is not None and wanted != diagnosis.ident:
             return Outcome(
-                failure=ServiceFailure.IDENT,
-                text=f"slave {self.address} is another device: ident 0x{diagnosis.ident:04X} instead of "
+                ServiceFailure.IDENT,
+                f"slave {self.address} is another device: ident 0x{diagnosis.ident:04X} instead of "
                 f"0x{wanted:04X}; nothing was changed: give its ident, or look which device has that address",
             )
         owner = foreign_owner(diagnosis, self._own)
@@ -213,8 +213,8 @@ class AddressChange(Class2Job):
             what = f"is owned by master {owner}"
             todo = f"stop master {owner}, or take the slave out of its configuration"
         return Outcome(
-            failure=ServiceFailure.OWNED,
-            text=f"slave {self.address} {what} and takes no address meanwhile; nothing was changed: {todo}",
+            ServiceFailure.OWNED,
+            f"slave {self.address} {what} and takes no address meanwhile; nothing was changed: {todo}",
         )
 
     def _verified(self, ident: int, acknowledged: bool) -> Steps[Outcome]:
@@ -228,31 +228,31 @@ class AddressChange(Class2Job):
             if back and (yield from _fdl_status(self.address)) is not Failure.NO_ANSWER:
                 return self._kept(acknowledged)
         return Outcome(
-            failure=ServiceFailure.GONE,
-            text=f"slave {self.address} answers neither there nor at {self._order.new} after Set_Slave_Add; "
+            ServiceFailure.GONE,
+            f"slave {self.address} answers neither there nor at {self._order.new} after Set_Slave_Add; "
             f"switch it off and on, then look with `dpstack scan`",
         )
 
     def _arrived(self, ident: int, found: int, data: bytes) -> Steps[Outcome]:
         if found != ident:
             return Outcome(
-                failure=ServiceFailure.IDENT,
-                text=f"another device answers at {self._order.new} after Set_Slave_Add: ident 0x{found:04X} instead of "
+                ServiceFailure.IDENT,
+                f"another device answers at {self._order.new} after Set_Slave_Add: ident 0x{found:04X} instead of "
                 f"0x{ident:04X}; look which device has that address before anything else is changed",
             )
         if (yield from _fdl_status(self.address)) is not Failure.NO_ANSWER:
             return Outcome(
-                failure=ServiceFailure.DOUBLE,
-                text=f"the slave has address {self._order.new} now, but a station still answers at {self.address}: "
+                ServiceFailure.DOUBLE,
+                f"the slave has address {self._order.new} now, but a station still answers at {self.address}: "
                 f"two had that address; give the other one an address of its own",
             )
-        return Outcome(data)
+        return Outcome(data=data)
 
     def _kept(self, acknowledged: bool) -> Outcome:
         did = "acknowledged" if acknowledged else "did not acknowledge"
         return Outcome(
-            failure=ServiceFailure.KEPT,
-            text=f"slave {self.address} {did} Set_Slave_Add and kept its address; its address was locked by an "
+            ServiceFailure.KEPT,
+            f"slave {self.address} {did} Set_Slave_Add and kept its address; its address was locked by an "
             f"earlier one (No_Add_Chg: only a reset at the device opens it), is set by switches, or changes at the "
             f"next power-up: switch it off and on, then look with `dpstack scan`",
             status="ignored",
@@ -286,8 +286,8 @@ def leaves_out(address: int, service: int) -> Steps[bool]:
 def left_out(address: int, title: str, why: str) -> Outcome:
     """The result of the service ``title`` where the slave is there and does not answer it."""
     return Outcome(
-        failure=ServiceFailure.REFUSED,
-        text=f"slave {address} is there (it answers Slave_Diag) and leaves {title} without an answer; {why}",
+        ServiceFailure.REFUSED,
+        f"slave {address} is there (it answers Slave_Diag) and leaves {title} without an answer; {why}",
         status="no answer",
     )
 
@@ -331,23 +331,23 @@ def judged(address: int, service: Service, answer: Telegram | Failure, expected:
     got = len(answer.data)
     if not low <= got <= high:
         return Outcome(
-            failure=ServiceFailure.LENGTH,
-            text=f"slave {address} answers {service.title} with {got} octets, {low}..{high} are possible; "
+            ServiceFailure.LENGTH,
+            f"slave {address} answers {service.title} with {got} octets, {low}..{high} are possible; "
             f"it is no DP slave, or two stations have its address",
         )
     if expected is not None and got != expected:
         return Outcome(
-            failure=ServiceFailure.LENGTH,
-            text=f"slave {address} answers {service.title} with {got} octets instead of {expected}; its real "
+            ServiceFailure.LENGTH,
+            f"slave {address} answers {service.title} with {got} octets instead of {expected}; its real "
             f"configuration differs from the one here: compare it with what Get_Cfg says",
         )
-    return Outcome(answer.data)
+    return Outcome(data=answer.data)
 
 
 def unanswered(address: int, service: Service, why: Failure) -> Outcome:
     """The result where no answer can be used."""
     failure, what, todo = _UNANSWERED[why]
-    return Outcome(failure=failure, text=f"slave {address} {what} {service.title}; {todo}")
+    return Outcome(failure, f"slave {address} {what} {service.title}; {todo}")
 
 
 _UNANSWERED: Final = {
@@ -378,15 +378,15 @@ def refused(address: int, service: Service, answer: Telegram) -> Outcome:
     """The result where the slave says no, and why that may be."""
     if answer.kind is Kind.SC or answer.function not in _REFUSALS:
         return Outcome(
-            failure=ServiceFailure.WRONG,
-            text=f"slave {address} answers {service.title} with {refusal_text(answer)}, which is no answer to it; "
+            ServiceFailure.WRONG,
+            f"slave {address} answers {service.title} with {refusal_text(answer)}, which is no answer to it; "
             f"look for a second station with its address",
         )
     status = refusal_text(answer)
     todo = "it is busy: try again later" if answer.function in _BUSY else _CLOSED[service]
     return Outcome(
-        failure=ServiceFailure.REFUSED,
-        text=f"slave {address} refuses {service.title} ({status}); {todo}",
+        ServiceFailure.REFUSED,
+        f"slave {address} refuses {service.title} ({status}); {todo}",
         status=status,
     )
 

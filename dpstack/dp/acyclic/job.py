@@ -62,11 +62,11 @@ class Outcome:
     subnet, instance and reason of the Abort that ended its class 2 connection.
     """
 
-    data: bytes = b""
     failure: ServiceFailure | None = None
     text: str = ""
     status: str = ""
     codes: tuple[int, int, int] | None = None
+    data: bytes = b""
 
 
 class ServiceEnd(Event, abc.ABC):

@@ -347,7 +347,7 @@ class Acyclic:
         text = f"{job.title} to slave {job.address} {what}"
         if job.aftermath:
             text = f"{text}; {job.aftermath}"
-        self._end(entry, Outcome(failure=failure, text=text), now)
+        self._end(entry, Outcome(failure, text), now)
 
     def _end(self, entry: _Entry, outcome: Outcome, now: int) -> None:
         self._queue.remove(entry)

@@ -11,7 +11,6 @@ from typing import Any, Final
 
 from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveRemark
 from dpstack.dp.master.verdicts import deviations
-from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.report_once import Novelty, ReportOnce
@@ -119,8 +118,7 @@ class SlaveReports:
             return None
         if diagnosis != self.diagnosis:
             self.diagnosis = diagnosis
-            texts = block_texts(diagnosis, self._setup.texts, dpv1=self._setup.dpv1 is not None)
-            self.event(SlaveDiagnosis, now, diagnosis=diagnosis, texts=texts)
+            self.event(SlaveDiagnosis, now, diagnosis=diagnosis, texts=self._setup.block_texts(diagnosis))
         if self.ident is None:
             self.ident = diagnosis.ident
             self.remark(f"its ident number is 0x{diagnosis.ident:04X} (taken from its diagnosis)", now)

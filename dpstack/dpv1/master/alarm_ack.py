@@ -59,7 +59,7 @@ class AckJob(Ms1Job):
             return Outcome() if octets[0] == Function.ALARM_ACK and AlarmAck.parse(octets) == self._ack else None
         except PduError as error:
             text = f"slave {self.address} answers {self.title} with what cannot be read: {error}"
-            return Outcome(failure=ServiceFailure.LENGTH, text=text)
+            return Outcome(ServiceFailure.LENGTH, text)
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """The alarm handler emits the event of the alarm's end."""

@@ -328,11 +328,11 @@ class AlarmHandler(DiagObserver):
     def closed(self, now: int) -> None:
         """Data exchange is over: its open alarms are void."""
         self.extra_sap = self._has_extra_sap
-        text = f"slave {self._setup.address} ({self._setup.name}) left data exchange: its alarms are void"
+        text = f"{self._setup.who} left data exchange: its alarms are void"
         for known in self._open.values():
             if known.stage is Stage.HELD:
                 self._book.untaken.add(known.number)
-            self._done(known, Outcome(failure=ServiceFailure.CLOSED, text=text), now)
+            self._done(known, Outcome(ServiceFailure.CLOSED, text), now)
         self._open.clear()
         self._settling.clear()
         self._statuses.clear()

@@ -45,7 +45,7 @@ def need_dpv1(setup: SlaveParams, lacks: str = "no Read, Write, alarms", *, read
         raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
     if setup.dpv1 is None:
         raise UsageError(
-            f"slave {setup.address} ({setup.name}) is not parameterised for DP-V1: {lacks}; "
+            f"{setup.who} is not parameterised for DP-V1: {lacks}; "
             f"if it has them put dpv1 = true into its [[slave]] table"
         )
 
@@ -161,15 +161,15 @@ class Ms1Job(Job):
             case Reply.GUARDED, _:
                 self._answered()
                 text = f"{who} was not sent {self.title}; this bus is read-only"
-                return Outcome(failure=ServiceFailure.GUARDED, text=text)
+                return Outcome(ServiceFailure.GUARDED, text)
             case Reply.NOTHING, Failure() as why:
                 what = "does not answer" if why is Failure.NO_ANSWER else "gives no readable answer to"
-                return Outcome(failure=NO_ANSWERS[why], text=f"{who} {what} {self.title}{self.hint}")
+                return Outcome(NO_ANSWERS[why], f"{who} {what} {self.title}{self.hint}")
             case Reply.CLOSED, Telegram() as answer:
                 self._answered()
                 status = refusal_text(answer)
                 text = f"{who} refuses {self.title} ({status}): SAP {self._sap} is closed; {self.why_closed}"
-                return Outcome(failure=ServiceFailure.REFUSED, text=text, status=status)
+                return Outcome(ServiceFailure.REFUSED, text, status=status)
         others = f", only {self.stale} to other requests" if self.stale else ""
         why_late = (
             "it was busy all the time" if polling.busy else "it exchanges data, but does not work at this service"
@@ -178,7 +178,7 @@ class Ms1Job(Job):
             f"{self.title} to slave {self.address} had no answer{others} within {ns_to_s(self._limit_ns):g} s "
             f"({self._limit_of}): {why_late}; try again, or give it longer (dpv1 = {{ response_timeout_ms = ... }})"
         )
-        return Outcome(failure=ServiceFailure.LATE, text=text + (f"; {self.aftermath}" if self.aftermath else ""))
+        return Outcome(ServiceFailure.LATE, text + (f"; {self.aftermath}" if self.aftermath else ""))
 
     def _answered(self) -> None:
         self._ms1.unfetched.pop(self._lane, None)
@@ -315,5 +315,5 @@ class Ms1(Provider):
         try:
             return RecordJob(request, handler, self, pending)
         except PduError as error:
-            pending.outcome = Outcome(failure=ServiceFailure.LENGTH, text=str(error))
+            pending.outcome = Outcome(ServiceFailure.LENGTH, str(error))
             return None

@@ -198,7 +198,7 @@ class ConnectionJob(Job):
                     return self._closed(title, polling)
                 case Reply.GUARDED:
                     text = f"slave {self.address}: {title} was not sent; this bus is read-only"
-                    return Outcome(failure=ServiceFailure.GUARDED, text=text)
+                    return Outcome(ServiceFailure.GUARDED, text)
                 case Reply.LATE:
                     return self._late(title, polling)
                 case Reply.DATA | Reply.OLD:
@@ -253,7 +253,7 @@ class ConnectionJob(Job):
         """The outcome of a service over a connection that is over."""
         text = f"{title or self.title} has no answer, the class 2 connection is over: {self.connection.reason}"
         codes = _codes(self.connection.abort)
-        return Outcome(failure=ServiceFailure.ABORTED, text=f"slave {self.address}: {text}", codes=codes)
+        return Outcome(ServiceFailure.ABORTED, f"slave {self.address}: {text}", codes=codes)
 
     def aborted(self, octets: bytes, title: str, now: int) -> Outcome:
         try:
@@ -286,7 +286,7 @@ class ConnectionJob(Job):
         limit = self.connection.limit_text
         text = f"slave {self.address} {what} {title} within {limit}; the connection was ended: {todo}"
         self.ms2.end(self.connection, f"{title} had no answer in time", TIMED_OUT, polling.now)
-        return Outcome(failure=failure, text=text)
+        return Outcome(failure, text)
 
     def unreadable(self, outcome: Outcome, now: int) -> Outcome:
         """End the connection by Abort, after an answer that cannot be read."""

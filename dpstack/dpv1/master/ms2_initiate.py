@@ -68,7 +68,7 @@ class InitiateJob(ConnectionJob):
         if self.ms2.uses(self.address, managed.server_sap):  # it cannot be another connection's
             connection.taken = False
             text = f"slave {self.address} gives out server SAP {managed.server_sap}, which is in use by this master"
-            return Outcome(failure=ServiceFailure.WRONG, text=f"{text}; close that connection first")
+            return Outcome(ServiceFailure.WRONG, f"{text}; close that connection first")
         connection.server_sap = managed.server_sap
         connection.send_timeout_ns = max(connection.send_timeout_ns, managed.send_timeout_ns)
         polling = self.polling(self._answer)
@@ -119,7 +119,7 @@ class InitiateJob(ConnectionJob):
         except PduError as error:
             who = f"slave {self.address}: its resource manager"
             text = f"{who} answers Initiate with what cannot be read: {error}"
-            return Outcome(failure=ServiceFailure.LENGTH, text=text)
+            return Outcome(ServiceFailure.LENGTH, text)
 
     def _outcome_of(self, octets: bytes, now: int) -> Outcome:
         """The outcome by the slave's answer to Initiate."""
@@ -132,11 +132,11 @@ class InitiateJob(ConnectionJob):
                 codes = (response.decode, response.code_1, response.code_2)
                 text = f"slave {self.address} refuses Initiate: {response.text}"
                 status = bytes(codes).hex(" ").upper()
-                return Outcome(failure=ServiceFailure.NEGATIVE, text=text, codes=codes, status=status)
+                return Outcome(ServiceFailure.NEGATIVE, text, codes=codes, status=status)
             self._response = InitiateRes.parse(octets)
         except PduError as error:
             text = f"slave {self.address} answers Initiate with what cannot be read: {error}"
-            return self.unreadable(Outcome(failure=ServiceFailure.LENGTH, text=text), now)
+            return self.unreadable(Outcome(ServiceFailure.LENGTH, text), now)
         if connection.phase is not Phase.OPENING:  # closed meanwhile
             return self.connection_over()
         connection.max_len = min(self._response.max_len or MAX_RECORD, MAX_RECORD)
@@ -154,7 +154,7 @@ class InitiateJob(ConnectionJob):
                 limit = self.connection.limit_text
                 todo = "try again, or give it longer (response_timeout)"
                 text = f"{who}: its resource manager has no answer to Initiate within {limit}; {todo}"
-                return Outcome(failure=ServiceFailure.LATE, text=text)
+                return Outcome(ServiceFailure.LATE, text)
             case Failure.REFUSED:
                 self.connection.taken = False
                 text = f"{who}: Initiate was not sent; this bus is read-only"
@@ -163,7 +163,7 @@ class InitiateJob(ConnectionJob):
             case _:
                 todo = "look for a second station with its address, and at cable and termination"
                 text = f"{who} gives no readable answer to Initiate; {todo}"
-        return Outcome(failure=NO_ANSWERS[last], text=text)
+        return Outcome(NO_ANSWERS[last], text)
 
     def _no_service(self, answer: Telegram) -> Outcome:
         """RS: the resource manager is closed for good, or has no server SAP left (Felser)."""
@@ -177,7 +177,7 @@ class InitiateJob(ConnectionJob):
             f"use{f' ({mine})' if mine else ''}, or it has none (C2_Read_Write_supp of its GSD file); close one, or "
             "wait until another master does"
         )
-        return Outcome(failure=ServiceFailure.REFUSED, text=text, status=status)
+        return Outcome(ServiceFailure.REFUSED, text, status=status)
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """One event. After a failure the slave gets Abort for a connection that it may hold."""

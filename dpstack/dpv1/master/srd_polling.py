@@ -161,7 +161,7 @@ def service_outcome(address: int, service: Service, octets: bytes) -> Outcome | 
         transports = isinstance(service, DataTransport) and octets[:1] == bytes((Function.DATA_TRANSPORT,))
         response = DataTransport.parse(octets) if transports else parse_response(octets)
     except PduError as error:
-        return Outcome(failure=ServiceFailure.LENGTH, text=f"{who} answers {title} with what cannot be read: {error}")
+        return Outcome(ServiceFailure.LENGTH, f"{who} answers {title} with what cannot be read: {error}")
     if isinstance(response, Negative):
         return negative_outcome(address, title, response) if response.function == service.function else None
     if (response.slot, response.index) != (service.slot, service.index):
@@ -170,14 +170,14 @@ def service_outcome(address: int, service: Service, octets: bytes) -> Outcome | 
         case ReadReq(length=asked), ReadRes(data=data):
             if len(data) > asked:
                 text = f"{who} answers {title} with {len(data)} octets, {asked} were asked for"
-                return Outcome(failure=ServiceFailure.LENGTH, text=text)
-            return Outcome(data)
+                return Outcome(ServiceFailure.LENGTH, text)
+            return Outcome(data=data)
         case DataTransport(), DataTransport(data=data):
-            return Outcome(data)
+            return Outcome(data=data)
         case WriteReq(data=given), taken if not isinstance(taken, (ReadRes, DataTransport)):
             if taken.length != len(given):
                 text = f"{who} says it took {taken.length} octets by {title}, {len(given)} were given"
-                return Outcome(failure=ServiceFailure.LENGTH, text=text)
+                return Outcome(ServiceFailure.LENGTH, text)
             return Outcome()
     return None
 
@@ -187,4 +187,4 @@ def negative_outcome(address: int, title: str, response: Negative) -> Outcome:
     codes = (response.decode, response.code_1, response.code_2)
     todo = remedy(response.code_1) if response.decode == Decode.DPV1 else ""
     text = f"slave {address} refuses {title}: {response.text}" + (f"; {todo}" if todo else "")
-    return Outcome(failure=ServiceFailure.NEGATIVE, text=text, codes=codes)
+    return Outcome(ServiceFailure.NEGATIVE, text, codes=codes)

@@ -25,7 +25,6 @@ from typing import Final
 from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, Mode, RemoveSlave, ReparameteriseSlave
 from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveState, SlaveStateChanged
 from dpstack.dp.master.fixed_cycle import CycleData
-from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
 from dpstack.drivers.futures import outlast
@@ -510,12 +509,11 @@ def worded(event: SlaveDiagnosis | AlarmRaised, setup: SlaveParams) -> Event:
         return event
     if isinstance(event, AlarmRaised):
         return dataclasses.replace(event, texts=texts_beside(event.diagnosis, event.alarm, setup.texts))
-    said = block_texts(event.diagnosis, setup.texts, dpv1=setup.dpv1 is not None)
-    return dataclasses.replace(event, texts=said)
+    return dataclasses.replace(event, texts=setup.block_texts(event.diagnosis))
 
 
 def _names(slaves: Iterable[SlaveParams]) -> str:
-    return ", ".join(f"slave {slave.address} ({slave.name})" for slave in slaves)
+    return ", ".join(slave.who for slave in slaves)
 
 
 def _sendable(command: object) -> Order:

@@ -61,7 +61,7 @@ def test_write_and_read_are_no_events() -> None:
     written = queue.submit(WriteReq(1, 47, b"\x11\x22"))
     read = queue.submit(ReadReq(1, 47, 240))
     assert end(bus, written) == Outcome()
-    assert end(bus, read) == Outcome(b"\x0a\x0b\x0c")
+    assert end(bus, read) == Outcome(data=b"\x0a\x0b\x0c")
     assert said(bus) == ["5F 01 2F 02 11 22", "5E 01 2F F0"]
     assert bus.done == []
 
@@ -82,7 +82,7 @@ def test_no_record_is_longer_than_the_slave_takes() -> None:
     refused = end(bus, queue.submit(WriteReq(1, 47, bytes(65))))
     assert (refused.failure, refused.codes) == (ServiceFailure.NEGATIVE, (0x80, 0xB1, 0))
     assert end(bus, queue.submit(WriteReq(1, 47, bytes(64)))) == Outcome()
-    assert end(bus, queue.submit(ReadReq(1, 47, 240))) == Outcome(b"\x0a")
+    assert end(bus, queue.submit(ReadReq(1, 47, 240))) == Outcome(data=b"\x0a")
     assert said(bus) == [f"5F 01 2F 40{64 * ' 00'}", "5E 01 2F 40"]
 
 
@@ -91,7 +91,7 @@ def test_it_waits_for_its_turn_when_a_program_has_many() -> None:
     bus.slave.ms1 = lambda data: answer(4, "5E 01 02 01 07") if data else SC
     tokens = [bus.order_read(1, 2) for _ in range(CAPACITY)]
     pending = queue.submit(ReadReq(1, 2, 5))
-    assert end(bus, pending) == Outcome(b"\x07")
+    assert end(bus, pending) == Outcome(data=b"\x07")
     assert said(bus)[0] == "5E 01 02 F0"
     assert "5E 01 02 05" in said(bus)
     assert len({bus.end(token).token for token in tokens}) == CAPACITY

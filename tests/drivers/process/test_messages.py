@@ -263,7 +263,7 @@ def test_errors_keep_their_class_and_text() -> None:
 def test_a_slave_of_dp_v1_and_its_records_survive_the_way() -> None:
     dpv1 = Dpv1(alarms=("process",), blocks=(PrmBlock(0x81, 1, b"\x01"),), c1_response_timeout_ns=7)
     order = AddSlave(SlaveParams(address=3, name="v", ident=1, config=b"\x10", user_prm=bytes(3), dpv1=dpv1))
-    outcome = Outcome(b"\xff\0", ServiceFailure.NEGATIVE, "no", "", (0x80, 0xB5, 0))
+    outcome = Outcome(ServiceFailure.NEGATIVE, "no", codes=(0x80, 0xB5, 0), data=b"\xff\0")
     done = RecordDone(t_ns=1, token=2, address=3, function=Function.READ, slot=4, index=5, outcome=outcome)
     for sent_order in (
         order,
@@ -275,7 +275,7 @@ def test_a_slave_of_dp_v1_and_its_records_survive_the_way() -> None:
 
 
 def test_class_2_connections_survive_the_way() -> None:
-    outcome = Outcome(failure=ServiceFailure.ABORTED, text="no", codes=(0, 1, 3))
+    outcome = Outcome(ServiceFailure.ABORTED, "no", codes=(0, 1, 3))
     for order in (
         OpenConnection(1, 2, InitiateReq(3, source=Address(1, 2), destination=Address(net=bytes(7))), 4),
         RecordOrder(1, Function.READ, 3, 4, connection=2),
@@ -288,7 +288,7 @@ def test_class_2_connections_survive_the_way() -> None:
     events: tuple[Event, ...] = (
         InitiateDone(t_ns=1, token=2, address=3, outcome=outcome, server_sap=48),
         RecordDone(
-            t_ns=1, token=2, address=3, function=Function.DATA_TRANSPORT, slot=4, index=5, outcome=Outcome(b"\xff")
+            t_ns=1, token=2, address=3, function=Function.DATA_TRANSPORT, slot=4, index=5, outcome=Outcome(data=b"\xff")
         ),
         ConnectionOver(t_ns=1, connection=2, address=3, server_sap=48, reason="why", abort=(0, 1, 3)),
         ConnectionsClosed(t_ns=1),
