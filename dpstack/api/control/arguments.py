@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
-from typing import Final
+from collections.abc import Callable
+from typing import Final, TypeVar
 
 from dpstack.api.config.table import parse_hex
 from dpstack.errors import UsageError
 from dpstack.text import decimal, shortened
 from dpstack.units import NS_PER_S
 
+_N = TypeVar("_N", bound=float)
 _TIME: Final = re.compile(r"([0-9]{1,12}(?:\.[0-9]{0,12})?|\.[0-9]{1,12})(ms|s|min|)")
 _UNIT_NS: Final = {"ms": NS_PER_S // 1000, "s": NS_PER_S, "min": 60 * NS_PER_S, "": NS_PER_S}
 _LONGEST_NS: Final = 365 * 86_400 * NS_PER_S
@@ -25,26 +28,25 @@ def time_ns(text: str) -> int:
     return ns
 
 
+def within(text: str, read: Callable[[str], _N | None], low: float, high: float, what: str) -> _N:
+    """``text`` as ``read`` understands it (else None or ValueError), from ``low`` to ``high``. ``what``: the kind of
+    number in the message of the UsageError.
+    """
+    with contextlib.suppress(ValueError):
+        value = read(text)
+        if value is not None and low <= value <= high:
+            return value
+    raise UsageError(f"{shortened(text)!r} is no {what}")
+
+
 def number(text: str, low: float, high: float, example: str) -> float:
     """A number from ``low`` to ``high``."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not low <= value <= high:
-        raise UsageError(f"{text!r} is no number from {low:g} to {high:g}; write for instance {example}")
-    return value
+    return within(text, float, low, high, f"number from {low:g} to {high:g}; write for instance {example}")
 
 
 def mask(text: str) -> int:
     """A word of 16 bits in hex."""
-    try:
-        value = int(text, 16)
-    except ValueError:
-        value = -1
-    if not 0 <= value <= 0xFFFF:
-        raise UsageError(f"{text!r} is no word of four hex digits; write for instance 0080")
-    return value
+    return within(text, lambda digits: int(digits, 16), 0, 0xFFFF, "word of four hex digits; write for instance 0080")
 
 
 def switch(text: str) -> bool:
@@ -82,25 +84,22 @@ def octets(text: str) -> tuple[str, bytes]:
     raise UsageError(f"{text!r} is not SLAVE=HEX; write it as 9=00FF")
 
 
-def whole(text: str) -> int:
+def whole(text: str, what: str = "whole number; write for instance 1") -> int:
     """A whole number from 0 (slots, channels)."""
-    value = decimal(text)
-    if value is None:
-        raise UsageError(f"{shortened(text)!r} is no whole number; write for instance 1")
-    return value
+    return within(text, decimal, 0, math.inf, what)
 
 
-def hex_octets(text: str, example: str) -> bytes:
+def hex_octets(text: str, advice: str) -> bytes:
     """Octets in hex."""
     try:
         return parse_hex(text)
     except ValueError as error:
-        raise UsageError(f"{text!r}: {error}; write for instance {example}") from None
+        raise UsageError(f"{text!r}: {error}; {advice}") from None
 
 
 def octet(text: str) -> int:
     """One octet in hex."""
-    found = hex_octets(text, "03")
+    found = hex_octets(text, "write for instance 03")
     if len(found) != 1:
         raise UsageError(f"{text!r} is not one octet; write for instance 03")
     return found[0]

@@ -25,7 +25,7 @@ from dpstack.dp.process_data import as_json
 from dpstack.errors import UsageError
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.sim.io_station import IoStation
-from dpstack.text import decimal, octets_text, shortened
+from dpstack.text import octets_text
 from dpstack.units import ns_to_s
 
 #: a pty that the program makes itself
@@ -209,10 +209,7 @@ def _slave_of(bus: Bus, where: str) -> Slave:
 
 
 def _station(text: str) -> int:
-    number = decimal(text)
-    if number is None:
-        raise UsageError(f"{shortened(text)!r} is no station of the segment; they are numbered from 0")
-    return number
+    return arguments.whole(text, "station of the segment; they are numbered from 0")
 
 
 def _time_ns(args: list[str]) -> int | None:
@@ -290,7 +287,9 @@ _ACTS: Final[dict[str, _Act]] = {
     "mains": _of_drive(lambda drive, text: drive.mains(arguments.switch(text))),
     "link": _of_drive(lambda drive, text: drive.link(arguments.switch(text))),
     "parameter-error": _of_drive(_refuse),
-    "input": _of_station(lambda io, slot, args: io.set_input(slot, arguments.hex_octets(args[0], "01"))),
+    "input": _of_station(
+        lambda io, slot, args: io.set_input(slot, arguments.hex_octets(args[0], "write for instance 01"))
+    ),
     "wire-break": _of_station(
         lambda io, slot, args: io.wire_break(slot, arguments.whole(args[0]), arguments.switch(args[1]))
     ),

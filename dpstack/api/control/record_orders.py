@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.parts import SEARCHING
-from dpstack.api.config.table import parse_hex
+from dpstack.api.control.arguments import hex_octets, within
 from dpstack.api.control.commands import Arguments, Order, Spec, find_word
 from dpstack.api.control.server import LongCommand, Send, kept_alive
 from dpstack.api.lists.record_list import ListedValues
@@ -19,7 +19,7 @@ from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT
 from dpstack.dpv1.pdu.im import Im, Im0
 from dpstack.errors import AcyclicError, BusError, SlaveFault, UsageError
 from dpstack.profile.record47 import Progress
-from dpstack.text import number_or_name, shortened
+from dpstack.text import number_or_name
 
 PARAMETERS: Final = "parameters"
 WORDS: Final = (
@@ -155,25 +155,13 @@ def _plain(record: Im) -> dict[str, object]:
 
 
 def _number(name: str, highest: int, text: str) -> int:
-    try:
-        value = int(text, 0)
-    except ValueError:
-        value = -1
-    if not 0 <= value <= highest:
-        raise UsageError(f"{shortened(text)!r} is no {name}: write a number 0..{highest}, 0x2F for instance")
-    return value
-
-
-def _octets(text: str) -> bytes:
-    try:
-        return parse_hex(text)
-    except ValueError as error:
-        raise UsageError(f"{text!r}: {error}; write octets as 00FF") from None
+    read = functools.partial(int, base=0)
+    return within(text, read, 0, highest, f"{name}: write a number 0..{highest}, 0x2F for instance")
 
 
 #: the names in the usages of :data:`WORDS`, as keyword arguments of the methods of a slave
 _ARGUMENTS: Final[Arguments] = {
-    "HEX": ("data", _octets),
+    "HEX": ("data", functools.partial(hex_octets, advice="write octets as 00FF")),
     **{
         name: (name.lower(), functools.partial(_number, name, highest))
         for name, highest in (("SLOT", MAX_SLOT), ("INDEX", 255), ("LENGTH", MAX_RECORD), ("OBJECT", 255))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import dataclasses
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
@@ -36,7 +35,7 @@ from dpstack.cli.commands.lists import show_comparison, show_dump
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.drawing import progress_bar
-from dpstack.cli.terminal.signals import StopSignal
+from dpstack.cli.terminal.signals import run_to_result
 from dpstack.errors import BusError, SlaveFault, UsageError
 from dpstack.text import octets_text
 
@@ -98,14 +97,14 @@ def execute(args: argparse.Namespace) -> int:
     request = _Request(config, _slave_of(config, args.slave), order, args.order, args.master, args.address)
     if args.order == DUMP:
         with RecordList.file(path, request.slave.name) as file:
-            answer = asyncio.run(request.answer())
+            answer = request.answer()
             read = list_of(answer)
             read.keep(file)
         unreadable = [one.as_dict() for one in read.unreadable]
         show_dump(_who(answer), read, _head(answer, args), unreadable, json=args.json)
     elif args.order == COMPARE:
         saved = RecordList.load(path)
-        answer = asyncio.run(request.answer())
+        answer = request.answer()
         found = compared(list_of(answer), saved, read_only=args.all, where=path)
         differences = [
             {"file": one.saved.as_dict(), "device": one.found.as_dict(), "elements": list(one.elements)}
@@ -114,7 +113,7 @@ def execute(args: argparse.Namespace) -> int:
         skipped = [{"number": one.number, "reason": why} for one, why in found.skipped]
         return show_comparison(_who(answer), found, _head(answer, args), differences, skipped, json=args.json)
     else:
-        answer = asyncio.run(request.answer())
+        answer = request.answer()
         output.json_line(answer) if args.json else _show(answer)
     return 0
 
@@ -138,10 +137,10 @@ class _Request(NamedTuple):
     master: int
     own: int | None
 
-    async def answer(self) -> Mapping[str, Any]:
+    def answer(self) -> Mapping[str, Any]:
         """The answer to the order. Raises BusError where a signal ended the command first."""
-        with StopSignal() as stop, progress_bar(f"{self.order.word} of {self.slave.name}") as progress:
-            return await stop.result_of(self._carry_out(progress), f"{self.word} was done")
+        with progress_bar(f"{self.order.word} of {self.slave.name}") as progress:
+            return run_to_result(self._carry_out(progress), f"{self.word} was done")
 
     async def _carry_out(self, progress: OnProgress) -> Mapping[str, Any]:
         answer = await through_run(self.config, self.slave.address, self.order, progress, master=self.master)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 
 from dpstack.api.bus.live_list import joined
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
-from dpstack.cli.terminal.signals import StopSignal
+from dpstack.cli.terminal.signals import run_to_result
 
 
 def add_to(parser: Parser) -> None:
@@ -26,22 +25,19 @@ def add_to(parser: Parser) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 when the slave does not have the new address afterwards."""
     on_bus.check_port(args)
-    return asyncio.run(_run(args))
-
-
-async def _run(args: argparse.Namespace) -> int:
-    async def change() -> int:
-        make_bus = on_bus.bus_maker(args, await on_bus.rate_of(args))
-        async with joined(make_bus, args.address, avoid=(args.old, args.new)) as bus:
-            found = await bus.class2.set_address(args.old, args.new, ident=args.ident, no_change=args.no_change)
-            return found.ident
-
-    with StopSignal() as stop:
-        ident = await stop.result_of(
-            change(), f"the address was changed and verified: look for the slave at {args.old} and {args.new}"
-        )
+    ident = run_to_result(
+        _change(args), f"the address was changed and verified: look for the slave at {args.old} and {args.new}"
+    )
     if args.json:
         output.json_line({"old": args.old, "new": args.new, "ident": f"0x{ident:04X}", "no_change": args.no_change})
     else:
         output.line(f"slave {args.old} has address {args.new} now: ident 0x{ident:04X}, verified there")
     return 0
+
+
+async def _change(args: argparse.Namespace) -> int:
+    """Give the slave its new address. Returns its ident number."""
+    make_bus = on_bus.bus_maker(args, await on_bus.rate_of(args))
+    async with joined(make_bus, args.address, avoid=(args.old, args.new)) as bus:
+        found = await bus.class2.set_address(args.old, args.new, ident=args.ident, no_change=args.no_change)
+        return found.ident

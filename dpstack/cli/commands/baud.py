@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 
 from dpstack.api.bus.find_baud import SILENCE_S, find_baud
 from dpstack.cli import options
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
-from dpstack.cli.terminal.signals import StopSignal
+from dpstack.cli.terminal.signals import run_to_result
 
 
 def add_to(parser: Parser) -> None:
@@ -27,12 +26,7 @@ def add_to(parser: Parser) -> None:
 
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 when the rate is not found."""
-    return asyncio.run(_run(args))
-
-
-async def _run(args: argparse.Namespace) -> int:
-    with StopSignal() as stop:
-        report = await stop.result_of(find_baud(args.port, timeout=args.timeout), "the baud rate was found")
+    report = run_to_result(find_baud(args.port, timeout=args.timeout), "the baud rate was found")
     if args.json:
         output.json_line(report.as_dict())
     elif report.baud is not None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 
 from dpstack.api.bus.events_json import Found
 from dpstack.api.bus.live_list import LiveListResult, config_skeleton, drive_of, scan_port
 from dpstack.cli.commands import on_bus
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
-from dpstack.cli.terminal.signals import StopSignal
+from dpstack.cli.terminal.signals import run_to_result
 from dpstack.units import baud_text
 
 
@@ -24,21 +23,17 @@ def add_to(parser: Parser) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 when no station answers."""
     on_bus.check_port(args)
-    return asyncio.run(_run(args))
-
-
-async def _run(args: argparse.Namespace) -> int:
-    async def scan() -> LiveListResult:
-        make_bus = on_bus.bus_maker(args, await on_bus.rate_of(args), read_only=True)
-        return await scan_port(make_bus, address=args.address, configs=args.config)
-
-    with StopSignal() as stop:
-        result = await stop.result_of(scan(), "the live list was complete")
+    result = run_to_result(_scan(args), "the live list was complete")
     _show(result, args)
     if result.stations:
         return 0
     output.warn(on_bus.nobody_text(result.baud))
     return 1
+
+
+async def _scan(args: argparse.Namespace) -> LiveListResult:
+    make_bus = on_bus.bus_maker(args, await on_bus.rate_of(args), read_only=True)
+    return await scan_port(make_bus, address=args.address, configs=args.config)
 
 
 def _show(result: LiveListResult, args: argparse.Namespace) -> None:

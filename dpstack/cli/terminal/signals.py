@@ -103,13 +103,6 @@ class StopSignal:
             self._at = self._clock()
         self._loop.call_soon_threadsafe(self._event.set)
 
-    async def result_of(self, work: Coroutine[object, object, _T], before: str) -> _T:
-        """The result of ``work``. Raises BusError ("ended before ...") where a signal ended it first."""
-        task = asyncio.ensure_future(work)
-        if not await self.or_done(task):
-            raise BusError(f"ended before {before}")
-        return task.result()
-
     async def or_done(self, work: Awaitable[object]) -> bool:
         """Wait until ``work`` is done (True; raises its exception) or the first signal (False; cancels it)."""
         task = asyncio.ensure_future(work)
@@ -124,6 +117,19 @@ class StopSignal:
             for each in (task, waiting):
                 each.cancel()
             await asyncio.gather(task, waiting, return_exceptions=True)
+
+
+def run_to_result(work: Coroutine[object, object, _T], before: str) -> _T:
+    """Run ``work``. Returns its result. Raises BusError ("ended before ...") where a signal ended it first."""
+
+    async def run() -> _T:
+        with StopSignal() as stop:
+            task = asyncio.ensure_future(work)
+            if not await stop.or_done(task):
+                raise BusError(f"ended before {before}")
+            return task.result()
+
+    return asyncio.run(run())
 
 
 def _leave(why: str) -> None:
