@@ -151,7 +151,7 @@ class Plant:
         self.setups = setups(self.slaves)
         self.master = Master(self.params, self.setups, MasterSettings(cycle_ns=self.cycle_ns, watchdog_ms=2_000))
         users: list[LinkUser] = [self.master, acyclic_services(_OWN, self.master)]
-        self._station = ActiveStation(self.params, users, budget=self.master.budget)
+        self._station = ActiveStation(self.params, users, window=self.master.window)
         self.world.add(self._station, on_events=self._on_events)
         self.world.command(self._station, GoOnline())
         self.world.command(self._station, SetMode(Mode.OPERATE))

@@ -62,7 +62,7 @@ async def over_pty(slaves: int, seconds: float) -> float:
     port = PtyPort(_PTY_BAUD)
     patience = patience_of(port)
     setups = [SlaveParams(address=_FIRST + i, name=f"s{i}", ident=0x0696, config=b"\xf3\xf1") for i in range(slaves)]
-    master = Master(params, setups, MasterSettings(watchdog_ms=5_000, absent_share=patience.unknown_share))
+    master = Master(params, setups, MasterSettings(watchdog_ms=5_000, absent_divisor=patience.unknown_divisor))
     handlers = master.handlers.values()
     up = asyncio.Event()
 

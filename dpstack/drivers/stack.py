@@ -98,7 +98,7 @@ class Stack:
         users: list[LinkUser] = [master] if self._watcher is None else [master, self._watcher]
         users.append(acyclic_services(params.address, master))
         guard = reading_only if read_only else None
-        self.station = station = ActiveStation(params, users, patience=spec.patience, guard=guard, budget=master.budget)
+        self.station = station = ActiveStation(params, users, patience=spec.patience, guard=guard, window=master.window)
         master.context.ring = lambda: station.las
 
     @property
@@ -149,8 +149,8 @@ class Stack:
             link=station.stats,
             decoder=station.decoder_stats,
             cycles=master.cycles,
-            held_back=master.budget.held_back,
-            forced=master.budget.forced,
+            held_back=master.window.held_back,
+            forced=master.window.forced,
             damage=line.damage(),
         )
 

@@ -8,8 +8,9 @@ from dpstack.fdl.telegram import StationType
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ms_text
 
-#: a request that fits into no gap waits for so many cycles; one cycle in so many may begin late because of it
-PATIENCE: Final = 8
+#: a request that is too long for every time window between two cycles waits for this many cycles; then the station
+#: sends it, at most one such request in this many cycles
+HELD_BACK_CYCLES: Final = 8
 
 
 class RingJoined(Event):
@@ -39,7 +40,7 @@ class MasterSeen(Event):
 
     address: int
     present: bool
-    #: it was in the ring before this station: nobody knows when it joined
+    #: it was in the ring before this station, so the time of its joining is unknown
     before: bool = False
 
     def _text(self) -> str:
@@ -91,7 +92,7 @@ def le3_notice(source: str, sender: int, now: int) -> Notice:
 class DoesNotFit(Event):
     """A request that fits between no two cycles was sent after its wait; reported once for each service.
 
-    ``takes_ns``: the longest it can take; ``slack_ns``: what the port's slack is in each of its slot times.
+    ``takes_ns``: its longest duration; ``slack_ns``: the port's slack in each of its slot times.
     """
 
     service: str
@@ -105,5 +106,5 @@ class DoesNotFit(Event):
         return (
             f"{self.service} to station {self.address} fits between no two cycles: it can take "
             f"{ms_text(self.takes_ns)} (silence and repetitions{slack}); such requests go out in every "
-            f"{PATIENCE}th cycle at most, and the next one may begin late; {less} makes room"
+            f"{HELD_BACK_CYCLES}th cycle at most, and the next one may begin late; {less} makes room"
         )

@@ -34,7 +34,7 @@ _BUSY_POLLS: Final = 50
 
 def live_allowance(params: BusParams, patience: Patience, now: int) -> Allowance:
     """The bus time for silent polls of a live list beside data exchange: half of the share that the patience allows."""
-    return Allowance(_SHARES * patience.unknown_share, patience.silent_ns(params), now)
+    return Allowance(_SHARES * patience.unknown_divisor, patience.silent_ns(params), now)
 
 
 class LongLook(NamedTuple):

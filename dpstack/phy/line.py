@@ -33,7 +33,7 @@ class Line:
         # stalled only after the pause that would end it (T_SYN = 33 bits = three characters).
         self.t_stall_ns = params.ns(3 * BITS_PER_CHAR)
 
-    def heard(self, now: int) -> None:
-        """Octets or an edge were on the line until ``now``."""
+    def note_activity(self, now: int) -> None:
+        """Silence begins anew: octets or an edge were on the line until ``now``."""
         if now > self.idle_since:
             self.idle_since = now

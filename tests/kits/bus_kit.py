@@ -67,7 +67,7 @@ class SimBus:
         self.master = Master(self.params, setups, MasterSettings(watchdog_ms=self.watchdog_ms, cycle_ns=self.cycle_ns))
         self.acyclic = acyclic_services(self.params.address, self.master)
         self.station = ActiveStation(
-            self.params, [self.master, self.acyclic], budget=self.master.budget, now=self.world.now
+            self.params, [self.master, self.acyclic], window=self.master.window, now=self.world.now
         )
         self.world.add(self.station, on_events=self.on_events)
         self.send(GoOnline())

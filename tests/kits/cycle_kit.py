@@ -59,7 +59,7 @@ class CycleBus:
         )
         users = [self.master, *self.more]
         self.station = ActiveStation(
-            self.params, users, patience=self.patience, budget=self.master.budget, now=self.world.now
+            self.params, users, patience=self.patience, window=self.master.window, now=self.world.now
         )
         self.station.wire = self.wire.append
         self.world.add(self.station, on_events=self.events.extend)

@@ -235,7 +235,7 @@ def test_without_knowing_how_late_it_sends_the_idle_times_would_be_cut(world: Wo
 def test_the_users_own_slack_leaves_the_port_as_it_is(world: WorldFactory) -> None:
     patience = slack(40 * MS, ADAPTER)
     assert patience == Patience(
-        known_ns=40 * MS, unknown_ns=40 * MS, unknown_share=100, stall_ns=40 * MS, sending_ns=ADAPTER.sending_ns
+        known_ns=40 * MS, unknown_ns=40 * MS, unknown_divisor=100, stall_ns=40 * MS, sending_ns=ADAPTER.sending_ns
     )
     AdapterBus(world(), 500_000, FTDI, patience).bring_up()
 

@@ -138,7 +138,7 @@ def test_a_fixed_cycle_begins_no_later_than_the_plan_says(world: WorldFactory, c
         for setup in slaves:
             w.add(make_slave(setup.address, MirrorDevice(IDENT, setup.config), own, t_sdr=90))
         masters.append(Master(own, slaves, MasterSettings(watchdog_ms=650_000, cycle_ns=0 if number else cycle_ns)))
-        station = ActiveStation(own, [masters[-1]], budget=masters[-1].budget, now=w.now)
+        station = ActiveStation(own, [masters[-1]], window=masters[-1].window, now=w.now)
         w.add(station)
         w.command(station, GoOnline())
         w.command(station, SetMode(Mode.OPERATE))

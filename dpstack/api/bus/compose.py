@@ -135,7 +135,7 @@ def compose(
         slaves=config.slave_params,
         master=MasterSettings(
             watchdog_ms=plan.watchdog_ms,
-            absent_share=patience.unknown_share,
+            absent_divisor=patience.unknown_divisor,
             auto_clear=config.bus.auto_clear,
             data_control_ns=config.bus.data_control_time_ms * NS_PER_MS,
             safe_after_stall=config.bus.after_stall == SAFE,

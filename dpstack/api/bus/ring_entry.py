@@ -26,7 +26,7 @@ def pass_ns(params: BusParams, patience: Patience) -> int:
     and one pass over every address up to HSA. (Only the slot time of each poll is counted.)"""
     cost_ns = patience.silent_ns(params)
     polls = params.hsa + 1
-    return params.gap * params.ns(params.t_tr) + polls * cost_ns * max(1, patience.gap_share(polls, cost_ns))
+    return params.gap * params.ns(params.t_tr) + polls * cost_ns * max(1, patience.gap_divisor(polls, cost_ns))
 
 
 def join_limit_s(params: BusParams, patience: Patience) -> float:

@@ -235,7 +235,7 @@ class Round:
             handler.restart |= request.restart
             self._turns.held_back(handler)
         else:
-            self._controls.held_back(self._cadence.budget.next_at)
+            self._controls.held_back(self._cadence.window.next_at)
 
     def cut(self, now: int) -> None:
         """Whatever is under way is over: a whole round follows, on no grid."""

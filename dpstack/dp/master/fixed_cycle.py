@@ -120,14 +120,14 @@ _OPEN: Final = -1
 
 
 class Cadence:
-    """The grid of the fixed cycle, or none. ``budget`` is for the link layer, :attr:`book` for everybody.
+    """The grid of the fixed cycle, or none. ``window`` is for the link layer, :attr:`book` for everybody.
 
     ``number`` of the last round, ``started_at`` its first bit, ``due_at`` when that was due.
     """
 
     def __init__(self, context: MasterContext) -> None:
         self.book = CycleStats(context.settings.cycle_ns)
-        self.budget = CycleWindow()
+        self.window = CycleWindow()
         self.number = 0
         self.started_at = 0
         self.due_at = 0
@@ -159,7 +159,7 @@ class Cadence:
             self._miss(self._find_cause(), left_out, late, self.number + 1, now, left_out=True)
             self.number += left_out
             self._next += left_out * cycle_ns
-            self.budget.next_at = self._next
+            self.window.next_at = self._next
         return now >= self._next
 
     def begin(self, now: int, *, fixed: bool, interval: int) -> None:
@@ -172,7 +172,7 @@ class Cadence:
             self.due_at = self._next if going else _OPEN
             self._cause = self._find_cause()
             self._next = (self.due_at if going else now) + cycle_ns
-            self.budget.begin(self._next)
+            self.window.begin(self._next)
         elif self._next != NEVER:
             self.stop(now)
 
@@ -185,7 +185,7 @@ class Cadence:
         book = self.book
         if self.due_at == _OPEN:
             self.due_at = at
-            self.budget.next_at = self._next = at + book.cycle_ns
+            self.window.next_at = self._next = at + book.cycle_ns
         late = at - self.due_at
         book.begun += 1
         book.late.add(late)
@@ -200,15 +200,15 @@ class Cadence:
 
     def pause(self, until: int) -> None:
         """The round goes on at ``until``: the token may go round so long."""
-        self.budget.next_at = min(until, self._next)
+        self.window.next_at = min(until, self._next)
 
     def resume(self) -> None:
-        self.budget.next_at = self._next
+        self.window.next_at = self._next
 
     def stop(self, now: int) -> None:
         """No more rounds on this grid."""
         self._next = NEVER
-        self.budget.end()
+        self.window.end()
         self._report_all(now)
 
     def forget(self) -> None:
@@ -230,11 +230,11 @@ class Cadence:
         """Why the cycle that is due could not begin."""
         if self._over_at > self._next:
             return MissReason.OVERRUN, f"the round before took {ms_text(self._over_at - self.started_at)}"
-        if self.budget.overdrawn:
-            return MissReason.NO_ROOM, f"{self.budget.overdrawn} fits between no two cycles and was sent before"
-        if self.budget.silent:
-            return MissReason.SILENCE, f"{self.budget.silent} was not answered"
-        if not self.budget.alone:
+        if self.window.forced_service:
+            return MissReason.NO_ROOM, f"{self.window.forced_service} fits between no two cycles and was sent before"
+        if self.window.unanswered:
+            return MissReason.SILENCE, f"{self.window.unanswered} was not answered"
+        if not self.window.alone:
             return MissReason.TOKEN, "the token came late from another master"
         return MissReason.LATE, "this computer or its port was late"
 

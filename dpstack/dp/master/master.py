@@ -41,7 +41,7 @@ class Master:
     """A DP class 1 master over ``slaves``. Starts in Clear, or in Stop where the bus is read-only.
 
     ``on_round(now)`` is called at the end of every round with data exchange, after :attr:`cycle` was published. With a
-    fixed cycle give :attr:`budget` to the station. Raises ConfigError.
+    fixed cycle give :attr:`window` to the station. Raises ConfigError.
     """
 
     def __init__(
@@ -84,9 +84,9 @@ class Master:
         return self._cadence.book
 
     @property
-    def budget(self) -> CycleWindow:
-        """What keeps everything else out of the cycles: for the station (``ActiveStation(budget=...)``)."""
-        return self._cadence.budget
+    def window(self) -> CycleWindow:
+        """The time window for acyclic requests: for the station (``ActiveStation(window=...)``)."""
+        return self._cadence.window
 
     @property
     def images(self) -> dict[int, SlaveImage]:

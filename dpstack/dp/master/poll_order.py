@@ -72,17 +72,17 @@ class Turns:
 
     ``interval``: the shortest time in ns between the beginnings of two rounds, by the Min_Slave_Interval of those that
     are spoken with (docs/protocol.md#min-slave-interval); ``interval_all``: the same beside a round that leaves nobody
-    out. ``absent_share``: while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share
-    of the bus time, and so do those among them that are waited for with patience, on an account of their own: they hold
-    up others no longer than any poll, and the first one of a slave that fell silent costs no more than its last
-    exchange. 0 = no limit.
+    out. ``absent_divisor``: while any slave is in data exchange, silent polls of absent slaves take at most
+    1/absent_divisor of the bus time. Polls of absent slaves that wait with patience have the same share on an account
+    of their own: they hold up others no longer than any poll, and the first one of a slave that fell silent costs no
+    more than its last exchange. 0 = no limit.
     """
 
     def __init__(self, context: MasterContext, handlers: Mapping[int, SlaveHandler]) -> None:
         self.rates = RateTurns(context.params)
         self.exchanging: list[SlaveHandler] = []
         self.interval = self.interval_all = 0
-        self._absent_share = context.settings.absent_share
+        self._absent_share = context.settings.absent_divisor
         self._handlers = handlers
         self._services: deque[SlaveHandler] = deque()
         self._stale = True

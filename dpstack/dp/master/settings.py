@@ -16,8 +16,8 @@ from dpstack.units import NS_PER_S
 class MasterSettings:
     """``watchdog_ms`` is the default of slaves without a watchdog time of their own.
 
-    ``absent_share``: while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of
-    the bus time; 0 = no limit. ``auto_clear``: to Clear when a slave had no good data exchange for
+    ``absent_divisor``: while any slave is in data exchange, silent polls of absent slaves take at most
+    1/absent_divisor of the bus time; 0 = no limit. ``auto_clear``: to Clear when a slave had no good data exchange for
     ``data_control_ns``. ``safe_after_stall``: to Clear before anything is sent after a time in which a slave was not
     asked for longer than its watchdog. ``application_watchdog_ns``: to Clear when
     :class:`~dpstack.dp.master.commands.Alive` did not come for so long in Operate; 0 is off. ``read_only``: the master
@@ -28,7 +28,7 @@ class MasterSettings:
     """
 
     watchdog_ms: int = 200
-    absent_share: int = 0
+    absent_divisor: int = 0
     auto_clear: bool = False
     data_control_ns: int = NS_PER_S  # the standard's default
     safe_after_stall: bool = True

@@ -268,7 +268,7 @@ class SearchingSlave(Searching):
     # --- inside ---
     def _found(self, params: BusParams, now: int) -> None:
         super()._found(params, now)
-        self.station.line.heard(now)
+        self.station.line.note_activity(now)
 
     def _event(self, baud: int | None, now: int) -> Event:
         name = self.app.device.name

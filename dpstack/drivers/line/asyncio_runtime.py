@@ -21,7 +21,7 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
 
     blocked_by = "the program did not let its event loop run, or was stopped,"
     _loop: asyncio.AbstractEventLoop | None = None  # set by open()
-    _quiet_until = 0  # the port delivers nothing before this time; the timer ends it
+    _sleep_until = 0  # the port delivers nothing before this time; the timer ends it
     _reopening: asyncio.Task[None] | None = None
     _left: str | None = None  # why it no longer runs although it was not closed
     #: a real bus cannot fall behind real time
@@ -76,31 +76,31 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
         self._left = IN_PARENT
         super().forsake()
 
-    def _expect(self, at: int, quiet_until: int) -> None:
-        if quiet_until:
-            if not self._quiet_until and not self._port.hush(True):
+    def _expect(self, at: int, sleep_until: int) -> None:
+        if sleep_until:
+            if not self._sleep_until and not self._port.hush(True):
                 return
-            if quiet_until < self._armed:
-                self._arm(quiet_until)
-        elif self._quiet_until:
+            if sleep_until < self._armed:
+                self._arm(sleep_until)
+        elif self._sleep_until:
             self._port.hush(False)
-        self._quiet_until = quiet_until
+        self._sleep_until = sleep_until
 
     def _timer_due(self) -> None:
-        quiet_until = self._quiet_until
-        if not quiet_until:
+        sleep_until = self._sleep_until
+        if not sleep_until:
             super()._timer_due()
-        elif min(quiet_until, self._deadline) - monotonic_ns() > self._early_ns:
-            self._arm(min(quiet_until, self._deadline))
-        elif quiet_until < self._deadline:
+        elif min(sleep_until, self._deadline) - monotonic_ns() > self._early_ns:
+            self._arm(min(sleep_until, self._deadline))
+        elif sleep_until < self._deadline:
             self._armed = NEVER  # before the step, which may arm it again
-            self._quiet_until = 0
+            self._sleep_until = 0
             self._port.hush(False)
             self._step(self._drain())
         else:
             super()._timer_due()
-            if self._quiet_until and self._quiet_until < self._armed:
-                self._arm(self._quiet_until)
+            if self._sleep_until and self._sleep_until < self._armed:
+                self._arm(self._sleep_until)
 
     def _count_spinning(self, spun_ns: int, now: int) -> None:
         """Spinning is limited only in a process with real-time priority."""

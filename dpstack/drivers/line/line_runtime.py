@@ -13,7 +13,7 @@ from functools import partial
 from time import monotonic_ns
 from typing import Final
 
-from dpstack.drivers.line.answer_timing import Answers
+from dpstack.drivers.line.answer_timing import AnswerTiming
 from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.drivers.line.port_latency import PortLatency, Tune
 from dpstack.drivers.line.rate import BACKOFF_NS, LONGEST, NoRateError, ReopenAttempts, follow, wire_times
@@ -94,7 +94,7 @@ class LineRuntime(ABC):
         self._timer: Timer | None = None
         self._armed = NEVER  # the deadline the timer waits for: never later than _deadline
         self._deadline = NEVER
-        self._answers = Answers()
+        self._answers = AnswerTiming()
         self._tolerated: set[str] = set()  # notices of the port that were reported, once for all openings
         self._pending_step: Pending | None = None
         self._wire_ns = wire_times(port)
@@ -126,9 +126,9 @@ class LineRuntime(ABC):
         """Report a defect in the way of the loop."""
 
     @abstractmethod
-    def _expect(self, at: int, quiet_until: int) -> None:
+    def _expect(self, at: int, sleep_until: int) -> None:
         """After a transmission: the answer should be complete at ``at`` (ns, NEVER: unknown). Octets that arrive before
-        ``quiet_until`` need not wake the loop (0: they shall)."""
+        ``sleep_until`` need not wake the loop (0: they shall)."""
 
     @abstractmethod
     def _count_spinning(self, spun_ns: int, now: int) -> None:
@@ -208,7 +208,7 @@ class LineRuntime(ABC):
                 chunk, now = self._read_before_deadline(chunk, now)
             arrived = now
             if chunk:
-                heard = self._answers.heard(len(chunk), now)
+                heard = self._answers.received(len(chunk), now)
                 if heard:
                     sent_at, self.lateness.sent_at = self.lateness.sent_at, 0
             while True:
@@ -235,7 +235,7 @@ class LineRuntime(ABC):
             self._deadline = deadline
             self._stepped_at = now
             if sent_at:
-                self.lateness.heard(sent_at, self._wire_ns[min(heard, LONGEST - 1)], arrived)
+                self.lateness.add_answer(sent_at, self._wire_ns[min(heard, LONGEST - 1)], arrived)
             events = machine.take_events()
         except NoRateError as exc:
             self._lost(str(exc))
@@ -278,7 +278,7 @@ class LineRuntime(ABC):
             self._dropped()
         end = self.lateness.sent_at = monotonic_ns() + self._wire_ns[len(octets)]
         answers = self._answers
-        self._expect(answers.sent(octets, end), answers.quiet_until)
+        self._expect(answers.sent(octets, end), answers.sleep_until)
         return end
 
     def _arm(self, deadline: int) -> None:

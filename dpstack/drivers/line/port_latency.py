@@ -38,7 +38,7 @@ class PortLatency:
         self._tune = tune
         self._due = FIRST
 
-    def heard(self, sent_at: int, wire_ns: int, now: int) -> None:
+    def add_answer(self, sent_at: int, wire_ns: int, now: int) -> None:
         """The port delivered octets of duration ``wire_ns`` at ``now``, after a transmission that ended at ``sent_at``.
 
         The caller sets the attribute ``sent_at`` to 0 when they arrive, and may call this after its next request.

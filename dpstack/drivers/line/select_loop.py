@@ -34,9 +34,9 @@ from dpstack.units import NEVER, NS_PER_S, NS_PER_US
 _LEAD_NS: Final = 40 * NS_PER_US
 _LEAST_LEAD_NS: Final = 15 * NS_PER_US
 _MOST_LEAD_NS: Final = 90 * NS_PER_US
-#: A wake-up that was less late than the lead shortens it by this; a later one lengthens it by nine times this.
-_LESSON_NS: Final = NS_PER_US // 2
-_LESSONS: Final = 9
+#: A wake-up that was less late than the lead shortens it by one step; a later one lengthens it by nine steps.
+_LEAD_STEP_NS: Final = NS_PER_US // 2
+_LEAD_STEPS_UP: Final = 9
 
 #: select's own limit (FD_SETSIZE)
 _MOST_FDS: Final = 1024
@@ -97,7 +97,7 @@ class SelectLoop:
         self._read_fds: list[int] = []
         self._write_fds: list[int] = []
         self._quiet_fd: int | None = None
-        self._quiet_until = 0
+        self._sleep_until = 0
         self._poll = select.poll()
         self._soon: deque[_Soon] = deque()
         self._alarms: list[Alarm] = []
@@ -165,7 +165,7 @@ class SelectLoop:
         A loop that is awake for another reason still calls the reader.
         """
         self._quiet_fd = fd
-        self._quiet_until = until
+        self._sleep_until = until
 
     def call_at(self, at: int, callback: Callable[[], object]) -> Alarm:
         """Call once at ``at`` (CLOCK_MONOTONIC, ns)."""
@@ -283,8 +283,8 @@ class SelectLoop:
         lead = self._lead_ns
         target = due - lead if due - lead > now and budget.may_spin(due) else due
         read_fds = self._read_fds
-        if now < self._quiet_until < target:
-            target = self._quiet_until
+        if now < self._sleep_until < target:
+            target = self._sleep_until
             read_fds = [fd for fd in read_fds if fd != self._quiet_fd]
         timeout = None if target == NEVER else max(0, target - now) / NS_PER_S
         try:
@@ -295,7 +295,7 @@ class SelectLoop:
         woke = monotonic_ns()
         budget.slept(woke - now, woke)
         if woke >= target:
-            lead += _LESSONS * _LESSON_NS if woke - target > lead else -_LESSON_NS
+            lead += _LEAD_STEPS_UP * _LEAD_STEP_NS if woke - target > lead else -_LEAD_STEP_NS
             self._lead_ns = min(max(lead, _LEAST_LEAD_NS), _MOST_LEAD_NS)
         return self._poll.poll(0) if writable else [(fd, select.POLLIN) for fd in readable]
 

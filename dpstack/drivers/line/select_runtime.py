@@ -67,10 +67,10 @@ class SelectRuntime(LineRuntime):
         self._end(was_open)
 
     # --- waiting ---
-    def _expect(self, at: int, quiet_until: int) -> None:
+    def _expect(self, at: int, sleep_until: int) -> None:
         loop = self._loop
         loop.expected_at = at
-        loop.hush(self._port.fd, quiet_until)
+        loop.hush(self._port.fd, sleep_until)
 
     def _count_spinning(self, spun_ns: int, now: int) -> None:
         budget = self._loop.budget

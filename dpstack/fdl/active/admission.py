@@ -30,20 +30,21 @@ class Admission:
     line: ActiveLine
     ring: Ring
     peers: Peers
-    budget: CycleWindow
+    window: CycleWindow
     events: list[Event]
-    #: services (SAPs) that were reported to fit into no gap
+    #: SAPs of services that the station has reported as too long for every window
     _reported: set[int | None] = field(default_factory=set)
 
     def admits(self, request: Request, now: int, then_ns: int = 0) -> bool:
-        """Whether a request that is no part of the cycle may be sent now; ``then_ns``: what has to follow it."""
-        budget = self.budget
+        """Whether the station may send a request that is no part of the cycle now; ``then_ns``: time of the telegrams
+        that have to follow it."""
+        window = self.window
         until = self.ends_at(request, now) + then_ns
-        if not budget.admits((request.function, request.da, request.dsap), until):
+        if not window.admits((request.function, request.da, request.dsap), until):
             return False
-        if until > budget.next_at:
+        if until > window.next_at:
             name = request_name(request)
-            budget.overdraw(f"{name} to station {request.da}")
+            window.set_forced(f"{name} to station {request.da}")
             if request.dsap not in self._reported:
                 self._reported.add(request.dsap)
                 slack_ns = self.times.patience.unknown_ns if self.waits_long(request) else 0
@@ -53,9 +54,9 @@ class Admission:
         return True
 
     def unanswered(self, request: Request, now: int) -> None:
-        """Nobody answered ``request``: note for people whether that ran into the next cycle."""
-        if now > self.budget.next_at:
-            self.budget.ran_over(f"{request_name(request)} to station {request.da}")
+        """No station answered ``request``: note the service if its time-out ended after the next cycle was due."""
+        if now > self.window.next_at:
+            self.window.set_unanswered(f"{request_name(request)} to station {request.da}")
 
     def waits_long(self, request: Request) -> bool:
         """Whether the answer to ``request`` gets the slack of a station whose silence would be news."""
@@ -100,7 +101,7 @@ class Admission:
         follows) and T_ID1 have to fit in: as long as there is room, and never so short that an answer could still be on
         the wire. One that is later than that is recognised.
         """
-        times, next_at = self.times, self.budget.next_at
+        times, next_at = self.times, self.window.next_at
         longest = at + times.slot_unknown_ns + (self._extra_ns(request) if request.extra_ns else 0)
         then_ns += self.line.t_id1_ns
         if next_at >= longest + then_ns:

@@ -1,25 +1,27 @@
-"""The rule that keeps everything else out of a fixed cycle: which requests may still start before the next cycle.
+"""The time window between two fixed cycles: which acyclic requests the station may still start before the next cycle.
 
-The DP master sets the time of the next cycle (:attr:`CycleWindow.next_at`). A request that is no part of the cycle
-itself (diagnosis, bring-up, class 2, live list, GAP polls, repeated Global_Control) starts only when its longest course
-ends before that (``ends_at`` in :mod:`dpstack.fdl.active.admission`: slot times, repetitions, the usual lateness of the
-port); otherwise its user gets HELD_BACK and asks again. A request that fits into no gap goes out all the same, the
-longest waiting first, in every eighth cycle at most; the DP master counts the start that it may delay.
+The DP master sets the time of the next cycle (:attr:`CycleWindow.next_at`). The station starts a request that is no
+part of the cycle (diagnosis, bring-up, class 2, live list, GAP polls, repeated Global_Control) only when that request
+ends before the next cycle in the worst case: slot times, repetitions, the usual lateness of the port
+(:class:`dpstack.fdl.active.admission.Admission`). Otherwise its user gets HELD_BACK and asks again. A request that is
+too long for every window is forced: after :data:`HELD_BACK_CYCLES` cycles the station sends it although the next
+cycle may begin late. The station forces the longest waiting request first, and at most one in as many cycles. The DP
+master counts the cycles that begin late.
 """
 
 from __future__ import annotations
 
-from dpstack.fdl.events import PATIENCE
+from dpstack.fdl.events import HELD_BACK_CYCLES
 from dpstack.units import NEVER
 
-#: function, DA and DSAP of a request that waits
-Key = tuple[int, int, int | None]
+#: function, DA and DSAP of a request that is held back
+RequestKey = tuple[int, int, int | None]
 
 
 class CycleWindow:
-    """``next_at``: when the next cycle is due, in ns; NEVER: there is none, and everything fits.
+    """``next_at``: when the next cycle is due, in ns; NEVER without fixed cycles, so that every request fits.
 
-    ``held_back`` counts the waits (once for each request and cycle), ``forced`` what was sent without fitting in.
+    ``held_back`` counts the refusals (one for each request and cycle), ``forced`` the forced requests.
     """
 
     def __init__(self) -> None:
@@ -28,42 +30,42 @@ class CycleWindow:
         self.forced = 0
         #: no other master is in the ring, as far as the link layer knows
         self.alone = True
-        #: a service that was sent in this cycle without fitting in, for people
-        self.overdrawn = ""
-        #: a service that ran into the next cycle because nobody answered it, for people
-        self.silent = ""
+        #: name of the service that was forced in this cycle, for messages; empty without one
+        self.forced_service = ""
+        #: name of the service whose missing answer delayed the next cycle, for messages; empty without one
+        self.unanswered = ""
         self._cycle = 0
-        self._forced_in = -PATIENCE
-        #: the cycles of the first and of the last wait
-        self._waiting: dict[Key, tuple[int, int]] = {}
+        self._forced_in = -HELD_BACK_CYCLES
+        #: numbers of the cycles in which the request was first and last held back
+        self._waiting: dict[RequestKey, tuple[int, int]] = {}
 
     def begin(self, next_at: int) -> None:
         """A cycle begins; the next one is due at ``next_at``."""
         self._cycle += 1
         self.next_at = next_at
-        self.overdrawn = self.silent = ""
+        self.forced_service = self.unanswered = ""
 
     def end(self) -> None:
-        """There are no cycles for now."""
+        """The fixed cycles have stopped."""
         self.next_at = NEVER
-        self.overdrawn = self.silent = ""
+        self.forced_service = self.unanswered = ""
         self._waiting.clear()
 
     def set_alone(self, alone: bool) -> None:
         self.alone = alone
 
-    def overdraw(self, service: str) -> None:
-        """``service`` is sent in this cycle without fitting in."""
-        self.overdrawn = service
+    def set_forced(self, service: str) -> None:
+        """The station sends ``service`` in this cycle although it may end after the next one is due."""
+        self.forced_service = service
 
-    def ran_over(self, service: str) -> None:
-        """Nobody answered ``service``, and that took until after the next cycle was due."""
-        self.silent = service
+    def set_unanswered(self, service: str) -> None:
+        """No station answered ``service``, and its last time-out ended after the next cycle was due."""
+        self.unanswered = service
 
-    def admits(self, key: Key, ends_at: int) -> bool:
-        """Whether what lasts until ``ends_at`` at the longest may be started now; if not it waits.
+    def admits(self, key: RequestKey, ends_at: int) -> bool:
+        """Whether the station may now start a request that ends at ``ends_at`` (ns) at the latest.
 
-        Afterwards ``ends_at`` > ``next_at`` says that it does not fit in and is sent because it waited long enough.
+        True with ``ends_at`` > ``next_at``: the request is forced. False: it is held back.
         """
         if ends_at <= self.next_at:
             if self._waiting:
@@ -72,9 +74,9 @@ class CycleWindow:
         cycle = self._cycle
         first, last = self._waiting.get(key, (cycle, -1))
         if last < cycle - 1:
-            first = cycle  # nobody wanted it for a whole cycle: another wait
+            first = cycle  # its user did not ask in the last cycle: the request begins to wait anew
         self._waiting[key] = first, cycle
-        if not self._must_go(first):
+        if not self._has_waited_enough(first):
             self.held_back += last != cycle
             return False
         del self._waiting[key]
@@ -82,10 +84,11 @@ class CycleWindow:
         self.forced += 1
         return True
 
-    def _must_go(self, first: int) -> bool:
-        """It has waited long enough since the cycle ``first``, longest of all, and no other one went of late."""
+    def _has_waited_enough(self, first: int) -> bool:
+        """Whether to force a request that is held back since cycle ``first``: HELD_BACK_CYCLES are over since then and
+        since the last forced request, and no other request has waited longer."""
         cycle = self._cycle
-        if cycle - max(first, self._forced_in) < PATIENCE:
+        if cycle - max(first, self._forced_in) < HELD_BACK_CYCLES:
             return False
         self._waiting = {key: wait for key, wait in self._waiting.items() if wait[1] >= cycle - 1}
         return first <= min(since for since, _ in self._waiting.values())

@@ -161,7 +161,7 @@ class Gap:
             return -1
         if ns != self._ns:
             self._ns = ns
-            self.allowance.share = self._patience.gap_share(self._size(ns), self._cost_ns)
+            self.allowance.divisor = self._patience.gap_divisor(self._size(ns), self._cost_ns)
         if self._cursor < 0:
             if now < self._next_pass_at:
                 return -1

@@ -61,7 +61,7 @@ class Waiting(Parts):
     # --- Offline ----------------------------------------------------------------------------------------------------
     def go_online(self, _: Telegram, now: int) -> None:
         """Listen for at least T_TO before anything is sent."""
-        self.line.heard(now)
+        self.line.note_activity(now)
         self.line.end_arrival()
         self._back_off_until = 0
         self._own_token_at = -NEVER

@@ -57,9 +57,9 @@ _LATE_NS: Final = NS_PER_MS
 class ActiveStation:
     """An active station (BusStation) and its ``users``, asked in their order. Offline until :class:`GoOnline`.
 
-    ``patience`` is what the port may be late; what ``guard`` refuses no user can send; ``budget`` keeps everything but
-    the cycle itself out of a fixed cycle; ``wire``, when set, is told every telegram heard and sent. Commands that are
-    not its own go to the users; :class:`UsageError` when none takes it.
+    ``patience``: slack for a late port. ``guard``: refuses requests of the users. ``window``: holds acyclic requests
+    back that would delay the next fixed cycle. ``wire``, when set, gets every telegram received and sent. The station
+    hands commands that are not its own to the users and raises :class:`UsageError` when no user accepts one.
     """
 
     #: a ring member has to hear every token
@@ -72,7 +72,7 @@ class ActiveStation:
         *,
         patience: Patience = EXACT,
         guard: Guard | None = None,
-        budget: CycleWindow | None = None,
+        window: CycleWindow | None = None,
         now: int = 0,
     ) -> None:
         self.params: Final = params
@@ -103,15 +103,15 @@ class ActiveStation:
         self._membership = Membership(params, ring, gap, Announced(self.decoder_stats), self._events)
         fcb = FrameCount()
         self._peers = Peers(gap, fcb, stats, self._events)
-        if budget is None:
-            budget = CycleWindow()
-        admission = Admission(times, line, ring, self._peers, budget, self._events)
+        if window is None:
+            window = CycleWindow()
+        admission = Admission(times, line, ring, self._peers, window, self._events)
         parts = (times, line, machine, self._membership, self._peers, self._users, stats, self._events)
         self._exchange = exchange = Exchange(*parts, fcb, admission)
         waiting = Waiting(*parts, exchange)
         passing = TokenPass(*parts, exchange, waiting)
         self._poll = poll = GapPoll(*parts, gap, exchange, admission, passing)
-        self._hold = hold = TokenHold(*parts, gap, exchange, admission, budget, passing, poll, waiting, guard)
+        self._hold = hold = TokenHold(*parts, gap, exchange, admission, window, passing, poll, waiting, guard)
         #: from receipt to receipt of the token
         self.token_rotation = hold.token_rotation
         owners = {"idle": waiting, "hold": hold, "exchange": exchange, "poll": poll, "passing": passing}

@@ -54,7 +54,7 @@ class GapPoll(Awaiting):
             return False
         request = Request(address, Req.FDL_STATUS, retry=False, answer=0)
         admission = self.admission
-        if admission.budget.next_at != NEVER and not admission.admits(request, now, self.times.pass_ns):
+        if admission.window.next_at != NEVER and not admission.admits(request, now, self.times.pass_ns):
             return False
         self.request = request
         self.machine.enter(USE_TOKEN)
@@ -100,7 +100,7 @@ class GapPoll(Awaiting):
             self.admission.unanswered(request, now)
         else:
             self.gap.allowance.charge(times.slot_unknown_ns)
-            if self.admission.budget.next_at != NEVER and not times.exact:  # it may have had less than that
+            if self.admission.window.next_at != NEVER and not times.exact:  # it may have had less than that
                 peers.expect_late(request, now, times.slot_unknown_ns)
         self.passing.start(now)
 
@@ -121,7 +121,7 @@ class TokenHold(Parts):
     gap: Gap
     exchange: Exchange
     admission: Admission
-    budget: CycleWindow
+    window: CycleWindow
     passing: TokenPass
     poll: GapPoll
     waiting: Waiting
@@ -142,7 +142,7 @@ class TokenHold(Parts):
         if in_ring:
             self.token_rotation.add(now - before)
         self._fresh = True
-        self.budget.set_alone(self.membership.ring.ns == self.line.ts)
+        self.window.set_alone(self.membership.ring.ns == self.line.ts)
         self._gap_turn = self.gap.skipped >= _GAP_PATIENCE
         self.stats.tokens += 1
         if not in_ring:
@@ -165,7 +165,7 @@ class TokenHold(Parts):
     def check(self, _: Telegram, now: int) -> None:
         """Choose the next telegram: high priority once even after T_TH, others within T_TH, then GAP, then token."""
         if not self.membership.leaving:
-            budget = self.budget
+            window = self.window
             over = now >= self._until
             if not over or self._fresh:
                 high_only = over or self._gap_turn
@@ -176,7 +176,7 @@ class TokenHold(Parts):
                     if self.guard is not None and (reason := self.guard(request)) is not None:
                         self._refuse(user, request, reason, now)
                         continue
-                    if not (request.cyclic or budget.next_at == NEVER or self.admission.admits(request, now)):
+                    if not (request.cyclic or window.next_at == NEVER or self.admission.admits(request, now)):
                         user.result(request, Failure.HELD_BACK, now)
                         continue
                     self._fresh = False
@@ -185,13 +185,13 @@ class TokenHold(Parts):
             if self.gap.enabled and self.poll.start(now, self._until):
                 self._fresh = False
                 return
-            if now < budget.next_at != NEVER and (not over or self._fresh):
-                keep_ns = self.times.keep_alone_ns if budget.alone else self.times.keep_ns
+            if now < window.next_at != NEVER and (not over or self._fresh):
+                keep_ns = self.times.keep_alone_ns if window.alone else self.times.keep_ns
                 # the result of an SDN comes before its end: the token could not go on sooner than this
                 free_at = max(now, self.line.idle_since + self.line.after_ns)
-                if budget.next_at - free_at <= keep_ns:
+                if window.next_at - free_at <= keep_ns:
                     # the next cycle begins with this token: silent until then
-                    self.machine.enter(USE_TOKEN, budget.next_at)
+                    self.machine.enter(USE_TOKEN, window.next_at)
                     return
         self.passing.start(now, unused=self._fresh)
 

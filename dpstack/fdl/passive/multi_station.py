@@ -104,7 +104,7 @@ class Multidrop:
         for telegram in self._decoder.feed(chunk, now):
             self._deliver(telegram, now)
         if self._answering is not None:
-            self._answering.line.heard(now)
+            self._answering.line.note_activity(now)
 
     def sent(self, at: int) -> None:
         """The answer leaves the line at ``at``."""

@@ -124,7 +124,7 @@ class PassiveStation:
 
     def activity(self, now: int) -> None:
         """Somebody else begins to send: an answer not yet begun would collide, whoever waits has given up."""
-        self.line.heard(now)
+        self.line.note_activity(now)
         self.drop()
 
     def telegram(self, telegram: Telegram, now: int) -> None:

@@ -89,7 +89,7 @@ class Loaded:
         self.master = Master(self.params, self.slaves, MasterSettings(cycle_ns=self.cycle_ns, watchdog_ms=60_000))
         users: list[LinkUser] = [self.master, acyclic_services(self.params.address, self.master)]
         self.station = ActiveStation(
-            self.params, users, patience=self.patience, budget=self.master.budget, now=self.world.now
+            self.params, users, patience=self.patience, window=self.master.window, now=self.world.now
         )
         self.world.add(self.station, on_events=self._on_events)
         self.world.command(self.station, GoOnline())

@@ -53,7 +53,7 @@ class Attack:
         ]
         self.params = params = params.replace(t_tr=Figures(params, setups).t_tr_preset)
         options: dict[str, object] = {
-            "absent_share": r.choice((0, 100)),
+            "absent_divisor": r.choice((0, 100)),
             "cycle_freeze": r.choice(((), (1,))),
             "cycle_sync": r.choice(((), (), (1,))),
             "auto_clear": r.random() < 0.2,

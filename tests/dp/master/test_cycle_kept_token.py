@@ -10,11 +10,11 @@ from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.plan.cycle_check import Verdict, least_ns
 from dpstack.dp.plan.rotation_time import Figures
 from dpstack.drivers.stack import acyclic_services
-from dpstack.fdl.events import PATIENCE
+from dpstack.fdl.events import HELD_BACK_CYCLES
 from dpstack.params import BusParams
 from dpstack.units import NS_PER_US
 
-CYCLES = 12 * PATIENCE
+CYCLES = 12 * HELD_BACK_CYCLES
 
 
 def tight(world: WorldFactory, baud: int) -> CycleBus:
@@ -50,8 +50,8 @@ def test_services_have_their_turn_in_one_of_eight_cycles(baud: int, world: World
     bus = tight(world, baud)
     for token, address in enumerate((3, 4, 5)):
         bus.world.command(bus.station, ReadService(token, address, Service.CONFIG))
-    forced = bus.master.budget.forced
+    forced = bus.master.window.forced
     bus.world.run_for(CYCLES * bus.cycle_ns)
     done = [event for event in bus.events if isinstance(event, ServiceDone)]
     assert [each.outcome.failure for each in done] == [None] * 3
-    assert 3 <= bus.master.budget.forced - forced <= CYCLES // PATIENCE
+    assert 3 <= bus.master.window.forced - forced <= CYCLES // HELD_BACK_CYCLES

@@ -64,7 +64,7 @@ def test_what_fits_into_no_gap_goes_out_in_the_end_and_is_told_once(world: World
     told = [e for e in bus.events if isinstance(e, DoesNotFit)]
     assert [(e.service, e.address) for e in told] == [("Slave_Diag", 5)]
     assert "Slave_Diag to station 5 fits between no two cycles: it can take 7" in told[0].text
-    assert bus.master.budget.forced == 3
+    assert bus.master.window.forced == 3
     gaps = [b.t_ns - a.t_ns for a, b in itertools.pairwise(done)]
     assert min(gaps) >= 8 * 4 * MS - 4 * MS
     assert steps(bus.exchanges(5)) == {4 * MS}  # its answer was short
@@ -183,7 +183,7 @@ def test_clear_stop_and_back_begin_a_new_grid(world: WorldFactory) -> None:
     bus.quiet()
     bus.world.run_for(50 * MS)
     assert bus.exchanges(5) == []
-    assert bus.master.budget.next_at > S * 10**6  # nothing is held back for nobody
+    assert bus.master.window.next_at > S * 10**6  # nothing is held back for nobody
     bus.world.command(bus.station, SetMode(Mode.OPERATE))
     bus.until_exchanging()
     bus.world.run_for(20 * MS)

@@ -40,11 +40,11 @@ def gap_polls(bus: CycleBus) -> list[tuple[int, int]]:
 def test_silent_addresses_on_a_pty_never_break_a_cycle(world: WorldFactory, cycle_ms: int) -> None:
     """Three slaves of 1 ms together; an absent one, the GAP. 2 ms of patience are more than a cycle of 2 ms has."""
     setups = [slave(3), slave(4), slave(5), slave(6)]
-    bus = CycleBus(world(), P1500, setups, cycle_ms * MS, silent=(6,), patience=HOST, options={"absent_share": 100})
+    bus = CycleBus(world(), P1500, setups, cycle_ms * MS, silent=(6,), patience=HOST, options={"absent_divisor": 100})
     bus.until_exchanging()
     bus.world.run_for(S)
     bus.quiet()
-    missed, forced = bus.master.cycles.missed, bus.master.budget.forced
+    missed, forced = bus.master.cycles.missed, bus.master.window.forced
     bus.world.run_for(2 * S)
     starts = bus.exchanges(3)
     assert {later - earlier for earlier, later in itertools.pairwise(starts)} == {cycle_ms * MS}
@@ -52,7 +52,7 @@ def test_silent_addresses_on_a_pty_never_break_a_cycle(world: WorldFactory, cycl
     polled = [address for _, address in gap_polls(bus)]
     assert len(set(polled)) > 50
     # those who are there get 2 ms, more than a cycle of 2 ms has to spare: their polls are sent all the same
-    assert bus.master.budget.forced - forced == (len(set(polled) & {3, 4, 5}) if cycle_ms == 2 else 0)
+    assert bus.master.window.forced - forced == (len(set(polled) & {3, 4, 5}) if cycle_ms == 2 else 0)
     assert len(bus.requests(60)) >= 2  # the absent one is asked for all the time
     told = [(e.service, e.address) for e in bus.events if isinstance(e, DoesNotFit)]
     assert told == ([("FDL_Status", 3)] if cycle_ms == 2 else [])
@@ -90,7 +90,7 @@ def test_a_diagnosis_on_a_pty_does_not_wait_eight_cycles(world: WorldFactory) ->
     done = [e for e in bus.events if isinstance(e, ServiceDone)]
     assert len(done) == 5
     assert done[-1].t_ns - began < 60 * MS
-    assert bus.master.budget.forced == 0
+    assert bus.master.window.forced == 0
 
 
 def test_a_slave_that_dies_at_a_service_costs_cycles_and_is_the_reason(world: WorldFactory) -> None:
@@ -117,7 +117,7 @@ def test_a_slave_that_dies_at_a_service_costs_cycles_and_is_the_reason(world: Wo
 
 def test_a_slave_that_went_is_waited_for_once(world: WorldFactory) -> None:
     """Its last exchange with all slack; after that it is an address where nobody is known to be, for the GAP too."""
-    bus = CycleBus(world(), P1500, [slave(3), slave(4)], 10 * MS, patience=HOST, options={"absent_share": 100})
+    bus = CycleBus(world(), P1500, [slave(3), slave(4)], 10 * MS, patience=HOST, options={"absent_divisor": 100})
     bus.until_exchanging()
     bus.world.run_for(4 * S)  # the GAP has found it
     assert 4 in {e.address for e in bus.events if isinstance(e, StationFound)}
@@ -169,8 +169,8 @@ def test_behind_an_adapter_a_slave_that_comes_later_is_taken_in(world: WorldFact
     setups = [slave(5, watchdog_ms=1000), slave(6, watchdog_ms=1000)]
     stations = {s.address: mirror(s.address, P500) for s in setups}
     w.add(stations[5])
-    master = Master(P500, setups, MasterSettings(cycle_ns=30 * MS, absent_share=100))
-    station = ActiveStation(P500, [master], patience=measured(2 * MS), budget=master.budget)
+    master = Master(P500, setups, MasterSettings(cycle_ns=30 * MS, absent_divisor=100))
+    station = ActiveStation(P500, [master], patience=measured(2 * MS), window=master.window)
     plugged = Adapter(station, FTDI_LOW_LATENCY)
     w.add(plugged)
     w.command(plugged, GoOnline())
@@ -183,4 +183,4 @@ def test_behind_an_adapter_a_slave_that_comes_later_is_taken_in(world: WorldFact
     missed = master.cycles.missed
     w.run_for(3 * S)
     assert master.cycles.missed == missed
-    assert master.budget.forced == 0
+    assert master.window.forced == 0

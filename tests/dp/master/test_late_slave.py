@@ -70,7 +70,7 @@ def jittering(ms: int) -> Callable[[], int]:
 
 def bus_beside(world: WorldFactory, cycle_ns: int = 0, patience: Patience = HOST, **more: Any) -> CycleBus:
     """Slave 5 is in data exchange; nobody has station 6 yet, and nobody ever has 7."""
-    options = {"absent_share": patience.unknown_share, "watchdog_ms": 1000}
+    options = {"absent_divisor": patience.unknown_divisor, "watchdog_ms": 1000}
     setups = (slave(5), slave(6), slave(7))
     w = world(referee=False)  # who answers late breaks T_SL
     bus = CycleBus(w, P187, setups, cycle_ns, silent=(6, 7), patience=patience, options=options, **more)
@@ -123,7 +123,7 @@ def test_in_a_fixed_cycle_absent_slaves_cost_no_cycle_however_long_they_are_look
     bus = bus_beside(world, 10 * MS)
     bus.world.run_for(10 * S)
     assert steps(bus.exchanges(5)) == {10 * MS}
-    assert bus.master.cycles.missed == bus.master.budget.forced == 0
+    assert bus.master.cycles.missed == bus.master.window.forced == 0
 
 
 def test_absent_slaves_are_looked_for_within_their_share(world: WorldFactory) -> None:
@@ -161,8 +161,8 @@ def test_a_master_that_hears_late_finds_its_slaves(world: WorldFactory, late_ms:
     slaves = [mirror(address, P187) for address in (5, 6)]
     for station in slaves:
         w.add(station)
-    master = Master(P187, (slave(5), slave(6)), MasterSettings(watchdog_ms=1000, absent_share=HOST.unknown_share))
-    active = ActiveStation(P187, [master], patience=HOST, budget=master.budget)
+    master = Master(P187, (slave(5), slave(6)), MasterSettings(watchdog_ms=1000, absent_divisor=HOST.unknown_divisor))
+    active = ActiveStation(P187, [master], patience=HOST, window=master.window)
     port = Late(active, fixed(late_ms))
     w.add(port)
     for order in (GoOnline(), SetMode(Mode.OPERATE)):

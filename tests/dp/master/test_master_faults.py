@@ -28,7 +28,7 @@ def test_absent_slave_backs_off_is_told_once_and_the_other_goes_on() -> None:
 
 
 def test_absent_polls_keep_their_share_of_the_bus() -> None:
-    bus = link(*(setup(a) for a in range(3, 20)), slaves={3: ScriptedSlave()}, absent_share=100)
+    bus = link(*(setup(a) for a in range(3, 20)), slaves={3: ScriptedSlave()}, absent_divisor=100)
     bus.run(20 * MS)
     bus.requests.clear()
     bus.run(2000 * MS)

@@ -51,7 +51,7 @@ class Loaded:
         ]
         self.master = Master(params, setups, MasterSettings(cycle_ns=cycle_ns))
         users: list[LinkUser] = [self.master, acyclic_services(2, self.master)]
-        self.station = ActiveStation(params, users, now=world.now, budget=self.master.budget)
+        self.station = ActiveStation(params, users, now=world.now, window=self.master.window)
         world.add(self.station, on_events=self._on_events)
         world.command(self.station, GoOnline())
         world.command(self.station, SetMode(Mode.OPERATE))

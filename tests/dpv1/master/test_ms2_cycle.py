@@ -43,7 +43,7 @@ class Loaded:
         setups = [SlaveParams(address=a, name=f"s{a}", ident=0x1234, config=bytes.fromhex("20 10")) for a in SLAVES]
         self.master = Master(params, setups, MasterSettings(cycle_ns=cycle_ns))
         self.station = ActiveStation(
-            params, [self.master, acyclic_services(2, self.master)], now=world.now, budget=self.master.budget
+            params, [self.master, acyclic_services(2, self.master)], now=world.now, window=self.master.window
         )
         world.add(self.station, on_events=self.events.extend)
         world.command(self.station, GoOnline())

@@ -11,7 +11,7 @@ from asker_kit import ANSWER, BAUD, SHORT, Asker
 from kernel_kit import LATE_NS, Driven, Kernel
 
 from dpstack.drivers.line import answer_timing
-from dpstack.drivers.line.answer_timing import Answers, is_answered
+from dpstack.drivers.line.answer_timing import AnswerTiming, is_answered
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
@@ -110,7 +110,7 @@ class Scenes:
 
     def twice(self, plan: dict[int, bytes], exchanges: int, **options: int) -> tuple[Scene, Scene]:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(answer_timing, "_ALIKE_ANSWERS", 1 << 30)
+            patch.setattr(answer_timing, "_EQUAL_ANSWERS", 1 << 30)
             listening = self.play(plan, exchanges, paced=bool(options.get("paced", 1)), piece=options.get("piece", 4))
         quiet = self.play(plan, exchanges, paced=bool(options.get("paced", 1)), piece=options.get("piece", 4))
         return quiet, listening
@@ -206,23 +206,23 @@ def test_who_answered_otherwise_is_listened_for_until_it_is_known_again(scenes: 
 REQUEST: Final = bytes.fromhex("68 0F 0F 68 03 02 7D")
 
 
-def learned(answers: Answers, request: bytes, pieces: int = 6, times: int = 6) -> int:
+def learned(answers: AnswerTiming, request: bytes, pieces: int = 6, times: int = 6) -> int:
     """Until when nobody listens after ``request`` at 10 ms, whose answers came in so many pieces within 1 ms."""
     for _ in range(times):
         answers.sent(request, 0)
         for piece in range(pieces):
-            answers.heard(4, 500_000 + 100_000 * piece)
+            answers.received(4, 500_000 + 100_000 * piece)
     answers.sent(request, 10 * NS_PER_MS)
-    return answers.quiet_until
+    return answers.sleep_until
 
 
 def test_nobody_listens_before_the_soonest_end_of_a_known_answer() -> None:
-    assert 10_800_000 < learned(Answers(), REQUEST) < 11_000_000
+    assert 10_800_000 < learned(AnswerTiming(), REQUEST) < 11_000_000
 
 
 def test_four_answers_alike_make_one_known() -> None:
-    assert learned(Answers(), REQUEST, times=5) > 0
-    assert learned(Answers(), REQUEST, times=4) == 0
+    assert learned(AnswerTiming(), REQUEST, times=5) > 0
+    assert learned(AnswerTiming(), REQUEST, times=4) == 0
 
 
 @pytest.mark.parametrize(
@@ -240,7 +240,7 @@ def test_four_answers_alike_make_one_known() -> None:
 def test_after_what_nobody_answers_everything_is_listened_to(octets: bytes) -> None:
     """A ring of masters lives on tokens heard at once, a slave on requests heard at once."""
     assert not is_answered(octets[:7])
-    assert learned(Answers(), octets, times=50) == 0
+    assert learned(AnswerTiming(), octets, times=50) == 0
 
 
 @pytest.mark.parametrize("octets", ["10 03 02 49 4E 16", "10 03 02 6C 71 16", "68 0F 0F 68 03 02 5D"])
@@ -250,23 +250,23 @@ def test_requests_to_one_station_are_answered(octets: str) -> None:
 
 def test_what_is_known_is_learned_anew_now_and_then() -> None:
     """The soonest of many is taken for the usual one, and who is not listened for cannot be seen to be sooner."""
-    answers = Answers()
+    answers = AnswerTiming()
     looked = 0
     for _ in range(1_000):
         answers.sent(REQUEST, 0)
-        looked += not answers.quiet_until
+        looked += not answers.sleep_until
         for piece in range(6):
             at = 500_000 + 100_000 * piece
-            if at > answers.quiet_until:
-                answers.heard(24 - 4 * (5 - piece) if answers.quiet_until and piece == 5 else 4, at)
+            if at > answers.sleep_until:
+                answers.received(24 - 4 * (5 - piece) if answers.sleep_until and piece == 5 else 4, at)
     assert 4 < looked < 40
 
 
 def test_octets_that_nobody_listened_for_tell_nothing_of_a_ports_lateness() -> None:
-    answers = Answers()
-    assert answers.heard(4, 100) == 4
-    assert answers.heard(4, 200) == 8
+    answers = AnswerTiming()
+    assert answers.received(4, 100) == 4
+    assert answers.received(4, 200) == 8
     learned(answers, REQUEST)
-    assert answers.quiet_until
-    assert answers.heard(20, 10_900_000) == 0
-    assert answers.heard(4, 11_000_000) == 24
+    assert answers.sleep_until
+    assert answers.received(20, 10_900_000) == 0
+    assert answers.received(4, 11_000_000) == 24

@@ -56,7 +56,7 @@ async def test_a_bus_goes_on_when_nobody_listens_until_an_answer_should_be_over(
     serving = asyncio.create_task(far.serve())
     try:
         driver.command(GoOnline())
-        await until(lambda: driver._answers.quiet_until > 0, "an answer that nobody listens for")
+        await until(lambda: driver._answers.sleep_until > 0, "an answer that nobody listens for")
         before = len(user.outcomes)
         await until(lambda: len(user.outcomes) >= before + 20, "twenty more answers")
         far.instead = SHORT

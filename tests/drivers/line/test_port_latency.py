@@ -19,7 +19,7 @@ def test_three_times_what_was_measured_within_limits(p999_ms: float, known: int,
     assert patience == Patience(
         known_ns=known * NS_PER_MS,
         unknown_ns=unknown * NS_PER_MS,
-        unknown_share=100,
+        unknown_divisor=100,
         stall_ns=20 * NS_PER_MS,
         sending_ns=NS_PER_MS,
     )
@@ -34,7 +34,7 @@ def test_it_is_derived_after_a_thousand_answers_and_then_now_and_again() -> None
         # 0.1 ms on the wire, then the adapter: 2 ms, from the 5000th answer on 12 ms
         late = 2 * NS_PER_MS if count < 5_000 else 12 * NS_PER_MS
         now = sent_at + 100_000 + late
-        lateness.heard(sent_at, 100_000, now)
+        lateness.add_answer(sent_at, 100_000, now)
         if count == FIRST:
             assert [known for known, _ in told] == [20]
     assert [known for known, _ in told] == [20, pytest.approx(36, abs=1)]
@@ -45,7 +45,7 @@ def test_it_is_derived_after_a_thousand_answers_and_then_now_and_again() -> None
 def test_without_anybody_to_tell_it_only_counts() -> None:
     lateness = PortLatency()
     for _ in range(FIRST + 1):
-        lateness.heard(1, 0, 5)
+        lateness.add_answer(1, 0, 5)
     assert lateness.patience is None
     assert lateness.histogram.max_ns == 4
 
@@ -74,5 +74,5 @@ async def test_the_derived_patience_reaches_the_machine() -> None:
     async with Rig(tune=lambda patience, _now: told.append(patience)) as rig:
         lateness = rig.driver.lateness
         for _ in range(FIRST):
-            lateness.heard(1, 0, 16 * NS_PER_MS)
+            lateness.add_answer(1, 0, 16 * NS_PER_MS)
         assert told == [lateness.patience]

@@ -17,7 +17,7 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.drivers.line.answer_timing import Answers
+from dpstack.drivers.line.answer_timing import AnswerTiming
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.line.select_loop import SelectLoop
@@ -59,32 +59,32 @@ def run_until(loop: SelectLoop, condition: Callable[[], bool]) -> None:
 
 
 def test_an_answer_is_expected_when_the_last_alike_came() -> None:
-    answers = Answers()
+    answers = AnswerTiming()
     assert answers.sent(REQUEST, 1_000) == NEVER
-    answers.heard(6, 5_000)
+    answers.received(6, 5_000)
     assert answers.sent(OTHER, 10_000) == NEVER  # the first was answered after 4000
-    answers.heard(6, 12_000)
+    answers.received(6, 12_000)
     assert answers.sent(REQUEST, 20_000) == 24_000  # the other one after 2000
-    answers.heard(6, 32_000)
+    answers.received(6, 32_000)
     assert answers.sent(OTHER, 40_000) == 42_000  # after 12000 this time: an eighth of the way
-    answers.heard(6, 42_000)
+    answers.received(6, 42_000)
     assert answers.sent(REQUEST, 50_000) == 55_000
 
 
 def test_who_does_not_answer_is_expected_no_more() -> None:
-    answers = Answers()
+    answers = AnswerTiming()
     answers.sent(REQUEST, 1_000)
-    answers.heard(6, 5_000)
+    answers.received(6, 5_000)
     answers.sent(REQUEST, 10_000)
     assert answers.sent(REQUEST, 20_000) == NEVER
 
 
 def test_what_is_remembered_of_requests_is_bounded() -> None:
-    answers = Answers()
+    answers = AnswerTiming()
     for number in range(5_000):
-        answers.heard(6, 10 * number - 5)
+        answers.received(6, 10 * number - 5)
         answers.sent(number.to_bytes(7, "big"), 10 * number)
-    assert len(answers._kinds) <= 1024
+    assert len(answers._usual) <= 1024
 
 
 def test_the_driver_tells_its_loop_when_an_answer_is_expected(loop: SelectLoop) -> None:

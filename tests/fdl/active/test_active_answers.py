@@ -109,7 +109,7 @@ def late_by_one(bus: RingBus, slave: Slave, lateness: Callable[[int], int | None
 
 def test_a_late_answer_is_never_taken_for_the_next_one_of_the_same_station() -> None:
     """On a port that delivers late by more than the patience: the answer to n arrives while n + 1 is waiting."""
-    patience = Patience(known_ns=2 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_share=100, stall_ns=NS_PER_MS)
+    patience = Patience(known_ns=2 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_divisor=100, stall_ns=NS_PER_MS)
     bus, user, station = bus_with(Slave(), mode="chunk", patience=patience)
     user.high = [DX._replace(retry=False)] * 8
     slave = Slave()
@@ -122,7 +122,7 @@ def test_a_late_answer_is_never_taken_for_the_next_one_of_the_same_station() -> 
 
 
 def test_the_answer_to_both_attempts_is_not_taken_for_the_next_one() -> None:
-    patience = Patience(known_ns=2 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_share=100, stall_ns=NS_PER_MS)
+    patience = Patience(known_ns=2 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_divisor=100, stall_ns=NS_PER_MS)
     bus, user, station = bus_with(Slave(), mode="chunk", patience=patience)
     user.high = [DX] * 6
     slave = Slave()

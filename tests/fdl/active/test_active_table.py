@@ -26,9 +26,9 @@ class Rig:
 
     def __init__(self, gap: int = 0) -> None:
         self.user = ListUser()
-        self.budget = CycleWindow()
+        self.window = CycleWindow()
         params = BusParams.preset(BAUD, address=TS, gap=gap)
-        self.station = ActiveStation(params, [self.user], budget=self.budget)
+        self.station = ActiveStation(params, [self.user], window=self.window)
         self.now = 0
         self.sent: list[bytes] = []
         self.taken: list[tuple[State, Input, State]] = []
@@ -116,7 +116,7 @@ def _watching() -> Rig:
 
 def _keeping() -> Rig:
     rig = _claiming()
-    rig.budget.begin(rig.now + 4_000_000)  # a cycle is due in 4 ms
+    rig.window.begin(rig.now + 4_000_000)  # a cycle is due in 4 ms
     while rig.station.state is not State.USE_TOKEN:
         rig.step()
     return rig

@@ -11,7 +11,7 @@ from ring_bus import ListUser
 
 from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.events import PATIENCE
+from dpstack.fdl.events import HELD_BACK_CYCLES
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Req
 from dpstack.params import BusParams
@@ -27,67 +27,67 @@ def test_without_a_cycle_everything_fits() -> None:
 
 
 def test_a_request_that_ends_before_the_next_cycle_fits_to_the_nanosecond() -> None:
-    budget = CycleWindow()
-    budget.begin(1000)
-    assert budget.admits(A, 1000)
-    assert not budget.admits(A, 1001)
-    assert (budget.held_back, budget.forced) == (1, 0)
+    window = CycleWindow()
+    window.begin(1000)
+    assert window.admits(A, 1000)
+    assert not window.admits(A, 1001)
+    assert (window.held_back, window.forced) == (1, 0)
 
 
 def test_a_request_that_never_fits_goes_out_in_every_eighth_cycle() -> None:
-    budget = CycleWindow()
+    window = CycleWindow()
     sent = []
     for cycle in range(1, 41):
-        budget.begin(cycle * 1000)
+        window.begin(cycle * 1000)
         for _ in range(3):  # asked in several token holds
-            if budget.admits(A, cycle * 1000 + 1):
+            if window.admits(A, cycle * 1000 + 1):
                 sent.append(cycle)
                 break
     assert sent == [9, 18, 27, 36]  # waits eight cycles, then begins to wait anew
-    assert budget.forced == 4
-    assert budget.held_back == 36  # once in each cycle
+    assert window.forced == 4
+    assert window.held_back == 36  # once in each cycle
 
 
 def test_the_longest_waiting_request_is_first_and_one_in_eight_cycles_may_begin_late() -> None:
-    budget = CycleWindow()
+    window = CycleWindow()
     sent = []
     for cycle in range(1, 31):
-        budget.begin(cycle * 1000)
+        window.begin(cycle * 1000)
         wanted = [A, B] if cycle > 1 else [B]
-        sent += [(cycle, key) for key in wanted if budget.admits(key, cycle * 1000 + 1)]
+        sent += [(cycle, key) for key in wanted if window.admits(key, cycle * 1000 + 1)]
     assert sent == [(9, B), (17, A), (25, B)]
 
 
 def test_a_wait_that_was_given_up_does_not_count() -> None:
-    budget = CycleWindow()
+    window = CycleWindow()
     for cycle in range(1, 30):
-        budget.begin(cycle * 1000)
+        window.begin(cycle * 1000)
         if cycle % 7:  # nobody asks in every seventh
-            assert not budget.admits(A, cycle * 1000 + 1)
+            assert not window.admits(A, cycle * 1000 + 1)
 
 
 @given(st.lists(st.lists(st.tuples(st.integers(0, 5), st.booleans()), max_size=6), min_size=1, max_size=120))
 def test_no_request_starves_and_late_cycles_are_bounded(cycles: list[list[tuple[int, bool]]]) -> None:
     """Whoever asks in every cycle waits eight of them for each that waits before it, at most; one in eight is late."""
-    budget = CycleWindow()
+    window = CycleWindow()
     since: dict[int, int] = {}
     forced: list[int] = []
     for number, asked in enumerate(cycles, 1):
-        budget.begin(number * 1000)
+        window.begin(number * 1000)
         who = dict(asked)
         since = {address: first for address, first in since.items() if address in who}
         for address, fits in who.items():
             until = number * 1000 + (0 if fits else 1)
             waited = number - since.setdefault(address, number)
-            assert waited <= (PATIENCE + 1) * 7
-            if budget.admits((12, address, 60), until):
+            assert waited <= (HELD_BACK_CYCLES + 1) * 7
+            if window.admits((12, address, 60), until):
                 del since[address]
                 if not fits:
                     forced.append(number)
             else:
                 assert not fits
-    assert all(later - earlier >= PATIENCE for earlier, later in itertools.pairwise(forced))
-    assert budget.forced == len(forced)
+    assert all(later - earlier >= HELD_BACK_CYCLES for earlier, later in itertools.pairwise(forced))
+    assert window.forced == len(forced)
 
 
 # 500 kbit/s: a bit is 2000 ns; T_SL 200, T_ID1 37, T_ID2 100, one repetition
@@ -175,5 +175,5 @@ def test_how_long_an_unknown_address_is_waited_for(room_us: int, waited_us: int)
     station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()], patience=patience)
     admission = station._hold.admission
     at = 10_000_000
-    admission.budget.next_at = at + room_us * 1_000
+    admission.window.next_at = at + room_us * 1_000
     assert admission.in_vain_until(POLL, at, 300_000) == at + waited_us * 1_000
