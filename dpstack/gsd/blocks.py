@@ -36,19 +36,19 @@ from dpstack.text import shortened
 Handler: TypeAlias = Callable[[Any, Statement], None]
 
 
-@dataclass(eq=False)
+@dataclass
 class Block:
     """``title`` as the file writes it; ``head``: what has to stand behind the opening keyword, for people.
 
     ``end``: the closing keyword in lower case. The parser sets it; nothing but its end closes a file.
     """
 
-    title: ClassVar[str] = ""
-    head: ClassVar[str] = ""
+    title = ""
+    head = ""
     handlers: ClassVar[Mapping[str, Handler]] = {}
     line: int
     findings: Findings
-    end: str = field(default="\n", init=False)
+    end = "\n"
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
@@ -112,7 +112,7 @@ def text_item(block: Block, statement: Statement, what: str) -> tuple[int, str] 
     return item
 
 
-@dataclass(eq=False)
+@dataclass
 class NumberedBlock(Block):
     """A block with a number that others refer to it by."""
 
@@ -130,7 +130,7 @@ class NumberedBlock(Block):
         return f"{self.title} {self.ref}"
 
 
-@dataclass(eq=False)
+@dataclass
 class PrmTextBlock(NumberedBlock):
     """PrmText = n."""
 
@@ -162,7 +162,7 @@ _LAST_BIT: Final = 31
 _TypeItem: TypeAlias = tuple[PrmType, int, Ranges, str]
 
 
-@dataclass(eq=False)
+@dataclass
 class ParameterBlock(NumberedBlock):
     """ExtUserPrmData = n "name"."""
 
@@ -171,7 +171,7 @@ class ParameterBlock(NumberedBlock):
 
     name: str
     #: fields of the Parameter; without ``type`` it cannot be used
-    fields: dict[str, Any] = field(default_factory=dict, init=False)
+    fields: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
@@ -255,7 +255,7 @@ def _bits(statement: Statement) -> PrmType | None:
     return PrmType(kind, first, last, size)
 
 
-@dataclass(eq=False)
+@dataclass
 class SlotBlock(Block):
     title = "SlotDefinition"
 
@@ -284,7 +284,7 @@ class SlotBlock(Block):
     handlers = {"slot": slot}
 
 
-@dataclass(eq=False)
+@dataclass
 class RawBlock(Block):
     """A block that dpstack has no use for. Its statements are kept as they stand."""
 
@@ -320,7 +320,7 @@ _DIAG_KINDS: Final = {
 _X: Final = "x_"
 
 
-@dataclass(eq=False)
+@dataclass
 class AreaBlock(Block):
     """Unit_Diag_Area = a-b, X_Unit_Diag_Area."""
 
@@ -359,7 +359,7 @@ class AreaBlock(Block):
     handlers = dict.fromkeys(("value", "x_value", "value_help", "x_value_help"), text)
 
 
-@dataclass(eq=False)
+@dataclass
 class DiagBlock(Block):
     """A block in which diagnosis texts may stand."""
 
@@ -387,8 +387,6 @@ class DiagBlock(Block):
 
     def diagnosis(self, type_number: int | None = None) -> Diagnosis:
         """The texts read so far. Where a plain and an X_ text have the same number, the X_ text (of DP-V1) counts."""
-        if not self.texts and not self.areas and type_number is None:
-            return EMPTY
         merged: defaultdict[str, dict[int, str]] = defaultdict(dict)
         for keyword, texts in sorted(self.texts.items(), key=lambda item: item[0].startswith(_X)):
             merged[_DIAG_KINDS[keyword.removeprefix(_X)]].update(texts)
@@ -404,10 +402,7 @@ class DiagBlock(Block):
     handlers = dict.fromkeys((*_DIAG_KINDS, *(_X + keyword for keyword in _DIAG_KINDS)), diag_text)
 
 
-EMPTY: Final = Diagnosis()
-
-
-@dataclass(eq=False)
+@dataclass
 class DiagTypeBlock(DiagBlock, NumberedBlock):
     """UnitDiagType = n."""
 
@@ -419,7 +414,7 @@ class DiagTypeBlock(DiagBlock, NumberedBlock):
 MAX_USER_PRM: Final = 237
 
 
-@dataclass(eq=False)
+@dataclass
 class PrmUser(DiagBlock):
     """A block with user parameters: the device or a module."""
 
@@ -464,7 +459,7 @@ def octets_of(text: str) -> bytes | None:
     return bytes(values)
 
 
-@dataclass(eq=False)
+@dataclass
 class ModuleBlock(PrmUser):
     """Module = "name" octets."""
 
@@ -525,17 +520,13 @@ class ModuleBlock(PrmUser):
         self.complete = self.complete and complete
 
     def module(self) -> Module:
-        if self.length is None and not self.consts and not self.refs:
-            prm = NO_PRM
-        else:
-            prm = PrmBlock(self.length, tuple(self.consts), tuple(self.refs), self.prm_line or self.line)
         return Module(
             self.name,
             self.config,
             self.reference,
             self.info,
             self.preset,
-            prm,
+            PrmBlock(self.length, tuple(self.consts), tuple(self.refs), self.prm_line or self.line),
             self.diagnosis(),
             tuple(self.raws),
             self.complete,
@@ -550,10 +541,7 @@ class ModuleBlock(PrmUser):
     }
 
 
-NO_PRM: Final = PrmBlock()
-
-
-@dataclass(eq=False)
+@dataclass
 class DeviceBlock(PrmUser):
     """The file itself: the statements outside of all blocks, and the content of the blocks that have ended."""
 

@@ -5,7 +5,6 @@ Layouts: docs/protocol.md#identifiers, docs/protocol.md#special-identifiers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -41,16 +40,18 @@ class Identifier:
 
 def parse_identifiers(config: bytes) -> list[Identifier]:
     """Split configuration octets into identifiers. Raises ConfigError naming the octet where it breaks."""
-    return list(_parse(config))
+    found: list[Identifier] = []
+    at = 0
+    while at < len(config):
+        found.append(_identifier(config, at))
+        at += len(found[-1].octets)
+    return found
 
 
 def io_lengths(config: bytes) -> tuple[int, int]:
     """(input octets, output octets) of a whole configuration. Raises ConfigError."""
-    inputs = outputs = 0
-    for identifier in _parse(config):
-        inputs += identifier.inputs
-        outputs += identifier.outputs
-    return inputs, outputs
+    identifiers = parse_identifiers(config)
+    return sum(found.inputs for found in identifiers), sum(found.outputs for found in identifiers)
 
 
 def agree(real: bytes, asked: bytes) -> bool:
@@ -61,7 +62,7 @@ def agree(real: bytes, asked: bytes) -> bool:
     if real == asked:
         return True
     try:
-        pairs = list(zip(_parse(real), _parse(asked), strict=True))
+        pairs = list(zip(parse_identifiers(real), parse_identifiers(asked), strict=True))
     except (ConfigError, ValueError):
         return False
     return all(
@@ -86,14 +87,6 @@ def config_for(inputs: int, outputs: int) -> bytes:
         (mask, min(16, total - at)) for mask, total in ((0x10, inputs), (0x20, outputs)) for at in range(0, total, 16)
     ]
     return bytes(mask | size - 1 for mask, size in parts) or b"\x00"
-
-
-def _parse(config: bytes) -> Iterator[Identifier]:
-    at = 0
-    while at < len(config):
-        identifier = _identifier(config, at)
-        yield identifier
-        at += len(identifier.octets)
 
 
 def _identifier(config: bytes, start: int) -> Identifier:

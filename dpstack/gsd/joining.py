@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from dpstack.errors import ConfigError
-from dpstack.gsd.blocks import NO_PRM, DeviceBlock, ParameterBlock, PrmTextBlock
+from dpstack.gsd.blocks import DeviceBlock, ParameterBlock, PrmTextBlock
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Findings, Module, Parameter, PrmBlock
 from dpstack.gsd.settings import Settings
@@ -27,7 +27,7 @@ def join(block: DeviceBlock, findings: Findings) -> Device:
         problem = _identifier_problem(module.config)
         if problem and module.complete:
             findings.warning(module.line, f"module {module.name!r}: {problem}")
-        if module.prm is not NO_PRM:
+        if module.prm.present:
             _check_length(module, parameters, findings)
     device = Device(
         **fields,

@@ -35,7 +35,7 @@ _COMMON: Final[dict[str, int]] = {
 }
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True)
 class Statement:
     """One statement. ``keyword`` in lower case, ``written`` as in the file; ``index`` and ``value`` are stripped.
 

@@ -117,14 +117,11 @@ class PtyPort(FdPort):
             return self._drop()
         return super().write(octets)
 
-    def _forsake_fd(self, fd: int) -> None:
-        watch, self._watch = self._watch, None
-        if watch is not None:
-            watch.close()
-        self._close_fd(fd)
-
     def _close_fd(self, fd: int) -> None:
         self._master = None
+        watch, self._watch = self._watch, None
+        if watch is not None:  # of a forsaken port, which was not detached
+            watch.close()
         os.close(fd)
 
     def _start(self, loop: Loop) -> None:
