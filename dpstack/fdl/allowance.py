@@ -10,8 +10,6 @@ class Allowance:
     ``divisor`` 0: no limit.
     """
 
-    __slots__ = ("_at", "_cap_ns", "_cost_ns", "_credit_ns", "divisor")
-
     def __init__(self, divisor: int, cost_ns: int, now: int) -> None:
         self.divisor = divisor
         self._cost_ns = cost_ns

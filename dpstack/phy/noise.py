@@ -16,8 +16,6 @@ class BitNoise:
     costs one comparison.
     """
 
-    __slots__ = ("_rng", "_sound_bits", "per_bit")
-
     def __init__(self, per_bit: float, rng: Random) -> None:
         if not 0 <= per_bit < 1:
             raise ConfigError(f"error rate {per_bit} is a probability per bit: 0 <= P < 1, for instance 1e-4")

@@ -7,7 +7,6 @@ outside (injected octets, delayed transmissions) is no violation of a station; t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum, auto
 from functools import lru_cache
 from typing import Final, NamedTuple
 
@@ -49,23 +48,13 @@ class Violation:
         return f"{self.t_ns / 1000:.3f} us, {self.sender}: {self.rule.value}: {self.text}"
 
 
-class _After(Enum):
-    """The kind of the last transmission."""
-
-    NOTHING = auto()
-    REQUEST = auto()  # its answer is awaited
-    QUIET = auto()  # a request without answer
-    ANSWER = auto()
-    TOKEN = auto()
-    GARBAGE = auto()  # octets that are no telegram
-
-
-# compared at every transmission: access to an enum's member takes ten times as long as to a module's name
-_NOTHING: Final = _After.NOTHING
-_REQUEST: Final = _After.REQUEST
-_QUIET: Final = _After.QUIET
-_ANSWER: Final = _After.ANSWER
-_TOKEN: Final = _After.TOKEN
+#: the kind of the last transmission; plain integers, because an enum's member costs ten times as much to look up
+_NOTHING: Final = 0
+_REQUEST: Final = 1  # its answer is awaited
+_QUIET: Final = 2  # a request without answer
+_ANSWER: Final = 3
+_TOKEN: Final = 4
+_GARBAGE: Final = 5  # octets that are no telegram
 
 
 class _Times(NamedTuple):
@@ -98,7 +87,7 @@ class Referee:
         self._masters: dict[int, _Times] = {}
         self._allow: dict[Rule, int | None] = {}
         self._expect: set[Rule] = set()
-        self._after = _After.NOTHING
+        self._after = _NOTHING
         self._last_end = start_ns
         self._last_sa = -1
         self._pending: _Pending | None = None
@@ -153,7 +142,7 @@ class Referee:
             if telegram is None and not (tx.collided or tx.cut or tx.forced):
                 self._found(tx, Rule.BROKEN, "the octets are not one telegram without gaps")
             self._pending = None
-            after = _After.GARBAGE
+            after = _GARBAGE
         elif telegram.kind is _SD4:
             after = self._token(tx, telegram)
         elif telegram.fc >= 0 and telegram.fc & FC_REQUEST:
@@ -161,7 +150,7 @@ class Referee:
         else:
             after = self._answer(tx, telegram)
         if tx.flips:
-            after = _After.GARBAGE
+            after = _GARBAGE
             self._excuse_forged_token(tx)
         self._after = after
         self._last_sa = telegram.sa if telegram is not None else -1
@@ -169,7 +158,7 @@ class Referee:
             self._last_end = tx.heard_ns
 
     # --- rules ---
-    def _request(self, tx: Transmission, telegram: Telegram) -> _After:
+    def _request(self, tx: Transmission, telegram: Telegram) -> int:
         sa = telegram.sa
         self._idle(tx, sa)
         if self.token_rules and (finding := self.tokens.request(sa, tx.node)) is not None:
@@ -180,7 +169,7 @@ class Referee:
         self._pending = _Pending(sa, telegram.da, tx.end_ns)
         return _REQUEST
 
-    def _token(self, tx: Transmission, telegram: Telegram) -> _After:
+    def _token(self, tx: Transmission, telegram: Telegram) -> int:
         sa = telegram.sa
         times = self._masters.get(sa)
         lacks = None
@@ -195,7 +184,7 @@ class Referee:
         self._pending = None
         return _TOKEN
 
-    def _answer(self, tx: Transmission, telegram: Telegram) -> _After:
+    def _answer(self, tx: Transmission, telegram: Telegram) -> int:
         pending = self._pending
         self._pending = None
         if pending is None:
@@ -218,16 +207,16 @@ class Referee:
     def _idle(self, tx: Transmission, sa: int) -> None:
         """Check the silence before a request or token."""
         after = self._after
-        if after is _NOTHING:
+        if after == _NOTHING:
             return
         rule, need, name = _IDLE, T_SYN, "T_SYN"
         times = self._masters.get(sa)
         if times is not None:
             if self._waits(sa):
                 rule, need, name = Rule.SLOT, times.t_sl, "T_SL"
-            elif after is _ANSWER or after is _TOKEN:
+            elif after in (_ANSWER, _TOKEN):
                 need, name = times.t_id1, "T_ID1"
-            elif after is _QUIET and sa == self._last_sa:
+            elif after == _QUIET and sa == self._last_sa:
                 need, name = times.t_id2, "T_ID2"
         silence = tx.start_ns - self._last_end
         if silence < _ns(need, tx.baud):
@@ -236,9 +225,9 @@ class Referee:
 
     def _waits(self, sa: int) -> bool:
         """Whether ``sa`` waits for an answer, or for its successor to use the token."""
-        if self._after is _REQUEST:
+        if self._after == _REQUEST:
             return self._pending is not None and self._pending.sa == sa
-        return self._after is _TOKEN and self.tokens.offered_by == sa
+        return self._after == _TOKEN and self.tokens.offered_by == sa
 
     def _excuse_forged_token(self, tx: Transmission) -> None:
         """A token has no check sum: noise can turn it into another token. Excuse the violations that follow."""

@@ -48,8 +48,6 @@ class _Offer:
 class TokenWatch:
     """The holder of the token. ``ring``: the stations that have used it and that their predecessor has not given up."""
 
-    __slots__ = ("_node", "_offer", "holder", "ring")
-
     def __init__(self) -> None:
         self.holder: int | None = None
         self.ring: set[int] = set()

@@ -47,8 +47,6 @@ class SlaveApp(SlaveCore):
     Raises ConfigError where ident number or configurations of the device cannot be.
     """
 
-    __slots__ = ("_clock", "_device_due", "_handlers", "_timed", "stats", "take_events")
-
     def __init__(self, device: DpV0Device, *, address: int | None = None, address_fixed: bool = False) -> None:
         check_device(device)
         super().__init__(device, address, address_fixed)

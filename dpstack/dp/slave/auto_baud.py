@@ -14,34 +14,18 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import Final, Protocol
+from typing import Final
 
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.events import SlaveAppEvent
 from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound
-from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
-from dpstack.machine import LineDown, LineUp, Machine, RateRefused
+from dpstack.machine import LineDown, LineUp, RateRefused
 from dpstack.params import BusParams
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NOW, baud_text
-
-
-class Listener(Machine, Protocol):
-    """A machine that receives at one rate."""
-
-    @property
-    def params(self) -> BusParams: ...
-
-    @property
-    def decoder_stats(self) -> DecoderStats:
-        """The counters of its receiver."""
-
-    def set_params(self, params: BusParams) -> None:
-        """Take rate and times; what was pending is forgotten."""
-
 
 #: BAUD_CONTROL gives up after T_TO of a station that is no master (docs/protocol.md#t_to): 6 T_SL + 2 x 130 T_SL. A
 #: master that is alive is never silent for so long; the chips have a register for it.
@@ -64,25 +48,9 @@ class Searching(abc.ABC):
     ``settle_ns`` see :class:`AutoBaud`.
     """
 
-    __slots__ = (
-        "_control_ns",
-        "_events",
-        "_last_telegram",
-        "_listener",
-        "_lost",
-        "_params_at",
-        "_rate",
-        "_rates",
-        "_search",
-        "_settle_ns",
-        "_slack_ns",
-        "_watched",
-        "state",
-    )
-
     def __init__(
         self,
-        listener: Listener,
+        listener: PassiveStation | Multidrop,
         watched: Callable[[], bool],
         lost: Callable[[int], None],
         *,
@@ -224,8 +192,6 @@ class SearchingSlave(Searching):
     ``rates``: those the device knows, in bit/s. ``params_at``: the station's parameters at a rate.
     """
 
-    __slots__ = ("app", "station")
-
     def __init__(
         self,
         station: PassiveStation,
@@ -293,8 +259,6 @@ class SearchingPort(Searching):
     ``watched`` tells whether the watchdog of any of the slaves runs. ``lost`` is called with the time when the rate is
     lost and searched again. ``slack_ns``, ``settle_ns``: see :class:`Searching`.
     """
-
-    __slots__ = ()
 
     def __init__(
         self,

@@ -21,24 +21,6 @@ class CyclicData:
     Clear, SYNC, FREEZE. ``void``: the outputs are not valid (Clear, or an empty output frame).
     """
 
-    __slots__ = (
-        "_clear",
-        "_device",
-        "_received",
-        "_safe",
-        "_started",
-        "config",
-        "frozen",
-        "input_len",
-        "inputs",
-        "output_len",
-        "outputs",
-        "plain",
-        "run",
-        "synced",
-        "void",
-    )
-
     def __init__(self, device: DpV0Device, config: bytes, input_len: int, output_len: int) -> None:
         self._device = device
         self.run = device.exchange

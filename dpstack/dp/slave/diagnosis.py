@@ -25,19 +25,6 @@ class DiagState:
     None where it has none. ``silent``: neither of them, there is never anything to fetch.
     """
 
-    __slots__ = (
-        "_ident",
-        "_messages",
-        "_offered",
-        "_read_by_owner",
-        "_room",
-        "cfg_fault",
-        "not_supported",
-        "prm_fault",
-        "silent",
-        "user",
-    )
-
     def __init__(self, device: DpV0Device, messages: DiagMessages | None = None) -> None:
         self._ident = device.ident
         self._room = device.max_diag_len - FIXED_LEN

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from dpstack.dp.error_origin import error_text, origin_of
 from dpstack.dp.slave.state_table import AppTrigger, SlaveAppState
@@ -117,21 +117,13 @@ class SlaveAppStats:
     closed: int = 0  # of these, over
 
 
-class Named(Protocol):
-    """A device with a name for messages."""
-
-    name: str
-
-
 class Report:
-    """Events and counters of one slave application."""
+    """Events and counters of one slave application. ``name``: that of its device, for messages."""
 
-    __slots__ = ("_address", "_device", "_events", "_reported", "station", "stats")
-
-    def __init__(self, device: Named, address: int | None) -> None:
+    def __init__(self, name: str, address: int | None) -> None:
         self.stats = SlaveAppStats()
         self.station: StationControl | None = None
-        self._device = device
+        self._name = name
         self._address = address
         self._events: list[Event] = []
         self._reported: defaultdict[int, ReportOnce] = defaultdict(partial(ReportOnce, _MAX_REPORTED))
@@ -165,7 +157,7 @@ class Report:
 
     def emit(self, kind: type[SlaveAppEvent], now: int, **fields: Any) -> None:
         """An event of ``kind`` with these fields."""
-        self._events.append(kind(t_ns=now, address=self.address, name=self._device.name, **fields))
+        self._events.append(kind(t_ns=now, address=self.address, name=self._name, **fields))
 
     def failed(self, during: str, error: Exception, now: int) -> None:
         """An exception in the device."""

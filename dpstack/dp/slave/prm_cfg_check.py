@@ -97,8 +97,6 @@ class Watchdog:
     The deadline is moved only when it has come: an exchange just notes its time.
     """
 
-    __slots__ = ("at", "last_request", "time_ns")
-
     def __init__(self) -> None:
         self.at = NEVER
         self.last_request = 0

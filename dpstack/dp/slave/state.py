@@ -28,8 +28,6 @@ from dpstack.units import NOW
 class SlaveAddress:
     """Where one slave stands on the bus. ``fixed``: Set_Slave_Add is closed."""
 
-    __slots__ = ("_device", "_report", "fixed", "kept")
-
     def __init__(self, device: DpV0Device, report: Report, fixed: bool) -> None:
         self._device = device
         self._report = report
@@ -82,26 +80,12 @@ class SlaveCore:
     data exchange. ``group``: Group_Ident. ``services``: those of the device, beyond DP-V0.
     """
 
-    __slots__ = (
-        "data",
-        "device",
-        "diag",
-        "failure",
-        "group",
-        "master",
-        "report",
-        "services",
-        "set_address",
-        "state",
-        "watchdog",
-    )
-
     def __init__(self, device: DpV0Device, address: int | None, address_fixed: bool) -> None:
         self.device = device
         self.state = SlaveAppState.WAIT_PRM
         self.master: int | None = None
         self.failure: str | None = None
-        self.report = Report(device, address)
+        self.report = Report(device.name, address)
         self.services = device.services(self.report)
         self.diag = DiagState(device, next((one.messages for one in self.services if one.messages is not None), None))
         self.set_address = SlaveAddress(device, self.report, address_fixed)
@@ -210,8 +194,6 @@ class SlaveCore:
 
 class DeviceClock:
     """Calls ``tick`` of ``device`` when its ``wake_at`` asks for it. Exceptions come out of :meth:`tick` only."""
-
-    __slots__ = ("_device", "_error", "due")
 
     def __init__(self, device: DpV0Device) -> None:
         self._device = device

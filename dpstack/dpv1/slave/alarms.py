@@ -55,8 +55,6 @@ class AlarmEnd(Enum):
 class Raised:
     """An alarm that was raised. ``end`` is None until it is over; ``ended`` is called then, and must not raise."""
 
-    __slots__ = ("alarm", "end", "ended", "offered")
-
     def __init__(self, alarm: Alarm) -> None:
         #: with its sequence number, from when it is shown
         self.alarm = alarm

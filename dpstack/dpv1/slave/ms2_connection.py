@@ -67,21 +67,6 @@ class ServerConnection:
     ``last_request``: the time of the last sign of life of its master; ``services``: how many it has asked for.
     """
 
-    __slots__ = (
-        "_answer",
-        "_device",
-        "_last_sign",
-        "_report",
-        "_request",
-        "asker",
-        "last_request",
-        "offer",
-        "send_timeout_ns",
-        "services",
-        "ssap",
-        "state",
-    )
-
     def __init__(self, asker: Asker, ssap: int | None, device: AcyclicDevice, report: Report, now: int) -> None:
         self.asker = asker
         self.ssap = ssap
