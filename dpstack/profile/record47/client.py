@@ -131,7 +131,7 @@ class ParameterClient:
     ) -> Transport[list[Result]]:
         waiting = list(_pieces(items, self.limits))
         most = self.limits.parameters
-        done: list[tuple[Piece, Result]] = []
+        done: list[tuple[Item, Result]] = []
         while waiting:
             count = min(_batch_size(waiting, self.limits), most)
             now, waiting = waiting[:count], waiting[count:]
@@ -140,7 +140,7 @@ class ParameterClient:
                 most = max(count // 2, 1)
                 waiting = now + waiting
                 continue
-            again: list[Piece] = []
+            again: list[Item] = []
             for piece, result in zip(now, results, strict=True):
                 parts = self._smaller(piece, result, alone=count == 1)
                 if parts:
@@ -156,7 +156,7 @@ class ParameterClient:
         except PduError as error:
             raise CommandError("parameter", str(error)) from None
 
-    def _smaller(self, piece: Piece, result: Result, *, alone: bool) -> tuple[Piece, ...]:
+    def _smaller(self, piece: Item, result: Result, *, alone: bool) -> tuple[Item, ...]:
         """The pieces to ask for where the response is too long (0x15), or the request has too many parameters.
 
         They are the piece alone, then its halves where that is too long.
@@ -170,7 +170,7 @@ class ParameterClient:
         self.counters.split += 1
         return (_halves(piece) or ()) if alone else (piece,)
 
-    def _batch(self, ident: RequestId, now: list[Piece], deadline: int) -> Transport[list[Result] | None]:
+    def _batch(self, ident: RequestId, now: list[Item], deadline: int) -> Transport[list[Result] | None]:
         """The results of one request; None where it is too long for the drive."""
         values = tuple(one.values for one in now if one.values is not None)
         request = Request(self._next(), ident, self.object, tuple(one.address for one in now), values)
@@ -315,26 +315,21 @@ class ParameterClient:
         return response, ""
 
 
-def _order(answer: tuple[Piece, Result]) -> tuple[int, int]:
+def _order(answer: tuple[Item, Result]) -> tuple[int, int]:
     return answer[0].of, answer[0].address.subindex
 
 
 # --- requests within the limits of the drive ---
 class Item(NamedTuple):
-    """One parameter to read or write. ``values``: those to write. ``width``: octets of one value to read."""
+    """One parameter to read or write. ``values``: those to write. ``width``: octets of one value to read.
+
+    The client splits long arrays into pieces, which are items too; ``of``: place of the whole in the caller's list.
+    """
 
     address: Address
     values: Values | None = None
     width: int = _WIDTH
-
-
-class Piece(NamedTuple):
-    """A part of the item number ``of`` that fits into one request."""
-
-    of: int
-    address: Address
-    values: Values | None
-    width: int
+    of: int = 0
 
     @property
     def request_octets(self) -> int:
@@ -349,24 +344,25 @@ class Piece(NamedTuple):
         return VALUE_HEADER_LEN + max(octets + (octets & 1), 4)
 
 
-def _pieces(items: Iterable[Item], limits: Limits) -> Iterator[Piece]:
+def _pieces(items: Iterable[Item], limits: Limits) -> Iterator[Item]:
     """Split the items: arrays that are too long become several pieces."""
     for of, item in enumerate(items):
         address, values = item.address, item.values
         if values is not None and format_of(values.format).string:
-            yield Piece(of, address, values, item.width)
+            yield item._replace(of=of)
             continue
         width = item.width if values is None else format_of(values.format).octets
         room = limits.octets - HEADER_LEN - VALUE_HEADER_LEN - (0 if values is None else ADDRESS_LEN)
         most = max(min((room & ~1) // max(width, 1), limits.elements), 1)
+        piece = item._replace(width=width, of=of)
         if address.elements <= most:
-            yield Piece(of, address, values, width)
+            yield piece
             continue
         for at in range(0, address.elements, most):
-            yield _part(Piece(of, address, values, width), at, min(most, address.elements - at))
+            yield _part(piece, at, min(most, address.elements - at))
 
 
-def _part(piece: Piece, at: int, count: int) -> Piece:
+def _part(piece: Item, at: int, count: int) -> Item:
     """``count`` elements of a piece from its element ``at`` on."""
     address, values = piece.address, piece.values
     return piece._replace(
@@ -375,7 +371,7 @@ def _part(piece: Piece, at: int, count: int) -> Piece:
     )
 
 
-def _halves(piece: Piece) -> tuple[Piece, Piece] | None:
+def _halves(piece: Item) -> tuple[Item, Item] | None:
     """A piece of an array in two; None where it is one value."""
     address, values = piece.address, piece.values
     if address.elements < 2 or (values is not None and len(values.raws) < 2):
@@ -384,7 +380,7 @@ def _halves(piece: Piece) -> tuple[Piece, Piece] | None:
     return _part(piece, 0, first), _part(piece, first, address.elements - first)
 
 
-def _batch_size(waiting: Sequence[Piece], limits: Limits) -> int:
+def _batch_size(waiting: Sequence[Item], limits: Limits) -> int:
     """How many of ``waiting`` fit into one request, at least one."""
     request = response = HEADER_LEN
     for count, piece in enumerate(waiting):
@@ -395,7 +391,7 @@ def _batch_size(waiting: Sequence[Piece], limits: Limits) -> int:
     return len(waiting)
 
 
-def _joined(count: int, answers: Iterable[tuple[Piece, Result]]) -> list[Result]:
+def _joined(count: int, answers: Iterable[tuple[Item, Result]]) -> list[Result]:
     """One result for each of ``count`` items from those of the pieces, which are in the order of their subindexes.
 
     An item with a piece that failed has failed. Raises PduError where the pieces of one came in different formats.
