@@ -19,8 +19,6 @@ from dpstack.profile.channel.base import (
     ParameterChannel,
     ParamKey,
     find_parameter,
-    per_request,
-    read_raw,
 )
 from dpstack.profile.channel.pkw import (
     RETRY_NS,
@@ -117,11 +115,9 @@ __all__ = [
     "find_parameter",
     "known",
     "listing",
-    "per_request",
     "process_data_map",
     "profidrive_states",
     "ramp",
-    "read_raw",
     "record47",
     "refresh",
     "same",

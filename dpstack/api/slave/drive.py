@@ -19,7 +19,7 @@ from dpstack.api.streams import Stream
 from dpstack.argcheck import Sealed
 from dpstack.dp.master.commands import DriveCommand, Mode
 from dpstack.errors import BusError, DpError, DriveError, DriveTimeout, ParameterError, UsageError
-from dpstack.profile import DriveCore, DriveStatus, ListedParam, per_request
+from dpstack.profile import DriveCore, DriveStatus, ListedParam
 from dpstack.profile.model.jobs import LARGEST
 
 #: the plugin checks time-outs once a rotation; so many seconds later its answer is overdue
@@ -214,7 +214,8 @@ class Drive(Sealed, Readable):
     @property
     def per_request(self) -> int:
         """How many parameters one request to the drive carries: several over record 47, else 1."""
-        return per_request(self._core.access)
+        access = self._core.access
+        return 1 if access is None else access.per_request
 
     @property
     def parameters(self) -> tuple[ListedParam, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.params import ParamSpec, ParamTable
@@ -50,7 +50,11 @@ class CycleTimes(Clock, Protocol):
         """After this time the drive's octets belong to the octets sent now."""
 
 
-class ParameterChannel(Protocol):
+#: for each parameter its outcome, or ``error``, ``text`` and ``number`` of the refusal
+Found = list[dict[str, object]]
+
+
+class ParameterChannel:
     """The master's end. Jobs queue; each is a generator that returns its outcome or raises CommandError.
 
     An outcome has ``value`` (in ``unit``), ``raw`` (the integer on the wire), ``number``, ``name``, ``unit`` and
@@ -60,10 +64,17 @@ class ParameterChannel(Protocol):
     @property
     def octets(self) -> bytes:
         """The octets to send in front of the process data; empty where the channel is not part of them."""
+        return b""
 
     @property
     def busy(self) -> bool:
         """Whether :meth:`step` has to be called in every cycle."""
+        return False
+
+    @property
+    def per_request(self) -> int:
+        """Parameters of one request."""
+        return 1
 
     def step(self, inputs: bytes, now: int) -> None:
         """Process the channel's octets in ``inputs`` (the first ones); never raises."""
@@ -71,10 +82,28 @@ class ParameterChannel(Protocol):
     def reset(self) -> None:
         """The slave left data exchange: all jobs are cancelled."""
 
-    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]: ...
+    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
+        raise NotImplementedError
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter; ``value`` in its unit, or the integer on the wire where its scale is unknown."""
+        raise NotImplementedError
+
+    def read_raw(self, key: ParamKey, deadline: int) -> Steps[int]:
+        """Read one parameter: the integer on the wire."""
+        raw = (yield from self.read(key, deadline))["raw"]
+        assert isinstance(raw, int)
+        return raw
+
+    def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
+        """One entry for each of ``keys``. Raises CommandError, but not for a refusal by the drive."""
+        found: Found = []
+        for key in keys:
+            try:
+                found.append((yield from self.read(key, deadline)))
+            except CommandError as error:
+                found.append(refused(error))
+        return found
 
 
 class ChannelServer(Protocol):
@@ -99,13 +128,6 @@ def find_parameter(key: ParamKey, table: ParamTable, most: int) -> tuple[ParamSp
     return spec, number, label
 
 
-def read_raw(access: ParameterChannel, key: ParamKey, deadline: int) -> Steps[int]:
-    """Read one parameter: the integer on the wire."""
-    raw = (yield from access.read(key, deadline))["raw"]
-    assert isinstance(raw, int)
-    return raw
-
-
 def check_write(spec: ParamSpec | None, label: str, value: float) -> int | None:
     """The integer of ``value``; None for an unknown parameter. Raises CommandError where it cannot be written."""
     if spec is None:
@@ -122,43 +144,6 @@ def outcome(spec: ParamSpec | None, number: int, value: object, raw: int, data_s
     """The outcome of a job, see :class:`ParameterChannel`."""
     name, unit = (spec.name, spec.unit) if spec is not None else (None, "")
     return {"value": value, "raw": raw, "number": number, "name": name, "unit": unit, "data_set": data_set}
-
-
-#: for each parameter its outcome, or ``error``, ``text`` and ``number`` of the refusal
-Found = list[dict[str, object]]
-
-
-@runtime_checkable
-class ReadsMany(Protocol):
-    """A parameter channel whose requests carry several parameters."""
-
-    @property
-    def per_request(self) -> int:
-        """Parameters of one request."""
-
-    def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
-        """One entry for each of ``keys``. Raises CommandError, but not for a refusal by the drive."""
-
-
-def read_many(access: ParameterChannel, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
-    """Read several parameters, in few requests where ``access`` can, else one by one.
-
-    Raises CommandError, but not for a refusal by the drive.
-    """
-    if isinstance(access, ReadsMany):
-        return (yield from access.read_many(keys, deadline))
-    found: Found = []
-    for key in keys:
-        try:
-            found.append((yield from access.read(key, deadline)))
-        except CommandError as error:
-            found.append(refused(error))
-    return found
-
-
-def per_request(access: object) -> int:
-    """Parameters of one request of ``access``."""
-    return access.per_request if isinstance(access, ReadsMany) else 1
 
 
 def refused(error: CommandError) -> dict[str, object]:

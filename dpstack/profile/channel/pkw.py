@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple, Protocol
 
-from dpstack.profile.channel.base import CycleTimes, ParamKey, check_write, find_parameter, outcome
+from dpstack.profile.channel.base import CycleTimes, ParameterChannel, ParamKey, check_write, find_parameter, outcome
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.param_errors import OPERATING_STATE, PARAMETER_ERRORS
 from dpstack.profile.model.params import ParamSpec, ParamTable
@@ -122,8 +122,11 @@ class Exchange:
     stray: Pkw | None = None
 
 
-class PkwChannel:
-    """The master's end: one order at a time, the others queue. ``octets``: the eight octets to send now."""
+class PkwChannel(ParameterChannel):
+    """The master's end: one order at a time, the others queue."""
+
+    #: the eight octets to send now
+    octets = ZEROS
 
     def __init__(self, dialect: PkwDialect, times: CycleTimes) -> None:
         self._dialect = dialect
@@ -133,7 +136,6 @@ class PkwChannel:
 
     @property
     def busy(self) -> bool:
-        """Whether :meth:`step` has to be called in every cycle."""
         return self._release or self._active is not None or bool(self._queue)
 
     def replied(self, order: Pkw, label: str, deadline: int) -> Steps[Pkw]:
@@ -266,7 +268,7 @@ def plain_ref(key: ParamKey, table: ParamTable, drive: str) -> ParamRef:
 
 
 class PkwAccess(PkwChannel):
-    """A :class:`~dpstack.profile.channel.base.ParameterChannel` by PKW, of the plugin ``core``."""
+    """Parameters by PKW, of the plugin ``core``."""
 
     def __init__(self, dialect: PkwDialect, core: PkwCore) -> None:
         super().__init__(dialect, core)

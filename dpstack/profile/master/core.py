@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Generic, TypeVar
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
-from dpstack.profile.channel.base import ParameterChannel, ParamKey, read_many
+from dpstack.profile.channel.base import ParameterChannel, ParamKey
 from dpstack.profile.channel.pkw import PLAIN_PKW, ParamRef, PkwAccess, PkwDialect, plain_ref
 from dpstack.profile.master.settings import Setting, SettingsCheck
 from dpstack.profile.model.drive_type import CHANNEL_LEN, CHECK_SETTINGS, DriveType, Options, TelegramSpec
@@ -731,4 +731,4 @@ def _listed(one: Args) -> ParamKey:
 
 
 def _several(access: ParameterChannel, keys: list[ParamKey], deadline: int) -> Steps[dict[str, object]]:
-    return {"values": (yield from read_many(access, keys, deadline))}
+    return {"values": (yield from access.read_many(keys, deadline))}

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Final, Generic, Literal, TypeVar
 
 from dpstack.errors import ConfigError
-from dpstack.profile.channel.base import ParamKey, read_raw
+from dpstack.profile.channel.base import ParamKey
 from dpstack.profile.master.core import DriveCore
 from dpstack.profile.model import process_data_map
 from dpstack.profile.model.drive_type import Options
@@ -213,7 +213,7 @@ class MappedCore(DriveCore, Generic[M]):
             if field is None or field.neutral or field.key in values or field.key in self.values:
                 continue
             if (key := self.read_by(field)) is not None and self.access is not None:
-                values[field.key] = yield from read_raw(self.access, key, deadline)
+                values[field.key] = yield from self.access.read_raw(key, deadline)
         self.values |= values
         outcome = yield from self.write_map(inputs, outputs, deadline)
         if "acts" in outcome:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from dpstack.profile.channel.base import ParameterChannel, ParamKey, per_request, read_many
+from dpstack.profile.channel.base import ParameterChannel, ParamKey
 from dpstack.profile.model.drive_type import CHECK_SETTINGS, TelegramSpec
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.status import SettingsState
@@ -152,10 +152,10 @@ class SettingsCheck:
             yield from core.before_settings(core.now + _ANSWER_NS)
             settings = core.settings()
             keys = list(dict.fromkeys(key for setting in settings for key in setting.keys))
-            size = per_request(access)
+            size = access.per_request
             for at in range(0, len(keys), size):
                 part = keys[at : at + size]
-                for key, entry in zip(part, (yield from read_many(access, part, core.now + _ANSWER_NS)), strict=True):
+                for key, entry in zip(part, (yield from access.read_many(part, core.now + _ANSWER_NS)), strict=True):
                     value = entry.get("value")
                     if isinstance(value, (int, float)):
                         found[key] = value

@@ -19,7 +19,6 @@ from dpstack.profile.channel.base import (
     check_write,
     find_parameter,
     outcome,
-    read_many,
     refused,
 )
 from dpstack.profile.model.jobs import CommandError, Steps
@@ -93,8 +92,8 @@ def plain_places(table: ParamTable, drive: str) -> Placed:
     return placed
 
 
-class AcyclicAccess:
-    """A :class:`~dpstack.profile.channel.base.ParameterChannel` over record 47; jobs queue.
+class AcyclicAccess(ParameterChannel):
+    """Parameters over record 47; jobs queue.
 
     ``records``: queue of its services. ``cyclic``: the parameter channel of the telegram, None where it has none. Once
     the drive has refused record 47 as such, ``cyclic`` is used until the drive comes back.
@@ -139,7 +138,7 @@ class AcyclicAccess:
         return self._choose(self._read(key, deadline), lambda cyclic: cyclic.read(key, deadline))
 
     def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
-        return self._choose(self._read_many(keys, deadline), lambda cyclic: read_many(cyclic, keys, deadline))
+        return self._choose(self._read_many(keys, deadline), lambda cyclic: cyclic.read_many(keys, deadline))
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         return self._choose(self._write(key, value, deadline), lambda cyclic: cyclic.write(key, value, deadline))

@@ -32,7 +32,6 @@ from dpstack.profile import (
     find_parameter,
     listing,
     process_data_map,
-    read_raw,
     same,
     settled,
 )
@@ -418,7 +417,7 @@ class DemagCore(MappedCore[OutMap]):
 
     def _read(self, number: int, data_set: int | None, deadline: int) -> Steps[int]:
         assert self.access is not None
-        return (yield from read_raw(self.access, ParamKey(number, data_set), deadline))
+        return (yield from self.access.read_raw(ParamKey(number, data_set), deadline))
 
     def lost(self, now: int) -> None:
         """The toggle bit begins anew; what was given for PZD3 to PZD6 does not come back by itself.

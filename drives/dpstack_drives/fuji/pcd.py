@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
-from dpstack.profile import ParameterChannel, ParamKey, Steps, read_raw
+from dpstack.profile import ParameterChannel, ParamKey, Steps
 from dpstack_drives.fuji import table as t
 
 COUNT: Final = 4
@@ -101,7 +101,7 @@ def read(access: ParameterChannel, deadline: int) -> Steps[dict[str, object]]:
     for name, pnu in _PNUS:
         entries: tuple[int, ...] = ()
         for index in range(1, COUNT + 1):
-            entries += ((yield from read_raw(access, ParamKey(pnu, index=index), deadline)),)
+            entries += ((yield from access.read_raw(ParamKey(pnu, index=index), deadline)),)
         value[name] = str(PcdMap(entries))
     return {"value": value}
 

@@ -25,7 +25,6 @@ from dpstack.profile import (
     equal,
     listing,
     process_data_map,
-    read_raw,
     settled,
 )
 from dpstack_drives.fuji import pcd
@@ -171,7 +170,7 @@ class FujiCore(MappedCore[PcdMap]):
 
     def _ask(self, deadline: int) -> Steps[int]:
         assert self.access is not None
-        return (yield from read_raw(self.access, ParamKey(t.PNU_ALARMS, index=1), deadline))
+        return (yield from self.access.read_raw(ParamKey(t.PNU_ALARMS, index=1), deadline))
 
     def resolve(self, key: ParamKey) -> ParamRef:
         name, index = key.name, key.place

@@ -73,7 +73,7 @@ _EEPROM: Final = (
 
 
 class ImoAccess(PkwChannel):
-    """The master's end, a :class:`~dpstack.profile.ParameterChannel`. ``notice`` shows a line to the user."""
+    """The master's end. ``notice`` shows a line to the user."""
 
     def __init__(self, times: CycleTimes, notice: Callable[[str], None]) -> None:
         super().__init__(PKW, times)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.profile import CHANNEL_LEN, RETRY_NS, CommandError, CycleTimes, ParamKey, Steps, count_of
+from dpstack.profile import CHANNEL_LEN, RETRY_NS, CommandError, CycleTimes, ParameterChannel, ParamKey, Steps, count_of
 from dpstack_drives.keb import table as t
 
 RESULT, HANDSHAKE, WRITE, READ = 0x80, 0x40, 0x02, 0x01
@@ -104,22 +104,19 @@ class _Request:
     stray: bytes | None = None
 
 
-class KebChannel:
-    """The master's end, a :class:`~dpstack.profile.ParameterChannel`. Every access is made with 4 octets.
+class KebChannel(ParameterChannel):
+    """The master's end. Every access is made with 4 octets.
 
     A request whose order was given up keeps the channel until the drive has confirmed it: its confirmation could not
     be distinguished from that of another request.
     """
 
-    __slots__ = ("_active", "_queue", "_shown", "_synced_at", "_times", "octets")
+    octets = _ZEROS
 
     def __init__(self, times: CycleTimes) -> None:
         self._times = times
         self._queue: deque[_Request] = deque()
-        self._active: _Request | None = None
-        self._shown = 0  # the handshake bit of the last request
-        self._synced_at: int | None = None  # from this time on the drive's handshake bit counts as it stands
-        self.octets = _ZEROS
+        self.reset()
 
     @property
     def busy(self) -> bool:
@@ -128,9 +125,9 @@ class KebChannel:
 
     def reset(self) -> None:
         self._queue.clear()
-        self._active = None
-        self._shown = 0
-        self._synced_at = None
+        self._active: _Request | None = None
+        self._shown = 0  # the handshake bit of the last request
+        self._synced_at: int | None = None  # from this time on the drive's handshake bit counts as it stands
         self.octets = _ZEROS
 
     def step(self, inputs: bytes, now: int) -> None:

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
-from dpstack.profile import ParameterChannel, ParamKey, Steps, read_raw
+from dpstack.profile import ParameterChannel, ParamKey, Steps
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls import telegrams
 
@@ -96,10 +96,10 @@ def read(access: ParameterChannel, deadline: int) -> Steps[dict[str, object]]:
     """The maps as the drive has them."""
     found: dict[str, object] = {}
     for name, count_at, first in _PLACES:
-        count = yield from read_raw(access, ParamKey(count_at), deadline)
+        count = yield from access.read_raw(ParamKey(count_at), deadline)
         entries: tuple[int, ...] = ()
         for place in range(min(count, telegrams.MOST)):
-            entry = yield from read_raw(access, ParamKey(first + place), deadline)
+            entry = yield from access.read_raw(ParamKey(first + place), deadline)
             entries += (entry,)
         found[name] = str(ParaMap(entries))
     return {"value": found}

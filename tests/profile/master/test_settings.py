@@ -9,8 +9,6 @@ from demag_kit import ZERO, pkw, sim
 from drive_bench import MS, DeviceBench, PairBench, PluginBench, S, as_mapping
 
 from dpstack.profile import CommandError, DriveProfile, ParameterChannel, ParamKey, SettingsState, Steps
-from dpstack.profile.channel import base
-from dpstack.profile.master import settings
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
 from dpstack_drives.imo import DRIVE as IMO
@@ -510,7 +508,7 @@ def test_settings_that_one_parameter_tells_are_all_named_where_it_cannot_be_read
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """434 tells the source of the set point, and whether 228 is added."""
-    read = base.read_many
+    read = ParameterChannel.read_many
 
     def without_434(
         access: ParameterChannel, keys: Sequence[ParamKey], deadline: int
@@ -518,7 +516,7 @@ def test_settings_that_one_parameter_tells_are_all_named_where_it_cannot_be_read
         entries = yield from read(access, keys, deadline)
         return [{"text": "no 434"} if key.name == 434 else one for key, one in zip(keys, entries, strict=True)]
 
-    monkeypatch.setattr(settings, "read_many", without_434)
+    monkeypatch.setattr(ParameterChannel, "read_many", without_434)
     bench = pair(DEMAG, "PPO1", BUS)
     bench.ok("start")
     assert bench.core.status().settings_texts == (
