@@ -11,8 +11,7 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.errors import ConfigError
 from dpstack.profile.master.core import DriveCore
-from dpstack.profile.model.drive_type import CHECK_SETTINGS, DriveType, Options, TelegramSpec
-from dpstack.profile.model.jobs import LARGEST
+from dpstack.profile.model.drive_type import CHECK_SETTINGS, DriveType, Options, TelegramSpec, config_number
 from dpstack.profile.simulator.device import DriveDevice
 
 
@@ -161,11 +160,8 @@ def _check(spec: OptionSpec, name: str, value: object, where: str) -> bool | flo
         if isinstance(value, str) and (not spec.choices or value in spec.choices):
             return value
         raise ConfigError(f"{where}: {name} must be {' or '.join(map(repr, spec.choices)) or 'text'}, not {value!r}")
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ConfigError(f"{where}: {name} must be a number, not {value!r}")
-    if abs(value) > LARGEST:
-        raise ConfigError(f"{where}: {name} must be a number up to {LARGEST:g}")
-    if (spec.low is not None and not value >= spec.low) or (spec.high is not None and not value <= spec.high):
+    number = config_number(f"{where}: {name}", value)
+    if (spec.low is not None and not number >= spec.low) or (spec.high is not None and not number <= spec.high):
         low, high = ("" if limit is None else f"{limit:g}" for limit in (spec.low, spec.high))
-        raise ConfigError(f"{where}: {name} = {value:g} is outside {low}..{high}")
-    return float(value)
+        raise ConfigError(f"{where}: {name} = {number:g} is outside {low}..{high}")
+    return float(number)

@@ -30,9 +30,7 @@ class ParamKey:
             return table.get(self.name)
         spec = table.named(self.name)
         if spec is None:
-            near = " or ".join(table.nearest(self.name))
-            hint = f"; did you mean {near}?" if near else ""
-            raise CommandError("usage", f"no parameter is called {self.name!r}{hint}")
+            raise CommandError("usage", f"no parameter is called {self.name!r}{table.hint(self.name)}")
         return spec
 
 

@@ -168,11 +168,12 @@ class SettingsCheck:
             silent = error.text
         if turn != self._turn:
             return {}
-        open_ones = [setting for setting in settings if not all(key in found for key in setting.keys)]
-        reasons: dict[str, list[Setting]] = {silent: open_ones} if silent else {}
-        for one in () if silent else open_ones:
-            reasons.setdefault(next(refused[key] for key in one.keys if key in refused), []).append(one)
-        self._end([_not_checked(why, ones) for why, ones in reasons.items()])
+        reasons: dict[str, list[Setting]] = {}
+        for setting in settings:
+            if not all(key in found for key in setting.keys):
+                why = silent or next(refused[key] for key in setting.keys if key in refused)
+                reasons.setdefault(why, []).append(setting)
+        self._end([_not_checked(*reason) for reason in reasons.items()])
         return {}
 
     def _judge(self, settings: Sequence[Setting], found: dict[ParamKey, float]) -> None:

@@ -1,4 +1,4 @@
-"""Type of a drive on the bus: ident number, telegrams, user parameters."""
+"""Type of a drive on the bus: ident number, telegrams, user parameters; its options."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from dpstack.errors import ConfigError
+from dpstack.profile.model.jobs import LARGEST
 
 #: the options of one drive, checked: true or false, a number, a text
 Options = Mapping[str, bool | float | str]
@@ -14,6 +15,15 @@ Options = Mapping[str, bool | float | str]
 CHANNEL_LEN: Final = 8
 #: the option of every drive that switches the comparison off
 CHECK_SETTINGS: Final = "check_settings"
+
+
+def config_number(what: str, value: object) -> float:
+    """``value`` where it is a number up to :data:`LARGEST`. Raises ConfigError, whose text begins with ``what``."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ConfigError(f"{what} must be a number, not {value!r}")
+    if abs(value) > LARGEST:
+        raise ConfigError(f"{what} must be a number up to {LARGEST:g}")
+    return value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

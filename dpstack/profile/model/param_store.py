@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from dpstack.errors import ConfigError
-from dpstack.profile.model.jobs import LARGEST
+from dpstack.profile.model.drive_type import config_number
 from dpstack.profile.model.params import ParamSpec, ParamTable
 
 
@@ -35,15 +35,10 @@ class ParamStore:
     def _preset(self, name: str, value: object, where: str) -> None:
         spec = self.table.named(name)
         if spec is None or spec.text:
-            near = self.table.nearest(name)
-            hint = f"; did you mean {' or '.join(near)}?" if near else ""
-            raise ConfigError(f"{where}: there is no option or parameter {name!r}{hint}")
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ConfigError(f"{where}: parameter {spec.label} must be a number, not {value!r}")
-        if abs(value) > LARGEST:
-            raise ConfigError(f"{where}: parameter {spec.label} must be a number up to {LARGEST:g}")
+            raise ConfigError(f"{where}: there is no option or parameter {name!r}{self.table.hint(name)}")
+        number = config_number(f"{where}: parameter {spec.label}", value)
         try:
-            raw = spec.to_raw(value)
+            raw = spec.to_raw(number)
         except ValueError as error:
             raise ConfigError(f"{where}: parameter {error}") from None
         self._ram[spec.name] = [raw] * len(self._ram[spec.name])

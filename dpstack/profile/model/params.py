@@ -144,9 +144,10 @@ class ParamTable:
             found = self.get(int(name))
         return found
 
-    def nearest(self, name: str) -> list[str]:
-        """Names that a user may have meant."""
-        return difflib.get_close_matches(name.lower(), self._by_name, n=3)
+    def hint(self, name: str) -> str:
+        """The names that a user may have meant, for the end of a message; empty where none is near."""
+        near = " or ".join(difflib.get_close_matches(name.lower(), self._by_name, n=3))
+        return f"; did you mean {near}?" if near else ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

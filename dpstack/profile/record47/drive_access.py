@@ -195,7 +195,7 @@ class AcyclicAccess(ParameterChannel):
             (result,) = yield from self.run(transport, deadline, place.label)
         except ValueError as error:
             raise CommandError("usage", f"{place.label}: {error}") from None
-        self._refused(place, result)
+        _check_refused(place, result)
         return _outcome(place, values)
 
     def run(self, transport: Transport[T], deadline: int, label: str) -> Steps[T]:
@@ -246,16 +246,16 @@ class AcyclicAccess(ParameterChannel):
         if result is None:
             transport = self.client.read([place.address], deadline)
             (result,) = yield from self.run(transport, deadline, place.label)
-        self._refused(place, result)
+        _check_refused(place, result)
         if not isinstance(result, Values) or not result.raws:
             raise CommandError("parameter", f"{place.label}: the drive answered without a value")
         self._formats[place.address] = result.format
         return result
 
-    def _refused(self, place: Place, result: object) -> None:
-        if isinstance(result, ErrorValue):
-            text = error_text(result.number, result.info, {})
-            raise CommandError("parameter", f"{place.label}: {text}", result.number)
+
+def _check_refused(place: Place, result: Result) -> None:
+    if isinstance(result, ErrorValue):
+        raise CommandError("parameter", f"{place.label}: {error_text(*result, {})}", result.number)
 
 
 def answer_of(outcome: Outcome) -> bytes | Refused | Silent:
