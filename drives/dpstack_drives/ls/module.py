@@ -27,7 +27,7 @@ class Module:
     def __init__(
         self, device: DriveDevice, live: Callable[[int, int], int | None], changed: Callable[[int], None]
     ) -> None:
-        self._device = device
+        self.device = device
         self.store = device.store
         self._live = live
         self._changed = changed
@@ -92,7 +92,7 @@ class Module:
         where = spec.number << 8 | spec.index if spec.index else spec.number
         if (error := spec.write_error(raw)) is not None:
             return error
-        if where in _STOPPED_ONLY and self._device.motor.frequency:
+        if where in _STOPPED_ONLY and self.device.motor.frequency:
             return 0x11
         if spec.number == t.PNU_RESET or where in _RESETS:
             if raw and not self._reset:

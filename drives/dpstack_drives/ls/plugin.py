@@ -139,7 +139,8 @@ class LsCore(MappedCore[ParaMap]):
         """Parameters over record 47 (docs/drives/ls-s100.md#record-47); trips and warnings have names in every telegram
         then."""
         self.lookups = (self._trips, self._warning)
-        return records.access(self.drive, queue, self, self._advised)
+        client = record47.ParameterClient(records.SLOT, limits=records.LIMITS, references=record47.PLUGIN)
+        return record47.AcyclicAccess(client, queue, self._placed, self)
 
     # -- process data ---------------------------------------------------------------------------------------------
 
@@ -333,6 +334,14 @@ class LsCore(MappedCore[ParaMap]):
         ref, where = references.resolve(key, self.drive)
         self._advised(where)
         return ref
+
+    def _placed(self, key: ParamKey) -> record47.Place:
+        """As :meth:`resolve`, for record 47."""
+        ref, where = references.resolve(key, self.drive)
+        self._advised(where)
+        by_pnu = record47.Address(ref.pnu, ref.ind, 1 if ref.array else 0)
+        address = by_pnu if where is None else record47.Address(where)
+        return record47.Place(address, ref.spec, ref.label, ref.pnu, format=record47.UNSIGNED16)
 
     def _advised(self, where: int | None) -> None:
         if where in t.ADVISED_AGAINST:

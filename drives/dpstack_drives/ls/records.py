@@ -1,4 +1,4 @@
-"""The records of the CPDP-S100: 47 at both ends (docs/drives/ls-s100.md#record-47), and I&M0.
+"""The records of the CPDP-S100: 47 as the simulated drive has it (docs/drives/ls-s100.md#record-47), and I&M0.
 
 PNUs are taken before addresses of the same number. Readings: a plain parameter with a subindex is error 4; a request
 takes two scans.
@@ -6,11 +6,9 @@ takes two scans.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
-from dpstack.profile import NS_PER_MS, Clock, ParamKey, ParamSpec, record47
-from dpstack_drives.ls import references
+from dpstack.profile import NS_PER_MS, ParamSpec, record47
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls.module import Module
 
@@ -28,17 +26,13 @@ RULES: Final = record47.Rules(
 
 
 class LsParameters(record47.ParameterModel):
-    """What the module has, as record 47 asks for it.
+    """The parameters of the module over record 47."""
 
-    ``refusal``: the error that an access (``write`` or not) ends with by an order from outside.
-    """
-
-    def __init__(self, module: Module, refusal: Callable[..., int | None]) -> None:
+    def __init__(self, module: Module) -> None:
         self._module = module
-        self._refusal = refusal
 
     def read(self, address: record47.Address) -> record47.Result:
-        if (number := self._refusal(write=False)) is not None:
+        if (number := self._module.device.refusal(write=False)) is not None:
             return record47.ErrorValue(number)
         spec = self._wanted(address)
         if isinstance(spec, record47.ErrorValue):
@@ -49,7 +43,7 @@ class LsParameters(record47.ParameterModel):
 
     def change(self, address: record47.Address, values: record47.Values) -> record47.ErrorValue | None:
         """One word: no array can be written."""
-        if (number := self._refusal(write=True)) is not None:
+        if (number := self._module.device.refusal(write=True)) is not None:
             return record47.ErrorValue(number)
         spec = self._wanted(address)
         if isinstance(spec, record47.ErrorValue):
@@ -74,41 +68,13 @@ class LsParameters(record47.ParameterModel):
         return spec if end <= size else record47.ErrorValue(0x03, max(address.subindex, size))
 
 
-def server(module: Module, refusal: Callable[..., int | None]) -> record47.ParameterServer:
-    """The drive's end."""
-    return record47.ParameterServer(LsParameters(module, refusal), RULES)
-
-
-def identification() -> record47.Im0:
-    """I&M0 (docs/drives/ls-s100.md#im). Order id, serial number and versions are made up."""
-    return record47.Im0(
-        manufacturer_id=t.DEVICE_ID[0],
-        order_id="CPDP-S100",
-        serial_number="00000001",
-        hardware_revision=1,
-        software_revision="V3.0.0",
-        profile_id=0x3A00,
-        supported=1,
-    )
-
-
-def served(parameters: record47.ParameterServer, clock: Callable[[int], int]) -> record47.ImRecords:
-    """All records of the drive: record 47 in slot 1, I&M0 in every slot."""
-    return record47.ImRecords((identification(),), record47.TimedRecords(parameters, clock))
-
-
-def access(
-    drive: str, queue: record47.RecordQueue, clock: Clock, advise: Callable[[int], None]
-) -> record47.AcyclicAccess:
-    """The master's end. ``advise`` is called with the address of a drive parameter."""
-
-    def placed(key: ParamKey) -> record47.Place:
-        ref, where = references.resolve(key, drive)
-        if where is not None:
-            advise(where)
-            return record47.Place(record47.Address(where), ref.spec, ref.label, ref.pnu, format=record47.UNSIGNED16)
-        address = record47.Address(ref.pnu, ref.ind, 1 if ref.array else 0)
-        return record47.Place(address, ref.spec, ref.label, ref.pnu, format=record47.UNSIGNED16)
-
-    client = record47.ParameterClient(SLOT, limits=LIMITS, references=record47.PLUGIN)
-    return record47.AcyclicAccess(client, queue, placed, clock)
+#: docs/drives/ls-s100.md#im; order id, serial number and versions are made up
+IDENTIFICATION: Final = record47.Im0(
+    manufacturer_id=t.DEVICE_ID[0],
+    order_id="CPDP-S100",
+    serial_number="00000001",
+    hardware_revision=1,
+    software_revision="V3.0.0",
+    profile_id=0x3A00,
+    supported=1,
+)

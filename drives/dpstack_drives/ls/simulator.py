@@ -18,6 +18,7 @@ from dpstack.profile import (
     TelegramSpec,
     profidrive_states,
     ramp,
+    record47,
     signed16,
 )
 from dpstack_drives.ls import records, settings, telegrams
@@ -81,8 +82,9 @@ class LsDevice(DriveDevice):
         self._online = self._config_refused = self._command_lost = False  # for the LEDs
         if not self.legacy:
             self.has_alarms("diagnostic")
-            self.record47 = records.server(self.module, self.refusal)
-            self.records = records.served(self.record47, self._caught_up)
+            self.record47 = record47.ParameterServer(records.LsParameters(self.module), records.RULES)
+            timed = record47.TimedRecords(self.record47, self._caught_up)
+            self.records = record47.ImRecords((records.IDENTIFICATION,), timed)
             self.ms2 = records.CONNECTIONS
 
     def _caught_up(self, now: int) -> int:
