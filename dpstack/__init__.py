@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from dpstack.api.lists.parameter_list import ParameterPlace
     from dpstack.api.server.server import SlaveServer, serve_slave, serve_slaves, slave_from_gsd
     from dpstack.api.slave.alarms import SlaveAlarm
+    from dpstack.api.slave.class2 import Connection
     from dpstack.api.slave.drive import Drive
-    from dpstack.api.slave.ms2_connection import Connection
     from dpstack.api.slave.slave import Slave
     from dpstack.dp.master.commands import Mode
     from dpstack.dp.master.events import SlaveState
@@ -157,8 +157,8 @@ api.config.config Config load_config
 api.lists.parameter_list ParameterPlace
 api.server.server SlaveServer serve_slave serve_slaves slave_from_gsd
 api.slave.alarms SlaveAlarm
+api.slave.class2 Connection
 api.slave.drive Drive
-api.slave.ms2_connection Connection
 api.slave.slave Slave
 dp.master.commands Mode
 dp.master.events SlaveState

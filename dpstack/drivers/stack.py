@@ -16,7 +16,7 @@ from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.services import reading_only
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.alarm_ack import Alarms
+from dpstack.dpv1.master.alarm_handler import Alarms
 from dpstack.dpv1.master.ms1 import Ms1
 from dpstack.dpv1.master.ms2 import Ms2
 from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot, no_image

@@ -13,7 +13,7 @@ from dpstack.api.control.arguments import hex_octets, within
 from dpstack.api.control.commands import Arguments, Order, Spec, find_word
 from dpstack.api.control.server import LongCommand, Send, kept_alive
 from dpstack.api.lists.record_list import ListedValues
-from dpstack.api.slave.ms2_connection import Connection
+from dpstack.api.slave.class2 import Connection
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT
 from dpstack.dpv1.pdu.im import Im, Im0

@@ -1,10 +1,9 @@
 """``Slave`` and ``Drive`` of the public API: process data, records, alarms, class 2 services.
 
 - ``alarms``: ``slave.alarms()``: alarms of DP-V1 and their acknowledgement
-- ``class2``: ``bus.class2``: the services of a class 2 master
+- ``class2``: ``bus.class2``: the services of a class 2 master, and its connections (MS2) to slaves
 - ``drive``: ``Drive``: orders, status and parameters of a drive
 - ``host``: Protocol of the bus that slaves, drives and class 2 services use
-- ``ms2_connection``: ``bus.class2.connect(...)``: a class 2 connection (MS2) to a slave
 - ``record_parameters``: PROFIdrive parameter access (record 47) for asyncio programs
 - ``records``: Read, Write, I&M and PROFIdrive parameters of DP-V1 at one slave, over MS1 or MS2
 - ``service_errors``: Exceptions of failed acyclic services

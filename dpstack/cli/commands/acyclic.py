@@ -27,7 +27,7 @@ from dpstack.api.control.record_orders import (
 )
 from dpstack.api.control.remote import through_run
 from dpstack.api.lists.record_list import RecordList, compared, list_of
-from dpstack.api.slave.ms2_connection import Connection
+from dpstack.api.slave.class2 import Connection
 from dpstack.api.slave.slave import Slave
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus

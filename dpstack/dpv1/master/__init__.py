@@ -1,7 +1,6 @@
 """The master's end of DP-V1: Read and Write, alarms, connections.
 
-- ``alarm_ack``: Alarm_Ack of a class 1 master (MS1): to SAP 51 between Read and Write
-- ``alarm_handler``: Alarms of one slave at its master: recognised in its diagnoses, delivered once, acknowledged
+- ``alarm_handler``: Alarms of the slaves of a master: recognised in diagnoses, delivered once, acknowledged (Alarm_Ack)
 - ``alarm_repeats``: Acknowledged alarms that are in the diagnosis again: still the old alarm, or a new one
 - ``ms1``: MS1 of a class 1 master: Read and Write, and the steps that every MS1 service has
 - ``ms2``: Class 2 connections (MS2) of a master: opened through the resource manager of a slave (DSAP 49)

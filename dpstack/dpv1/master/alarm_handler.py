@@ -1,8 +1,8 @@
-"""Alarms of one slave at its master: recognised in its diagnoses, delivered once, acknowledged.
+"""Alarms at a class 1 master: recognised in the diagnoses of a slave, delivered once, acknowledged by Alarm_Ack.
 
-An alarm is open from the diagnosis that brings it until the slave takes its acknowledgement, which
-:mod:`~dpstack.dpv1.master.alarm_ack` sends. Facts: docs/protocol.md#alarms, docs/protocol.md#alarm_ack. Decisions where
-the sources leave something open: docs/decisions/alarms.md#alarms-at-the-master.
+An alarm is open from the diagnosis that brings it until the slave takes its acknowledgement. Alarm_Ack goes to SAP 51
+between Read and Write, or to SAP 50 with Extra_Alarm_SAP. Facts: docs/protocol.md#alarms, docs/protocol.md#alarm_ack.
+Decisions where the sources leave something open: docs/decisions/alarms.md#alarms-at-the-master.
 """
 
 from __future__ import annotations
@@ -12,17 +12,24 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
 
-from dpstack.dp.acyclic.job import Outcome, ServiceFailure
+from dpstack.dp.acyclic.job import ACKS, Outcome, ServiceFailure
+from dpstack.dp.acyclic.queue import Provider
 from dpstack.dp.master.slave_handler import SlaveHandler
-from dpstack.dp.master.slave_reports import AlarmCounts, DiagObserver
-from dpstack.dp.pdu.alarm_blocks import Alarm, Status, alarm_name, kind_of, parse_block
+from dpstack.dp.master.slave_reports import NO_ALARMS, AlarmCounts, DiagObserver
+from dpstack.dp.pdu.alarm_blocks import HEAD, Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARM_MODE, ALARMS
 from dpstack.dpv1.master.alarm_repeats import Key, Settling
-from dpstack.dpv1.master.orders import AlarmDone, AlarmRaised, StatusTold, texts_beside
+from dpstack.dpv1.master.ms1 import Ms1, Ms1Job
+from dpstack.dpv1.master.orders import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold, texts_beside
+from dpstack.dpv1.master.srd_polling import negative_outcome
 from dpstack.dpv1.pdu.error_codes import AGAIN
+from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative, parse_response
 from dpstack.errors import PduError
+from dpstack.fdl.interface import Failure, Request
+from dpstack.fdl.telegram import SAP_MS1, SAP_MS1_ALARM, Telegram
+from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_MS
 
 #: limit of the alarms of one slave that are open, or not yet taken by the application; by the rules there are up to 32
@@ -30,6 +37,15 @@ MAX_OPEN: Final = 64
 #: pauses before the first, the second ... repetition of an acknowledgement
 _AGAIN: Final = (100 * NS_PER_MS, 200 * NS_PER_MS, 500 * NS_PER_MS, 1000 * NS_PER_MS)
 _NO: Final = (ServiceFailure.NEGATIVE, ServiceFailure.REFUSED, ServiceFailure.LENGTH, ServiceFailure.GUARDED)
+_MALFORMED: Final = "its diagnosis holds a device block that is neither alarm nor status ({why}): {octets}"
+_NOT_ENABLED: Final = (
+    "its diagnosis holds a {what}, a kind that Set_Prm did not enable: neither delivered nor acknowledged; where it "
+    'raises them put "{kind}" into dpv1 = {{ alarms = [...] }}'
+)
+_NO_EXTRA_SAP: Final = (
+    "SAP 50 is closed, though it says Extra_Alarm_SAP: its alarms are acknowledged at SAP 51 (extra_alarm_sap = false)"
+)
+_REFUSED: Final = "{why}; the alarm was delivered, but the slave may wait for ever"
 
 
 class Stage(Enum):
@@ -344,12 +360,110 @@ def _busy(outcome: Outcome) -> bool:
     return outcome.codes is not None and outcome.codes[1] in AGAIN
 
 
-_MALFORMED: Final = "its diagnosis holds a device block that is neither alarm nor status ({why}): {octets}"
-_NOT_ENABLED: Final = (
-    "its diagnosis holds a {what}, a kind that Set_Prm did not enable: neither delivered nor acknowledged; where it "
-    'raises them put "{kind}" into dpv1 = {{ alarms = [...] }}'
-)
-_NO_EXTRA_SAP: Final = (
-    "SAP 50 is closed, though it says Extra_Alarm_SAP: its alarms are acknowledged at SAP 51 (extra_alarm_sap = false)"
-)
-_REFUSED: Final = "{why}; the alarm was delivered, but the slave may wait for ever"
+class AckJob(Ms1Job):
+    """The acknowledgement of ``known``, one of ``alarms``, at SAP 51 or 50. The positive response repeats the request.
+
+    After a lost response the master first asks the slave for the response that it may still have, then sends the
+    request again (:class:`~dpstack.dpv1.master.ms1.Ms1Job`).
+    """
+
+    hint = ""
+    why_closed = "see Extra_Alarm_SAP_supp of its GSD file (dpv1 = { extra_alarm_sap = ... })"
+
+    def __init__(self, known: OpenAlarm, alarms: AlarmHandler, ms1: Ms1) -> None:
+        alarm = known.alarm
+        title = f"{Function.ALARM_ACK.title} of {alarm.title}, slot {alarm.slot}, sequence number {alarm.sequence}"
+        self._ack = AlarmAck.of(alarm)
+        self._known = known
+        self._alarms = alarms
+        sap = SAP_MS1_ALARM if alarms.extra_sap else SAP_MS1
+        super().__init__(title, alarms.handler, ms1, self._ack.build(), HEAD, sap)
+
+    @property
+    def settled(self) -> bool:
+        """The master has fetched the response to an earlier acknowledgement."""
+        return self._known.answered
+
+    def accept_late(self, octets: bytes) -> bool:
+        outcome = self.outcome_of(octets)
+        if outcome is None or outcome.failure is not None:
+            return False
+        self._known.answered = True
+        return True
+
+    def outcome_of(self, octets: bytes) -> Outcome | None:
+        """The response has slot, type and specifier of the request."""
+        try:
+            if octets[0] & 0x80:
+                response = parse_response(octets)
+                if not isinstance(response, Negative) or response.function != Function.ALARM_ACK:
+                    return None
+                return negative_outcome(self.address, self.title, response)
+            return Outcome() if octets[0] == Function.ALARM_ACK and AlarmAck.parse(octets) == self._ack else None
+        except PduError as error:
+            text = f"slave {self.address} answers {self.title} with what cannot be read: {error}"
+            return Outcome(ServiceFailure.LENGTH, text)
+
+    def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
+        """The alarm handler emits the event of the alarm's end."""
+        self._alarms.ended(self._known, outcome, now)
+        return []
+
+
+class Alarms(Provider):
+    """The alarms of the slaves of a class 1 master: their handlers, orders, acknowledgements."""
+
+    def __init__(self, ms1: Ms1) -> None:
+        self._ms1 = ms1
+        self._books: dict[int, AlarmBook] = {}
+        #: of slaves that are parameterised for DP-V1
+        self._alarms: dict[int, AlarmHandler] = {}
+        if ms1.master is not None:
+            ms1.master.roster.observe(self._observer)
+
+    def _observer(self, handler: SlaveHandler, before: SlaveHandler | None) -> DiagObserver:
+        address = handler.setup.address
+        self._alarms.pop(address, None)
+        if before is None:
+            self._books[address] = AlarmBook()
+        if handler.setup.dpv1 is None:
+            return NO_ALARMS
+        alarms = self._alarms[address] = AlarmHandler(handler, self._books[address])
+        return alarms
+
+    def command(self, order: object, now: int) -> bool:
+        """HoldAlarms and AcknowledgeAlarm, also for an alarm that is over. Raises UsageError as for a service."""
+        match order:
+            case HoldAlarms(address, on):
+                handler = self._ms1.dpv1_slave(address) if on else self._ms1.slave(address)
+                book = self._books[handler.setup.address]
+                book.hold = on
+                if not on:
+                    book.untaken.clear()
+                    if address in self._alarms:
+                        self._alarms[address].release(None, now)
+            case AcknowledgeAlarm(address, number):
+                handler = self._ms1.slave(address)
+                self._books[handler.setup.address].untaken.discard(number)
+                if address in self._alarms:
+                    self._alarms[address].release(number, now)
+            case _:
+                return False
+        return True
+
+    def queue_jobs(self, now: int) -> None:
+        """Acknowledgements go out in the hold of the Data_Exchange before them, one at a time for each slave."""
+        for alarms in self._alarms.values():
+            known = alarms.next_ack(now) if alarms.busy else None
+            if known is not None:
+                alarms.begin_ack(known)
+                job = AckJob(known, alarms, self._ms1)
+                self.queue.put(job, job.timeout_ns, now, token=ACKS, first=True)
+
+    def request_ended(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """Silence leaves the slave in doubt whether its diagnosis was read."""
+        if isinstance(outcome, Telegram) or outcome in (Failure.ABANDONED, Failure.HELD_BACK, Failure.REFUSED):
+            return
+        alarms = self._alarms.get(request.da)
+        if alarms is not None:
+            alarms.missed()

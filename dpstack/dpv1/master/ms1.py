@@ -4,8 +4,8 @@ The request is one SRD. The slave answers in it at once, or acknowledges and is 
 (docs/protocol.md#ms1). A slave has one service at a time, others wait in :mod:`dpstack.dp.acyclic.queue`. A Read
 without any answer is repeated, a Write is not: the slave may have carried it out, and the outcome says so.
 
-Alarm_Ack is in :mod:`dpstack.dpv1.master.alarm_ack`, the polling in :mod:`dpstack.dpv1.master.srd_polling`. Decisions
-where the sources leave something open: docs/decisions/services.md#ms1-at-the-master.
+Alarm_Ack is in :mod:`dpstack.dpv1.master.alarm_handler`, the polling in :mod:`dpstack.dpv1.master.srd_polling`.
+Decisions where the sources leave something open: docs/decisions/services.md#ms1-at-the-master.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Orders of programs to the DP-V1 services of a master, and the events that answer them. Plain data; times in ns.
 
 A class 2 connection is named by the token of the order that opened it. The machines that carry the orders out:
-:mod:`dpstack.dpv1.master.ms1`, :mod:`dpstack.dpv1.master.ms2`, :mod:`dpstack.dpv1.master.alarm_ack`.
+:mod:`dpstack.dpv1.master.ms1`, :mod:`dpstack.dpv1.master.ms2`, :mod:`dpstack.dpv1.master.alarm_handler`.
 """
 
 from __future__ import annotations
