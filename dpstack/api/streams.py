@@ -244,25 +244,17 @@ class Rounds:
         self._view = view
         self._watchers: list[Callable[[], None]] = []
 
-    def watch(self, watcher: Callable[[], None]) -> None:
-        """Call ``watcher()`` at the end of every round."""
-        if watcher not in self._watchers:
-            self._watchers.append(watcher)
-        self._view.watch_rounds(self._on_round)
-
-    def unwatch(self, watcher: Callable[[], None]) -> None:
-        self._watchers.remove(watcher)
-        if not self._watchers:
-            self._view.watch_rounds(None)
-
     @contextlib.contextmanager
     def watched(self, watcher: Callable[[], None]) -> Iterator[None]:
         """Call ``watcher()`` at the end of every round inside the block."""
-        self.watch(watcher)
+        self._watchers.append(watcher)
+        self._view.watch_rounds(self._on_round)
         try:
             yield
         finally:
-            self.unwatch(watcher)
+            self._watchers.remove(watcher)
+            if not self._watchers:
+                self._view.watch_rounds(None)
 
     def _on_round(self) -> None:
         for watcher in tuple(self._watchers):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
-import functools
 from collections.abc import AsyncIterator, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -364,7 +363,7 @@ class Bus(Sealed, BusBase):
         if rotations is None:
             await self.until(lambda: False, timeout)
             return
-        with self.rounds.watched(functools.partial(self._waiters.check)):  # each caller registers a function of its own
+        with self.rounds.watched(self._waiters.check):
             await self.until(lambda: self.view.rotations >= rotations, timeout)
 
     # --- from the machine ---------------------------------------------------------------------------------------

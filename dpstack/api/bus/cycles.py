@@ -99,15 +99,14 @@ class Cycles:
             return
         reader = _Reader(self._bus)
         self._readers.append(reader)
-        self._bus.rounds.watch(reader.on_round)
         try:
-            async for data in reader.newest:
-                if reader.over:  # the bus has ended: a cycle from before is of no use
-                    break
-                yield reader.cycle(data)
+            with self._bus.rounds.watched(reader.on_round):
+                async for data in reader.newest:
+                    if reader.over:  # the bus has ended: a cycle from before is of no use
+                        break
+                    yield reader.cycle(data)
         finally:
             self._readers.remove(reader)
-            self._bus.rounds.unwatch(reader.on_round)
 
 
 class _Reader:

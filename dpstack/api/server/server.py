@@ -68,7 +68,9 @@ def slave_from_gsd(
 class ServedSlave(Sealed):
     """One served slave. ``restart()`` and ``initial_reset()`` raise UsageError within its own functions."""
 
-    def __init__(self, device: Device, address: int, fixed: bool, params: BusParams, patience: Patience) -> None:
+    def __init__(
+        self, device: Device, address: int, fixed: bool, params: BusParams, patience: Patience, waiters: Waiters
+    ) -> None:
         self.device = device
         self._records: AsyncRecords | None = None
         if isinstance(device, DpSlave) and (device.on_read or device.on_write or device.on_transport):
@@ -79,7 +81,8 @@ class ServedSlave(Sealed):
         self.station = PassiveStation(address, self._app, params, patience=patience)
         #: the runtime of the station, set by the server
         self.runtime: Runtime | None = None
-        self._waiters = Waiters()
+        #: those of the server
+        self._waiters = waiters
         self._over: BusError | None = None
         self._seal(ServedSlave)
 
@@ -231,10 +234,6 @@ class ServedSlave(Sealed):
             raise UsageError(f"slave {self.name}: it has no DP-V1, so no alarms; say dpv1=True in its description")
         return server
 
-    def check(self) -> None:
-        """Let those who wait check their condition, after events."""
-        self._waiters.check()
-
     def switch_off(self, why: BusError, now: int) -> None:
         """The end of serving: outputs safe."""
         self._over = why
@@ -242,7 +241,6 @@ class ServedSlave(Sealed):
             self._records.end()
         self.station.command(LineDown("switched off"), now)
         self._app.restart(now)
-        self._waiters.check()
 
     def _now(self) -> int:
         return 0 if self.runtime is None else self.runtime.now()
@@ -318,7 +316,9 @@ class SlaveServer(Sealed):
         self._waiters = Waiters()
         opened = None if port is None or world is not None else open_port(port, self.baud)
         patience = EXACT if opened is None else patience_of(opened)
-        self.slaves = tuple(ServedSlave(device, at, fixed, params, patience) for at, device in slaves.items())
+        self.slaves = tuple(
+            ServedSlave(device, at, fixed, params, patience, self._waiters) for at, device in slaves.items()
+        )
         self._runtimes: list[Runtime] = []
         if opened is not None:
             line = Multidrop([slave.station for slave in self.slaves], params, patience=patience)
@@ -367,8 +367,7 @@ class SlaveServer(Sealed):
         self._on_events([event for slave in self.slaves for event in slave.station.take_events()])
 
     def _on_events(self, events: list[Event]) -> None:
-        for slave in self.slaves:
-            slave.check()
+        self._waiters.check()
         for event in events:
             hand_to(self.on_event, event)
 
@@ -376,12 +375,12 @@ class SlaveServer(Sealed):
         for slave in self.slaves:
             if slave.runtime is not None:
                 slave.switch_off(why, slave.runtime.now())
+        self._waiters.check()
 
     def _failed(self, error: Exception) -> None:
         self.failure = BusError(f"the slaves were stopped by a defect in dpstack ({type(error).__name__}: {error})")
         self.failure.__cause__ = error
         self._make_safe(self.failure)
-        self._waiters.check()
 
     def _over(self) -> bool:
         if self.failure is not None:

@@ -265,14 +265,12 @@ class Drive(Sealed, Readable):
         if self._over:
             reader.end()
         self._readers.append(reader)
-        self._bus.rounds.watch(self.on_round)
         try:
-            async for status in reader:
-                yield status
+            with self._bus.rounds.watched(self.on_round):
+                async for status in reader:
+                    yield status
         finally:
             self._readers.remove(reader)
-            if not self._readers:
-                self._bus.rounds.unwatch(self.on_round)
 
     # --- from the bus -------------------------------------------------------------------------------------------
 

@@ -14,6 +14,7 @@ from support import WorldFactory
 import dpstack
 from dpstack import DpSlave, Im0, RecordRefused, SlaveDescription
 from dpstack.api.server.server import ServedSlave
+from dpstack.api.streams import Waiters
 from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.errors import BusError, ConfigError
 from dpstack.phy.patience import EXACT
@@ -41,6 +42,7 @@ class Rig:
             False,
             PARAMS,
             EXACT,
+            Waiters(),
         )
         self.wire = Wire(self.served.station)
         self.master = Class2(self.wire)
@@ -126,7 +128,7 @@ async def test_functions_are_cancelled_when_nobody_wants_the_answer(way: str) ->
 
 async def test_a_slave_of_its_description_or_of_its_own_number() -> None:
     def served(ms2: int | None) -> ServedSlave:
-        return ServedSlave(DpSlave(RIG, lambda outputs, elapsed: outputs, ms2=ms2), 8, False, PARAMS, EXACT)
+        return ServedSlave(DpSlave(RIG, lambda outputs, elapsed: outputs, ms2=ms2), 8, False, PARAMS, EXACT, Waiters())
 
     assert [served(count).connections_free for count in (None, 0, 5)] == [2, 0, 5]
     master = Class2(Wire(served(0).station))
