@@ -62,7 +62,7 @@ class Plant:
         self.world.add(station)
         if profile is not None:
             for address, image in self.master.images.items():
-                image.unit = profile.core(f"s{address}", "PPO1", simulated=True)
+                image.plugin = profile.core(f"s{address}", "PPO1", simulated=True)
         self.world.command(station, GoOnline())
         self.world.command(station, SetMode(Mode.OPERATE))
         handlers = self.master.handlers.values()

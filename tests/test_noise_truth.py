@@ -143,7 +143,7 @@ def hold_against_the_truth(seed: int, rate: float, baud: int, bits: int) -> tupl
     applications = [Application(address) for address in bus.master.handlers]
     bus.until_exchanging(within_ns=60 * S)
     for application in applications:
-        bus.master.images[application.address].unit = application
+        bus.master.images[application.address].plugin = application
     wire = Wire(world)
     world.run_for(bits * 100_000_000 // baud)  # a tenth without noise: what is under way now is over then
     assert sum(s.retries + s.timeouts for s in bus.station.stats.stations.values()) == 0

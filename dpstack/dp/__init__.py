@@ -7,7 +7,7 @@
 - ``slave/``: The DP slave: its states, its services, and what an author of a device writes
 - ``error_origin``: Where in a device's own functions an exception comes from
 - ``process_data``: Names for process data: what the octets of a slave's inputs or outputs mean
-- ``process_image``: The process image: what the bus exchanges in every rotation, whether the application calls or not
+- ``process_image``: The process image: the inputs and outputs of a slave, which the bus exchanges in every rotation
 - ``rate_groups``: Rate groups: in which cycles a slave of ``every`` n has its turn
 - ``services``: The services of MS0 at a slave: their names and SAPs, the requests of a master
 - ``slave_params``: What a master must know of a slave before it can bring it up, checked at construction

@@ -1,4 +1,4 @@
-"""The process image: what the bus exchanges in every rotation, whether the application calls or not."""
+"""The process image: the inputs and outputs of a slave, which the bus exchanges in every rotation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dpstack.errors import UsageError
 from dpstack.text import octets_text
 from dpstack.units import NS_PER_S
 
-#: inputs of a slave without watchdog may be this old
+#: greatest age of valid inputs of a slave without watchdog
 UNWATCHED_NS: Final = NS_PER_S
 
 
@@ -26,55 +26,58 @@ def inputs_are_valid(*, exchanging: bool, age_ns: int | None, limit_ns: int) -> 
     return exchanging and age_ns is not None and age_ns <= limit_ns
 
 
-class CyclicUnit(Protocol):
-    """What runs once a rotation on the bus side for one slave (a drive plugin): pure, quick, no clock of its own.
+class CyclicPlugin(Protocol):
+    """A drive plugin as the master sees it. The master calls it before each Data_Exchange with its slave.
 
-    An exception out of any of these sets the slave's outputs to their safe values, is told as a fault of kind PLUGIN,
-    and leaves the bus alone.
+    Its methods must return quickly, must not block, and get the time as an argument. If a method raises an exception,
+    the master sets the slave's outputs to their safe values and reports a fault of kind PLUGIN; the bus goes on.
     """
 
     def cyclic(self, inputs: bytes, now: int) -> bytes:
-        """Called just before each Data_Exchange in Operate: the last inputs, the time in ns -> the outputs.
+        """Return the outputs of the next Data_Exchange in Operate. ``now`` in ns.
 
-        ``inputs`` are empty while there are no valid ones of this stay in data exchange.
+        ``inputs``: the last inputs; empty while there were no valid ones since data exchange began.
         """
 
     def lost(self, now: int) -> None:
-        """The slave left data exchange, or outputs went to their safe values: what is pending ends with a reason."""
+        """The slave left data exchange, or outputs went to their safe values: end pending orders with a reason."""
 
     def safe(self, configured: bytes) -> bytes:
-        """The outputs of every way out: ``configured``, unless what the device keeps would change by them."""
+        """The safe outputs: ``configured``, unless they would change settings that the device keeps."""
 
     def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
-        """An order of the application in plain JSON data; its result is an event that carries ``token``."""
+        """Carry out an order of the application (plain JSON data). Its result is an event with the same ``token``."""
 
     def take_events(self) -> list[dict[str, object]]:
-        """Plain JSON data for the application, oldest first; asked after each of the calls above."""
+        """Return and clear the events for the application (plain JSON data), oldest first.
+
+        The master calls it after ``cyclic``, ``lost`` and ``command``.
+        """
 
 
 class SlaveImage:
     """Inputs and outputs of one slave. Assigning ``outputs`` is atomic; it goes out in the next rotation.
 
-    ``inputs`` are the last valid ones (zeros before the first exchange), ``input_time`` when they came, in ns (0: there
-    never were any).
+    ``inputs`` are the last valid ones (zeros before the first exchange). ``input_time``: the time of their arrival in
+    ns, 0 before the first exchange.
     """
 
-    __slots__ = ("_outputs", "input_len", "input_time", "inputs", "latched", "output_len", "unit", "valid")
+    __slots__ = ("_outputs", "input_len", "input_time", "inputs", "latched", "output_len", "plugin", "valid")
 
     def __init__(self, input_len: int, output_len: int, outputs: bytes) -> None:
         self.input_len = input_len
         self.output_len = output_len
         self.inputs = bytes(input_len)
         self.input_time = 0
-        #: False while the inputs are not of a slave in data exchange
+        #: False while the slave is not in data exchange, or its inputs cannot be trusted
         self.valid = False
-        self.unit: CyclicUnit | None = None
+        self.plugin: CyclicPlugin | None = None
         self._outputs = outputs
-        #: the outputs as they were when the round began: those of all slaves are taken over at one moment
+        #: the outputs as they were when the round began, copied for all slaves at the same moment
         self.latched = outputs
 
     def latch(self) -> None:
-        """A round begins."""
+        """Copy the outputs for the round that begins."""
         self.latched = self._outputs
 
     @property
@@ -95,13 +98,13 @@ class SlaveImage:
 def image_of(setup: SlaveParams, before: SlaveImage | None = None) -> SlaveImage:
     """The process image of a slave; ``before`` itself where the lengths are the same.
 
-    Raises UsageError where ``before`` has a cyclic unit, which is made for its lengths.
+    Raises UsageError if ``before`` has a drive plugin, because a plugin is made for one pair of lengths.
     """
     lengths = (setup.input_len, setup.output_len)
     if before is not None:
         if (before.input_len, before.output_len) == lengths:
             return before
-        if before.unit is not None:
+        if before.plugin is not None:
             raise UsageError(
                 f"{setup.who}: its drive plugin is made for {before.input_len} octets of "
                 f"inputs and {before.output_len} of outputs; remove the slave and add it anew for other lengths"

@@ -219,7 +219,7 @@ def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> Drive
     core = core_of(slave, simulated=simulated)
     if core is None:
         return None
-    master.handlers[slave.address].image.unit = core
+    master.handlers[slave.address].image.plugin = core
     return DrivePlugin(core, core.status)
 
 

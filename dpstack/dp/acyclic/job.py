@@ -145,7 +145,7 @@ class Job(abc.ABC):
         return []
 
 
-#: the token of jobs that no program ordered: of cyclic units and connections; acknowledgements of alarms
+#: the token of jobs that no program ordered: of drive plugins and connections; acknowledgements of alarms
 UNORDERED: Final = -1
 ACKS: Final = -2
 

@@ -8,9 +8,9 @@
 - ``global_control``: Global_Control: the master's mode, repeated; SYNC, FREEZE and their ends, each sent exactly once
 - ``master``: The class 1 master: modes and the ordered end
 - ``outputs_watch``: When the master goes to Clear by itself: auto-clear, the stall rule, the application watchdog
-- ``plugin_host``: Runs a slave's cyclic unit (a drive plugin) so that its defects stay its own
-- ``poll_order``: The order of polls: which slaves have Data_Exchange in a round, and whose service comes next
-- ``retry_timing``: When a slave is asked next: the back-off of retries
+- ``plugin_host``: Calls a slave's drive plugin and catches its exceptions, so that the bus goes on
+- ``poll_order``: The order of polls: the slaves with Data_Exchange in a round, and the slave with the next service
+- ``retry_timing``: When the next service request to a slave is due: back-off of retries, long polls of absent slaves
 - ``scanner``: The scanner: the live list, filled up with ident number, state and owner of each slave
 - ``settings``: Settings of a DP master that do not depend on its slaves, and the state that all its parts share
 - ``slave_handler``: The master's handling of one slave: what to ask it next, and what its answers mean

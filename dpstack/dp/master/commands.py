@@ -65,8 +65,8 @@ class ActivateSlave(Order):
 class ReparameteriseSlave(Order):
     """Give the slave at ``setup.address`` other parameters: safe outputs for 50 ms, unlock, a new bring-up.
 
-    Its process image stays the same object where the lengths stay the same, and so does its cyclic unit; with other
-    lengths they are made anew (a slave with a cyclic unit is refused then).
+    Its process image stays the same object where the lengths stay the same, and so does its drive plugin; with other
+    lengths they are made anew (a slave with a drive plugin is refused then).
     """
 
     setup: SlaveParams
@@ -90,7 +90,7 @@ class SendControl(Order):
 
 
 class DriveCommand(Order):
-    """An order to the cyclic unit of the slave at ``address``; the result is a ``DriveEvent`` with ``token``."""
+    """An order to the drive plugin of the slave at ``address``; the result is a ``DriveEvent`` with ``token``."""
 
     address: int
     op: str

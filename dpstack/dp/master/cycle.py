@@ -135,7 +135,7 @@ class Round:
         if self._cadence.fixed:
             self._services = 1
         else:
-            self._services = 1 if exchanging else turns.waiting
+            self._services = 1 if exchanging else turns.candidates
             if context.target is Mode.OFFLINE:
                 self._services = 0
 
@@ -172,8 +172,8 @@ class Round:
                     self._cursor += 1
                     continue  # its turn comes in the next cycle
                 self._cursor += 1
-                if self._turns.rates.uneven:
-                    self._turns.rates.taken(handler.setup.address, self._cadence.number)
+                if self._turns.rates.has_slower_slaves:
+                    self._turns.rates.had_turn(handler.setup.address, self._cadence.number)
                 return handler.data_request(self._outputs(handler, now))
             self._cursor += 1
         return None
@@ -181,7 +181,9 @@ class Round:
     def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
         context = self._context
         if self._operating and context.mode is _OPERATE:
-            return handler.unit.outputs(now) if context.target is _OPERATE else handler.unit.safe_outputs()
+            return (
+                handler.plugin_host.outputs(now) if context.target is _OPERATE else handler.plugin_host.safe_outputs()
+            )
         # Clear: a Fail_Safe slave gets an empty frame, the others zeros (docs/protocol.md#clear)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 
@@ -190,7 +192,7 @@ class Round:
             self._services -= 1
             chosen = self._turns.next(now, self._roster.is_leaving, room=room)
             if chosen is not None:
-                return chosen.service_request(now, long=self._turns.waits_long(chosen, now))
+                return chosen.service_request(now, long=self._turns.is_long_poll(chosen, now))
         return None
 
     def _between(self, now: int, *, room: bool = False) -> Request | None:
@@ -233,7 +235,7 @@ class Round:
         handler = request.tag
         if isinstance(handler, SlaveHandler):
             handler.restart |= request.restart
-            self._turns.held_back(handler)
+            self._turns.postpone(handler)
         else:
             self._controls.held_back(self._cadence.window.next_at)
 

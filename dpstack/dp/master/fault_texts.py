@@ -263,7 +263,7 @@ def left(diagnosis: Diagnosis, status: str) -> Fault:
 
 
 def plugin(error: BaseException) -> Fault:
-    """An exception in a drive plugin or another cyclic unit."""
+    """An exception in a drive plugin."""
     return Fault(
         FaultKind.PLUGIN,
         f"its plugin failed ({type(error).__name__}: {error}): outputs are at their safe values",

@@ -110,7 +110,7 @@ class Master:
                 self.controls.order(command)
             case DriveCommand(address, op, args, token):
                 self._writable("no drive can be commanded")
-                self.roster.find(address).unit.command(op, args, token, now)
+                self.roster.find(address).plugin_host.command(op, args, token, now)
             case LineDown(reason):
                 self._line_lost(f"the port vanished ({reason})", now, port=True)
                 return False
@@ -163,7 +163,7 @@ class Master:
         """
         if self.mode is self.context.target is Mode.OPERATE:
             for handler in self.handlers.values():
-                handler.unit.lost(now)
+                handler.plugin_host.lost(now)
             self.controls.let_go(f"the master goes to {target.name.capitalize()}", now)
         self.context.target = target
         if target is Mode.OPERATE:
@@ -208,7 +208,7 @@ class Master:
     def _clear_is_safe(self) -> bool:
         """Whether Clear's zeros are the safe values of all slaves in data exchange."""
         exchanging = (h for h in self.handlers.values() if h.state is SlaveState.DATA_EXCHANGE)
-        return not any(any(handler.unit.safe_outputs()) for handler in exchanging)
+        return not any(any(handler.plugin_host.safe_outputs()) for handler in exchanging)
 
     def _descend(self, now: int) -> None:
         """A round on the way down is through."""
@@ -303,7 +303,7 @@ class Master:
         if request.dsap is None:
             handler.data_result(outcome, now)
             return
-        self._turns.polled(handler, now - self._token.sent_at, now, long=request.extra_ns > 0)
+        self._turns.count_poll(handler, now - self._token.sent_at, now, long=request.extra_ns > 0)
         handler.service_result(request, outcome, now)
 
     # --- without a token ----------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
-"""The order of polls: which slaves have Data_Exchange in a round, and whose service comes next.
+"""The order of polls: the slaves with Data_Exchange in a round, and the slave with the next service.
 
-While the bus runs the rate groups decide (their offsets: :mod:`dpstack.dp.rate_groups`). A turn that could not be taken
-(the cycle was left out) is taken in the next cycle, the one after that in its own.
+A slave of ``every`` n has a turn in each n-th cycle (:mod:`dpstack.dp.rate_groups`). If that cycle is left out, the
+slave has its turn in the next cycle instead; its later turns stay where they were.
 """
 
 from __future__ import annotations
@@ -19,107 +19,119 @@ from dpstack.params import BusParams
 
 
 class RateTurns:
-    """The slaves that are not due in every cycle. Free running the rounds are counted the same way."""
+    """Turns of the slaves that do not exchange data in every cycle (``every`` > 1).
+
+    ``number`` is the number of a fixed cycle, or of a round while rounds run free.
+    """
 
     def __init__(self, params: BusParams) -> None:
         self._params = params
         self._setups: Sequence[SlaveParams] = ()
-        #: by address: n and offset, and the number of the next turn
-        self._rare: dict[int, tuple[int, int]] = {}
-        self._due: dict[int, int] = {}
+        #: address -> (every, offset), only of slaves with ``every`` > 1
+        self._groups: dict[int, tuple[int, int]] = {}
+        #: address -> number of the cycle in which the slave has its next turn
+        self._next_turn: dict[int, int] = {}
 
     def arrange(self, setups: Sequence[SlaveParams]) -> None:
-        """The slaves there are, whether they are in data exchange or not; who was there keeps its offset."""
+        """Give every slave of ``setups`` its offset, in data exchange or not. Slaves of the last call keep theirs."""
         if setups == self._setups:
             return
         self._setups = setups
-        kept = {address: offset for address, (_, offset) in self._rare.items()}
+        kept = {address: offset for address, (_, offset) in self._groups.items()}
         chosen = offsets((share(self._params, s) for s in setups), kept)
-        rare = {s.address: (s.every, chosen[s.address]) for s in setups if s.every > 1}
-        self._due = {a: at for a, at in self._due.items() if rare.get(a) == self._rare[a]}
-        self._rare = rare
+        groups = {s.address: (s.every, chosen[s.address]) for s in setups if s.every > 1}
+        self._next_turn = {a: at for a, at in self._next_turn.items() if groups.get(a) == self._groups[a]}
+        self._groups = groups
 
     @property
-    def uneven(self) -> bool:
-        """Somebody is not due in every cycle."""
-        return bool(self._rare)
+    def has_slower_slaves(self) -> bool:
+        """Whether any slave does not exchange data in every cycle."""
+        return bool(self._groups)
 
     def due(self, address: int, number: int) -> bool:
-        """Whether the slave at ``address`` has a turn in cycle ``number``, or one it could not take before."""
-        spread = self._rare.get(address)
-        if spread is None:
+        """Whether the slave at ``address`` has a turn in cycle ``number``, or missed a turn before it."""
+        group = self._groups.get(address)
+        if group is None:
             return True
-        at = self._due.get(address)
+        at = self._next_turn.get(address)
         if at is None:
-            every, offset = spread
-            at = self._due[address] = number + (offset - number) % every
+            every, offset = group
+            at = self._next_turn[address] = number + (offset - number) % every
         return number >= at
 
-    def taken(self, address: int, number: int) -> None:
-        """It had its turn in cycle ``number``."""
-        spread = self._rare.get(address)
-        if spread is not None:
-            every, offset = spread
-            self._due[address] = number + 1 + (offset - number - 1) % every
+    def had_turn(self, address: int, number: int) -> None:
+        """The slave at ``address`` had its turn in cycle ``number``."""
+        group = self._groups.get(address)
+        if group is not None:
+            every, offset = group
+            self._next_turn[address] = number + 1 + (offset - number - 1) % every
 
-    def away(self, address: int) -> None:
-        """It left data exchange: when it comes back it takes the next turn of its own."""
-        self._due.pop(address, None)
+    def left_exchange(self, address: int) -> None:
+        """The slave at ``address`` left data exchange: a missed turn is dropped, so that its turns begin at its offset."""
+        self._next_turn.pop(address, None)
 
 
 class Turns:
-    """The slaves of a master in order. ``exchanging``: those in data exchange, by address.
+    """The slaves of a master in their order of polling. ``exchanging``: slaves in data exchange, by address.
 
-    ``interval``: the shortest time in ns between the beginnings of two rounds, by the Min_Slave_Interval of those that
-    are spoken with (docs/protocol.md#min-slave-interval); ``interval_all``: the same beside a round that leaves nobody
-    out. ``absent_divisor``: while any slave is in data exchange, silent polls of absent slaves take at most
-    1/absent_divisor of the bus time. Polls of absent slaves that wait with patience have the same share on an account
-    of their own: they hold up others no longer than any poll, and the first one of a slave that fell silent costs no
-    more than its last exchange. 0 = no limit.
+    ``interval``: the shortest time in ns between the beginnings of two rounds. It follows from the Min_Slave_Interval
+    of the slaves that are not absent, in fault or deactivated (docs/protocol.md#min-slave-interval). ``interval_all``:
+    the same for a round in which every slave has a turn.
+
+    ``absent_divisor``: while any slave is in data exchange, polls of absent slaves take at most 1/absent_divisor of the
+    bus time; 0 = no limit. Long polls (:mod:`dpstack.dp.master.retry_timing`) have a budget of their own with the same
+    share: after a long poll only slaves without a long poll so far may have one, until the pause for it is over. So
+    long polls delay other slaves no more than short polls do. A slave that has just become absent need not wait for
+    that: its first long poll costs no more time than its last unanswered Data_Exchange.
     """
 
     def __init__(self, context: MasterContext, handlers: Mapping[int, SlaveHandler]) -> None:
         self.rates = RateTurns(context.params)
         self.exchanging: list[SlaveHandler] = []
         self.interval = self.interval_all = 0
-        self._absent_share = context.settings.absent_divisor
+        self._absent_divisor = context.settings.absent_divisor
         self._handlers = handlers
         self._services: deque[SlaveHandler] = deque()
-        self._stale = True
-        self._fresh = False
-        self._poll_from = self._long_from = 0
-        self._pause = 0  # after the last poll without patience
-        #: whose service does not fit before the next cycle: what is left of this one only gets shorter
-        self._held: set[SlaveHandler] = set()
+        self._must_sort = True
+        self._last_had_diag = False  # the slave chosen last by `next` had a diagnosis to be read
+        #: no poll, and no second long poll, of an absent slave before this time in ns
+        self._absent_poll_from = self._long_poll_from = 0
+        self._absent_pause = 0  # ns, for the last short poll of an absent slave
+        #: slaves without a service for the rest of this cycle: theirs did not fit in, and the time left only gets
+        #: shorter
+        self._postponed: set[SlaveHandler] = set()
 
     @property
-    def waiting(self) -> int:
-        """How many slaves may want a service."""
+    def candidates(self) -> int:
+        """The number of slaves that may want a service."""
         return len(self._services)
 
-    def changed(self) -> None:
-        """A slave came, went, or reached another state."""
-        self._stale = True
+    def request_sort(self) -> None:
+        """Sort before the next round, because a slave was added or removed, or changed its state."""
+        self._must_sort = True
 
     def forget(self, handler: SlaveHandler) -> None:
-        """A slave was taken away: nothing more for it in this round."""
-        self._stale = True
+        """A slave was removed: it gets no further service in this round."""
+        self._must_sort = True
         if handler in self._services:
             self._services.remove(handler)
 
     def begin_round(self) -> None:
-        """A round follows."""
-        if self._held:
-            self._held.clear()
-        if self._stale:
+        """Call at the begin of a round: sorts if necessary; postponed services are possible again."""
+        if self._postponed:
+            self._postponed.clear()
+        if self._must_sort:
             self.sort()
 
     def sort(self) -> None:
-        """Sort anew where something changed. Who has a diagnosis waiting comes first: a DH is answered at once
-        (docs/protocol.md#answers-to-data_exchange)."""
-        if not self._stale:
+        """Sort the slaves if :meth:`request_sort` was called.
+
+        New slaves with a diagnosis to be read come first in the order of services, because the master answers DH at
+        once (docs/protocol.md#answers-to-data_exchange).
+        """
+        if not self._must_sort:
             return
-        self._stale = False
+        self._must_sort = False
         by_address = [self._handlers[address] for address in sorted(self._handlers)]
         self.rates.arrange([h.setup for h in by_address])
         self.exchanging = [h for h in by_address if h.state is SlaveState.DATA_EXCHANGE]
@@ -130,22 +142,22 @@ class Turns:
         new = [h for h in wanting if h not in known]
         urgent = [h for h in new if h.diag_due]
         self._services = deque(urgent + kept + [h for h in new if not h.diag_due])
-        spoken_with = [h.setup for h in by_address if h.state not in AWAY]  # others hold nobody up
-        self.interval = round_interval_ns((s.every, s.min_slave_interval_ns) for s in spoken_with)
-        self.interval_all = max((s.min_slave_interval_ns for s in spoken_with), default=0)
+        present = [h.setup for h in by_address if h.state not in AWAY]
+        self.interval = round_interval_ns((s.every, s.min_slave_interval_ns) for s in present)
+        self.interval_all = max((s.min_slave_interval_ns for s in present), default=0)
         for handler in wanting:
             if handler.state is not SlaveState.DATA_EXCHANGE:
-                self.rates.away(handler.setup.address)
+                self.rates.left_exchange(handler.setup.address)
 
     def due(self, number: int) -> list[SlaveHandler]:
-        """Who has a turn in cycle ``number``, of those in data exchange."""
-        if not self.rates.uneven:
+        """The slaves in data exchange that have a turn in cycle ``number``."""
+        if not self.rates.has_slower_slaves:
             return self.exchanging
         return [h for h in self.exchanging if self.rates.due(h.setup.address, number)]
 
-    def held_back(self, handler: SlaveHandler) -> None:
-        """Its service does not fit before the next cycle: it is the first one after that."""
-        self._held.add(handler)
+    def postpone(self, handler: SlaveHandler) -> None:
+        """Its service does not fit in before the next cycle: make it the first one after that cycle."""
+        self._postponed.add(handler)
         if handler in self._services:
             self._services.remove(handler)
             self._services.appendleft(handler)
@@ -153,41 +165,46 @@ class Turns:
     def next(self, now: int, blocked: Callable[[int], bool], *, room: bool = True) -> SlaveHandler | None:
         """The next slave that wants a service and whose address is not ``blocked``.
 
-        Fairly in turn, but while data are exchanged a bring-up under way goes first (its watchdog runs), and a slave
-        that always has a diagnosis waiting takes every other turn at most. ``room`` False: between two cycles something
-        was before it, so that a poll with patience waits for the next gap, all of which it may need.
+        Slaves have services in turn, with two exceptions. While any slave is in data exchange, a bring-up under way
+        goes first, because the watchdog of that slave runs. A slave that always has a diagnosis to be read gets at most
+        every other service. ``room`` False: part of the time before the next cycle is used up already, so no long poll
+        is chosen; it may need all of that time.
         """
         chosen: SlaveHandler | None = None
         for handler in self._services:
-            if not self._may(handler, now, blocked) or (not room and self.waits_long(handler, now)):
+            if not self._is_eligible(handler, now, blocked) or (not room and self.is_long_poll(handler, now)):
                 continue
             if handler.under_way and self.exchanging:
                 chosen = handler
                 break
-            if chosen is None or (self._fresh and chosen.diag_due and not handler.diag_due):
+            if chosen is None or (self._last_had_diag and chosen.diag_due and not handler.diag_due):
                 chosen = handler
         if chosen is not None:
-            self._fresh = chosen.diag_due
+            self._last_had_diag = chosen.diag_due
             self._services.remove(chosen)
             self._services.append(chosen)
         return chosen
 
-    def _may(self, handler: SlaveHandler, now: int, blocked: Callable[[int], bool]) -> bool:
-        """Absent ones within their share of the bus; nobody before the one removed at its address is unlocked."""
-        if not handler.wants_service(now) or (handler.state is SlaveState.OFFLINE and now < self._poll_from):
+    def _is_eligible(self, handler: SlaveHandler, now: int, blocked: Callable[[int], bool]) -> bool:
+        """Whether ``handler`` may have a service now.
+
+        An absent slave may not while polls of absent slaves have used up their share of the bus time. A slave added at
+        the address of a removed one may not (``blocked``) until the removed one is unlocked.
+        """
+        if not handler.wants_service(now) or (handler.state is SlaveState.OFFLINE and now < self._absent_poll_from):
             return False
-        return handler not in self._held and not blocked(handler.setup.address)
+        return handler not in self._postponed and not blocked(handler.setup.address)
 
-    def waits_long(self, handler: SlaveHandler, now: int) -> bool:
-        """Whether a poll of ``handler`` now is one with patience."""
-        return handler.long_due(spared=now < self._long_from)
+    def is_long_poll(self, handler: SlaveHandler, now: int) -> bool:
+        """Whether a poll of ``handler`` at ``now`` is a long one."""
+        return handler.is_long_poll_due(only_first=now < self._long_poll_from)
 
-    def polled(self, handler: SlaveHandler, took_ns: int, now: int, *, long: bool) -> None:
-        """A service to ``handler`` took so long: an absent one's is charged to the share of all absent ones."""
-        if handler.state is SlaveState.OFFLINE and self._absent_share and self.exchanging:
-            pause = took_ns * self._absent_share
+    def count_poll(self, handler: SlaveHandler, took_ns: int, now: int, *, long: bool) -> None:
+        """Count the time ``took_ns`` of a poll against the share of the absent slaves, if ``handler`` is absent."""
+        if handler.state is SlaveState.OFFLINE and self._absent_divisor and self.exchanging:
+            pause = took_ns * self._absent_divisor
             if long:
-                self._long_from = now + pause
+                self._long_poll_from = now + pause
             else:
-                self._pause = pause
-            self._poll_from = now + self._pause
+                self._absent_pause = pause
+            self._absent_poll_from = now + self._absent_pause

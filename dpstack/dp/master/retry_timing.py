@@ -1,4 +1,8 @@
-"""When a slave is asked next: the back-off of retries; when an absent one is looked for with patience."""
+"""When the next service request to a slave is due: back-off of retries, long polls of absent slaves.
+
+A long poll waits for the answer of an absent slave as long as for that of a present one
+(:data:`dpstack.fdl.interface.LONG_NS`); other polls of absent slaves wait for the slot time only.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +15,11 @@ _ABSENT: Final = (100 * NS_PER_MS, NS_PER_S)
 _REFUSED: Final = (NS_PER_S, 10 * NS_PER_S)
 _POLL_PAUSE: Final = 10 * NS_PER_MS
 _STATIC_PAUSE: Final = 100 * NS_PER_MS
-#: shorter stays in data exchange do not reset the back-off: a slave that flaps is not re-initialised for ever
+#: a shorter data exchange does not reset the back-off, so that a flapping slave is not brought up without end
 _STABLE: Final = NS_PER_S
-#: So many polls in vain come before one that is waited for as if the slave were there: before the first, then between
-#: two. A slave simulated on a busy computer, or behind a slow adapter, answers no request with another one behind it
-_IN_VAIN: Final = (2, 7)
+#: Unanswered polls before the first long poll, and between two long polls. Long polls are needed because a slave behind
+#: a slow adapter, or simulated on a busy computer, does not answer a request if the next one follows too early.
+_POLLS_BEFORE_LONG: Final = (2, 7)
 
 
 class Backoff:
@@ -43,63 +47,64 @@ class Pacing:
         self._absent = Backoff(*_ABSENT)
         self._refused = Backoff(*_REFUSED)
         self._flapping = False
-        self._polls = _IN_VAIN[0]  # so many more before a long one
-        #: it was polled with patience since it was there
-        self.searched = False
+        self._polls = _POLLS_BEFORE_LONG[0]  # unanswered polls left before the next long poll
+        #: the slave had a long poll since it became absent
+        self.had_long_poll = False
 
     @property
-    def long_due(self) -> bool:
-        """It was polled in vain often enough: the next poll is one with patience."""
+    def long_poll_due(self) -> bool:
+        """The next poll is a long one, because enough polls were not answered."""
         return self._polls <= 0
 
     def absent(self, now: int, *, long: bool = False) -> None:
-        """It did not answer; ``long``: although it was waited for with patience."""
+        """The slave did not answer; ``long``: it was a long poll."""
         self.due = now + self._absent.take()
-        self._polls = _IN_VAIN[1] if long else self._polls - 1
-        self.searched |= long
+        self._polls = _POLLS_BEFORE_LONG[1] if long else self._polls - 1
+        self.had_long_poll |= long
 
     def refused(self, now: int) -> None:
-        """It answered, and cannot be had."""
+        """The slave answered, but cannot be brought up."""
         self._flapping = False
         self.due = now + self._refused.take()
 
     def anew(self, now: int) -> None:
-        """What stands there now may be another device: asked at once, as if nothing had been tried before."""
+        """Ask at once and forget earlier failures, because the station at this address may be another device."""
         self._flapping = False
         self._refused.reset()
         self._absent.reset()
         self.due = now
 
     def busy(self, now: int) -> None:
-        """It refused a service this once."""
+        """The slave refused a service; ask it again soon."""
         self.due = now + _POLL_PAUSE
 
     def not_ready(self, now: int, waited: int) -> None:
-        """It has not been ready for ``waited`` ns: asked often first, then every 10 ms."""
+        """The slave has not been ready for ``waited`` ns: ask often at first, then every 10 ms."""
         self.due = now + min(_POLL_PAUSE, waited >> 2)
 
     def exchanging(self, now: int, *, static: bool) -> None:
-        """Its diagnosis was read in data exchange; a ``static`` one is read again until it is gone."""
+        """The diagnosis was read in data exchange; a ``static`` one (Stat_Diag) is read again until it is gone."""
         self.due = now + _STATIC_PAUSE if static else now
 
     def left(self, now: int, stay: int, *, silent: bool) -> None:
-        """It left data exchange after ``stay`` ns: its diagnosis is read at once.
+        """The slave left data exchange after ``stay`` ns: its diagnosis is read at once.
 
-        ``silent``: it did not answer. It was there a moment ago and that may be noise: not held against it as a
-        refusal would be, and it is looked for again as soon as an absent slave is.
+        ``silent``: the slave did not answer. The reason may be noise, so unlike a refusal this does not delay the next
+        bring-up, and polls begin again with the shortest pause.
         """
         self.due = now
         stable = stay >= _STABLE
         self._flapping = not (stable or silent)
         if stable or silent:
             self._absent.reset()
-            self._polls = _IN_VAIN[0]
-            self.searched = False
+            self._polls = _POLLS_BEFORE_LONG[0]
+            self.had_long_poll = False
         if stable:
             self._refused.reset()
 
     def pauses(self, now: int) -> bool:
-        """True when the next bring-up waits, because the last one did not last; then the diagnosis is read afresh."""
+        """Whether the next bring-up must wait because the last data exchange was too short. Then the diagnosis is read
+        again."""
         pauses = self._flapping
         if pauses:
             self.refused(now)

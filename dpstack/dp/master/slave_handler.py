@@ -13,7 +13,7 @@ from typing import Final
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.events import Fault, SlaveState, SlaveStateChanged
 from dpstack.dp.master.fault_texts import CfgFault
-from dpstack.dp.master.plugin_host import UnitHost
+from dpstack.dp.master.plugin_host import PluginHost
 from dpstack.dp.master.retry_timing import Pacing
 from dpstack.dp.master.settings import MasterContext
 from dpstack.dp.master.slave_reports import AlarmCounts, SlaveReports
@@ -71,7 +71,7 @@ class SlaveHandler:
         self.watchdog_effective_ns = self._watchdog.ns if self._watchdog else 0
         self.image: SlaveImage = image_of(setup, None if before is None else before.image)
         self.reports = SlaveReports(setup, context.emit, context.params.address)
-        self.unit = UnitHost(self.image, setup, self.reports)
+        self.plugin_host = PluginHost(self.image, setup, self.reports)
         self.state = SlaveState.OFFLINE
         #: in this state, in ns
         self.since = 0
@@ -103,7 +103,7 @@ class SlaveHandler:
         #: the last request of Data_Exchange
         self._data = Request(setup.address, _SRD_HIGH, patient=True, tag=self, cyclic=True, still=still)
         if before is not None:
-            self.unit.fault = before.unit.fault
+            self.plugin_host.fault = before.plugin_host.fault
             self.state = before.state if before.state is SlaveState.DEACTIVATED else self.state
 
     @property
@@ -202,10 +202,10 @@ class SlaveHandler:
             case _:
                 return False
 
-    def long_due(self, *, spared: bool) -> bool:
-        """It is absent, and its next poll is one with patience; while others had theirs (``spared``) only its first."""
+    def is_long_poll_due(self, *, only_first: bool) -> bool:
+        """Whether the slave is absent and its next poll is a long one. ``only_first``: only the first long poll counts."""
         pacing = self._pacing
-        return self.state is SlaveState.OFFLINE and pacing.long_due and not (spared and pacing.searched)
+        return self.state is SlaveState.OFFLINE and pacing.long_poll_due and not (only_first and pacing.had_long_poll)
 
     def service_request(self, now: int, *, long: bool = False) -> Request:
         """The next step of the bring-up, or the diagnosis in data exchange. ``long``: wait for an absent slave."""
@@ -387,7 +387,7 @@ class SlaveHandler:
         if state in (SlaveState.DATA_EXCHANGE, SlaveState.DEACTIVATED):
             self.reports.clear()
         if state is SlaveState.DATA_EXCHANGE:
-            self.unit.remind(now)
+            self.plugin_host.remind(now)
             self.reports.observer.opened(self.reports.diagnosis, now)
         elif state is SlaveState.FAULT:
             self._pacing.refused(now)
@@ -406,7 +406,7 @@ class SlaveHandler:
         self.diag_due = False
         self.restart = True
         self._pacing.left(now, now - self.since, silent=silent)
-        self.unit.lost(now)
+        self.plugin_host.lost(now)
         self.reports.observer.closed(now)
 
     def deactivate(self, now: int) -> None:

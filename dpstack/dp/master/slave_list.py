@@ -116,7 +116,7 @@ class Roster:
         if setup.address == self._context.params.address:
             raise ConfigError(f"slave {setup.name} has the master's own address {setup.address}")
         self._handlers[setup.address] = self._make(setup)
-        self._turns.changed()
+        self._turns.request_sort()
 
     def _make(self, setup: SlaveParams, before: SlaveHandler | None = None) -> SlaveHandler:
         self._cadence.check(setup)
@@ -130,14 +130,14 @@ class Roster:
         self._bid_farewell(handler, now, exchanging=handler.state is SlaveState.DATA_EXCHANGE)
         del self._handlers[handler.setup.address]
         self._turns.forget(handler)
-        handler.unit.lost(now)
+        handler.plugin_host.lost(now)
         handler.reports.observer.closed(now)
         handler.image.valid = False
         handler.state = SlaveState.OFFLINE  # nothing more for it in this round
 
     def _changed(self, handler: SlaveHandler, now: int) -> None:
         """A slave reached another state: in data exchange it is sent the mode, in a fault out of it it is given up."""
-        self._turns.changed()
+        self._turns.request_sort()
         self._watch.look_soon()
         was_exchanging = handler in self._turns.exchanging
         if handler.state is SlaveState.DATA_EXCHANGE and not was_exchanging:
@@ -196,7 +196,7 @@ class Roster:
             if now < spaced.get(setup.address, 0):
                 return None
             leaving.safe = True
-            safe = leaving.handler.unit.safe_outputs()
+            safe = leaving.handler.plugin_host.safe_outputs()
             return Request(setup.address, Req.SRD_HIGH, safe, patient=True, tag=leaving, cyclic=True)
         leaving.handler.owned = False
         data = unlock_prm(setup, leaving.handler.ident)

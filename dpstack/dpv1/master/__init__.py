@@ -7,6 +7,6 @@
 - ``ms2_connection``: State of a class 2 connection, and the jobs over it: services, Idle, Abort
 - ``ms2_initiate``: Initiate: the resource manager (SAP 49) gives out a server SAP
 - ``orders``: Orders of programs to the DP-V1 services of a master, and the events that answer them. Plain data
-- ``plugin_queue``: Read and Write of a cyclic unit (a drive plugin) to its own slave: it puts orders into a queue
+- ``plugin_queue``: Read and Write of a drive plugin to its own slave: it puts orders into a queue
 - ``srd_polling``: Polling of a slave for one service of DP-V1, and the check of its answer
 """

@@ -185,7 +185,7 @@ class Ms1Job(Job):
 
 
 class RecordJob(Ms1Job):
-    """One Read or Write, ordered by a program, or by a cyclic unit: then ``pending`` gets its outcome.
+    """One Read or Write, ordered by a program, or by a drive plugin: then ``pending`` gets its outcome.
 
     Raises PduError for a request that cannot be encoded.
     """
@@ -225,7 +225,7 @@ class RecordJob(Ms1Job):
 
 
 class Ms1(Provider):
-    """MS1 between ``master`` and its slaves: Read and Write of programs and of cyclic units (drive plugins)."""
+    """MS1 between ``master`` and its slaves: Read and Write of programs and of drive plugins."""
 
     def __init__(self, master: Master | None) -> None:
         self.master = master
@@ -279,7 +279,7 @@ class Ms1(Provider):
             raise UsageError(str(error)) from None
         return order.token, job, order.timeout_ns
 
-    # --- requests of cyclic units -------------------------------------------------------------------------------
+    # --- requests of drive plugins -------------------------------------------------------------------------------
 
     def queue_jobs(self, now: int) -> None:
         """A request that a unit made since the Data_Exchange of this hold goes out in the same hold."""
@@ -287,7 +287,7 @@ class Ms1(Provider):
         if master is None:
             return
         for handler in master.handlers.values():
-            queue = None if handler.setup.dpv1 is None else queue_at(handler.image.unit)
+            queue = None if handler.setup.dpv1 is None else queue_at(handler.image.plugin)
             if queue is None or handler.state is not SlaveState.DATA_EXCHANGE:  # before that it waits
                 continue
             job = self._next(handler, queue) if self.queue.room(handler.setup.address) else None

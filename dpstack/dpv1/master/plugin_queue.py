@@ -1,4 +1,4 @@
-"""Queue of the Reads and Writes of a cyclic unit (a drive plugin) to its own slave. The station carries them out by MS1
+"""Queue of the Reads and Writes of a drive plugin to its own slave. The station carries them out by MS1
 between the services of the application, one at a time for a slave.
 """
 

@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import field
 
-from dpstack.dp.process_image import CyclicUnit
+from dpstack.dp.process_image import CyclicPlugin
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.errors import ConfigError
 from dpstack.machine import Order
@@ -27,8 +27,8 @@ class AttachPlugin(Order):
     records: bool = False
 
 
-def core_at(place: str) -> Callable[..., CyclicUnit]:
-    """The method ``core`` of the drive profile at ``place``, or of another object: it makes the cyclic unit of a slave
+def core_at(place: str) -> Callable[..., CyclicPlugin]:
+    """The method ``core`` of the drive profile at ``place``, or of another object: it makes the drive plugin of a slave
     (see :class:`dpstack.profile.DriveProfile`).
 
     Raises ConfigError that names the place, and why it cannot be imported.
@@ -48,11 +48,11 @@ def core_at(place: str) -> Callable[..., CyclicUnit]:
     core = getattr(found, "core", None)
     if not callable(core):
         raise ConfigError(f"plugin {place} makes no cyclic unit: it has no method core()")
-    make: Callable[..., CyclicUnit] = core
+    make: Callable[..., CyclicPlugin] = core
     return make
 
 
-def load(order: AttachPlugin) -> CyclicUnit:
-    """The cyclic unit that ``order`` names. Raises ConfigError."""
+def load(order: AttachPlugin) -> CyclicPlugin:
+    """The drive plugin that ``order`` names. Raises ConfigError."""
     records = RecordQueue() if order.records else None
     return core_at(order.place)(order.name, order.telegram, order.options, records=records)

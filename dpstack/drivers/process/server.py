@@ -76,7 +76,7 @@ class Host:
         for place in setup.preload:
             core_at(place)
         for plugin in setup.plugins:
-            self._handler_image(plugin.address).unit = load(plugin)
+            self._handler_image(plugin.address).plugin = load(plugin)
         self.runtime = SelectRuntime(
             open_port(setup.port, setup.stack.params.baud, event_char=setup.event_char, rs485=setup.rs485),
             self._station,
@@ -181,7 +181,7 @@ class Host:
     def _carry_out(self, order: object) -> object:
         match order:
             case AttachPlugin():
-                self._handler_image(order.address).unit = load(order)
+                self._handler_image(order.address).plugin = load(order)
                 self._publish_drives()
             case TakeOutputs():
                 self._take_outputs()
@@ -230,7 +230,7 @@ class Host:
         self._drives_at = monotonic_ns()
         told: dict[int, object] = {}
         for address, handler in self._master.handlers.items():
-            status = getattr(handler.image.unit, "status", None)
+            status = getattr(handler.image.plugin, "status", None)
             if status is not None:
                 with contextlib.suppress(Exception):  # the plugin's own: nothing is known of its drive
                     told[address] = status()
@@ -249,7 +249,7 @@ class Host:
         dropped = {}
         for address, (until, octets) in found.items():
             handler = self._master.handlers.get(address)
-            if handler is None or handler.image.unit is not None or len(octets) != handler.image.output_len:
+            if handler is None or handler.image.plugin is not None or len(octets) != handler.image.output_len:
                 continue
             self._until[address] = until
             if before.get(address) == until:

@@ -100,7 +100,7 @@ Lookups = tuple[Lookup[Any], ...]
 
 
 class DriveCore:
-    """Implements :class:`dpstack.dp.process_image.CyclicUnit` for one drive called ``name``.
+    """Implements :class:`dpstack.dp.process_image.CyclicPlugin` for one drive called ``name``.
 
     ``profile``: the drive as the registry has it; ``options``: those of the drive, checked. An option ``reference_hz``
     (the frequency that 100 % speed means) goes before the profile's.
@@ -183,7 +183,7 @@ class DriveCore:
         bits = self.table.status.bits
         self._event_mask = self.table.status.mask(*(n for n in ("reached", "remote", "warning") if n in bits))
 
-    # -- CyclicUnit -----------------------------------------------------------------------------------------------
+    # -- CyclicPlugin -----------------------------------------------------------------------------------------------
 
     def cyclic(self, inputs: bytes, now: int) -> bytes:
         """Called just before each Data_Exchange in Operate: the last inputs, the time in ns -> the outputs.
@@ -373,7 +373,7 @@ class DriveCore:
         return None
 
     def safe(self, configured: bytes) -> bytes:
-        """See :class:`CyclicUnit`."""
+        """See :class:`CyclicPlugin`."""
         return configured
 
     def status_of(self, process: bytes) -> int:

@@ -243,7 +243,7 @@ def test_a_failed_plugin_stays_the_fault_of_its_slave_after_a_re_entry() -> None
             return []
 
     bus = operating(setup(3, safe=SAFE, initial=RUN))
-    bus.master.images[3].unit = Broken()
+    bus.master.images[3].plugin = Broken()
     bus.run(1_500 * MS)
     bus.slaves[3].configured = False
     bus.requests.clear()
@@ -282,7 +282,7 @@ def test_the_first_inputs_after_a_re_entry_are_never_the_old_ones() -> None:
     bus = operating(setup(3))
     bus.slaves[3].inputs = b"\x11\x22\x33\x44"
     seen = Seen()
-    bus.master.images[3].unit = seen
+    bus.master.images[3].plugin = seen
     bus.run(1_500 * MS)
     bus.slaves[3].configured = False
     while seen.inputs:

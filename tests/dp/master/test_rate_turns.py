@@ -14,7 +14,7 @@ def turns(rates: RateTurns, address: int, cycles: range) -> list[int]:
     taken = []
     for number in cycles:
         if rates.due(address, number):
-            rates.taken(address, number)
+            rates.had_turn(address, number)
             taken.append(number)
     return taken
 
@@ -33,7 +33,7 @@ def test_a_turn_whose_cycle_was_left_out_comes_in_the_next_one() -> None:
     assert turns(rates, 6, range(2, 10)) == [4, 8]
     assert not rates.due(6, 11)
     assert rates.due(6, 14)  # 12 and 13 were left out
-    rates.taken(6, 14)
+    rates.had_turn(6, 14)
     assert turns(rates, 6, range(15, 30)) == [16, 20, 24, 28]
 
 
@@ -41,7 +41,7 @@ def test_who_comes_back_takes_a_turn_of_its_own() -> None:
     rates = RateTurns(P500)
     rates.arrange([slave(6, every=4)])
     assert turns(rates, 6, range(1, 6)) == [4]
-    rates.away(6)
+    rates.left_exchange(6)
     assert turns(rates, 6, range(101, 110)) == [104, 108]
 
 
@@ -51,6 +51,6 @@ def test_who_runs_keeps_its_turns_when_another_one_comes() -> None:
     before = turns(rates, 8, range(1, 10))
     rates.arrange([slave(6, every=2), slave(7, every=2), slave(8, every=2)])
     assert turns(rates, 8, range(10, 14)) == [n for n in range(10, 14) if n % 2 == before[0] % 2]
-    assert rates.uneven
+    assert rates.has_slower_slaves
     rates.arrange([slave(6)])
-    assert not rates.uneven
+    assert not rates.has_slower_slaves

@@ -1,4 +1,4 @@
-"""What a cyclic unit asks its slave by Read and Write, against octets; beside the services of a program."""
+"""What a drive plugin asks its slave by Read and Write, against octets; beside the services of a program."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dpstack.dpv1.master.plugin_queue import Outcome, PendingRecord, ReadReq, Re
 
 
 class Unit:
-    """A cyclic unit that only asks."""
+    """A drive plugin that only asks."""
 
     def __init__(self) -> None:
         self.records = RecordQueue()
@@ -37,7 +37,7 @@ class Unit:
 def bus_with_unit(dpv1: Dpv1 | None = None) -> tuple[Ms1Bus, RecordQueue]:
     bus = Ms1Bus() if dpv1 is None else Ms1Bus(dpv1=dpv1)
     unit = Unit()
-    bus.master.handlers[4].image.unit = unit
+    bus.master.handlers[4].image.plugin = unit
     bus.send(SetMode(Mode.OPERATE))
     return bus, unit.records
 
