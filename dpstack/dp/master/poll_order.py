@@ -67,7 +67,7 @@ class RateTurns:
             self._next_turn[address] = number + 1 + (offset - number - 1) % every
 
     def left_exchange(self, address: int) -> None:
-        """The slave at ``address`` left data exchange: a missed turn is dropped, so that its turns begin at its offset."""
+        """The slave at ``address`` left data exchange: drop a missed turn; the next one follows from its offset."""
         self._next_turn.pop(address, None)
 
 

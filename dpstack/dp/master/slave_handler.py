@@ -203,7 +203,7 @@ class SlaveHandler:
                 return False
 
     def is_long_poll_due(self, *, only_first: bool) -> bool:
-        """Whether the slave is absent and its next poll is a long one. ``only_first``: only the first long poll counts."""
+        """Whether the slave is absent and its next poll is a long one; with ``only_first`` its first long one."""
         pacing = self._pacing
         return self.state is SlaveState.OFFLINE and pacing.long_poll_due and not (only_first and pacing.had_long_poll)
 
