@@ -80,8 +80,6 @@ class Decoder:
     An SD2 with LE = 3 comes out as a telegram without data and SAPs (``Telegram.empty_le3`` tells it) and is counted.
     """
 
-    __slots__ = ("_doubt", "_last", "_tail", "on_bad", "pending", "stall_ns", "stats")
-
     def __init__(self, *, stall_ns: int) -> None:
         self.stall_ns = stall_ns
         self.stats = DecoderStats()

@@ -14,8 +14,6 @@ from dpstack.units import BITS_PER_CHAR
 class Line:
     """Silence and idle times of one station in ns, converted once from the bus parameters."""
 
-    __slots__ = ("_baud", "idle_since", "t_id1_ns", "t_id2_ns", "t_sdr_ns", "t_sl_ns", "t_stall_ns", "t_to_ns")
-
     def __init__(self, params: BusParams, now: int = 0) -> None:
         #: end of the last known activity: the line has been silent since then
         self.idle_since = now

@@ -71,8 +71,6 @@ class Receiver:
     :meth:`idle` returns it once it is complete.
     """
 
-    __slots__ = ("_edge_ns", "_places", "_ready_ns", "_sampled", "baud")
-
     def __init__(self, baud: int, since_ns: int = 0) -> None:
         self.baud = baud
         self._ready_ns = since_ns  # earlier edges do not count

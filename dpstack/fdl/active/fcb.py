@@ -21,8 +21,6 @@ ROUNDS_BEFORE_PROBE: Final = 3
 class FrameCount:
     """FCB and FCV for every responder address 0..127. FC bits are already in place (0x20 FCB, 0x10 FCV)."""
 
-    __slots__ = ("_misses", "_probes", "bits", "fcv_only", "operational")
-
     def __init__(self) -> None:
         #: FC bits of the next new request by address; the same again for its repetitions
         self.bits = [FIRST] * 128

@@ -30,8 +30,6 @@ TOKEN_OCTETS: Final = 3
 class ActiveLine(Line):
     """The line as an active station uses it: the telegram that waits to be sent, its gate, what is arriving."""
 
-    __slots__ = ("_edge_seen", "after_ns", "busy_until", "edge_at", "gate_ns", "taken_at", "ts", "tx")
-
     def __init__(self, params: BusParams, now: int) -> None:
         super().__init__(params, now)
         self.ts = params.address
@@ -154,8 +152,6 @@ class Times:
 
 class Users:
     """The users of the link layer, asked in their order; ``due_at``: the earliest time one of them wants its tick."""
-
-    __slots__ = ("all", "due_at")
 
     def __init__(self, users: Iterable[LinkUser]) -> None:
         self.all = tuple(users)

@@ -215,8 +215,6 @@ def handlers_by_state(owners: Mapping[str, object], default: Handler) -> Rows:
 class StateMachine:
     """The state of station ``ts``, the deadline of that state, and its handlers."""
 
-    __slots__ = ("deadline", "row", "rows", "state", "ts")
-
     def __init__(self, ts: int) -> None:
         self.ts = ts
         self.state = OFFLINE

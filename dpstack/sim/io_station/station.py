@@ -64,6 +64,8 @@ class IoStation(DpSlave):
         self.slots: tuple[Slot | None, ...] = tuple(
             None if octet == EMPTY else Slot(number, MODULES[octet]) for number, octet in enumerate(config, 1)
         )
+        self._configured = tuple(place for place in self.slots if place is not None)
+        self._with_parameters = tuple(place for place in self._configured if place.module.prm is not None)
         self._all_well = (ModuleState.OK,) * len(self.slots)
         self._states = self._all_well  # of the last module status
         self._entered = False
@@ -98,7 +100,7 @@ class IoStation(DpSlave):
 
     def as_dict(self) -> dict[str, object]:
         """Its slots by number as JSON shows them; an empty one is left out."""
-        return {str(place.number): place.as_dict() for place in self.slots if place is not None}
+        return {str(place.number): place.as_dict() for place in self._configured}
 
     # --- events from outside ----------------------------------------------------------------------------------------
 
@@ -106,9 +108,7 @@ class IoStation(DpSlave):
     def injected(self) -> tuple[str, ...]:
         """Its faults from outside that are not over, written as the commands of ``dpstack ctl``."""
         found = []
-        for place in self.slots:
-            if place is None:
-                continue
+        for place in self._configured:
             if place.plugged is None:
                 found.append(f"pull {place.number}")
             elif not place.present:
@@ -200,19 +200,13 @@ class IoStation(DpSlave):
 
     # --- inside ---------------------------------------------------------------------------------------------------
 
-    @property
-    def _with_parameters(self) -> tuple[Slot, ...]:
-        return tuple(place for place in self.slots if place is not None and place.module.prm is not None)
-
     def _cycle(self, outputs: bytes, elapsed: int) -> bytes:
         if self._entered:  # before, no status message can be sent
             self._entered = False
             self._report()
         inputs = b""
         at = 0
-        for place in self.slots:
-            if place is None:
-                continue
+        for place in self._configured:
             size = place.module.outputs
             if size:
                 place.outputs = outputs[at : at + size] if place.present else bytes(size)
@@ -223,7 +217,7 @@ class IoStation(DpSlave):
     def _slot(self, number: int) -> Slot:
         place = self.slots[number - 1] if 1 <= whole("slot", number, ValueError) <= len(self.slots) else None
         if place is None:
-            known = ", ".join(place.text for place in self.slots if place is not None)
+            known = ", ".join(place.text for place in self._configured)
             raise ValueError(f"there is no module in slot {number}; there are: {known}")
         return place
 
@@ -259,8 +253,7 @@ class IoStation(DpSlave):
         faulty = [number for number, state in enumerate(states) if state]
         broken = [
             channel_block(place.number - 1, channel, _LINE_BREAK, size=place.module.size, input=True)
-            for place in self.slots
-            if place is not None
+            for place in self._configured
             for channel in sorted(place.faults)
         ]
         self.diag = UserDiag.of(identifier_block(faulty, len(states)), *broken) if faulty else UserDiag()
