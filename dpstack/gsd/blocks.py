@@ -387,6 +387,8 @@ class DiagBlock(Block):
 
     def diagnosis(self, type_number: int | None = None) -> Diagnosis:
         """The texts read so far. Where a plain and an X_ text have the same number, the X_ text (of DP-V1) counts."""
+        if not self.texts:
+            return Diagnosis(tuple(self.areas), type_number)
         merged: defaultdict[str, dict[int, str]] = defaultdict(dict)
         for keyword, texts in sorted(self.texts.items(), key=lambda item: item[0].startswith(_X)):
             merged[_DIAG_KINDS[keyword.removeprefix(_X)]].update(texts)

@@ -215,7 +215,11 @@ def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:
         # a compact device does not need these keywords: 0 is no limit there
         if limit is not None and (device.modular or limit) and length > limit:
             raise GsdError(f"{length} octets of {what}, the device has at most {limit}; take out modules")
-    found = Configuration(device, row, config, inputs, outputs, _notes(device, row))
+    notes = f_notes(device, row)
+    if not device.modular and len(row) > 1:
+        several = "the device is no modular station (Modular_Station = 0), but several modules are plugged"
+        notes = (several, *notes)
+    found = Configuration(device, row, config, inputs, outputs, notes)
     found.user_prm()  # refuses what does not fit
     return found
 
@@ -257,13 +261,6 @@ def _check_slots(device: Device, modules: Sequence[Module | None]) -> None:
                 f"module {module.title} is not allowed in slot {slot.number}{name}; "
                 f"allowed references: {ranges_text(slot.allowed)}"
             )
-
-
-def _notes(device: Device, modules: Sequence[Module | None]) -> tuple[str, ...]:
-    notes = []
-    if not device.modular and len(modules) > 1:
-        notes.append("the device is no modular station (Modular_Station = 0), but several modules are plugged")
-    return (*notes, *f_notes(device, modules))
 
 
 def f_notes(device: Device, modules: Sequence[Module | None], *, in_slots: bool = True) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ that never ends, a file that is no GSD file.
 
 from __future__ import annotations
 
-import itertools
+import functools
 import re
 from typing import Final
 
@@ -60,13 +60,13 @@ def parse_gsd(octets: bytes, name: str = "GSD file") -> GsdFile:
     if mark is not None:
         start = mark + 1
         if any(line.strip() and lex(line) for line in text.lines[:mark]):
-            findings.info(1, f"the text before #Profibus_DP on line {text.line_of(mark)} is skipped")
+            findings.info(1, f"the text before #Profibus_DP on line {text.numbers[mark]} is skipped")
     elif any(_LOOKS.match(line) for line in text.lines):
         findings.warning(1, "no line #Profibus_DP, which begins a GSD file; read from its first line")
     else:
         return _nothing(name, "no GSD file: no line #Profibus_DP; give the .gsd (or .gse, .gsg) file of the device")
     if len(text.lines) - start > MAX_LINES:
-        findings.error(text.line_of(start + MAX_LINES), f"more than {MAX_LINES} lines: the rest is not read")
+        findings.error(text.numbers[start + MAX_LINES], f"more than {MAX_LINES} lines: the rest is not read")
     if text.cut:
         message = f"the continued line here has more than {MAX_LOGICAL} characters; it was ended"
         findings.error(text.cut, message)
@@ -108,14 +108,11 @@ class _Reader:
         self._block: Block = self.device
         self._outer: list[Block] = []
         self._reported: set[str] = set()
-        self._endings: frozenset[str] | None = None
 
     def run(self, start: int) -> None:
         lines = self._text.lines[start : start + MAX_LINES]
-        numbers = self._text.numbers
-        counted = itertools.count(start + 1) if numbers is None else iter(numbers[start:])
         known: dict[str, Statement | None] = {}
-        for at, line in zip(counted, lines, strict=False):
+        for at, line in zip(self._text.numbers[start:], lines, strict=False):
             statement = known.get(line, _MISSING)
             if statement is _MISSING:
                 statement = known[line] = lex(line)
@@ -165,9 +162,6 @@ class _Reader:
             return False
         if keyword in _KNOWN and keyword not in RAW_BLOCKS:
             return False
-        if self._endings is None:
-            matches = (_ENDINGS.match(line.strip()) for line in self._text.lines)
-            self._endings = frozenset(match[1].lower() for match in matches if match)
         end = _closing_keyword(keyword, self._endings)
         if end is None or end in (known.lower() for _, known in BLOCKS.values()):
             return False
@@ -175,6 +169,12 @@ class _Reader:
             self._unknown(statement)
         self._open(RawBlock.opened_by(statement, self._findings), end)
         return True
+
+    @functools.cached_property
+    def _endings(self) -> frozenset[str]:
+        """The words of this file that may be closing keywords, in lower case."""
+        matches = (_ENDINGS.match(line.strip()) for line in self._text.lines)
+        return frozenset(match[1].lower() for match in matches if match)
 
     def _open(self, block: Block, end: str) -> None:
         block.end = end

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -26,18 +27,14 @@ _SEAM: Final = re.compile(r"\\[ \t]*(?:;.*)?$")
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """Decoded text. ``lines``: logical lines, from the file's first. ``numbers``: physical line of each, or None where
-    logical and physical lines are the same. ``cut``: a physical line that had to be left incomplete, 0 for none.
+    """Decoded text. ``lines``: logical lines, from the file's first. ``numbers``: the physical line (from 1) where each
+    of them begins. ``cut``: a physical line that had to be left incomplete, 0 for none.
     """
 
     lines: list[str]
-    numbers: list[int] | None
+    numbers: Sequence[int]
     encoding: str
     cut: int = 0
-
-    def line_of(self, index: int) -> int:
-        """The physical line (from 1) where logical line ``index`` (from 0) begins."""
-        return index + 1 if self.numbers is None else self.numbers[index]
 
 
 def decode(octets: bytes) -> tuple[str, str]:
@@ -61,7 +58,7 @@ def read_text(octets: bytes) -> Text:
         text = text.replace(end, "\n")
     physical = text.split("\n")
     if "\\" not in text:
-        return Text(physical, None, encoding)
+        return Text(physical, range(1, len(physical) + 1), encoding)
     return _joined(physical, encoding)
 
 
