@@ -8,6 +8,7 @@ from typing import Final
 from dpstack.profile import (
     FAULTED,
     NS_PER_MS,
+    CommandError,
     ConfigError,
     ControlTable,
     DriveProfile,
@@ -28,7 +29,7 @@ from dpstack.profile import (
     equal,
     listing,
 )
-from dpstack_drives.keb import mapping, pdmap
+from dpstack_drives.keb import pdmap
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb.channel import KebChannel, Target
 from dpstack_drives.keb.pdmap import Entry, PdMap
@@ -41,6 +42,15 @@ _NEEDS: Final = {
     "coast": (("enable",), ("run",)),
     "acknowledge": (("reset",), ("fault",)),
 }
+
+#: record and enable of block 1
+_FIRST: Final = ((t.MAP_INPUTS, t.ENABLE_INPUTS), (t.MAP_OUTPUTS, t.ENABLE_OUTPUTS))
+_NAMES: Final = ("inputs", "outputs")
+#: errors of the access itself, not of an enable
+_NO_ACCESS: Final = frozenset(
+    code.number
+    for code in (t.READ_AND_WRITE, t.NO_INVERTER, t.WRITE_PROTECTED, t.PASSWORD, t.BAD_INDEX, t.BAD_SUBINDEX)
+)
 
 
 class KebCore(MappedCore[PdMap]):
@@ -67,7 +77,7 @@ class KebCore(MappedCore[PdMap]):
         try:
             self._bits = t.bits(str(options["control_bits"]), t.CONTROL_BITS, "control_bits")
             status = t.bits(str(options["status_bits"]), t.STATUS_BITS, "status_bits")
-            second = [t.record_and_enable(str(options[f"block2_{way}"])) for way in ("inputs", "outputs")]
+            self._second = [t.record_and_enable(str(options[f"block2_{way}"])) for way in ("inputs", "outputs")]
             self.table = _table(self._bits, status)
         except ValueError as error:
             raise ConfigError(f"drive {name} ({profile.name}): {error}") from None
@@ -84,7 +94,6 @@ class KebCore(MappedCore[PdMap]):
         if isinstance(self.access, KebChannel):
             self._channel = self.access
             self.lookups = (self._state_number,)
-            self._maps = mapping.MapAccess(self._channel, telegram, (second[0], second[1]), self.notice)
 
     def open_channel(self) -> KebChannel:
         return KebChannel(self)
@@ -187,7 +196,7 @@ class KebCore(MappedCore[PdMap]):
     def _ask(self, deadline: int) -> Steps[int]:
         return self._channel.get(Target(t.INVERTER_STATE, 1, "ru.00"), deadline)
 
-    # -- the process data maps ------------------------------------------------------------------------------------
+    # -- the process data maps (docs/drives/keb-f5.md#process-data-map) -----------------------------------------------
 
     def parse_map(self, text: str, *, outputs: bool) -> PdMap:
         return PdMap.parse(text)
@@ -206,13 +215,6 @@ class KebCore(MappedCore[PdMap]):
         """What the drive would not confirm (docs/drives/keb-f5.md#process-data-map)."""
         return pdmap.check(inputs, outputs)
 
-    def read_map(self, deadline: int) -> Steps[dict[str, object]]:
-        return self._maps.read(deadline)
-
-    def write_map(self, inputs: PdMap, outputs: PdMap, deadline: int) -> Steps[dict[str, object]]:
-        """Records and enables; acts after power-on."""
-        return self._maps.write(inputs, outputs, deadline)
-
     def called(self, name: str | int) -> str | int:
         """``sy.50`` in any writing."""
         found = t.index_of(name) if isinstance(name, str) else name
@@ -222,6 +224,86 @@ class KebCore(MappedCore[PdMap]):
         """What start, stop and speed write."""
         ours = {t.CONTROL_WORD: bool(self._bits), t.SET_SPEED: bool(self._rpm_per_count)}
         return "start, stop and speed" if ours.get(key) else None
+
+    def read_map(self, deadline: int) -> Steps[dict[str, object]]:
+        """Both maps as the drive's records have them, and their enables."""
+        value: dict[str, object] = {}
+        for number, name in enumerate(_NAMES):
+            record, enable = _FIRST[number]
+            length = yield from self._get(record, 1, deadline)
+            blocks: list[dict[int, int]] = [{1: length}, {}]
+            for block in range((length + pdmap.BLOCK - 1) // pdmap.BLOCK)[:2]:
+                index = record if block == 0 else self._block2(number)[0]
+                for subindex in range(2, 2 + 2 * min(pdmap.BLOCK, length - block * pdmap.BLOCK)):
+                    blocks[block][subindex] = yield from self._get(index, subindex, deadline)
+            try:
+                value[name] = str(PdMap.from_records(*blocks))
+            except ValueError as error:
+                raise CommandError("parameter", f"read_map: {name}: the record ({record:04X}h) has {error}") from None
+            value[f"{name}_enable"] = yield from self._get(enable, 0, deadline)
+        return {"value": value}
+
+    def write_map(self, inputs: PdMap, outputs: PdMap, deadline: int) -> Steps[dict[str, object]]:
+        """Write both records (checked before), enable them, and see whether the drive confirms the enable.
+
+        The enable is answered by an error that tells it acts after power-on; which one is not in the manual, so any
+        that is not about the access itself is taken for it, and the enable read back decides.
+        """
+        maps = (inputs, outputs)
+        places = [self._record_blocks(number, one) for number, one in enumerate(maps)]
+        for one, blocks in zip(maps, places, strict=True):
+            for block, (record, _) in enumerate(blocks):
+                for subindex, value in one.records(block):
+                    yield from self._channel.put(self._target(record, subindex), value, deadline)
+        for name, blocks in zip(_NAMES, places, strict=True):
+            for block, (_, enable) in enumerate(blocks):
+                yield from self._enable(f"{name}, block {block + 1}", enable, deadline)
+        self._notice_of_power_on(inputs, outputs)
+        return {"value": {"inputs": str(inputs), "outputs": str(outputs)}, "acts": "after power-on"}
+
+    def _enable(self, name: str, index: int, deadline: int) -> Steps[None]:
+        try:
+            yield from self._channel.put(self._target(index, 0), t.ENABLED, deadline)
+        except CommandError as error:
+            if error.kind != "parameter" or error.number in _NO_ACCESS:
+                raise
+        got = yield from self._get(index, 0, deadline)
+        if got != t.ENABLED:
+            raise CommandError(
+                "parameter",
+                f"write_map: the drive does not confirm the enable of {name} ({index:04X}h is {got:02X}h): it does not "
+                f"have a parameter of the map, or not with this length, or not as process data",
+            )
+
+    def _notice_of_power_on(self, inputs: PdMap, outputs: PdMap) -> None:
+        self.notice("the process data map acts after the next power-on of the drive")
+        telegram = self.telegram
+        for name, one, octets in (("inputs", inputs, telegram.inputs), ("outputs", outputs, telegram.outputs)):
+            if one.octets != octets:
+                self.notice(
+                    f"the map has {one.octets} octets of {name}, {telegram.name} has {octets}: they must be equal "
+                    f"(Fb00 and Fb37, Fb12 and Fb38)"
+                )
+
+    def _record_blocks(self, number: int, one: PdMap) -> list[tuple[int, int]]:
+        """Record and enable of each block that the map uses, block 1 always."""
+        return [_FIRST[number]] + ([self._block2(number)] if one.block(1) else [])
+
+    def _block2(self, number: int) -> tuple[int, int]:
+        found = self._second[number]
+        if found is None:
+            raise CommandError(
+                "usage",
+                f"{_NAMES[number]}: more than {pdmap.BLOCK} octets need block 2, whose indexes on the bus are not in "
+                f"the manual: give the option block2_{_NAMES[number]} (record and enable in hex)",
+            )
+        return found
+
+    def _get(self, index: int, subindex: int, deadline: int) -> Steps[int]:
+        return self._channel.get(self._target(index, subindex), deadline)
+
+    def _target(self, index: int, subindex: int) -> Target:
+        return Target(index, subindex, f"{index:04X}h:{subindex}")
 
 
 def _absolute(rotation: float) -> str | None:
