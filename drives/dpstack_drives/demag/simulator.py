@@ -41,14 +41,6 @@ _S1, _S2, _S3 = 0x0001, 0x0002, 0x0004
 _CONTACTS: Final = 0x00FF
 
 
-class _RefusedError(Exception):
-    """A parameter order that ends in reply 7 with ``number``."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
-
-
 class DemagDevice(DriveDevice):
     """Options: ``f_max``, ``f_min``, ``acceleration``, ``deceleration`` (Hz, Hz/s), ``load``, ``supply``; parameters by
     number. With ``supply`` = ``24v`` (4.1) ``mains off`` takes the inverter's power and leaves the module on the bus;
@@ -361,43 +353,37 @@ class DemagDevice(DriveDevice):
     # -- parameter channel ----------------------------------------------------------------------------------------
 
     def carry_out(self, order: Pkw) -> tuple[int, int]:
-        try:
-            return self._answer(order)
-        except _RefusedError as refused:
-            return ReplyId.ERROR, refused.number
-
-    def _answer(self, order: Pkw) -> tuple[int, int]:
         """Readings: docs/drives/demag.md#parameter-channel; a plain order on a parameter with data sets takes the data
         set in IND."""
         if order.id not in t.PKW.answers:
-            raise _RefusedError(108)
+            return ReplyId.ERROR, 108
         spec = t.PARAMETERS.get(order.pnu)
         if spec is None:
-            raise _RefusedError(0)
+            return ReplyId.ERROR, 0
         array = order.id in _ARRAYS
         if order.ind > t.SETS + t.RAM_ONLY:
-            raise _RefusedError(3)
+            return ReplyId.ERROR, 3
         data_set = order.ind % t.RAM_ONLY
         if not spec.per_set and (array or data_set):
-            raise _RefusedError(4)
+            return ReplyId.ERROR, 4
         if order.id in _WORDS or order.id in _LONGS:
             if spec.read_only:
-                raise _RefusedError(1)
+                return ReplyId.ERROR, 1
             if spec.long != (order.id in _LONGS):
-                raise _RefusedError(5)
+                return ReplyId.ERROR, 5
             raw = spec.from_pwe(order.pwe)
             if not spec.low <= spec.to_value(raw) <= spec.high:
-                raise _RefusedError(2)
+                return ReplyId.ERROR, 2
             if spec.number == 392 and raw == _DC_BRAKE and not self._vf:
-                raise _RefusedError(2)  # a reading: the value is not offered there
+                return ReplyId.ERROR, 2  # a reading: the value is not offered there
             self.store.write(spec, raw, data_set, ram_only=order.ind >= t.RAM_ONLY)
             if spec.name == self.address_parameter:
                 self._reset()
                 self.restart_soon()
         elif spec.text:
-            raise _RefusedError(101)
+            return ReplyId.ERROR, 101
         elif spec.per_set and data_set == 0 and self.store.unequal(spec):
-            raise _RefusedError(107)
+            return ReplyId.ERROR, 107
         else:
             live = self._live(order.pnu)
             raw = self.store.raw(spec, data_set or 1) if live is None else spec.nearest_raw(live)
