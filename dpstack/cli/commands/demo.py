@@ -143,9 +143,8 @@ def _bar(speed: float) -> str:
 
 async def _demo(config: Config, args: argparse.Namespace) -> int:
     live = output.on_terminal() and not args.json
-    reporter = Reporter(json=args.json, quiet=live)
-    bus = open_bus(config, on_event=reporter.event)
-    reporter.bus = bus
+    bus = open_bus(config, on_event=lambda event: reporter.event(event))
+    reporter = Reporter(bus, json=args.json, quiet=live)
     stage = _Stage(bus, args.json, live)
     with StopSignal() as stop:
         try:

@@ -82,8 +82,8 @@ def _config_and_outputs(args: argparse.Namespace) -> tuple[str, list[str]]:
 
 async def _run(config: Config, args: argparse.Namespace) -> int:
     with StopSignal() as stop:
-        reporter = Reporter(json=args.json)
-        bus = reporter.bus = open_bus(config, on_event=reporter.event)
+        bus = open_bus(config, on_event=lambda event: reporter.event(event))
+        reporter = Reporter(bus, json=args.json)
         if bus.searching:
             reporter.searching()
         # `dpstack ctl` also works while the bus searches its rate or joins the ring; a held port is reported once

@@ -7,7 +7,6 @@ import asyncio
 from time import monotonic_ns
 from typing import Any
 
-from dpstack.api.bus.events_json import Event, Injected
 from dpstack.api.control.handlers import control_segment
 from dpstack.api.server.simulation import DEFAULT_BAUD, Segment
 from dpstack.cli import options
@@ -15,8 +14,8 @@ from dpstack.cli.commands.on_bus import reachable
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
+from dpstack.cli.terminal.report import event_printer
 from dpstack.cli.terminal.signals import StopSignal
-from dpstack.units import ns_to_s
 
 _COLUMNS = ("path", "sent", "received", "dropped", "overrun", "telegrams", "damaged", "erased")
 
@@ -56,15 +55,7 @@ async def _run(args: argparse.Namespace) -> int:
         on_notice=output.warn,
     )
     with StopSignal() as stop:
-        started_ns = monotonic_ns()
-
-        def show(event: Event) -> None:
-            t = ns_to_s(event.t_ns - started_ns)
-            if args.json and isinstance(event, Injected):
-                output.json_line(event.as_dict(t))
-            elif not args.json:
-                output.line(f"{t:9.3f} s  {event.text}")
-
+        show = event_printer(monotonic_ns(), json=args.json)
         async with segment, reachable(control_segment(segment, show)):
             if args.json:
                 output.json_line({"event": "start", "ports": segment.paths, "baud": args.baud})

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from dpstack.api.bus.events_json import Event
 from dpstack.api.config.config import AUTO, Config, load_config, make_config, slave_config
 from dpstack.api.control.handlers import control_sim
-from dpstack.api.server.simulation import DEFAULT_BAUD, Simulation, sim_event_json
+from dpstack.api.server.simulation import DEFAULT_BAUD, Simulation
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
+from dpstack.cli.terminal.report import event_printer
 from dpstack.cli.terminal.signals import StopSignal
 from dpstack.errors import UsageError
 from dpstack.text import number_or_name
-from dpstack.units import baud_text, ns_to_s
+from dpstack.units import baud_text
 
 
 def add_to(parser: Parser) -> None:
@@ -88,24 +87,13 @@ async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Names
                 output.warn(
                     f"a master needs t_sl = {simulation.t_sl} or more for these slaves: the adapter answers late"
                 )
-            simulation.on_event = _printer(simulation, args.json)
+            simulation.on_event = event_printer(simulation.started_ns, json=args.json)
             await stop.or_done(simulation.failed(args.seconds))
             if simulation.never_found is not None:
                 output.warn(f"{args.port}: the baud rate was not found: {simulation.never_found}; or give the rate")
                 return 0 if stop.received else 1
             print_summary(simulation, args.json)
     return 0
-
-
-def _printer(simulation: Simulation, json: bool) -> Callable[[Event], None]:
-    def show(event: Event) -> None:
-        t = ns_to_s(event.t_ns - simulation.started_ns)
-        if json:
-            output.json_line(sim_event_json(event, t))
-        else:
-            output.line(f"{t:9.3f} s  {event.text}")
-
-    return show
 
 
 def print_summary(simulation: Simulation, json: bool) -> None:

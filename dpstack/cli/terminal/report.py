@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
 
@@ -23,6 +23,7 @@ from dpstack.api.bus.events_json import (
 )
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.bus.statistics import BusStats, SlaveStats
+from dpstack.api.server.simulation import sim_event_json
 from dpstack.api.streams import Flapping
 from dpstack.cli.terminal import output
 from dpstack.units import baud_text, ms_text, ns_to_s
@@ -44,11 +45,24 @@ _RETRIED: Final = frozenset(
 )
 
 
-class Reporter:
-    """Prints the start line, then every event of ``bus`` (set before it is opened). ``quiet``: no lines for people."""
+def event_printer(started_ns: int, *, json: bool) -> Callable[[Event], None]:
+    """A function that prints the events of simulated slaves or of a segment, with the time since ``started_ns``."""
 
-    def __init__(self, *, json: bool, quiet: bool = False) -> None:
-        self.bus: Bus | None = None
+    def show(event: Event) -> None:
+        t = ns_to_s(event.t_ns - started_ns)
+        if json:
+            output.json_line(sim_event_json(event, t))
+        else:
+            output.line(f"{t:9.3f} s  {event.text}")
+
+    return show
+
+
+class Reporter:
+    """Prints the start line, then every event of ``bus``. ``quiet``: no lines for people."""
+
+    def __init__(self, bus: Bus, *, json: bool, quiet: bool = False) -> None:
+        self._bus = bus
         self._json = json
         self._quiet = quiet
         self._started = False
@@ -65,14 +79,14 @@ class Reporter:
 
     def searching(self) -> None:
         """Report that the baud rate is being searched."""
-        if self.bus is not None and not self._json and not self._quiet:
-            output.line(f"{SEARCHING} on {self.bus.config.port}")
+        if not self._json and not self._quiet:
+            output.line(f"{SEARCHING} on {self._bus.config.port}")
 
     def start(self) -> None:
-        bus = self.bus
-        if self._started or bus is None:
+        if self._started:
             return
         self._started = True
+        bus = self._bus
         name, rate = bus.runtime.port_name, bus.params.baud
         if self._json:
             now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
@@ -81,27 +95,28 @@ class Reporter:
             output.line(f"master {bus.params.address} on {name} at {baud_text(rate)}", "bold")
 
     def event(self, event: Event) -> None:
-        bus = self.bus
-        if bus is None:
-            return
         self.start()
         self.stalled |= isinstance(event, Stalled)
-        t = ns_to_s(event.t_ns - bus.started_ns)
         if self._json:
-            line = event_json(event, t)
+            line = event_json(event, self._seconds_of(event))
             if line is not None:
                 output.json_line(line)
         elif not self._quiet:
-            self._for_people(bus, event)
+            self._for_people(event)
 
-    def _for_people(self, bus: Bus, event: Event) -> None:
+    def _seconds_of(self, event: Event) -> float:
+        return ns_to_s(event.t_ns - self._bus.started_ns)
+
+    def _for_people(self, event: Event) -> None:
         """Write a line for the event; for diagnoses and drives only where something is new."""
         match event:
             case MasterStopped():
                 return
             case SlaveDiagnosis(address=address, diagnosis=diagnosis):
                 exchanging = address in self._exchanging
-                slaves = [slave for slave in bus.slaves if slave.address == address]  # none: it was removed meanwhile
+                slaves = [
+                    slave for slave in self._bus.slaves if slave.address == address
+                ]  # none: it was removed meanwhile
                 found = "".join(slave.conspicuous_text(diagnosis, exchanging=exchanging) for slave in slaves)
                 if found != self._diagnoses.get(address, ""):
                     self._diagnoses[address] = found
@@ -146,9 +161,8 @@ class Reporter:
                 self._line(event)
 
     def _line(self, event: Event, text: str = "", style: str | None = None) -> None:
-        if self.bus is not None:
-            t = ns_to_s(event.t_ns - self.bus.started_ns)
-            output.line(f"{t:9.3f} s  {text or event.text}", _style(event) if style is None else style)
+        line = f"{self._seconds_of(event):9.3f} s  {text or event.text}"
+        output.line(line, _style(event) if style is None else style)
 
     def summary(self, stats: BusStats, **more: object) -> None:
         """Write the summary: a JSON line, or tables for people."""
@@ -157,18 +171,17 @@ class Reporter:
             return
         for flapping in self._flapping.values():
             flapping.report()
-        slaves = stats.slaves.values()
+        slaves, settings = stats.slaves.values(), self._bus.config.bus
         columns = ("address", "name", "state", "exchanges", "retries", "time-outs", "late", "bad")
         output.table("Slaves", columns, [_slave_row(s) for s in slaves])
         _diagnoses(slaves)
-        if self.bus is None or not self.bus.config.bus.read_only:  # else there is none
+        if not settings.read_only:  # else there is none
             _process_data(slaves)
         output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s, {_traffic(stats)}")
         for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
             if us["max"]:
                 output.line(f"{name} in us: " + ", ".join(f"{key} {value}" for key, value in us.items()))
-        if self.bus is not None:
-            _repetitions(slaves, self.bus.config.bus.extra_idle_bits)
+        _repetitions(slaves, settings.extra_idle_bits)
         _cycles(stats)
         if stats.host_us is not None:
             late = stats.host_us

@@ -145,7 +145,7 @@ async def test_a_defect_that_stops_the_bus_leaves_no_slave_alive(monkeypatch: py
 
 
 def test_the_tables_at_the_end_mark_what_is_old(capsys: pytest.CaptureFixture[str]) -> None:
-    async def program() -> tuple[BusStats, BusStats]:
+    async def program() -> tuple[Reporter, BusStats, BusStats]:
         async with bus_of(RAW) as bus:
             await bus.operate()
             await bus.ready()
@@ -153,15 +153,15 @@ def test_the_tables_at_the_end_mark_what_is_old(capsys: pytest.CaptureFixture[st
             good = bus.stats
             await bus.stop()
             await asyncio.sleep(1)
-            return good, bus.stats
+            return Reporter(bus, json=False), good, bus.stats
 
-    good, bad = virtual(program())
-    Reporter(json=False).summary(good)
+    reporter, good, bad = virtual(program())
+    reporter.summary(good)
     told = capsys.readouterr().out
     assert "not valid" not in told
     assert "not sent" not in told
     assert "counters are" not in told
-    Reporter(json=False).summary(dataclasses.replace(bad, age=1.5, stale=True))
+    reporter.summary(dataclasses.replace(bad, age=1.5, stale=True))
     told = capsys.readouterr().out
     assert "00 (not valid)  00 (not sent)" in told
     assert "the counters are 1.5 s old" in told

@@ -33,9 +33,9 @@ def told_of(story: Story, *slaves: dict[str, object], capsys: Out) -> tuple[list
     """The lines about slaves from data exchange on, without their times; the end; the status before it."""
 
     async def program() -> Any:
-        reporter = Reporter(json=False)
-        async with bus_of(*slaves, on_event=reporter.event) as bus:
-            reporter.bus = bus
+        bus = bus_of(*slaves, on_event=lambda event: reporter.event(event))
+        reporter: Reporter = Reporter(bus, json=False)
+        async with bus:
             assert bus.bench is not None
             await bus.operate()
             await bus.ready()
@@ -105,9 +105,9 @@ def test_many_repetitions_bring_advice_in_the_summary(
     capsys: Out, retries: int, bad: int, extra_idle_bits: int, advice: bool, pause: bool
 ) -> None:
     async def program() -> None:
-        reporter = Reporter(json=False, quiet=True)
-        async with bus_of(RAW, on_event=reporter.event, extra_idle_bits=extra_idle_bits) as bus:
-            reporter.bus = bus
+        bus = bus_of(RAW, on_event=lambda event: reporter.event(event), extra_idle_bits=extra_idle_bits)
+        reporter: Reporter = Reporter(bus, json=False, quiet=True)
+        async with bus:
             await bus.ready()
             stats = bus.stats
         link = dataclasses.replace(stats.slaves[9].link, requests=236, retries=retries, bad={"fcs": bad})
@@ -201,9 +201,9 @@ def test_a_trip_its_name_and_why_the_drive_stopped(capsys: Out) -> None:
 
 def test_an_ordinary_run_tells_nothing_of_diagnoses(capsys: Out) -> None:
     async def program() -> None:
-        reporter = Reporter(json=False)
-        async with bus_of(RAW, IO, on_event=reporter.event) as bus:
-            reporter.bus = bus
+        bus = bus_of(RAW, IO, on_event=lambda event: reporter.event(event))
+        reporter: Reporter = Reporter(bus, json=False)
+        async with bus:
             await bus.ready()
             await bus.rotated(20)
             stats = bus.stats
@@ -215,9 +215,8 @@ def test_an_ordinary_run_tells_nothing_of_diagnoses(capsys: Out) -> None:
 
 def test_a_drive_that_flickers_is_no_flood(capsys: Out) -> None:
     async def program() -> None:
-        reporter = Reporter(json=False)
         async with bus_of(FAN) as bus:
-            reporter.bus = bus
+            reporter = Reporter(bus, json=False)
             for number in range(2000):
                 payload: dict[str, object] = {
                     "type": "status",
@@ -243,7 +242,6 @@ def test_a_slave_that_refuses_tells_its_fault_once_however_often_it_is_asked(cap
         world = dpstack.World()
         device = {**IO, "modules": ["8 DI", "8 DO"]}
         dpstack.simulate(world, [slave_config(device)], baud=500_000)
-        reporter = Reporter(json=False)
         states: list[str] = []
 
         def on_event(event: dpstack.Event) -> None:
@@ -251,8 +249,9 @@ def test_a_slave_that_refuses_tells_its_fault_once_however_often_it_is_asked(cap
             if isinstance(event, SlaveStateChanged):
                 states.append(event.state.value)
 
-        async with bus_of(IO, on_event=on_event, world=world) as bus:
-            reporter.bus = bus
+        bus = bus_of(IO, on_event=on_event, world=world)
+        reporter: Reporter = Reporter(bus, json=False)
+        async with bus:
             await bus.operate()
             await asyncio.sleep(10)
             assert states.count("fault") > 3

@@ -78,7 +78,7 @@ def test_a_run_on_a_slow_computer_says_so_at_once_and_at_the_end(
         assert stats.behind > 0.9
         assert stats.summary()["behind_ms"] == round(stats.behind * 1000, 1)
         assert bus.stats.behind >= stats.behind  # what it was is kept
-        Reporter(json=False).summary(stats)
+        Reporter(bus, json=False).summary(stats)
 
     if loop == "an ordinary loop":
         asyncio.run(program())
@@ -92,7 +92,7 @@ def test_virtual_time_that_is_not_held_to_real_time_is_never_behind(capsys: Out)
     async def program() -> None:
         async with bus_of(RAW) as bus:
             await bus.rotated(100)
-            Reporter(json=False).summary(bus.stats)
+            Reporter(bus, json=False).summary(bus.stats)
             assert bus.stats.behind == 0.0
 
     virtual(program())
