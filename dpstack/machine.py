@@ -12,9 +12,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol, dataclass_transform
 
 from dpstack.trace import Event
-from dpstack.units import NEVER, NOW
-
-__all__ = ["NEVER", "NOW", "HeldUp", "LineDown", "LineUp", "Machine", "Order", "RateRefused", "Transmit", "pump"]
 
 #: Puts octets on the line and returns the time in ns at which their last bit leaves it (may lie ahead of now).
 Transmit = Callable[[bytes, int], int]
@@ -101,7 +98,7 @@ class Machine(Protocol):
         """The octets to put on the line now, at most one telegram, or None. The machine itself keeps the idle times."""
 
     def wake_at(self) -> int:
-        """When to call again: :data:`NOW`, a time in ns, or :data:`NEVER` (on input only)."""
+        """When to call again: a time in ns, ``units.NOW``, or ``units.NEVER`` (on input only)."""
 
     def take_events(self) -> list[Event]:
         """The events since the last call, oldest first."""

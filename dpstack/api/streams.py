@@ -81,13 +81,10 @@ class EventStream(Stream[Event]):
     def __init__(self, backlog: Iterable[Event], forget: Callable[[EventStream], None]) -> None:
         super().__init__(DEPTH, backlog)
         self._forget = forget
-        self._closed = False
 
     def close(self) -> None:
         """The reader has had enough. May be repeated."""
-        if not self._closed:
-            self._closed = True
-            self._forget(self)
+        self._forget(self)
         self.end()
 
 
@@ -170,7 +167,7 @@ class Events:
     def __init__(self, on_event: OnEvent | None) -> None:
         self._on_event = on_event
         self._history: deque[Event] = deque(maxlen=DEPTH)
-        self._streams: list[EventStream] = []
+        self._streams: set[EventStream] = set()
         self._ended = False
         self._flapping: dict[int, Flapping] = {}
 
@@ -191,8 +188,8 @@ class Events:
         hand_to(self._on_event, event)
 
     def stream(self) -> EventStream:
-        stream = EventStream(self._history, self._streams.remove)
-        self._streams.append(stream)
+        stream = EventStream(self._history, self._streams.discard)
+        self._streams.add(stream)
         if self._ended:
             stream.end()
         return stream

@@ -184,7 +184,7 @@ class Simulation(Bench):
     def _on_events(self, events: list[Event]) -> None:
         self._was_found = self._was_found or any(isinstance(event, PortBaudChanged) for event in events)
         for event in events:
-            hand_to(self.on_event, event)
+            self.tell(event)
 
     def _watched(self) -> bool:
         """Whether the watchdog of any slave runs."""

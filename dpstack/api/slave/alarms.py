@@ -246,6 +246,3 @@ class AlarmListeners:
                 alarm._keepers.clear()  # its number may be used again
                 text = f"an alarm of slave {alarm.address} was not acknowledged: {why}"
                 self._done(*key, alarm._end or Outcome(ServiceFailure.LINE, text))
-
-
-__all__ = ["AlarmListeners", "AlarmStream", "SlaveAlarm"]
