@@ -69,21 +69,18 @@ class FdPort(Port):
 
     def close(self) -> None:
         self.detach()
-        self._release(self._close_fd)
+        self._release()
 
     def forsake(self) -> None:
         """Close the child's copy of the descriptor, and nothing else."""
         super().forsake()
-        self._release(self._forsake_fd)
+        self._release()
 
-    def _release(self, close: Callable[[int], None]) -> None:
+    def _release(self) -> None:
         fd, self._fd = self._fd, -1
         self._read, self._send = _read_nothing, _write_nothing
         if fd >= 0:
-            close(fd)
-
-    def _forsake_fd(self, fd: int) -> None:
-        self._close_fd(fd)
+            self._close_fd(fd)
 
     def _use(self, fd: int) -> None:
         """Read and write on ``fd``, an open non-blocking descriptor."""

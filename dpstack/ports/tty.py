@@ -164,19 +164,21 @@ class TtyPort(FdPort):
             raise BlockingIOError  # nothing but marks
         return octets
 
-    def _forsake_fd(self, fd: int) -> None:
+    def forsake(self) -> None:
         # the lock and the settings belong to the open file, which is the parent's
         self._tuning = None
-        os.close(fd)
+        super().forsake()
 
-    def _close_fd(self, fd: int) -> None:
+    def close(self) -> None:
+        self.detach()
         tuning, self._tuning = self._tuning, None
         if tuning is not None:
             self._counted.update(tuning.damage())
             tuning.restore()
-        with contextlib.suppress(OSError):  # a process forked meanwhile has the descriptor, and the lock, too
-            fcntl.flock(fd, fcntl.LOCK_UN)
-        os.close(fd)
+        if self._fd >= 0:
+            with contextlib.suppress(OSError):  # a process forked meanwhile has the descriptor, and the lock, too
+                fcntl.flock(self._fd, fcntl.LOCK_UN)
+        super().close()
 
 
 def is_pty_path(name: str) -> bool:
