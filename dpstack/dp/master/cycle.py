@@ -1,11 +1,12 @@
 """One round over the slaves: which request comes next.
 
 First Global_Control that has to precede data (a slave put back into its group's mode, a cyclic FREEZE); Data_Exchange
-with every slave whose turn it is, from the process image; a cyclic SYNC; who is being given up; Global_Control when
-due. Free running services belong to the round (bring-up, diagnosis; :mod:`dpstack.dp.master.poll_order`): one while any
-slave is in data exchange, so that a bring-up never breaks the others' rhythm, else one for each slave. With a fixed
-cycle they come between the rounds, one a token hold, as far as they fit in (:mod:`dpstack.fdl.active.cycle_window`).
-The order is that of the Siemens S120 and Heidenhain manuals (docs/protocol.md#order-in-a-cycle).
+with every slave whose turn it is, from the process image; a cyclic SYNC; farewells of removed slaves; Global_Control
+when due. Free running services belong to the round (bring-up, diagnosis; :mod:`dpstack.dp.master.poll_order`): one
+while any slave is in data exchange, so that a bring-up does not delay the other slaves, else one for each slave. With a
+fixed cycle they come between the rounds, one a token hold, as far as they fit in
+(:mod:`dpstack.fdl.active.cycle_window`). The order is that of the Siemens S120 and Heidenhain manuals
+(docs/protocol.md#order-in-a-cycle).
 """
 
 from __future__ import annotations
@@ -57,20 +58,21 @@ class Round:
         self._due: list[SlaveHandler] = []
         self._cursor = 0
         self._services = 0
-        self._operating = False  # it began in Operate
-        self._unsent = False  # no request of it went out yet
-        self._at_once = False  # the grid was left: the next round begins within this hold
+        self._operating = False  # the round began in Operate
+        self._unsent = False  # no request of this round was sent yet
+        self._at_once = False  # the fixed cycle has ended: the next round begins within this hold
         self._published = 0
-        self._freeze = self._sync = False  # still to be sent in it
-        #: by address of slaves that have a Min_Slave_Interval: no exchange before this time
+        self._freeze = self._sync = False  # still to be sent in this round
+        #: address -> earliest time in ns of the next exchange, only of slaves with a Min_Slave_Interval
         self._spaced: dict[int, int] = {}
-        self._paused = False  # for one of them
-        self._free_at = 0  # the last Global_Control and its idle time are over
+        self._paused = False  # the round waits for a Min_Slave_Interval
+        self._free_at = 0  # end in ns of the last Global_Control and its idle time
 
     # --- the link layer's questions -----------------------------------------------------------------------------
 
     def token(self, now: int) -> None:
-        """A hold begins; free running so does a new round, when the last one is through and the next one may."""
+        """A token hold begins. While rounds run free, begin a new round if the last one has ended and the next one is
+        due."""
         if self._cadence.fixed:
             self._services = 1
         elif not self.open and self._cadence.due(now) and self._may_take_all(now):
@@ -107,7 +109,7 @@ class Round:
         self._end(now)
         return self._between(now, room=True) if fixed else None
 
-    # --- its course ---------------------------------------------------------------------------------------------
+    # --- parts of a round ---------------------------------------------------------------------------------------------
 
     def _begin(self, now: int) -> None:
         turns, context = self._turns, self._context
@@ -126,7 +128,7 @@ class Round:
         self._cursor = 0
         self._unsent = True
         self.first_data = bool(self._due)
-        # a mode reached in the middle of a round lets outputs out with the next one, everybody's at once
+        # a mode reached in the middle of a round counts from the next round on, for all slaves at once
         self._operating = context.mode is Mode.OPERATE
         held = self._operating and context.target is Mode.OPERATE and bool(self._due)
         self._freeze = held and bool(self._controls.freeze.groups)
@@ -141,7 +143,7 @@ class Round:
 
     @property
     def _everybody(self) -> bool:
-        """Nobody is left out: on the way down, and where an order waits for everybody."""
+        """Whether every slave has a turn: on the way to a lower mode, or when an order needs it."""
         return self._context.descending or self._controls.wants_all
 
     def _may_take_all(self, now: int) -> bool:
@@ -196,9 +198,9 @@ class Round:
         return None
 
     def _between(self, now: int, *, room: bool = False) -> Request | None:
-        """What waits for a time between two cycles; what a cycle brought up does not wait for the next one.
+        """The next service or repeated Global_Control between two fixed cycles, or None.
 
-        ``room``: the gap has just begun.
+        ``room``: the cycle has just ended, so that all of the time before the next one is left.
         """
         self._turns.sort()
         request = self._controls.repetition(now)
@@ -231,7 +233,7 @@ class Round:
                 self._spaced[request.da] = at + interval
 
     def held_back(self, request: Request) -> None:
-        """It does not fit before the next cycle."""
+        """Postpone ``request``, because it does not fit in before the next cycle."""
         handler = request.tag
         if isinstance(handler, SlaveHandler):
             handler.restart |= request.restart
@@ -240,14 +242,14 @@ class Round:
             self._controls.held_back(self._cadence.window.next_at)
 
     def cut(self, now: int) -> None:
-        """Whatever is under way is over: a whole round follows, on no grid."""
+        """End the round under way and the fixed cycle. A whole round follows at once."""
         self.open = False
         self._at_once = self._cadence.fixed
         self._paused = False
         self._cadence.stop(now)
 
     def publish(self) -> CycleData | None:
-        """What came of it; None where nothing was sent in it."""
+        """The data of the round that has ended; None if nothing was sent in it."""
         if self._unsent or not self._due:
             return None
         self._published += 1

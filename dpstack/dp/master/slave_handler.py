@@ -1,4 +1,4 @@
-"""The master's handling of one slave: what to ask it next, and what its answers mean.
+"""The master's handling of one slave: its next request, and the meaning of its answers.
 
 The table of states is :mod:`dpstack.dp.master.slave_states`, the texts of the faults
 :mod:`dpstack.dp.master.fault_texts`, the back-off :mod:`dpstack.dp.master.retry_timing`; here is the judging of answers
@@ -38,23 +38,23 @@ from dpstack.fdl.telegram import (
 from dpstack.units import NEVER
 
 _MAX_BUSY: Final = 5
-#: so many silent polls are reported as a fault
+#: unanswered polls after which the slave is reported as absent
 _ABSENT_AFTER: Final = 3
 _DH: Final = int(Resp.DH)
 _SRD_HIGH: Final = Req.SRD_HIGH
 _NEW: Final = tuple.__new__  # NamedTuple's own constructor costs four times as much
 #: asked in every exchange: an enum's member costs ten times a name of the module
 _DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
-#: states in which a slave is left alone or not there
+#: states of a slave that is absent, in fault or out of service
 AWAY: Final = (SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED)
 _BRINGING_UP: Final = (SlaveState.DIAGNOSIS, SlaveState.SET_PRM, SlaveState.CHK_CFG, SlaveState.WAIT_READY)
 
 
 class SlaveHandler:
-    """One slave as the master handles it. ``changed`` is called after a change of its state.
+    """One slave as the master handles it. ``changed(handler, now)`` is called after a change of its state.
 
-    ``still``: whether outputs may still be sent (see :class:`~dpstack.fdl.interface.Request`). ``before``: the handler
-    of the slave under other parameters: counters go on, and the image as :func:`image_of` says.
+    ``still(now)``: whether outputs may still be sent (see :class:`~dpstack.fdl.interface.Request`). ``before``: the
+    handler of the slave under other parameters: counters go on, and the image as :func:`image_of` says.
     """
 
     def __init__(
@@ -73,14 +73,14 @@ class SlaveHandler:
         self.reports = SlaveReports(setup, context.emit, context.params.address)
         self.plugin_host = PluginHost(self.image, setup, self.reports)
         self.state = SlaveState.OFFLINE
-        #: in this state, in ns
+        #: time in ns at which this state was entered
         self.since = 0
         self.exchanges: int = 0 if before is None else before.exchanges
         #: Set_Prm was sent, and no answer since says that the slave is not (or no longer) this master's
         self.owned = False
         #: first bit of the last request to it, in ns
         self.asked_at = 0
-        #: it left data exchange by itself and said Prm_Req at this time, in ns; NEVER while it did not
+        #: time in ns of the diagnosis with Prm_Req after the slave left data exchange by itself, or NEVER
         self.prm_req_at = NEVER
         #: Slave_Diag is wanted while in data exchange (DH, Stat_Diag)
         self.diag_due = False
@@ -90,10 +90,10 @@ class SlaveHandler:
         self._silent = 0
         self._busy = 0
         self._odd = OddAnswers()
-        #: the next service takes it up afresh (FCB)
+        #: the next service is a first request (FCV 0, FCB 1)
         self.restart = True
         self._ready = Readiness()
-        #: a fault that waits for the answer to Get_Cfg, and its trigger
+        #: the trigger and the fault to be reported after the answer to Get_Cfg
         self._inquiry: tuple[Trigger, CfgFault] | None = None
         #: why it left data exchange, until the next diagnosis says more: the status that refused it, "" for Prm_Req
         self._left: str | None = None
@@ -123,13 +123,13 @@ class SlaveHandler:
 
     @property
     def why_not_exchanging(self) -> str:
-        """Why the slave is not in data exchange, for people."""
+        """Text: why the slave is not in data exchange."""
         fault = self.reports.fault
         return fault.message if fault is not None else f"it is in {self.state.value}"
 
     @property
     def alarm_counts(self) -> AlarmCounts | None:
-        """What came of its alarms; None where it can have none."""
+        """Counters of its alarms; None for a slave without alarms."""
         return self.reports.observer.counts
 
     # --- cyclic path --------------------------------------------------------------------------------------------
@@ -144,7 +144,7 @@ class SlaveHandler:
         return request
 
     def data_result(self, outcome: Telegram | Failure, now: int) -> None:
-        """The answer to Data_Exchange: data into the image, everything else on to the judging."""
+        """Handle the answer to Data_Exchange: copy good data into the image, judge everything else."""
         if isinstance(outcome, Telegram):
             status = outcome.fc & 0x0F
             # SC (fc = -1) and an empty LE = 3 answer are legal where there are no inputs (docs/protocol.md#le-3)
@@ -191,8 +191,9 @@ class SlaveHandler:
 
     @property
     def under_way(self) -> bool:
-        """Between the diagnosis that gave it free and the first one after Chk_Cfg: others wait, because its watchdog
-        runs, and because that diagnosis must not grow old.
+        """Whether a bring-up is under way: after the diagnosis that allows Set_Prm, until the first one after Chk_Cfg.
+
+        Other slaves wait meanwhile, because its watchdog runs and that diagnosis must not become outdated.
         """
         match self.state:
             case SlaveState.SET_PRM | SlaveState.CHK_CFG:
@@ -208,7 +209,7 @@ class SlaveHandler:
         return self.state is SlaveState.OFFLINE and pacing.long_poll_due and not (only_first and pacing.had_long_poll)
 
     def service_request(self, now: int, *, long: bool = False) -> Request:
-        """The next step of the bring-up, or the diagnosis in data exchange. ``long``: wait for an absent slave."""
+        """The next step of the bring-up, or the diagnosis in data exchange. ``long``: a long poll."""
         if self._inquiry is not None:
             return self._service(SAP_GET_CFG, b"")
         state = self.state
@@ -344,7 +345,7 @@ class SlaveHandler:
         self._changed(self, now)
 
     def want_diagnosis(self, now: int) -> None:
-        """Have the diagnosis read next."""
+        """Request Slave_Diag as the next service of the slave."""
         if not self.diag_due:
             self.diag_due = True
             self._changed(self, now)
@@ -352,10 +353,11 @@ class SlaveHandler:
     # --- states -------------------------------------------------------------------------------------------------
 
     def _step(self, trigger: Trigger, now: int, fault: Fault | CfgFault | None = None) -> None:
-        """Take the row of the table. A CfgFault is to name the configuration that the slave has: Get_Cfg is asked next.
+        """Take the row of the table. After a CfgFault the master sends Get_Cfg, to report the configuration of the
+        slave.
 
-        A slave that is to become ready stays as it is until the answer; one in data exchange goes to Fault at once:
-        safe outputs and Unlock.
+        In Wait_Ready the state changes only after that answer. A slave in data exchange goes to Fault at once, which
+        leads to safe outputs and Unlock.
         """
         row = TABLE.get((self.state, trigger))
         if row is None:
@@ -401,7 +403,7 @@ class SlaveHandler:
         self._changed(self, now)
 
     def _leave_exchange(self, now: int, *, silent: bool) -> None:
-        """Inputs are void, what the plugin had pending ends; the next bring-up starts afresh."""
+        """Make the inputs invalid, end pending orders of the plugin, begin the next bring-up with a first request."""
         self.image.valid = False
         self.diag_due = False
         self.restart = True
@@ -420,12 +422,12 @@ class SlaveHandler:
             self._pacing = Pacing()
 
     def station_found(self, now: int) -> None:
-        """A GAP poll of its address was answered after silence: perhaps another device, so no back-off counts."""
+        """A GAP poll of its address was answered after silence. It may be another device: reset the back-off."""
         if self.state in (SlaveState.FAULT, SlaveState.OFFLINE):
             self._pacing.anew(now)
 
     def diagnosis_seen(self, octets: bytes, now: int) -> None:
-        """Somebody else at this station has read its diagnosis: another ident is another device."""
+        """Another user of this station has read its diagnosis: another ident number means another device."""
         diagnosis, last = Diagnosis.parse(octets), self.reports.diagnosis
         if diagnosis is not None and last is not None and diagnosis.ident != last.ident:
             self.station_found(now)

@@ -1,6 +1,6 @@
 """The slaves of a master while the bus runs: added, removed, taken out of service, parameterised anew.
 
-A slave that is given up gets safe values as at the end, comes out of SYNC, then Unlock.
+A slave that is removed gets its farewell: safe values, then UNSYNC and UNFREEZE if necessary, then Unlock.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ class Leaving:
     """A slave that is being removed. Its instance tags the requests of its farewell."""
 
     handler: SlaveHandler
-    until: int  # safe values until then
-    held: bool  # it is in SYNC or FREEZE: safe values are to reach its outputs
-    safe: bool = False  # it was sent safe values
+    until: int  # safe values are sent until this time in ns
+    held: bool  # the slave is in SYNC or FREEZE and must be released so that safe values reach its outputs
+    safe: bool = False  # safe values were sent to the slave
 
 
-#: gives the observer of the diagnoses of a slave; second: its handler under other parameters before, if any
+#: returns the observer of the diagnoses of a slave; arguments: its handler, and its handler under the parameters before
 ObserverOf = Callable[[SlaveHandler, SlaveHandler | None], DiagObserver]
 
 
@@ -72,13 +72,13 @@ class Roster:
         self._observer: ObserverOf = lambda _handler, _before: NO_ALARMS
 
     def observe(self, observer: ObserverOf) -> None:
-        """From now on ``observer`` gives the readers of alarms."""
+        """Set the function that returns the observer of each slave's diagnoses."""
         self._observer = observer
         for handler in self._handlers.values():
             handler.reports.observer = observer(handler, None)
 
     def find(self, address: int) -> SlaveHandler:
-        """The handler of the slave at ``address``. Raises UsageError naming those there are."""
+        """The handler of the slave at ``address``. Raises UsageError with the list of configured addresses."""
         handler = self._handlers.get(address)
         if handler is None:
             known = ", ".join(map(str, sorted(self._handlers))) or "none"
@@ -109,7 +109,7 @@ class Roster:
         return True
 
     def add(self, setup: SlaveParams) -> None:
-        """Take up one more. Raises ConfigError."""
+        """Add one slave. Raises ConfigError."""
         if setup.address in self._handlers:
             other = self._handlers[setup.address].setup.name
             raise ConfigError(f"slaves {other} and {setup.name} both have address {setup.address}")
@@ -126,7 +126,7 @@ class Roster:
         return handler
 
     def _remove(self, handler: SlaveHandler, now: int) -> None:
-        """Safe values as at the end, then Unlock, then it is forgotten."""
+        """Begin the farewell of the slave and forget its handler."""
         self._bid_farewell(handler, now, exchanging=handler.state is SlaveState.DATA_EXCHANGE)
         del self._handlers[handler.setup.address]
         self._turns.forget(handler)
@@ -136,22 +136,20 @@ class Roster:
         handler.state = SlaveState.OFFLINE  # nothing more for it in this round
 
     def _changed(self, handler: SlaveHandler, now: int) -> None:
-        """A slave reached another state: in data exchange it is sent the mode, in a fault out of it it is given up."""
+        """A slave reached another state: send the mode to one that entered data exchange, bid farewell to one that left
+        it by a fault."""
         self._turns.request_sort()
         self._watch.look_soon()
         was_exchanging = handler in self._turns.exchanging
         if handler.state is SlaveState.DATA_EXCHANGE and not was_exchanging:
             self._controls.entered(handler)
         elif handler.state is SlaveState.FAULT and was_exchanging and handler.owned:
-            self._bid_farewell(handler, now, exchanging=True)  # or it keeps its last outputs until its watchdog
+            self._bid_farewell(handler, now, exchanging=True)  # else it keeps its last outputs
 
     # --- farewells ----------------------------------------------------------------------------------------------
 
     def _bid_farewell(self, handler: SlaveHandler, now: int, *, exchanging: bool) -> None:
-        """Begin with the next round; a slave that was parameterised only has no outputs to make safe.
-
-        ``exchanging``: it has outputs.
-        """
+        """Begin the farewell with the next round. ``exchanging``: the slave has outputs that must become safe first."""
         address = handler.setup.address
         if self._context.mode > Mode.STOP and handler.owned and not self.is_leaving(address):
             held = exchanging and self._controls.holds(address)
@@ -163,12 +161,12 @@ class Roster:
         return any(leaving.handler.setup.address == address for leaving in self.leaving)
 
     def clear_farewells(self) -> None:
-        """Nothing can be sent any more: the slaves' watchdogs do the rest."""
+        """Drop all farewells, because nothing can be sent any more. The slaves' watchdogs make their outputs safe."""
         self.leaving.clear()
         self._farewells = 0
 
     def begin_round(self) -> None:
-        """One request to each slave that leaves follows."""
+        """Allow one request to each leaving slave in this round."""
         self._farewells = len(self.leaving)
 
     def farewell(self, now: int, spaced: Mapping[int, int]) -> Request | None:

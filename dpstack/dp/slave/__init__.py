@@ -7,8 +7,8 @@
 - ``diagnosis``: The diagnosis of a slave application: its fault bits, and whether the master has read the rest
 - ``events``: Events and counters of a slave application; each refusal is reported once
 - ``extension``: Services of a device beyond those of DP-V0 (MS1, MS2), and their blocks in the diagnosis
-- ``prm_cfg_check``: Checks of Set_Prm and Chk_Cfg at a slave, and its watchdog
+- ``prm_cfg_check``: Checks of Set_Prm and Chk_Cfg at a slave
 - ``services``: The services of a slave that are not cyclic: reading, Set_Prm, Chk_Cfg, Set_Slave_Add
-- ``state``: State, lock and address of a slave application, and its steps through the table of states
+- ``state``: State, lock, watchdog and address of a slave application, and its steps through the table of states
 - ``state_table``: The states of a DP slave as tables: who may use which service, and which event leads where
 """

@@ -1,4 +1,4 @@
-"""Checks of Set_Prm and Chk_Cfg at a slave, and its watchdog."""
+"""Checks of Set_Prm and Chk_Cfg at a slave."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from dpstack.dp.slave_params import WatchdogTime
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import agree, io_lengths
-from dpstack.units import NEVER
 
 
 class Refusal(NamedTuple):
@@ -89,28 +88,3 @@ def check_device(device: DpV0Device) -> None:
         raise ConfigError(f"device {device.name}: configs must hold identifier octets (up to {MAX_DATA} each)")
     if not FIXED_LEN <= device.max_diag_len <= MAX_LEN:
         raise ConfigError(f"device {device.name}: max_diag_len {device.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
-
-
-class Watchdog:
-    """Monitors the owner. ``last_request``: the time of its last request; ``at``: when to judge, or NEVER.
-
-    The deadline is moved only when it has come: an exchange just notes its time.
-    """
-
-    def __init__(self) -> None:
-        self.at = NEVER
-        self.last_request = 0
-        self.time_ns = 0
-
-    def arm(self, time_ns: int, now: int) -> None:
-        """Watch for ``time_ns`` from now on, 0 = off."""
-        self.last_request = now
-        self.time_ns = time_ns
-        self.at = now + time_ns if time_ns else NEVER
-
-    def expired(self, now: int) -> bool:
-        """Whether the time is over; otherwise the deadline moves on."""
-        if self.at > now:
-            return False
-        self.at = self.last_request + self.time_ns
-        return self.at <= now

@@ -1,4 +1,4 @@
-"""State, lock and address of a slave application, and its steps through the table of states.
+"""State, lock, watchdog and address of a slave application, and its steps through the table of states.
 
 Whatever leaves data exchange, and whatever the
 device raises, goes through here, so that outputs and lock are given up in one place. The time a device asks for, its
@@ -15,11 +15,10 @@ from dpstack.dp.slave.cyclic_data import CyclicData
 from dpstack.dp.slave.device import DpV0Device, Leave
 from dpstack.dp.slave.diagnosis import DiagState
 from dpstack.dp.slave.events import AddressChanged, Report, SlaveAppStateChanged
-from dpstack.dp.slave.prm_cfg_check import Watchdog
 from dpstack.dp.slave.state_table import TABLE, AppTrigger, SlaveAppState
 from dpstack.fdl.passive.station import LOWEST_TSDR
 from dpstack.params import MAX_STATION
-from dpstack.units import NOW
+from dpstack.units import NEVER, NOW
 
 # No_Add_Chg closes the service for good; only an initial reset, done at the device itself, gives the slave the address
 # 126 and opens it again.
@@ -71,6 +70,32 @@ class SlaveAddress:
         self.fixed = fixed
         self._report.readdress(address)
         self._report.emit(AddressChanged, now, before=before, master=master, fixed=fixed, kept=kept)
+
+
+class Watchdog:
+    """The watchdog of a slave: supervises the master that owns it. ``last_request``: time of the master's last request.
+
+    ``at``: time of the next check by :meth:`expired`, or NEVER. All times in ns. A request only stores its time;
+    ``at`` is moved on by the check.
+    """
+
+    def __init__(self) -> None:
+        self.at = NEVER
+        self.last_request = 0
+        self.time_ns = 0
+
+    def arm(self, time_ns: int, now: int) -> None:
+        """Watch for ``time_ns`` from now on, 0 = off."""
+        self.last_request = now
+        self.time_ns = time_ns
+        self.at = now + time_ns if time_ns else NEVER
+
+    def expired(self, now: int) -> bool:
+        """Whether the time is over; otherwise the deadline moves on."""
+        if self.at > now:
+            return False
+        self.at = self.last_request + self.time_ns
+        return self.at <= now
 
 
 class SlaveCore:
