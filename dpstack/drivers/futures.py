@@ -12,9 +12,9 @@ T = TypeVar("T")
 async def outlast(future: asyncio.Future[Any]) -> None:
     """Wait until ``future`` is done, through any number of cancellations; then re-raise the cancellation, if any.
 
-    ``future`` itself is not cancelled, what it raises stays in it, and ``task.cancelling()`` counts every request as
-    ever. Of several cancellations the one without a message is raised: anyio marks its own by a message, and swallows
-    them where its scope ends.
+    ``future`` itself is not cancelled and keeps its exception. ``task.cancelling()`` counts every request as usual. Of
+    several cancellations the one without a message is raised: anyio marks its own cancellations by a message, and
+    swallows them at the end of their scope.
     """
     cancelled: asyncio.CancelledError | None = None
     while not future.done():

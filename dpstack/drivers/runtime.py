@@ -22,7 +22,7 @@ _LAST_OCTETS: Final = 13
 #: Why nobody keeps a machine running in the child of a fork, for people.
 IN_PARENT: Final = "the bus runs in the process from which this one was forked"
 
-#: Called with the events of a machine, in order; from the loop, never from another thread.
+#: The driver calls it with the events of a machine, in order; from the loop, never from another thread.
 OnEvents = Callable[[list[Event]], None]
 #: Called with the exception of the machine: a defect of dpstack, the driver has stopped.
 OnFailure = Callable[[Exception], None]
@@ -105,8 +105,8 @@ class BehindRealTime(Event):
 
 
 def last_bits_ns(params: BusParams) -> int:
-    """How long to wait after the event that ends the ordered end, before the port is closed: events tell of
-    transmissions whose last bit lies ahead."""
+    """Wait in ns between the last event of the ordered end and the closing of the port: the machine reports a
+    transmission before its last bit is on the wire."""
     return params.ns(_LAST_OCTETS * BITS_PER_CHAR + params.t_id2)
 
 
@@ -123,8 +123,8 @@ class Runtime(Protocol):
 
     @property
     def not_running(self) -> str | None:
-        """Why nobody keeps the machine running at this moment; None while somebody does, before the opening, and after
-        an end in order."""
+        """Why the driver does not run the machine now; None while it runs it, before the opening, and after an ordered
+        end."""
 
     @property
     def behind_ns(self) -> int:
@@ -134,30 +134,33 @@ class Runtime(Protocol):
         """Open the line and begin. Raises PortError."""
 
     async def close(self) -> None:
-        """Stop and release the line. The machine has been taken off the bus in order before.
+        """Stop and release the line. The caller has carried out the ordered end before.
 
-        It goes through any number of cancellations, and re-raises the cancellation.
+        Cancellations do not stop it; it re-raises the cancellation at its end.
         """
 
     @property
     def close_limit_ns(self) -> int:
-        """What :meth:`close`, and orders that nobody answers, may add to the time of an ordered end (ns)."""
+        """Longest time in ns that :meth:`close` and orders without an answer add to an ordered end."""
 
     def end_without_loop(self) -> str:
-        """Make the end of a bus whose event loop can run no more; why safe values and Clear could not be sent, empty
-        where they were. The line is released."""
+        """End a bus whose event loop can no longer run, and release the line.
+
+        Returns why safe values and Clear could not be sent; empty after success.
+        """
 
     def forsake(self) -> None:
-        """In the child of a fork: let go of everything that the parent uses too, and change nothing at it."""
+        """In the child of a fork: release its copies of line, timers and sockets without effect on the parent."""
 
     def command(self, command: object) -> None:
-        """Hand an order to the machine. What a machine in another process refuses is told later (:data:`OnRefused`)."""
+        """Hand an order to the machine. If a machine in another process refuses it, the driver calls
+        :data:`OnRefused` later."""
 
     def order(self, command: object) -> asyncio.Future[object]:
-        """As :meth:`command`; done when the machine has carried the order out. What it raises is in the future."""
+        """As :meth:`command`; the future is done when the machine has carried out the order, or holds its exception."""
 
     async def hand_over_outputs(self) -> None:
-        """The machine has the outputs that were set up to now when this returns. Raises OrderDropped, BusError."""
+        """Return when the machine has all outputs that the application has set. Raises OrderDropped, BusError."""
 
     def now(self) -> int:
         """The machine's time in ns."""

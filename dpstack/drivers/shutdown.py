@@ -33,11 +33,11 @@ from dpstack.units import NS_PER_MS, NS_PER_S
 
 EndOrder = Shutdown | CloseConnections | GoOffline
 
-#: A hurried end takes no longer than this: who asks for it promises to be gone within a second.
+#: Longest time of a hurried end, whose callers promise to end the program within a second.
 HURRY_NS: Final = 800 * NS_PER_MS
 _STEPS: Final = 3
 _ROTATIONS: Final = 10
-#: So often a line on which something was heard is listened to again.
+#: Number of listening periods on a line with octets of others.
 _LISTENS: Final = 3
 
 
@@ -48,15 +48,15 @@ def end_limit_ns(params: BusParams, rotation_ns: int) -> int:
 
 
 def step_limit_ns(rotation_ns: int) -> int:
-    """How long one step of the end is waited for in ns."""
+    """Time limit of one step of the end in ns."""
     return END_LIMIT + _ROTATIONS * rotation_ns
 
 
 class EndSteps:
-    """The orders of the end of a bus, one by one, and whether the last one given was carried out.
+    """The orders of the end of a bus, one by one, and whether the bus has carried out the last one.
 
-    Who gives them waits for each no longer than :func:`step_limit_ns`: a bus that can no longer do a step is taken to
-    the next. After :meth:`hurry` connections are not given back, and all the rest is over after :data:`HURRY_NS`.
+    The caller waits for each order at most :func:`step_limit_ns`, then gives the next one even if the bus did not carry
+    it out. After :meth:`hurry` class 2 connections are not closed, and the end takes at most :data:`HURRY_NS`.
     """
 
     def __init__(self, params: BusParams, in_ring: Callable[[], bool]) -> None:
@@ -68,7 +68,7 @@ class EndSteps:
         self._hurried_at: int | None = None
         #: the last order was carried out
         self.done = False
-        #: safe values and Clear were sent; None while the master has not said so
+        #: the master has sent safe values and Clear; None while it has not reported either result
         self.cleared: bool | None = None
 
     def hurry(self, now: int) -> None:
@@ -79,21 +79,21 @@ class EndSteps:
             self.done |= isinstance(self._order, CloseConnections)
 
     def next_order(self) -> EndOrder | None:
-        """The next order; None when there is only :meth:`over_at` to be waited for."""
+        """The next order; None after the last one: then wait until :meth:`over_at`."""
         if not self._orders:
             return None
         order = self._order = self._orders.pop()
-        # who has no token has nothing to hand on; it may have left and come back before
+        # a station outside the ring has no token to pass on; it may have left the ring and come back before
         self.done = isinstance(order, GoOffline) and not self._in_ring()
         return order
 
     def wait_until(self, begun: int, rotation_ns: int) -> int:
-        """How long the order given at ``begun`` is waited for (ns)."""
+        """End (ns) of the wait for the order given at ``begun``."""
         limit = begun + step_limit_ns(rotation_ns)
         return limit if self._hurried_at is None else min(limit, self._hurried_at + HURRY_NS)
 
     def on_event(self, event: Event) -> None:
-        """The master has stopped, the connections are given back, the ring was left."""
+        """Note events that complete an order: master stopped, connections closed, ring left."""
         if isinstance(event, MasterStopped):
             self.cleared = event.cleared
         match event, self._order:
@@ -102,14 +102,14 @@ class EndSteps:
                 self._at_ns = event.t_ns
 
     def over_at(self, now: int) -> int:
-        """When the last bit of the last telegram is out and the port may be closed (ns)."""
+        """Time (ns) of the last bit of the last telegram: the port may be closed then."""
         return max(self._at_ns, now) + last_bits_ns(self._params)
 
 
 class Ending:
-    """Carries out the end in ``loop``; ``give`` takes each order and raises DpError where the driver is down.
+    """Carries out the end in ``loop``. ``give`` hands each order to the driver and raises DpError if that is down.
 
-    Begun once; ``finished`` is called with the reason when it is through, or took too long.
+    The end begins only once. ``finished`` is called with the reason at its end or after its time limit.
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class Ending:
             self._go_on()
 
     def _go_on(self) -> None:
-        """Once a step: not from within the machine that told of it."""
+        """Go on in the next turn of the loop, not within the machine that reported the event."""
         if self.steps.done and self._limit is not None:
             self._limit.close()
             self._limit = None
@@ -168,7 +168,7 @@ class Ending:
 
 
 def at_slaves(watchdogs: Mapping[str, int]) -> str:
-    """What slaves do that get nothing any more, for people. ``watchdogs``: by name in ns, 0 is off."""
+    """Text about the reaction of slaves to a master that has fallen silent. ``watchdogs``: in ns by name, 0 is off."""
     if not watchdogs:
         return "No slave was in data exchange"
     off = sorted(name for name, ns in watchdogs.items() if not ns)
@@ -180,11 +180,11 @@ def at_slaves(watchdogs: Mapping[str, int]) -> str:
 
 
 def end_on_port(port: Port, station: ActiveStation, echo: Echo) -> str:
-    """The hurried end of ``station`` on the open ``port`` by this thread alone, where the event loop that kept it going
-    can run no more. Returns why safe values and Clear could not be sent, empty where they were.
+    """The hurried end of ``station`` on the open ``port`` in this thread, when its event loop can no longer run.
 
-    ``port`` is detached. It sends only where this station holds the token or is alone in the ring: on a bus with
-    another master, or with octets of anybody else within T_TO, it sends nothing.
+    Returns why safe values and Clear could not be sent; empty after success. ``port`` is detached. The station sends
+    only when it is alone in the ring: on a bus with another master, or with octets of another station within T_TO, it
+    sends nothing.
     """
     others = sorted(station.las - {station.address})
     if not station.in_ring:
@@ -217,19 +217,19 @@ def end_on_port(port: Port, station: ActiveStation, echo: Echo) -> str:
 
 
 def _nobody_else_sends(port: Port, station: ActiveStation) -> bool:
-    """Listen for T_TO: only answers to this station are heard, or what itself has sent."""
+    """Whether in a time of T_TO only answers to this station, or its own telegrams, are on the line."""
     assert port.fd is not None
     decoder = Decoder(stall_ns=NS_PER_S)
     patience_ns = station.params.ns(station.params.t_to)
     for _ in range(_LISTENS):
         end = monotonic_ns() + patience_ns
-        heard = b""
-        while (left := end - monotonic_ns()) > 0 and not heard:
+        octets = b""
+        while (left := end - monotonic_ns()) > 0 and not octets:
             select.select([port.fd], [], [], left / NS_PER_S)
-            heard = port.read_now()
-        if not heard:
+            octets = port.read_now()
+        if not octets:
             return True
-        for telegram in decoder.feed(heard, monotonic_ns()):
+        for telegram in decoder.feed(octets, monotonic_ns()):
             own = telegram.sa == station.address
             if not own and (telegram.kind == Kind.SD4 or telegram.is_request):
                 return False

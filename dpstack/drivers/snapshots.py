@@ -49,10 +49,10 @@ class ImageSnapshot(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class BusSnapshot:
     """Master and station. ``synced`` and ``frozen``: addresses held by SYNC and FREEZE. ``claimed``: the station made
-    the token itself. ``las``: the list of active stations. ``patience``: how long answers are waited for.
+    the token itself. ``las``: the list of active stations. ``patience``: slack for late answers.
 
-    ``found``: the stations of a read-only bus that is watched, by address, else None; ``found_all``: every address was
-    asked once.
+    ``found``: on a watched read-only bus the stations by address, else None; ``found_all``: the scanner has asked every
+    address once.
     """
 
     mode: Mode
@@ -68,10 +68,11 @@ class BusSnapshot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Counters:
-    """Everything that is counted, as one picture of the time ``t_ns`` (0: it will not change any more).
+    """All counters at the time ``t_ns`` (0: the final values).
 
-    ``lateness``: how late answers are delivered. ``held_back`` and ``forced``: what did not fit between fixed cycles,
-    waits and requests sent all the same. ``damage``: octets that arrived damaged, by cause, as far as the port tells.
+    ``lateness``: how late the port delivers answers. ``held_back`` and ``forced``: see
+    :class:`dpstack.fdl.active.cycle_window.CycleWindow`. ``damage``: octets that arrived damaged, by cause, as far as
+    the port reports them.
     """
 
     t_ns: int = 0
@@ -87,15 +88,15 @@ class Counters:
 
 
 class View(Protocol):
-    """Where an application finds the snapshots of its bus, with every driver. Reading never waits."""
+    """Access of an application to the snapshots of its bus, the same with every driver. Reading never waits."""
 
     @property
     def read_only(self) -> bool:
-        """Nothing is sent to slaves."""
+        """True when the master sends nothing that could change a slave."""
 
     @property
     def setups(self) -> Mapping[int, SlaveParams]:
-        """How the master parameterises its slaves, by address."""
+        """The parameters of the slaves by address."""
 
     def bus(self) -> BusSnapshot: ...
 
@@ -109,7 +110,7 @@ class View(Protocol):
         """The outputs of the next Data_Exchange in Operate. Raises ValueError for a wrong length."""
 
     def counters(self) -> Counters:
-        """A copy of everything that was counted."""
+        """A copy of all counters."""
 
     @property
     def link(self) -> LinkStats:
@@ -117,11 +118,11 @@ class View(Protocol):
 
     @property
     def rotations(self) -> int:
-        """How many there were; quick to ask."""
+        """Number of rotations; quick to read."""
 
     @property
     def cycle(self) -> CycleData | None:
-        """The last round with data exchange, while somebody watches."""
+        """The last round with data exchange, while :meth:`watch_rounds` is on."""
 
     def watch_rounds(self, on_round: Callable[[], None] | None) -> None:
         """Call ``on_round()`` at the end of every round with data exchange; None: no longer."""

@@ -85,8 +85,8 @@ class Line(Protocol):
 class Stack:
     """The machines of ``spec`` and their snapshots. A :class:`~dpstack.drivers.snapshots.View`.
 
-    ``station`` is the machine to be pumped; ``line`` is the driver that does it, set once the driver is there. A
-    read-only bus has a guard in front of all that could write. Raises ConfigError.
+    ``station`` is the protocol machine; ``line`` is the driver that runs it, set by the owner after construction. On a
+    read-only bus a guard refuses every request that could write. Raises ConfigError.
     """
 
     line: Line
@@ -139,7 +139,7 @@ class Stack:
         self.master.handlers[address].image.outputs = octets
 
     def counted(self) -> Counters:
-        """The counters themselves, which the machines go on changing."""
+        """The live counters; the machines go on changing them."""
         master, station, line = self.master, self.station, self.line
         return Counters(
             t_ns=line.now(),

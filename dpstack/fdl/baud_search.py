@@ -1,19 +1,19 @@
-"""Finding the baud rate by listening only.
+"""Search for the baud rate by listening only, and the rule that recognises a rate.
 
-The rates are tried from the fastest to the slowest: a dwell at a rate above the true one is short against the bus's
-telegrams, one below it is not. A rate is recognised by whole telegrams in a row, never by octets that merely look
-clean: half of what is heard at twice the rate has neither framing nor parity error.
+The station tries the rates from the fastest to the slowest: a dwell at a rate above the true one is shorter than the
+telegrams on the bus, a dwell below it is not. It recognises a rate by whole telegrams in a row, never by octets without
+errors alone: at twice the true rate half of the received octets have neither framing nor parity error.
 
 A *run* is a sequence of telegrams between which no octet is left over. It breaks at any octet that
 belongs to no telegram, at an SC that follows no request, and at a token whose sender is neither the one who got
 the token before it nor the one who sent that. A rate is recognised by a run with
 
 * two telegrams with FCS (``CHECKED``), or
-* the same token three times (``TOKEN``): the only thing a lone master without GAP says.
+* the same token three times (``TOKEN``): the only telegram that a lone master without GAP polls sends.
 
-What a receiver at another rate gets repeats as the traffic does, so a wrong telegram once read comes again: repetition
-proves nothing, that nothing is left over does. From twice the true rate up no start octet can be read at all, since
-each has a single bit between two others, and such a receiver samples every bit twice.
+The traffic repeats, so a receiver at a wrong rate reads the same wrong telegram again and again. Therefore repetition
+proves nothing; only a run without left-over octets proves the rate. From twice the true rate on the receiver can read
+no start octet, because each start octet has a single bit between two others and the receiver samples every bit twice.
 """
 
 from __future__ import annotations
@@ -32,9 +32,10 @@ from dpstack.units import BAUD_RATES, NEVER, baud_text, bits_to_ns, ns_to_s
 
 #: A dwell in bit times: three of the longest telegrams with their answers' slot times (3 x (255 x 11 + 1000)) and some.
 DWELL_BITS: Final = 12_000
-#: So many octets in a row that belong to no telegram are a wrong rate: the longest telegram, begun before, has 255.
+#: This many octets in a row that belong to no telegram mean a wrong rate: the longest telegram has 255 octets.
 _TOO_MANY: Final = 300
-#: A sweep over all rates in vain makes the next dwells longer, up to so many times: a slot time may have 16383 bits.
+#: After each sweep over all rates without result the dwells become longer, up to this factor: a slot time may have
+#: 16383 bits.
 _LONGEST: Final = 4
 _FCS_NEEDED: Final = 2
 _TOKENS_NEEDED: Final = 3
@@ -48,13 +49,13 @@ class Confidence(Enum):
 
 
 class Evidence:
-    """Octets and telegrams heard at one rate; ``run``: telegrams in a row. ``stall_ns``: see the decoder."""
+    """Octets and telegrams received at one rate; ``run``: telegrams in a row. ``stall_ns``: see the decoder."""
 
     def __init__(self, stall_ns: int) -> None:
         self._decoder = Decoder(stall_ns=stall_ns)
         self.octets = 0
         #: octets that belonged to no telegram, since the last one that was
-        self.unexplained = 0
+        self.unassigned = 0
         self._skipped = 0  # by the decoder, up to the last call
         self._begin_run()
 
@@ -74,8 +75,8 @@ class Evidence:
         return None
 
     @property
-    def promising(self) -> bool:
-        """Whether more of the same telegrams would be enough."""
+    def nearly_recognised(self) -> bool:
+        """Whether the run would be enough if it went on with the same telegrams."""
         return self._checked > 0 or len(self._tokens) > 1 or any(count > 1 for count in self._tokens.values())
 
     def hear(self, chunk: bytes, now: int) -> None:
@@ -101,9 +102,9 @@ class Evidence:
     def _judge(self, found: list[Telegram]) -> None:
         skipped = self._decoder.stats.skipped - self._skipped
         if skipped:
-            # telegrams that come out of the rest of a damaged one are none to rely on
+            # telegrams found in the rest of a damaged one prove nothing
             self._skipped += skipped
-            self.unexplained += skipped
+            self.unassigned += skipped
             self._begin_run()
             return
         for telegram in found:
@@ -113,7 +114,7 @@ class Evidence:
         if not self._follows(telegram):
             self._begin_run()
         self.run += 1
-        self.unexplained = 0
+        self.unassigned = 0
         self._last = telegram
         if telegram.kind is Kind.SD4:
             self._token = telegram
@@ -138,7 +139,7 @@ class Missing(Enum):
 
 
 class BaudFound(Event):
-    """The bus runs at ``baud`` bit/s; ``telegrams`` in a row were heard, ``tried`` dwells were needed."""
+    """The bus runs at ``baud`` bit/s. ``telegrams``: length of the run; ``tried``: number of dwells."""
 
     baud: int
     listened_ns: int
@@ -152,9 +153,8 @@ class BaudFound(Event):
 
 
 class BaudNotFound(Event):
-    """No rate was recognised within ``listened_ns``. ``octets`` were heard at all rates; ``slowest`` was tried last.
-
-    ``complete``: every rate had its turn.
+    """No rate was recognised within ``listened_ns``. ``octets``: received at all rates together; ``slowest``: the last
+    rate tried; ``complete``: every rate was tried.
     """
 
     why: Missing
@@ -181,17 +181,17 @@ class BaudNotFound(Event):
 
 
 class AutoBaud:
-    """A station that only listens: it wants to be heard at ``baud`` bit/s, which changes, until ``result`` is there.
+    """A station that only listens. It changes its rate ``baud`` until it has a ``result``; the driver sets the port.
 
-    ``rates`` in bit/s. Gives up ``silence_ns`` after the start or the last octet heard, in all cases ``limit_ns`` after
-    the start (NEVER: never). ``slack_ns`` is how late the port may deliver, added to every dwell; what arrives within
-    ``settle_ns`` of a change of the rate may have been received before it and is not judged. ``now`` is the start.
-    Raises ConfigError.
+    ``rates`` in bit/s. It gives up ``silence_ns`` after the start or the last octet, in all cases ``limit_ns`` after
+    the start (NEVER: never). ``slack_ns``: delay of the port, added to every dwell. Octets that arrive within
+    ``settle_ns`` after a change of the rate are ignored, because they may have been sent before it. ``now`` is the
+    start. Raises ConfigError.
     """
 
-    #: it has none
+    #: a listening station has no address
     address: Final = -1
-    #: every telegram tells of the rate
+    #: every telegram is evidence of the rate
     hears_all: Final = True
 
     def __init__(
@@ -213,15 +213,15 @@ class AutoBaud:
         self._settle_ns = settle_ns
         self._start = now
         self._heard_at = now
-        self._octets = 0  # heard in earlier dwells
+        self._octets = 0  # received in earlier dwells
         self._at = 0
         self._complete = False
-        self._extended = False  # the dwell, because something promising was heard
+        self._extended = False  # the dwell, because the run was nearly long enough
         self._settled_at = self._dwell_until = now
         self._evidence = Evidence(0)
         self._events: list[Event] = []
         self.result: BaudFound | BaudNotFound | None = None
-        #: dwells up to now, the present one included
+        #: number of dwells, the present one included
         self.tried = 0
         self._begin(now)
 
@@ -231,26 +231,26 @@ class AutoBaud:
         return self._rates[self._at]
 
     def receive(self, chunk: bytes, now: int) -> None:
-        """Octets heard at :attr:`baud`."""
+        """Octets received at :attr:`baud`."""
         if self._counts(now):
             self._evidence.hear(chunk, now)
             self._decide(now)
 
     def telegram(self, telegram: Telegram, now: int) -> None:
-        """A whole telegram heard at :attr:`baud`."""
+        """A whole telegram received at :attr:`baud`."""
         if self._counts(now):
             self._evidence.telegram(telegram, now)
             self._decide(now)
 
     def _counts(self, now: int) -> bool:
-        """Whether what is heard now was sent since the last change of the rate, and the search goes on."""
+        """Whether octets received now count: they were sent after the last change of the rate of a running search."""
         if self.result is not None or now < self._settled_at:
             return False
         self._heard_at = now
         return True
 
     def activity(self, now: int) -> None:
-        """A start edge tells nothing."""
+        """Ignored: a start edge is no evidence of the rate."""
 
     def refused(self, now: int) -> None:
         """The port cannot do :attr:`baud`: it is not tried again. Raises ConfigError when it was the last one."""
@@ -271,14 +271,14 @@ class AutoBaud:
         if now >= self._end():
             self._finish(self.in_vain(now))
         elif now >= self._dwell_until:
-            if self._evidence.promising and not self._extended:
+            if self._evidence.nearly_recognised and not self._extended:
                 self._extended = True
                 self._dwell_until = now + self._dwell_ns()
             else:
                 self._next(now)
 
     def wake_at(self) -> int:
-        """The next of: a stalled telegram, the end of the dwell, the end of it all."""
+        """The earliest of: stall of a telegram, end of the dwell, end of the search."""
         if self.result is not None:
             return NEVER
         return min(self._dwell_until, self._evidence.stall_at(), self._end())
@@ -329,7 +329,7 @@ class AutoBaud:
         self._begin(now)
 
     def _decide(self, now: int) -> bool:
-        """Whether enough was heard, for this rate or against it."""
+        """Whether the octets received are enough to accept or reject this rate."""
         evidence = self._evidence
         confidence = evidence.confidence
         if confidence is not None:
@@ -344,7 +344,7 @@ class AutoBaud:
                 )
             )
             return True
-        if evidence.unexplained < _TOO_MANY:
+        if evidence.unassigned < _TOO_MANY:
             return False
         self._next(now)
         return True
@@ -357,7 +357,7 @@ class AutoBaud:
         self._events.append(result)
 
     def in_vain(self, now: int) -> BaudNotFound:
-        """The result if nothing more is heard: why no rate was recognised up to now."""
+        """The result of a search without success: why no rate was recognised until now."""
         octets = self._octets + self._evidence.octets
         return BaudNotFound(
             t_ns=now,

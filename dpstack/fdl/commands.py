@@ -1,4 +1,4 @@
-"""Orders to a station: to an active one's link layer, and what is done at a passive one itself."""
+"""Orders to the link layer of an active station, and actions at a passive station."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class GoOffline(Order):
 
 
 class AttachUser(Order, ABC):
-    """One more user of the link layer, asked after those there are. It costs nothing before and after.
+    """Add a user of the link layer; the station asks it after the present users.
 
     ``token``: :class:`DetachUser` has the same.
     """
@@ -36,8 +36,8 @@ class AttachUser(Order, ABC):
 
 
 class DetachUser(Order):
-    """Ask the user that came with the order ``token`` no more, if it is there. The end of its request under way is not
-    reported."""
+    """Remove the user that was added with the order ``token``, if it is there. It gets no result of a request under
+    way."""
 
     ENDS = True
 
@@ -46,9 +46,9 @@ class DetachUser(Order):
 
 @dataclass(frozen=True, slots=True)
 class AtStation:
-    """Something happens at a passive station that is no telegram (its switch, its keys): ``act(now)``, in its time.
+    """An action at a passive station other than a telegram (its switch, its keys): the station calls ``act(now)``.
 
-    Deadlines, address and events are looked at afterwards. What ``act`` raises is the caller's.
+    Afterwards the station checks deadlines, address and events. An exception of ``act`` reaches the caller.
     """
 
     act: Callable[[int], None]

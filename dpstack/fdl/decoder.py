@@ -1,16 +1,17 @@
 """Octets as they arrive to telegrams: incremental, driven by length, resynchronising octet by octet.
 
 Real ports show neither the 33-bit pause nor gaps between characters, so a telegram ends where its length says so, and
-an unfinished one is given up after the stall time that the caller sets. What is no telegram loses its first octet, and
-the rest is looked at again.
+the decoder gives up an unfinished one after the stall time that the caller sets. When octets are no telegram, the
+decoder skips the first one and tries again from the next one.
 
-SC and the token carry no check sequence: an 0xE5 among the data of a damaged telegram would pass for an
-acknowledgement. So within the length that a rejected frame claimed for itself (also where its own first octet was lost
-and its second SD is met) only telegrams with FCS count (a *doubtful* SC or token is counted instead), until one of them
-is found, the length is over, or the line was silent for the stall time.
+SC and the token carry no check sequence: an 0xE5 among the data of a damaged telegram would look like an
+acknowledgement. So within the length that a rejected frame claims by its LE the decoder accepts only telegrams with
+FCS. It only counts an SC or a token there, as *doubtful*. The same holds where the first octet of the frame was lost
+and the decoder finds the second SD. The rule ends with the first telegram with FCS, at the end of the length, or when
+the line was silent for the stall time.
 
-A station that sends garbage without end must not take the time of everybody else: runs of octets that cannot begin a
-telegram are found by regular expressions, one step for the run instead of one for each octet.
+A station that sends garbage without end must not use up the processor time: regular expressions find runs of octets
+that cannot begin a telegram, one step for the run instead of one for each octet.
 """
 
 from __future__ import annotations
@@ -83,11 +84,11 @@ class Decoder:
     def __init__(self, *, stall_ns: int) -> None:
         self.stall_ns = stall_ns
         self.stats = DecoderStats()
-        #: called with a counter's name and how many damaged telegrams it counts, for a caller who knows whose they are
+        #: called with a counter's name and the number of damaged telegrams, for a caller who knows their sender
         self.on_bad: Callable[[str, int], None] | None = None
-        #: octets of an unfinished telegram; for others to look whether there are any
+        #: octets of an unfinished telegram; other classes only read whether it is empty
         self.pending = bytearray()
-        self._doubt = 0  # so many of the octets held or to come lie inside a rejected frame
+        self._doubt = 0  # number of octets, pending or still to come, inside a rejected frame
         self._tail = b""  # of the octets skipped just before: LE and LEr, if a second SD follows
         self._last = 0  # when octets came last; kept only while octets are held or in doubt
 

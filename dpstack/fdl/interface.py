@@ -16,20 +16,20 @@ from dpstack.machine import Machine
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_S
 
-#: ``extra_ns`` of a request to nobody known that is waited for as if somebody were there, as far as there is room
+#: value of ``extra_ns`` for a request to an unknown station that waits as long as for a known one, if there is time
 LONG_NS: Final = NS_PER_S
 
 
 class Request(NamedTuple):
-    """One request a link user wants to have sent. ``data`` is the data unit without SAP octets (0..244 octets).
+    """One request of a link user. ``data`` is the data unit without SAP octets (0..244 octets).
 
-    ``function`` says the priority too (SRD_HIGH, SRD_LOW ...). ``patient`` asks for the slack of a station whose
-    silence has consequences; where nobody is known ``extra_ns`` is waited in addition, up to that slack and as long as
-    a fixed cycle and other masters have room. ``retry`` False makes it one attempt; ``restart`` takes the station up
-    afresh (FCV 0, FCB 1) whatever was known of it. ``tag`` is the user's own.
-    ``answer``: so many octets of data its answer has at most, as far as is known. ``cyclic``: it is part of a fixed
-    cycle itself and never held back. ``still``: asked with the time before a repetition, and before a telegram goes out
-    for which the driver came late; where it is False the data are too old, and the request ends as ABANDONED.
+    ``function`` contains the priority (SRD_HIGH, SRD_LOW ...). ``patient``: wait with the slack of a known station
+    (:class:`dpstack.phy.patience.Patience`). ``extra_ns``: additional wait for an unknown station, up to that slack and
+    as far as a fixed cycle and other masters have time. ``retry`` False: only one attempt. ``restart``: begin with FCV
+    0 and FCB 1, whatever the state of the station. ``tag``: for the user alone. ``answer``: largest number of data
+    octets in the answer, if known. ``cyclic``: part of a fixed cycle, never held back. ``still``: the station calls it
+    with the time before a repetition, and before a telegram that the driver sends late; False: the data are too old,
+    and the request ends as ABANDONED.
     """
 
     da: int
@@ -83,13 +83,13 @@ class LinkUser(Protocol):
         return
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
-        """The end of a request: the answer (SC included), or why there is none.
+        """The end of a request: the answer (SC included), or the reason for its absence.
 
         For SDN: :data:`~dpstack.fdl.telegram.SHORT_ACK` once it has been sent.
         """
 
     def command(self, command: object, now: int) -> bool:
-        """An order of the application; False when it is none of this user's."""
+        """An order of the application; False when it is not for this user."""
         return False
 
     def wake_at(self) -> int:
@@ -201,10 +201,10 @@ class LinkStats:
     token_retries: int = 0  # token frames repeated because the next station was silent
     withdrawn: int = 0  # token holds ended because another station sent as a token holder does
     gap_polls: int = 0
-    stray: int = 0  # telegrams nobody waited for
+    stray: int = 0  # telegrams that no request waited for
     late: int = 0
     garbled: int = 0  # answers of which only unreadable octets came
-    refused: int = 0  # requests of users that the guard did not let through
+    refused: int = 0  # requests of users that the guard refused
     ignored: int = 0  # inputs without a row in the state table
     #: stations that sent requests, and stations that passed a token, while this one listened before it joined the ring
     requesters: frozenset[int] = frozenset()
@@ -213,7 +213,7 @@ class LinkStats:
 
     @property
     def without_token(self) -> list[int]:
-        """Addresses of the masters that were heard to send requests and never to pass a token, in ascending order."""
+        """Addresses of the masters that sent requests and never passed a token, in ascending order."""
         return sorted(self.requesters - self.token_senders)
 
     def station(self, address: int) -> StationStats:

@@ -1,8 +1,8 @@
 """The live list: which stations 0..126 are on the bus, of what type and how ready, asked by FDL status.
 
-A user of the link layer beside others, with the lowest claim of all: one request a token hold, in time that is left
-(docs/protocol.md#token-rotation: low priority), silent polls within the allowance it is given. It changes nothing in
-any station.
+It is a user of the link layer with the lowest priority (docs/protocol.md#token-rotation): it sends one request a token
+hold, in the time that other users leave. Its polls of silent addresses stay within an :class:`Allowance`. It changes
+nothing in any station.
 """
 
 from __future__ import annotations
@@ -20,15 +20,16 @@ from dpstack.phy.patience import Patience
 from dpstack.trace import Event
 from dpstack.units import BITS_PER_CHAR, NS_PER_MS
 
-#: 126 is the address of a slave as delivered; 127 is nobody's
+#: 126 is the address of a slave as delivered; 127 is the broadcast address
 ALL_ADDRESSES: Final = range(UNADDRESSED + 1)
-#: the GAP lives on the same silent polls: the live list leaves it half of what they may take
+#: GAP polls need bus time for silent polls too: the live list takes one half of the share, GAP polls the other
 _SHARES: Final = 2
 #: an FDL status is SD1
 _POLL_BITS: Final = 6 * BITS_PER_CHAR
-#: of a busy computer an address that never answered is given so much at least (it stalls for 10 to 30 ms, and longer)
+#: least slack on a busy computer for an address that never answered (such a computer stalls for 10 to 30 ms and more)
 _BUSY_NS: Final = 20 * NS_PER_MS
-#: one late poll in so many is a busy computer; fewer hide a station that is asked twice once in 2500 times
+#: one late poll in this many means a busy computer; with fewer late polls a station that is polled twice is missed once
+#: in 2500 times
 _BUSY_POLLS: Final = 50
 
 
@@ -38,11 +39,13 @@ def live_allowance(params: BusParams, patience: Patience, now: int) -> Allowance
 
 
 class LongLook(NamedTuple):
-    """A silent poll that takes ``late_ns`` or more, first bit to time-out, shows that this computer has little time.
+    """An additional pass with longer time-outs over silent addresses, for a busy computer.
 
-    When one in 50 does, a station that is a process of the same computer may have had none for any of our requests: it
-    answers none that has another one behind it. So whoever is silent is asked once more, with as much in addition as
-    the latest poll was late, ``extra_ns`` at least and ``most_ns`` at most; and again while that finds somebody.
+    A silent poll that takes ``late_ns`` or more from first bit to time-out shows that this computer is busy. When one
+    poll in 50 is so late, a station that is a process of the same computer may have had no time for any request: it
+    ignores a request that is followed by another one. So the live list polls every silent address once more. The
+    time-out is longer by the delay of the latest poll, at least ``extra_ns`` and at most ``most_ns``. It repeats this
+    pass as long as a pass finds a station.
     """
 
     late_ns: int
@@ -51,7 +54,7 @@ class LongLook(NamedTuple):
 
 
 def long_look(params: BusParams, patience: Patience) -> LongLook | None:
-    """For a port with ``patience``; None where a silent address is given as much in any case, or time is exact."""
+    """The pass for a port with ``patience``; None if its slack is as long anyway, or in virtual time."""
     extra_ns = min(patience.known_ns, _BUSY_NS) - patience.unknown_ns
     if extra_ns <= 0:
         return None
@@ -63,9 +66,9 @@ class LiveList(LinkUser):
     """The stations of a bus as a ``LinkUser``; ``own`` is the asking station's address and is left out.
 
     ``addresses`` are asked in turn, the silent ones in ``passes`` passes: one damaged answer or a host that stalls
-    must not hide a station. Then the list is ``done``; with ``period_ns`` it begins again so long after a pass began.
-    ``allowance`` None: nothing but the live list counts, no limit; ``quick_start``: none the first time. While there is
-    none, ``long_look`` adds a patient pass for a computer that is busy.
+    must not hide a station. Then the list is ``done``; with ``period_ns`` it begins again this long after the begin of
+    the last pass. ``allowance``: limit of the time for silent polls, None: no limit; ``quick_start``: no limit in the
+    first pass. While there is no limit, ``long_look`` adds a pass for a busy computer.
     """
 
     def __init__(
@@ -83,7 +86,7 @@ class LiveList(LinkUser):
         self.stations: dict[int, StationType] = {}
         #: addresses from which only damaged octets came: two stations with one address, or a bad line
         self.unreadable: set[int] = set()
-        #: every address was asked once, the silent ones in all passes
+        #: every address was polled: the silent ones in all passes, the others once
         self.done = False
         self._addresses = [address for address in addresses if address != own]
         self._passes = passes

@@ -1,10 +1,10 @@
 """The T_SL and T_TO that other masters need beside a port that delivers late.
 
-The other masters know nothing of this delay ``unknown_ns`` (there and back), which matters twice. The first octet of
-the station after a token, or the answer of a simulated slave, begins so much later. It has to begin within T_SL, else
-the other master passes the token on or repeats the request. And while the station holds the token it waits longer for
-stations that do not answer: a master n claims the token after a silence of T_TO = (6 + 2 n) T_SL
-(docs/protocol.md#t_to). All masters of a bus have the same T_SL, so one calculation is enough.
+The other masters do not know the delay ``unknown_ns`` of this port (there and back). It has two effects. First, the
+first octet of the station after a token, or the answer of a simulated slave, is late by this delay. It has to begin
+within T_SL, else the other master passes the token on or repeats the request. Second, while the station holds the token
+it waits longer for stations that do not answer: another master with address n claims the token after a silence of
+T_TO = (6 + 2 n) T_SL (docs/protocol.md#t_to). All masters of a bus have the same T_SL, so one calculation is enough.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from dpstack.params import MAX_T_SL, BusParams
 from dpstack.phy.patience import ADAPTER, Patience
 from dpstack.units import BAUD_RATES, NS_PER_S, baud_text, ms_text
 
-#: T_SL is at least so much more than the longest time to the first bit (as max T_SDR + 15 <= T_SL)
+#: minimum difference in bit times between T_SL and the longest time to the first bit (as max T_SDR + 15 <= T_SL)
 _MARGIN: Final = 15
 
 
 def t_sl_of_answers(params: BusParams, patience: Patience) -> int:
     """T_SL in bit times that a master needs if a station on such a port answers it or receives its token.
 
-    0 where there is no wire (``sending_ns`` 0): the others are programs on such ports, with a slack of their own.
+    0 on ports without a wire (``sending_ns`` 0): the other masters are programs on such ports and have their own slack.
     """
     if not patience.sending_ns:
         return 0
@@ -59,7 +59,7 @@ class Neighbours:
         return self.params.ns((6 + 2 * self.lowest) * self.params.t_sl)
 
     def advice(self) -> str:
-        """Advice for people with the figures; empty where T_SL of ``params`` is enough."""
+        """Advice for the user with the figures; empty when T_SL of ``params`` is enough."""
         need, params = self.t_sl, self.params
         if need <= params.t_sl:
             return ""
@@ -84,11 +84,11 @@ class Neighbours:
         )
 
     def fastest(self) -> int:
-        """The fastest rate at which some T_SL is enough, 0 when there is none."""
+        """The fastest baud rate at which a permitted T_SL is long enough; 0 for none."""
         return max((rate for rate in BAUD_RATES if self.at(rate).t_sl <= MAX_T_SL), default=0)
 
     def at(self, baud: int) -> Neighbours:
-        """The same at another rate, with its preset."""
+        """The needs at the rate ``baud``, with the bus parameters of its preset."""
         return Neighbours(BusParams.preset(baud, address=self.params.address), self.patience, self.lowest)
 
 

@@ -2,8 +2,8 @@
 
 8E1: start bit (space), eight data bits with the lowest first, even parity, stop bit (mark); an idle line is mark. A
 falling edge starts a receiver. It checks the start bit after half a bit, then samples in the middle of each of its own
-bits. After a bad stop bit it waits for mark before it looks for the next edge. All in integers: where a
-sample falls among the sender's bits is floor((2 i + 1) x sent rate / (2 x own rate)).
+bits. After a bad stop bit it waits for mark before it looks for the next edge. All calculations use integers: sample i
+hits the sender's bit number floor((2 i + 1) x sent rate / (2 x own rate)).
 """
 
 from __future__ import annotations

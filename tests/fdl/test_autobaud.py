@@ -72,19 +72,19 @@ def test_the_telegrams_that_a_rate_is_recognised_by(octets: bytes, confidence: C
 def test_clean_octets_are_no_evidence() -> None:
     evidence = heard(bytes(range(0x20, 0x60)) * 10)
     assert evidence.confidence is None
-    assert not evidence.promising
-    assert evidence.unexplained == evidence.octets == 640
+    assert not evidence.nearly_recognised
+    assert evidence.unassigned == evidence.octets == 640
 
 
 def test_a_telegram_that_stalls_breaks_the_run() -> None:
     evidence = heard(STATUS + DIAG[:6])
-    assert evidence.promising
+    assert evidence.nearly_recognised
     assert evidence.stall_at() == 100_000
     evidence.wake(99_999)
     assert evidence.run == 1
     evidence.wake(100_000)
     assert evidence.run == 0
-    assert evidence.unexplained == 6
+    assert evidence.unassigned == 6
 
 
 def test_whole_telegrams_from_the_medium_count_and_end_unfinished_ones() -> None:

@@ -7,7 +7,8 @@
 - ``events_json``: Events of a bus for applications, their severity and their JSON
 - ``find_baud``: Search for the baud rate of a bus: listens at one rate after the other and sends nothing
 - ``live_list``: The live list of a port, asked by a temporary master; a configuration skeleton made from it
-- ``parts``: Base class of ``Bus``: parts, slaves, commands and waiting
+- ``parts``: Base class of ``Bus``: the objects behind a bus (created once the baud rate is known), slaves, commands,
+  waiting
 - ``plan_checks``: Inputs of the plan from the configuration, and plans that are refused
 - ``ring_entry``: Joining the token ring of other masters: time limit, failure texts, notices
 - ``shutdown``: The ordered end of a bus: cancellation, signals, finaliser, fork

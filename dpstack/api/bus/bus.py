@@ -119,11 +119,11 @@ class Bus(Sealed, BusBase):
         """
         if self._open or self._ending is not None:
             raise UsageError("this bus was opened before: make a new one with open_bus()")
-        heard = None
+        rate_text = None
         if self.searching:
             report = await rate_of(self.config, self._given_world)
             self._build(self.config.with_bus(baud=report.baud))
-            heard = report.text
+            rate_text = report.text
         if self._ending is not None:
             raise UsageError("the bus was closed while it was searching for its baud rate")
         self.started_ns = self.runtime.now()
@@ -131,8 +131,8 @@ class Bus(Sealed, BusBase):
         self._open = True
         try:
             await self._ordered_end.watch()
-            if heard is not None:
-                self.notice("bus", heard)
+            if rate_text is not None:
+                self.notice("bus", rate_text)
             for note in (*self.plan.findings, *self.plan.notes):
                 self.notice("plan", note, Severity.WARNING)
             await self.order(GoOnline())
@@ -186,7 +186,7 @@ class Bus(Sealed, BusBase):
                     with contextlib.suppress(asyncio.CancelledError):  # the runtime closes all the same
                         await self.runtime.close()
             finally:
-                self._nothing_more(UsageError("the bus is closed"))
+                self._fail_all_calls(UsageError("the bus is closed"))
                 await self._ordered_end.unwatch()
 
     # --- orders -------------------------------------------------------------------------------------------------
@@ -330,7 +330,7 @@ class Bus(Sealed, BusBase):
             with contextlib.suppress(DpError):  # the bus may have ended meanwhile
                 self.command(DetachUser(token))
         self.unreadable = frozenset(result.unreadable)
-        return tuple(_of_ours(found, mine.get(found.address), own) for found in result.found)
+        return tuple(_with_own_knowledge(found, mine.get(found.address), own) for found in result.found)
 
     def events(self) -> EventStream:
         """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
@@ -417,9 +417,9 @@ class Bus(Sealed, BusBase):
             failure.__cause__ = error
         now = self.runtime.now()
         self._events.tell(BusFailed(t_ns=now, source="bus", message=str(failure), severity=Severity.ERROR))
-        self._nothing_more(failure)
+        self._fail_all_calls(failure)
 
-    def _nothing_more(self, error: DpError) -> None:
+    def _fail_all_calls(self, error: DpError) -> None:
         """Every pending and later call raises ``error``, or the first one where this was called before."""
         if self._over is None:
             self._over = error
@@ -432,8 +432,9 @@ class Bus(Sealed, BusBase):
         self._waiters.check()
 
 
-def _of_ours(found: Found, slave: Slave | None, own: int) -> Found:
-    """``found`` with the master's knowledge of its own slave. A request would take a diagnosis from it."""
+def _with_own_knowledge(found: Found, slave: Slave | None, own: int) -> Found:
+    """``found`` with the state that the master itself has of ``slave``. (A diagnosis request of the scan would take a
+    new diagnosis away from the master.)"""
     if slave is None or found.kind is not StationType.SLAVE:
         return found
     exchanging = slave.state is SlaveState.DATA_EXCHANGE

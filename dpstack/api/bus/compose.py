@@ -266,8 +266,8 @@ def remote_plugin(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin:
     def status() -> DriveStatus:
         from dpstack.drivers.process.messages import typed
 
-        told = runtime.drive_status(slave.address)
-        return core.status() if told is None else typed(told, DriveStatus)
+        status = runtime.drive_status(slave.address)
+        return core.status() if status is None else typed(status, DriveStatus)
 
     return DrivePlugin(core, status)
 

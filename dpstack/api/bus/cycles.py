@@ -102,7 +102,7 @@ class Cycles:
         try:
             with self._bus.rounds.watched(reader.on_round):
                 async for data in reader.newest:
-                    if reader.over:  # the bus has ended: a cycle from before is of no use
+                    if reader.over:  # the bus has ended: an older cycle is worthless
                         break
                     yield reader.cycle(data)
         finally:

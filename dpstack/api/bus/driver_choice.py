@@ -30,11 +30,11 @@ def driver_for(config: Config, port: Port | None) -> str:
         return PROCESS
     if port is None:
         return VIRTUAL
-    return PROCESS if wanted == "auto" and _worth_it(port) else ASYNCIO
+    return PROCESS if wanted == "auto" and _process_pays(port) else ASYNCIO
 
 
-def _worth_it(port: Port) -> bool:
-    """True with a real line, a second processor and real-time priority, where a bus process is possible."""
+def _process_pays(port: Port) -> bool:
+    """Whether a bus process is possible and useful: real line, second processor, real-time priority."""
     if sys.platform != "linux" or port.delivery is not Delivery.ADAPTER:
         return False
     return len(os.sched_getaffinity(0)) > 1 and not rights().no_priority() and _why_no_process(port) is None

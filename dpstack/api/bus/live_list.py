@@ -28,7 +28,7 @@ MakeBus = Callable[[int], Bus]
 async def joined(make_bus: MakeBus, address: int | None = None, *, avoid: Collection[int] = ()) -> AsyncIterator[Bus]:
     """A bus in the ring, closed in order at the end.
 
-    Its address is the lowest that is not heard (0 is the one kept for tools) and not to be avoided, unless given.
+    ``address`` None: the lowest address at which no station sends and that is not in ``avoid`` (0 is kept for tools).
     Raises PortError, BusError.
     """
     candidates = [own for own in range(MAX_STATION + 1) if own not in avoid] if address is None else [address]
@@ -145,7 +145,7 @@ def _slave(found: Found) -> list[str]:
 
 
 def _unusable(found: Found) -> str | None:
-    """Why a slave cannot be configured from what it told."""
+    """Why the answers of a slave are not enough to configure it."""
     if found.address > MAX_STATION:
         return f"station {found.address} is a slave as delivered: give it an address of its own first"
     if found.ident is None or found.config is None:

@@ -1,4 +1,4 @@
-"""Base class of ``Bus``: its parts (known once the baud rate is), its slaves, commands and waiting."""
+"""Base class of ``Bus``: the objects behind a bus (created once the baud rate is known), slaves, commands, waiting."""
 
 from __future__ import annotations
 
@@ -88,8 +88,8 @@ class BusBase:
         return slave.params
 
     def poll_interval_ns(self, slave: SlaveParams) -> int:
-        """The time from one Data_Exchange of ``slave`` to the next where nothing is repeated and no service is beside
-        it, as the plan counts it with the slaves that are on the bus now."""
+        """Time from one Data_Exchange of ``slave`` to the next without repetitions and acyclic services, as the plan
+        calculates it for the slaves that are on the bus now."""
         if self._round_ns is None:
             counted = replace(self.plan.figures, setups=tuple(self.view.setups.values()))
             self._round_ns = counted.round_ns(Case.NORMAL)
@@ -112,7 +112,7 @@ class BusBase:
 
     @property
     def view(self) -> View:
-        """Where the snapshots of the bus are found."""
+        """The snapshots of the bus."""
         return self.parts.view
 
     @property
@@ -202,7 +202,7 @@ class BusBase:
 
     @contextlib.contextmanager
     def _reason_of_the_end(self) -> Iterator[None]:
-        """Raises the reason of the end instead of a BusError of a bus that is over."""
+        """Context manager: after the end of the bus, raise the reason of the end instead of a BusError."""
         try:
             yield
         except BusError:

@@ -17,13 +17,14 @@ from dpstack.units import NS_PER_S, ns_to_s
 
 #: shortest time limit (s): masters of other makers may be slower
 _LEAST_LIMIT_S: Final = 30.0
-#: the first poll may come before the newcomer knows the ring, or its answer may be damaged
+#: number of passes to wait for: the first poll may come before this station knows the ring, or its answer may be
+#: damaged
 _PASSES: Final = 2
 
 
 def pass_ns(params: BusParams, patience: Patience) -> int:
-    """How long a newcomer waits at most for the GAP poll of a master set like this one: the pause between two passes,
-    and one pass over every address up to HSA. (Only the slot time of each poll is counted.)"""
+    """Longest wait in ns of a new station for the GAP poll of a master with ``params``: the pause between two passes
+    and one pass over every address up to HSA. (Only the slot time of each poll counts.)"""
     cost_ns = patience.silent_ns(params)
     polls = params.hsa + 1
     return params.gap * params.ns(params.t_tr) + polls * cost_ns * max(1, patience.gap_divisor(polls, cost_ns))
@@ -37,7 +38,7 @@ def join_limit_s(params: BusParams, patience: Patience) -> float:
 class OtherMasterNotices:
     """Notices about other masters: how long joining takes, and the settings they need beside this port.
 
-    The figures are those of the moment: a notice comes again where they changed when another master appears.
+    A notice has the figures of the moment. It comes again if they have changed when another master appears.
     """
 
     def __init__(self, params: BusParams, snapshot: Callable[[], BusSnapshot]) -> None:
@@ -83,7 +84,7 @@ async def join(bus: BusBase, timeout: float | None) -> None:
 
 
 def why_not_joined(own: int, view: View, after_s: float) -> str:
-    """One line: the telegrams heard instead, and what to do."""
+    """One line: the telegrams received so far, and advice."""
     counters = view.counters()
     late = f"station {own} is not in the token ring after {after_s:g} s"
     others = sorted(view.bus().las - {own})

@@ -36,7 +36,7 @@ _log: Final = logging.getLogger("dpstack")
 
 #: ends of the open buses of this process, for :func:`hurry_all` and the child of a fork
 _open: weakref.WeakSet[OrderedEnd] = weakref.WeakSet()
-#: delay (ns) of a timer from which the event loop counts as blocked
+#: delay of a timer (ns) above which the event loop counts as blocked
 _HELD_UP_NS: Final = 10 * NS_PER_MS
 #: signals that end a program
 _ENDING_SIGNALS: Final = tuple(
@@ -147,7 +147,7 @@ class OrderedEnd:
             self._wake()
 
     def is_over(self) -> None:
-        """The bus can send nothing more: do not wait for further steps."""
+        """The bus can send no more telegrams: do not wait for further steps."""
         if self._steps is not None:
             self._steps.done = True
             self._wake()
@@ -305,7 +305,7 @@ class OrderedEnd:
     # --- in a forked child --------------------------------------------------------------------------------------
 
     def forsake(self) -> None:
-        """In the child of a fork: the bus stays the parent's, and nothing that both share is touched."""
+        """In the child of a fork: forget the bus without effect on the parent."""
         bus = self._bus
         _separate(self._wake_fd)
         bus.runtime.forsake()
@@ -316,7 +316,7 @@ class OrderedEnd:
 
 
 class _HeldByLoop:
-    """Only an event loop refers to it: it is finalised when the loop is closed."""
+    """An object that only the event loop refers to, so that Python finalises it when the loop is closed."""
 
     def never(self) -> None:
         """Its descriptor never becomes readable."""

@@ -146,7 +146,7 @@ class BusStats:
 
     @property
     def telegrams(self) -> int:
-        """Sent and heard, tokens included."""
+        """Number of telegrams sent and received, tokens included."""
         return self.link.sent + self.link.heard
 
     @property

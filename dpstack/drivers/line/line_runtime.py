@@ -32,7 +32,7 @@ SPIN_NS: Final = 20 * NS_PER_US
 _LATE_NS: Final = 30 * NS_PER_US
 #: The driver reports to the machine that it ran later than this. No slave's watchdog is shorter.
 _HELD_UP_NS: Final = 10 * NS_PER_MS
-#: Reads of a line that is never silent before the machine acts on a missed deadline.
+#: Number of reads of a line that is never silent before the machine acts on a missed deadline.
 _LOOKS: Final = 4
 #: Steps before the loop has a turn; a lone master's token at 12 Mbit/s is due every few microseconds.
 _BURST: Final = 8
@@ -56,7 +56,7 @@ class LineRuntime(ABC):
     is called when the machine ran late, or the computer slept, before the machine acts.
     """
 
-    #: for people: why a machine ran late
+    #: reason for a late run, for messages
     blocked_by = "the process was stopped, or had no processor"
     #: longest wait within a step that is spun
     spin_ns = SPIN_NS
@@ -84,7 +84,7 @@ class LineRuntime(ABC):
         self._on_failure = on_failure
         self._held_up = held_up
         self._stepped_at = 0  # end of the last step
-        self._suspended_ns = 0  # sleep of the computer that the machine has been told of
+        self._suspended_ns = 0  # sleep of the computer that was reported to the machine
         self._spin_ns, self._early_ns = self.spin_ns, self.early_ns
         self._backoff_ns = backoff_ns
         self._attempts: ReopenAttempts | None = None  # while the port is lost
@@ -127,8 +127,8 @@ class LineRuntime(ABC):
 
     @abstractmethod
     def _expect(self, at: int, sleep_until: int) -> None:
-        """After a transmission: the answer should be complete at ``at`` (ns, NEVER: unknown). Octets that arrive before
-        ``sleep_until`` need not wake the loop (0: they shall)."""
+        """Prepare for the answer to a transmission: it should be complete at ``at`` (ns, NEVER: unknown). Octets before
+        ``sleep_until`` need not wake up the loop (0: all octets wake it up)."""
 
     @abstractmethod
     def _count_spinning(self, spun_ns: int, now: int) -> None:
@@ -172,7 +172,7 @@ class LineRuntime(ABC):
             self._dispatch(self._machine.take_events())
 
     def forsake(self) -> None:
-        """In the child of a fork: stop; line, timer and loop stay the parent's."""
+        """In the child of a fork: stop, without effect on line, timer and loop of the parent."""
         self._port.forsake()
         self._halt()
 
@@ -196,7 +196,7 @@ class LineRuntime(ABC):
         """Pump until nothing is due within the spin time, then arm the timer and dispatch events."""
         machine, transmit, spin_ns = self._machine, self._transmit, self._spin_ns
         steps = _BURST
-        heard, sent_at, spun = 0, 0, 0
+        count, sent_at, spun = 0, 0, 0
         try:
             now = monotonic_ns()
             # one reading of the sleep clock a step: no old telegram may go out after a sleep
@@ -208,8 +208,8 @@ class LineRuntime(ABC):
                 chunk, now = self._read_before_deadline(chunk, now)
             arrived = now
             if chunk:
-                heard = self._answers.received(len(chunk), now)
-                if heard:
+                count = self._answers.received(len(chunk), now)
+                if count:
                     sent_at, self.lateness.sent_at = self.lateness.sent_at, 0
             while True:
                 deadline = pump(machine, chunk, now, transmit)
@@ -235,7 +235,7 @@ class LineRuntime(ABC):
             self._deadline = deadline
             self._stepped_at = now
             if sent_at:
-                self.lateness.add_answer(sent_at, self._wire_ns[min(heard, LONGEST - 1)], arrived)
+                self.lateness.add_answer(sent_at, self._wire_ns[min(count, LONGEST - 1)], arrived)
             events = machine.take_events()
         except NoRateError as exc:
             self._lost(str(exc))
@@ -243,7 +243,7 @@ class LineRuntime(ABC):
         except Exception as exc:
             self._fail(exc)
             return
-        except BaseException:  # Ctrl-C, wherever it came: where the loop runs on, so does the bus
+        except BaseException:  # Ctrl-C at any place: the bus runs on as long as the loop runs
             self._let_loop_turn()
             raise
         if deadline < self._armed:

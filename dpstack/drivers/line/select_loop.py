@@ -160,7 +160,7 @@ class SelectLoop:
         return Alarm(self._alarms, callback, NEVER, lasts=True)
 
     def hush(self, fd: int | None, until: int) -> None:
-        """Do not wake up before ``until`` (ns) for octets at ``fd``, one descriptor; 0: wake up for all.
+        """Do not wake up for octets at the descriptor ``fd`` before ``until`` (ns); 0: wake up for all octets.
 
         A loop that is awake for another reason still calls the reader.
         """
@@ -249,8 +249,8 @@ class SelectLoop:
         """Wait until a descriptor is ready or a deadline is due; descriptors with their events."""
         budget, poll = self.budget, self._poll.poll
         now = monotonic_ns()
-        if budget.rests and (owed := budget.owed_ns(now)):
-            sleep(owed / NS_PER_S)
+        if budget.rests and (sleep_ns := budget.forced_sleep_ns(now)):
+            sleep(sleep_ns / NS_PER_S)
             woke = monotonic_ns()
             budget.slept(woke - now, woke)
             now = woke

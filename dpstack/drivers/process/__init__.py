@@ -4,7 +4,8 @@
 - ``channel``: The application's end of the socket: start and end of the bus process, orders and their answers, news
 - ``client``: The process driver, in the application: runtime and snapshots of a bus in a process of its own
 - ``messages``: Messages between bus process and application: JSON with a length in front; socket buffers of both ends
-- ``plugins``: Drive plugins by the name of their place, for a process that gets no objects
-- ``server``: The bus process from the inside: machines and driver of one bus, orders of the application, news for it
+- ``plugins``: Drive plugins by name (``package.module:name``): a bus process imports them, because it cannot receive
+  objects
+- ``server``: Main object of the bus process: machines and driver of one bus, orders from the application, news to it
 - ``shared_image``: The process image in memory that two processes share: whole pictures, never torn
 """

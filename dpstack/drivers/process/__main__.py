@@ -1,8 +1,9 @@
 """The bus process: ``python -m dpstack.drivers.process SOCKET MEMORY PARENT``; started by
 :mod:`dpstack.drivers.process.client`.
 
-SOCKET and MEMORY are numbers of file descriptors, PARENT the process id of who started it. The first message is the
-:class:`~dpstack.drivers.process.messages.SetUp`. It listens on nothing, and ends in order when its parent is gone.
+SOCKET and MEMORY are numbers of file descriptors, PARENT the process id of the application. The first message is the
+:class:`~dpstack.drivers.process.messages.SetUp`. The process opens no socket of its own. When its parent is gone it
+makes the ordered end.
 """
 
 from __future__ import annotations
@@ -40,15 +41,15 @@ _CHUNK: Final = 65_536
 
 def main(arguments: list[str]) -> int:
     """Run one bus until its end; 0 when it was an ordered one."""
-    # a terminal sends these to everybody in front of it: the application's way out is this process's too
+    # a terminal sends these signals to both processes; the application decides about the end of this one too
     for sig in FROM_TERMINALS:
         signal.signal(sig, signal.SIG_IGN)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, FROM_TERMINALS)  # they waited for that since before its start
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, FROM_TERMINALS)  # blocked since before the start of this process
     sock_fd, memory_fd, parent = map(int, arguments)
     loop = SelectLoop()
     hosts: list[Host] = []
     loop.add_signal_handler(signal.SIGTERM, lambda: _terminated(loop, hosts))
-    # the second way to know of the parent's death; the first is the end of the socket
+    # second sign that the parent is dead; the first is the end of the socket
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
         return 1
@@ -76,7 +77,7 @@ def main(arguments: list[str]) -> int:
 
 def _terminated(loop: SelectLoop, hosts: list[Host]) -> None:
     if hosts:
-        hosts[0].terminated("it was told to end (SIGTERM)")
+        hosts[0].end_soon("it was told to end (SIGTERM)")
     else:
         loop.stop()
 

@@ -1,11 +1,11 @@
 """The application's end of the socket: start and end of the bus process, orders and their answers, news.
 
-Nothing here waits for the bus process: an order is sent, and its answer ends a future. Where nobody awaits it, a
-refusal is handed on.
+Nothing here waits for the bus process: the channel sends an order, and the answer ends a future. If no caller awaits
+the future, the channel reports a refusal to ``on_refused``.
 
-Each order has a time limit, :data:`LIMIT_NS`: the bus process drops an order that it takes later. It sets the number of
-the order that it takes in shared memory before it looks at the clock. So an application that gives up after the limit,
-and sees that its order was not taken, knows that nothing will come of it. Orders that end something
+Each order has a time limit, :data:`LIMIT_NS`: the bus process drops an order that it reads later. It writes the number
+of the order into shared memory before it reads the clock. So if the number is not there after the limit, the
+application knows that the bus process will never carry out the order. Orders that end something
 (:attr:`dpstack.machine.Order.ends`) have no limit.
 """
 
@@ -44,8 +44,8 @@ from dpstack.errors import BusError, DpError, OrderDropped, UsageError
 from dpstack.machine import Order
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ms_text, ns_to_s
 
-#: after this time without a sign of life a bus process is silent; orders and outputs that it does not take in this time
-#: are dropped
+#: after this time without a heartbeat a bus process counts as silent; it drops orders and outputs that it reads later
+#: than this
 LIMIT_NS: Final = NS_PER_S
 #: time limit of the answer to an order that the bus process has taken (a plugin may have to be imported)
 ANSWER_NS: Final = 5 * NS_PER_S
@@ -54,7 +54,7 @@ _AGAIN_NS: Final = 500 * NS_PER_MS
 #: the interpreter starts, the plugins are imported, the port is opened
 START_LIMIT_NS: Final = 30 * NS_PER_S
 _END_S: Final = 3.0
-#: interval of the looks whether a bus process that is about to end has ended
+#: interval of the checks whether an ending bus process has ended
 _LOOK_S: Final = 0.005
 #: chunks that are read before an order counts as unanswered: more than a bus process keeps for a slow reader
 _CHUNKS: Final = 16
@@ -64,10 +64,10 @@ CLOSE_LIMIT_S: Final = (ANSWER_NS + 3 * _AGAIN_NS) / NS_PER_S + 2 * _END_S
 
 @dataclass(slots=True)
 class _Sent:
-    """An order that the bus process has not answered. ``answer`` None: nobody awaits it.
+    """An order that the bus process has not answered. ``answer`` None: no caller awaits it.
 
-    ``owing``: the bus process owed an answer before. ``until``: when the answer is judged next. ``on_done``: called
-    with the order once the bus process has carried it out.
+    ``others_unanswered``: an earlier order had no answer when this one was sent. ``until``: time of the next check of
+    this order. ``on_done``: called with the order once the bus process has carried it out.
     """
 
     order: Order
@@ -75,7 +75,7 @@ class _Sent:
     on_done: Callable[[Order], None] | None
     began: int
     until: int
-    owing: bool
+    others_unanswered: bool
 
 
 class Channel:
@@ -121,7 +121,7 @@ class Channel:
         return self._sock is not None and self._gone is None
 
     def silent_ns(self) -> int:
-        """For how long the bus process has shown no sign of life; 0 while that is not yet :data:`LIMIT_NS`."""
+        """Age in ns of the last heartbeat of the bus process; 0 while it is below :data:`LIMIT_NS`."""
         if self._image is None or not self.is_open or not self._image.words[Word.HEARTBEAT]:
             return 0
         silent = monotonic_ns() - self._image.words[Word.HEARTBEAT]
@@ -153,10 +153,10 @@ class Channel:
             raise
 
     async def ended(self) -> None:
-        """Wait until the process has ended by itself, with a limit. Cancellations change nothing.
+        """Wait until the process has ended by itself, with a limit. Cancellations do not stop it.
 
-        It is looked at again and again: a thread would need the descriptor by which threads wake up the loop, and the
-        child of a fork may have taken that away from it.
+        It polls: a thread would need the descriptor by which threads wake up the loop, and the child of a fork may have
+        removed that descriptor from the loop.
         """
         process, loop = self._process, self._loop
         if process is None or loop is None or self._silent:
@@ -208,7 +208,7 @@ class Channel:
                 one.answer.set_exception(self._gone)
 
     def release(self) -> bool:
-        """Whatever state it is in: no process and no descriptor is left behind. Whether it had to be killed."""
+        """Close the socket and make sure that the process has ended. True when it had to be killed."""
         self._disconnect()
         process = self._process
         if process is None or process.poll() is not None:
@@ -233,14 +233,14 @@ class Channel:
         return answer
 
     def tell(self, order: Order) -> None:
-        """Send ``order``; ``on_refused`` is told where the bus process refuses it, or drops it.
+        """Send ``order``; ``on_refused`` is called if the bus process refuses or drops it.
 
-        Raises UsageError where there is no bus process yet, OrderDropped where it is silent, and what ended it.
+        Raises UsageError before the start of the bus process, OrderDropped while it is silent, its end's reason later.
         """
         self._send(order, None)
 
-    def tell_if_it_reads(self, order: Order) -> None:
-        """Send ``order`` and forget it; left out while the bus process reads nothing. Raises as :meth:`tell`."""
+    def send_unless_full(self, order: Order) -> None:
+        """Send ``order`` without an answer, unless the bus process has stopped reading. Raises as :meth:`tell`."""
         if not self.silent_ns() and (self._outbox is None or not self._outbox.waiting):
             self._send(order, None)
             self._sent.pop(self._number, None)
@@ -270,14 +270,14 @@ class Channel:
 
     def _judge(self, number: int) -> None:
         """The time for the answer to order ``number`` is over."""
-        for _ in range(_CHUNKS):  # this program may have been held up itself
+        for _ in range(_CHUNKS):  # this program itself may have been late
             if number not in self._sent or not self._on_readable():
                 break
         sent, image = self._sent.get(number), self._image
         if sent is None or sent.answer is None or image is None or self._loop is None or self._sock is None:
             return
         taken = image.words[Word.ORDER_TAKEN] >= number
-        if taken and not sent.owing and sent.until <= sent.began + LIMIT_NS:
+        if taken and not sent.others_unanswered and sent.until <= sent.began + LIMIT_NS:
             sent.until = sent.began + ANSWER_NS
             self._loop.call_later(ns_to_s(max(0, sent.until - monotonic_ns())), self._judge, number)
             return
@@ -329,7 +329,7 @@ class Channel:
         if sent.answer is None:
             if answer.error is not None and not sent.order.ends:
                 self._on_refused(sent.order, error_of(answer.error))
-        elif sent.answer.done():  # who awaited it was cancelled
+        elif sent.answer.done():  # the awaiting task was cancelled
             return
         elif answer.error is not None:
             sent.answer.set_exception(error_of(answer.error))
@@ -367,9 +367,9 @@ class Channel:
 
 
 def _started(sock: int, memory: int) -> subprocess.Popen[bytes]:
-    """The process, which is given two file descriptors by number and finds modules where this one does.
+    """Start the bus process with two inherited file descriptors and the module path of this process.
 
-    What a terminal sends to everybody waits until it has said what it does about it.
+    Signals of the terminal stay blocked until the bus process has set its handlers.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, FROM_TERMINALS)
     try:

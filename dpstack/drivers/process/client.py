@@ -1,14 +1,14 @@
 """The process driver, in the application: the bus runs in a process of its own.
 
 Only a caller that awaits an order waits for the bus process. An awaited order (:meth:`ProcessRuntime.order`) ends with
-the answer: what it changes is seen then, and what the machines raise is raised then. Any other order
-(:meth:`ProcessRuntime.command`) is sent, and a refusal is told later. Process image, outputs, drives and counters
-stand in shared memory, states come with the events.
+the answer: then the changes are visible, and an exception of the machines is raised. Any other order
+(:meth:`ProcessRuntime.command`) is only sent; ``on_refused`` is called later if the bus process refuses it. Process
+image, outputs, drives and counters stand in shared memory, states come with the events.
 
-The bus process writes a heartbeat into the shared memory. One older than
-:data:`dpstack.drivers.process.channel.LIMIT_NS` is silence: all slaves count as offline until the bus process has
-answered that it lives, with everything of its state (``News.silence``). Outputs that it does not take within the same
-time are dropped: by itself, or by the application where that notices first. An event tells the application.
+The bus process writes a heartbeat into the shared memory. When the heartbeat is older than
+:data:`dpstack.drivers.process.channel.LIMIT_NS` the bus process counts as silent, and all slaves count as offline until
+it has sent its whole state again (``News.silence``). Outputs that it does not read within the same time are dropped, by
+the bus process or by the application. An event reports them.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from dpstack.machine import Order
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import s_to_ns
 
-#: interval of the looks whether the bus process is alive and takes the outputs
+#: interval of the checks whether the bus process is alive and reads the outputs
 _WATCH_S: Final = 0.1
 _UNKNOWN: Final = SlaveSnapshot()
 
@@ -82,13 +82,13 @@ class ProcessRuntime:
         self._picture = Picture(0, 0, {})
         self._outputs: dict[int, Outputs] = {}
         self._changed: set[int] = set()  # outputs that are not published yet
-        self._awaited: dict[int, int] = {}  # the picture that outputs were published in and are to be taken from
+        self._awaited: dict[int, int] = {}  # address -> number of the picture with its unread outputs
         self._loop: asyncio.AbstractEventLoop | None = None
         self._publishing: asyncio.Handle | None = None
         self._counters = Counters()
         self._drives: dict[int, object] = {}
         self._not_running: str | None = None
-        self._silent_since = 0  # the last heartbeat before the silence; 0: it lives
+        self._silent_since = 0  # time of the last heartbeat before the silence; 0: the bus process is not silent
         self._silences = 0
         self._watchdogs_then: dict[str, int] = {}
         self._silence_events: list[Event] = []  # of the silence
@@ -133,7 +133,7 @@ class ProcessRuntime:
         self._watch_bus_process()
 
     async def close(self) -> None:
-        """Have the port released and the bus process end; the bus was left in order before. May be called again."""
+        """Let the bus process release the port and end, after the ordered end of the bus. May be called again."""
         line = self._channel
         final: Counters | None = None
         try:
@@ -165,7 +165,7 @@ class ProcessRuntime:
         return "" if ended else f"the bus process (pid {self.pid}) has not ended yet"
 
     def forsake(self) -> None:
-        """The bus process is the parent's: the child closes its copies of what leads there."""
+        """In the child of a fork: close the child's copies of the descriptors that lead to the bus process."""
         self._not_running = IN_PARENT
         self._set_offline(IN_PARENT)
         self._channel.forsake()
@@ -184,20 +184,21 @@ class ProcessRuntime:
             self._image = None
 
     def command(self, command: object) -> None:
-        """Send an order that nobody awaits. ``on_refused`` is told where the bus process refuses it.
+        """Send an order that no caller awaits. ``on_refused`` is called if the bus process refuses it.
 
-        Raises UsageError when there is no bus process, OrderDropped where it is silent, BusError where it is gone.
+        Raises UsageError without a bus process, OrderDropped while it is silent, BusError after its end.
         """
         if isinstance(command, Alive):
-            self._channel.tell_if_it_reads(command)
+            self._channel.send_unless_full(command)
             return
         self._publish_soon()
         self._channel.tell(_sendable(command))
 
     def order(self, command: object) -> asyncio.Future[object]:
-        """Send an order; the future is done when the machines have carried it out. What they raise is in it.
+        """Send an order; the future is done when the machines have carried it out, and holds their exception if any.
 
-        It raises OrderDropped when they did not take it in time, BusError when nobody knows, or the bus is gone.
+        The future raises OrderDropped when the bus process read the order too late, BusError when its outcome is
+        unknown or the bus process has ended.
         """
         self._publish_soon()
         return self._channel.order(_sendable(command), self._on_carried_out)
@@ -298,7 +299,8 @@ class ProcessRuntime:
             self._publish()
 
     def _publish(self) -> None:
-        """What was set in one go, or before an order, goes out in one: a round never has the half of it.
+        """Publish all outputs that the application has set since the last time in one picture, so that they leave in
+        one round.
 
         Before the bus process runs the time limit is longer than its start may take.
         """
@@ -314,9 +316,9 @@ class ProcessRuntime:
         self._awaited |= dict.fromkeys(changed, self._image.outputs.newest)
 
     async def hand_over_outputs(self) -> None:
-        """The bus process has the outputs that were set up to now when this returns.
+        """Return when the bus process has all outputs that the application has set.
 
-        Raises OrderDropped when it did not take them in time: they are taken back, and will not go out.
+        Raises OrderDropped when it did not read them in time: they are withdrawn, and never go out.
         """
         self._publish_soon()
         given = tuple(self._awaited)
@@ -333,9 +335,10 @@ class ProcessRuntime:
             raise OrderDropped(f"{why}; the outputs of {_names(gone)} will not go out")
 
     def _withdraw(self, addresses: Iterable[int]) -> None:
-        """Take back published outputs that the bus process has not taken. Those go out never more.
+        """Withdraw published outputs that the bus process has not read. They never go out.
 
-        It sets the number of a picture before it reads it: what is not taken after this picture was written, never is.
+        The bus process sets the number of a picture before it reads the picture. So outputs whose number it has not set
+        when this new picture is written can no longer be read.
         """
         image = self._image
         if image is None:
@@ -360,10 +363,10 @@ class ProcessRuntime:
             ]
         )
 
-    def _drop_late_outputs(self, told: Mapping[int, int]) -> None:
+    def _drop_late_outputs(self, dropped_until: Mapping[int, int]) -> None:
         """The bus process dropped outputs, by address and time limit."""
         dropped = {}
-        for address, until in told.items():
+        for address, until in dropped_until.items():
             outputs = self._outputs.get(address)
             if outputs is not None and outputs.until_ns == until:
                 del self._outputs[address]
@@ -374,7 +377,7 @@ class ProcessRuntime:
     # --- whether it lives -------------------------------------------------------------------------------------------
 
     def _watch_bus_process(self) -> None:
-        """Again and again: whether the bus process lives, and takes the outputs in time."""
+        """Check periodically whether the bus process is alive and reads the outputs in time."""
         loop = self._loop
         if loop is None or self._image is None:
             return
@@ -397,10 +400,10 @@ class ProcessRuntime:
         now = monotonic_ns()
         self._watchdogs_then = self._watchdogs()
         self._silent_since = now - silent
-        told = BusProcessSilent(t_ns=now, pid=pid, silent_ns=silent, at_slaves=at_slaves(self._watchdogs_then))
+        silence = BusProcessSilent(t_ns=now, pid=pid, silent_ns=silent, at_slaves=at_slaves(self._watchdogs_then))
         self._not_running = f"the bus process (pid {pid}) shows no sign of life: it is stopped, or hangs"
         lost = self._set_offline(self._not_running, "its slaves are not asked until it goes on")
-        self._silence_events = [told, *self._state_events(lost, now)]
+        self._silence_events = [silence, *self._state_events(lost, now)]
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon(self._send_silence_events)
 
@@ -409,13 +412,14 @@ class ProcessRuntime:
         if events:
             self._on_events(events)
 
-    def _end_silence(self, told: Iterable[Event]) -> list[Event]:
-        """It has answered, with everything of its state: the events of that, before those that it ``told``."""
+    def _end_silence(self, events: Iterable[Event]) -> list[Event]:
+        """The silence is over: the bus process has sent its whole state and ``events``. Returns the events that come
+        before ``events``: the end of the silence, and the state of each slave that ``events`` do not name."""
         self._send_silence_events()
         now = monotonic_ns()
         back = BusProcessBack(t_ns=now, pid=self.pid or 0, silent_ns=now - self._silent_since)
         self._silent_since, self._not_running = 0, None
-        known = {event.address for event in told if isinstance(event, SlaveStateChanged)}
+        known = {event.address for event in events if isinstance(event, SlaveStateChanged)}
         here = (
             address
             for address, slave in self._slaves.items()
@@ -424,7 +428,7 @@ class ProcessRuntime:
         return [back, *self._state_events(here, now)]
 
     def _set_offline(self, why: str, remedy: str = "") -> list[int]:
-        """Nobody runs the bus any more: nothing is known of the slaves. Returns those whose state changed by it."""
+        """Mark bus and slaves as offline, because no process runs them. Returns the slaves whose state changed."""
         before = self._bus
         self._bus = BusSnapshot(
             Mode.OFFLINE, before.patience, claimed=before.claimed, found=before.found, found_all=before.found_all
@@ -440,7 +444,7 @@ class ProcessRuntime:
         return changed
 
     def _state_events(self, addresses: Iterable[int], now: int) -> list[Event]:
-        """The state of each of those slaves as an event."""
+        """One event with the state of each slave in ``addresses``."""
         return [
             SlaveStateChanged(t_ns=now, address=a, name=self.setups[a].name, state=self.slave(a).state)
             for a in addresses
@@ -470,11 +474,11 @@ class ProcessRuntime:
             if news.dropped:
                 self._drop_late_outputs(news.dropped)
         except Exception as error:  # the application's: the bus goes on
-            told = {"message": "the handler of bus events raised", "exception": error}
-            asyncio.get_running_loop().call_exception_handler(told)
+            context = {"message": "the handler of bus events raised", "exception": error}
+            asyncio.get_running_loop().call_exception_handler(context)
 
     def _with_gsd_texts(self, event: Event) -> Event:
-        """``event`` with what the GSD file of its slave says, which the bus process does not know."""
+        """``event`` with the texts of its slave's GSD file, which the bus process does not have."""
         if isinstance(event, SlaveDiagnosis | AlarmRaised) and (setup := self.setups.get(event.address)) is not None:
             return worded(event, setup)
         return event
@@ -483,7 +487,7 @@ class ProcessRuntime:
         return how_it_ended(code, last, self._watchdogs())
 
     def _watchdogs(self) -> dict[str, int]:
-        """Of the slaves that are in data exchange as far as is known (before a silence), in ns."""
+        """Watchdogs in ns of the slaves in data exchange, by name; during a silence those from before it."""
         if self._silent_since:
             return self._watchdogs_then
         return {
@@ -504,7 +508,7 @@ class ProcessRuntime:
 
 
 def worded(event: SlaveDiagnosis | AlarmRaised, setup: SlaveParams) -> Event:
-    """``event`` of the slave with ``setup`` with what its GSD file says."""
+    """``event`` of the slave with ``setup``, with the texts of its GSD file."""
     if setup.texts is None:
         return event
     if isinstance(event, AlarmRaised):
@@ -525,7 +529,7 @@ def _sendable(command: object) -> Order:
 
 
 def how_it_ended(code: int | None, last: News | None, watchdogs: Mapping[str, int]) -> BusError:
-    """``code``: its exit code, negative for a signal. ``last``: its last words, if any.
+    """The error for a bus process that has ended. ``code``: exit code, negative for a signal. ``last``: last message.
 
     ``watchdogs``: of the slaves that were in data exchange, by name, in ns (0 is off).
     """
@@ -544,7 +548,7 @@ def how_it_ended(code: int | None, last: News | None, watchdogs: Mapping[str, in
 
 
 def killed_at_the_end(watchdogs: Mapping[str, int]) -> str:
-    """It did not end when it was told to; ``watchdogs`` as in :func:`how_it_ended`."""
+    """Text for a bus process that did not end when ordered to; ``watchdogs`` as in :func:`how_it_ended`."""
     return f"it did not answer at the end of the bus and was killed: the end was not in order. {at_slaves(watchdogs)}"
 
 

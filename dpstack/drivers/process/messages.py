@@ -37,14 +37,14 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: a longer message is none of ours; the longest is a set-up of 125 slaves
+#: longest message that is accepted; the longest one sent is a set-up of 125 slaves
 MAX_MESSAGE: Final = 4 * 1024 * 1024
 _LENGTH: Final = 4
 #: beyond this events are dropped (and counted) until somebody reads again
 FULL: Final = 256 * 1024
 _LAST_WORDS_S: Final = 0.5
 _CHUNK: Final = 65_536
-#: signals that a terminal sends to all in front of it: the application's, whose way out is the bus process's, too
+#: signals that a terminal sends to all its processes; the application reacts to them and ends the bus process
 FROM_TERMINALS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
 
 #: a class by name, and the fields of one of its objects
@@ -55,7 +55,7 @@ Named = tuple[str, object]
 
 
 class SetUp(Order):
-    """The first message: everything that the bus process needs.
+    """The first message: all data that the bus process needs.
 
     ``preload``: places of plugins that may be attached later (importing takes time that
     a running bus does not have). ``echo``, ``tune``: as :class:`dpstack.drivers.line.asyncio_runtime.AsyncioRuntime`
@@ -73,11 +73,11 @@ class SetUp(Order):
 
 
 class TakeOutputs(Order):
-    """Take the outputs that the application has published; answered when that is done."""
+    """Read the outputs that the application has published; the answer comes after that."""
 
 
 class CloseBus(Order):
-    """Release the port and end; the bus was left before. Answered with the last :class:`Counters`."""
+    """Release the port and end the process, after the end of the bus. The answer is the last :class:`Counters`."""
 
     ENDS = True
 
@@ -136,7 +136,7 @@ class Question:
 
 
 def _plain(value: object) -> object:
-    """What msgspec does not know. The texts of a GSD file stay where they were read (see ``client``)."""
+    """Encode types that msgspec does not know. Texts of a GSD file stay in the application (see ``client``)."""
     if isinstance(value, DiagTexts):
         return None
     raise TypeError(f"{type(value).__name__} does not go to another process")
@@ -153,7 +153,7 @@ _encoder: Final = msgspec.json.Encoder(enc_hook=_plain)
 
 @contextlib.contextmanager
 def _readable(what: str) -> Iterator[None]:
-    """Raises BusError for what msgspec cannot read: also text that is no UTF-8, and brackets too deep in each other."""
+    """Raises BusError for octets that msgspec cannot read, for text that is no UTF-8 and for too deep nesting."""
     try:
         yield
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:

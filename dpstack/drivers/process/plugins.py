@@ -1,4 +1,4 @@
-"""Cyclic units by name, for a process that is handed no objects: a drive plugin is found as ``package.module:name``."""
+"""Drive plugins by name (``package.module:name``): a bus process imports them, because it cannot receive objects."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def core_at(place: str) -> Callable[..., CyclicPlugin]:
         found = importlib.import_module(module)
         for name in path.split("."):
             found = getattr(found, name)
-    except Exception as error:  # whatever a plugin's module does when it is imported
+    except Exception as error:  # the module of a plugin may raise any exception when it is imported
         raise ConfigError(
             f"plugin {place} cannot be imported in the bus process ({type(error).__name__}: {error}); "
             'install it as a package, or take driver = "asyncio"'

@@ -1,4 +1,4 @@
-"""The bus process from the inside: machines and driver of one bus, orders of the application, news for it."""
+"""Main object of the bus process: machines and driver of one bus, orders from the application, news to it."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ from dpstack.ports import open_port
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_MS, ms_text
 
-#: interval of the heartbeat; the application's outputs are taken at least as often
+#: interval of the heartbeat; the bus process reads the application's outputs at least as often
 _HEARTBEAT: Final = 20 * NS_PER_MS
 #: after this many heartbeats come the counters, changes without an event, and news held back for an application that
 #: did not read
 _BEATS_TO_NEWS: Final = 5
 #: interval of the statuses of the drives, where the rounds are not watched and no event comes
 _DRIVES_NS: Final = 10 * NS_PER_MS
-#: SIGTERM is for the application, too, if that begins its end within this time
+#: after a SIGTERM the bus process waits this long for the application to begin the end
 _GRACE: Final = 200 * NS_PER_MS
-#: no more is read while so many orders wait
+#: the bus process reads no more orders while this many wait
 _WAITING: Final = 32
 
 
@@ -59,9 +59,9 @@ def _notice(text: str) -> Notice:
 
 
 class Host:
-    """Everything of one bus in ``loop``. ``sock`` leads to the application, ``image`` is shared with it.
+    """Machines and driver of one bus in ``loop``. ``sock``: connection to the application; ``image``: shared with it.
 
-    Raises ConfigError and PortError (:meth:`open`). Ends the loop when it is over.
+    Raises ConfigError and PortError (:meth:`open`). Stops the loop after the end of the bus.
     """
 
     def __init__(self, loop: SelectLoop, sock: socket.socket, image: SharedImage, setup: SetUp) -> None:
@@ -96,7 +96,7 @@ class Host:
         self._over = False
         self._leaving = False  # the application has begun the end
         self._until: dict[int, int] = {}  # the outputs that were taken or dropped, by address and deadline
-        self._silences = 0  # of the application's words that this process is silent: those that were answered
+        self._silences = 0  # the application's last count of silences (Word.SILENCES) that was answered
         # sent last
         self._bus: BusSnapshot | None = None
         self._slaves: dict[int, SlaveSnapshot] = {}
@@ -107,7 +107,7 @@ class Host:
     def open(self, notices: list[str]) -> None:
         """Open the port, say hello, listen to the application. Raises PortError, ConfigError.
 
-        ``notices``: what this process was not permitted, for people.
+        ``notices``: texts about rights that this process did not get.
         """
         self._master.on_round = self._on_round
         self._master.context.on_begin = self._take_outputs
@@ -121,11 +121,12 @@ class Host:
         self._on_heartbeat()
 
     def end(self, why: str) -> None:
-        """The ordered end without an order of the application: it is gone, or somebody wants this process to end."""
+        """Begin the ordered end without an order of the application: after its death, or after a signal."""
         self._ending.begin(why)
 
-    def terminated(self, why: str) -> None:
-        """The same after a moment: who stops a program often tells all its processes, and its own end comes first."""
+    def end_soon(self, why: str) -> None:
+        """Begin the ordered end in 0.2 s, unless the application begins it first: a SIGTERM often goes to all processes
+        of a program."""
         self._loop.call_at(monotonic_ns() + _GRACE, lambda: self.end(why) if not self._leaving else None)
 
     # --- the application's orders ---
@@ -151,7 +152,7 @@ class Host:
             self._serve()
 
     def _serve(self) -> None:
-        """One order a turn of the loop: whatever the application does, the bus comes in between."""
+        """Carry out one order in a turn of the loop, so that the bus runs between two orders."""
         question = self._questions.popleft()
         answer = Answer(question.number)
         order = None
@@ -224,23 +225,23 @@ class Host:
         self._image.inputs.write(Picture(self._master.rounds, self._master.rotation.count, slaves))
 
     def _publish_drives(self) -> None:
-        """What the plugins tell of their drives, where that has changed."""
+        """Publish the statuses of the drive plugins if one has changed."""
         if self._over:
             return
         self._drives_at = monotonic_ns()
-        told: dict[int, object] = {}
+        statuses: dict[int, object] = {}
         for address, handler in self._master.handlers.items():
             status = getattr(handler.image.plugin, "status", None)
             if status is not None:
-                with contextlib.suppress(Exception):  # the plugin's own: nothing is known of its drive
-                    told[address] = status()
-        if told != self._published_drives:
-            self._published_drives = told
-            self._image.drives.write(told)
+                with contextlib.suppress(Exception):  # a defect of the plugin: the status of its drive is left out
+                    statuses[address] = status()
+        if statuses != self._published_drives:
+            self._published_drives = statuses
+            self._image.drives.write(statuses)
 
     def _take_outputs(self) -> None:
-        """Those that were set since the last time, unless their time limit is over: a process that was stopped must not
-        send what was meant for another moment."""
+        """Read the outputs that the application has set since the last time. Drop those whose time limit is over: a
+        process that was stopped must not send old outputs."""
         found = self._image.take_outputs()
         if found is None:
             return
@@ -303,8 +304,8 @@ class Host:
     def _send_round(self, cycle: CycleData | None) -> None:
         self._publish_drives()
         if not self._outbox.full and not self._over:
-            told, self._sent_cycle = self._sent_cycle, cycle
-            self._outbox.send(News(round_over=True, cycle=None if cycle is told else cycle))
+            before, self._sent_cycle = self._sent_cycle, cycle
+            self._outbox.send(News(round_over=True, cycle=None if cycle is before else cycle))
 
     def _on_heartbeat(self) -> None:
         if self._over:

@@ -63,12 +63,12 @@ class Budget:
             self._streak = 0
             self._paid_until = min(now, self._paid_until + int(ns * _NS_PER_SLEPT_NS))
 
-    def owed_ns(self, now: int) -> int:
-        """Forced sleep, whatever is due; 0 for none."""
+    def forced_sleep_ns(self, now: int) -> int:
+        """Sleep in ns that the loop has to take now, even if a deadline is due; 0 for none."""
         if not self.rests:
             return 0
-        owed = int((now - self._paid_until) / _NS_PER_SLEPT_NS)
-        return owed if owed >= _NAP_NS else 0
+        sleep_ns = int((now - self._paid_until) / _NS_PER_SLEPT_NS)
+        return sleep_ns if sleep_ns >= _NAP_NS else 0
 
 
 def is_real_time() -> bool:

@@ -218,9 +218,9 @@ class Segment:
         now = monotonic_ns()
         start_ns = self._placed(sender, len(chunk), baud, now)
         flips = self._noise.flips(len(chunk))
-        heard = sender.put(chunk, flips)
+        received = sender.put(chunk, flips)
         if flips:
-            lost = len(chunk) - len(heard)
+            lost = len(chunk) - len(received)
             self._lost += lost
             self._changed += len(flips) - lost
         for station in self._stations:
@@ -231,7 +231,7 @@ class Segment:
                     continue
                 station.present = True
             reading = station.master.baud() or self.baud
-            octets = heard if reading == baud else station.misread(chunk, baud, reading, start_ns, flips)
+            octets = received if reading == baud else station.misread(chunk, baud, reading, start_ns, flips)
             if octets and not station.give(octets):
                 self._report(station, "takes no more: what it does not read is dropped")
 

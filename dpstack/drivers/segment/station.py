@@ -51,7 +51,7 @@ class SegmentStation:
         #: it neither sends nor receives before this time (ns)
         self.silent_until = 0
         self.stats = StationStats(link)
-        #: notices about it, each is reported once
+        #: notices about this station that were reported; each is reported once
         self.reported: set[str] = set()
         self._receiver: Receiver | None = None  # while senders have another rate
         # finds the ends of its telegrams, before noise
@@ -59,7 +59,7 @@ class SegmentStation:
         self._damaged = self._arrived = False  # of the telegram it is sending: by noise; at least one octet
 
     def left(self) -> None:
-        """No program has its pty open any more."""
+        """Note that no program has the station's pty open any more."""
         if self.present:
             self.present = False
             self.master.forget()
@@ -98,9 +98,9 @@ class SegmentStation:
         receiver = self._receiver
         if receiver is None or receiver.baud != reading:
             receiver = self._receiver = Receiver(reading)
-        heard = receiver.idle(start_ns)
-        heard += receiver.hear(start_ns, waveform(octets, flips), baud)
-        return bytes(character.octet for character in heard if character.good)
+        received = receiver.idle(start_ns)
+        received += receiver.hear(start_ns, waveform(octets, flips), baud)
+        return bytes(character.octet for character in received if character.good)
 
     def give(self, octets: bytes) -> bool:
         """Write ``octets`` to its pty; False when that is full."""

@@ -153,12 +153,12 @@ class Pace:
         if real_ns < NS_PER_S:
             return None
         self._window = (real, bus)
-        speed, told = bus_ns / real_ns, self._reported
+        speed, reported = bus_ns / real_ns, self._reported
         if speed < _SLOW:
-            if told is not None and told / _MUCH < speed < told * _MUCH:
+            if reported is not None and reported / _MUCH < speed < reported * _MUCH:
                 return None
             self._reported = speed
-        elif told is None or speed < _KEEPS_UP:
+        elif reported is None or speed < _KEEPS_UP:
             return None
         else:
             self._reported = None

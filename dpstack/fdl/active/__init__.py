@@ -2,8 +2,8 @@
 
 - ``admission``: How long a request can take, how long its answer is waited for, and whether it may start before the
   next cycle
-- ``cycle_window``: The rule that keeps everything else out of a fixed cycle: which requests may still start before the
-  next cycle
+- ``cycle_window``: The time window between two fixed cycles: which acyclic requests the station may still start before
+  the next cycle
 - ``exchange``: One exchange with a station: the request, its answer or the lack of it, repetitions, late answers
 - ``fcb``: Requester side of the frame count bit: FCB and FCV of the next request, per responder
 - ``las_gap``: Book-keeping of the token ring as plain data: LAS, GAP, bus time for silent polls, reported masters
