@@ -12,12 +12,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from enum import Enum
 from functools import partial
-from typing import Protocol
+from typing import Final, Protocol
 
 from dpstack.errors import BaudError, PortError
 from dpstack.text import decimal
 from dpstack.units import baud_text
 
+#: Stands for the simulated bus where the name of a port is wanted.
+VIRTUAL: Final = "virtual"
 #: Receives the octets read from the line, in order; called from the loop.
 OnData = Callable[[bytes], None]
 #: Called from the loop with the reason when the line is lost, once per :meth:`Port.attach`.

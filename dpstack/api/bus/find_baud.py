@@ -9,7 +9,7 @@ from functools import partial
 from time import monotonic_ns
 from typing import Final
 
-from dpstack.api.config.config import VIRTUAL, Config
+from dpstack.api.config.config import Config
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import patience_of
@@ -19,6 +19,7 @@ from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.errors import BusError, ConfigError, PortError
 from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound
 from dpstack.ports import Port, open_port
+from dpstack.ports.base import VIRTUAL
 from dpstack.sim.world import World
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s, s_to_ns

@@ -9,7 +9,6 @@ from dpstack.api.config.table import Key, Source, Table, is_integer, keys_of
 from dpstack.params import LIMITS, MAX_STATION
 from dpstack.units import BAUD_RATES, NS_PER_MS
 
-VIRTUAL: Final = "virtual"
 #: the baud rate is found by listening (see :mod:`dpstack.api.bus.find_baud`); echo is recognised
 AUTO: Final = "auto"
 #: ``after_stall``: Clear

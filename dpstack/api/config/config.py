@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
 
-from dpstack.api.config.bus import AUTO, VIRTUAL, BusConfig, read_bus
+from dpstack.api.config.bus import AUTO, BusConfig, read_bus
 from dpstack.api.config.slave import SlaveConfig, read_slave
 from dpstack.api.config.table import Source, Table
 from dpstack.api.config.toml import MAX_OCTETS, TomlError, read_toml
@@ -23,6 +23,7 @@ from dpstack.api.files import read_file
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError, ParamError
 from dpstack.params import BusParams
+from dpstack.ports.base import VIRTUAL
 from dpstack.text import octets_text
 from dpstack.units import baud_text
 
@@ -254,7 +255,6 @@ def _rate_finding(slave: SlaveConfig, baud: int) -> str:
 
 __all__ = [
     "AUTO",
-    "VIRTUAL",
     "BusConfig",
     "Config",
     "load_config",

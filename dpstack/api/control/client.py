@@ -11,11 +11,11 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Any, Final, NotRequired, TypedDict, TypeVar
 
-from dpstack.api.config.bus import VIRTUAL
 from dpstack.api.control.errors import failure
 from dpstack.api.control.socket_path import Sockets, directory, names_of, os_errors, own_name, socket_name
 from dpstack.errors import DpError, PortError, UsageError
 from dpstack.ports import posix
+from dpstack.ports.base import VIRTUAL
 from dpstack.units import s_to_ns
 
 T = TypeVar("T")

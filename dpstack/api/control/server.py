@@ -18,7 +18,6 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Any, Final, TypeVar
 
-from dpstack.api.config.bus import VIRTUAL
 from dpstack.api.control.commands import Spec, find
 from dpstack.api.control.errors import error_fields
 from dpstack.api.control.socket_path import (
@@ -34,6 +33,7 @@ from dpstack.api.control.socket_path import (
     virtual_name,
 )
 from dpstack.errors import DpError, OrderDropped, PortBusyError, UsageError
+from dpstack.ports.base import VIRTUAL
 from dpstack.ports.runtime_dir import user_name
 from dpstack.text import json_text
 from dpstack.units import NEVER, ms_text

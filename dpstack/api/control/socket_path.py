@@ -22,9 +22,9 @@ from pathlib import Path
 from time import sleep
 from typing import Any, Final
 
-from dpstack.api.config.bus import VIRTUAL
 from dpstack.errors import PortError
 from dpstack.ports import posix
+from dpstack.ports.base import VIRTUAL
 from dpstack.ports.posix import fcntl
 from dpstack.ports.runtime_dir import open_own, runtime_path, user_name
 
