@@ -60,6 +60,10 @@ class GsdError(ConfigError):
     """A GSD file that cannot be used at all, or modules and parameters that do not fit it (``what; what to do``)."""
 
 
+class CaptureFileError(DpError, ValueError):
+    """A capture file that cannot be read, or not further; the text names the file and the place in it."""
+
+
 class UsageError(DpError, RuntimeError):
     """A call that does not fit the state, for instance on a bus that is closed."""
 

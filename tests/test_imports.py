@@ -34,6 +34,8 @@ MAY: dict[str, set[str]] = {
     "phy": PARAMS,
     "fdl": PHY | {"machine", "stats"},
     "gsd": PURE_BASE,
+    "capture": PURE_BASE,
+    "decode": DP | {"capture"},
     "dp": DP,
     "dpv1": DP,
     "profile": {"dp", "dpv1", "units", "errors"},
@@ -41,13 +43,14 @@ MAY: dict[str, set[str]] = {
     "ports": PURE_BASE,
     "drivers": DP | {"ports", "machine", "sim"},
     "api": DP | {"drivers", "ports", "sim", "profile"},
-    "cli": {"api", "gsd", "profile", "trace"} | PURE_BASE,
+    "cli": {"api", "decode", "gsd", "profile", "trace"} | PURE_BASE,
     "__init__": {"api", "errors", "profile", "dp", "dpv1", "trace"},
 }
 #: Rooms from the ground up: each imports from lower floors only; rooms of one floor not from one another.
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("phy",),
     ("gsd",),
+    ("capture",),
     ("fdl",),
     ("fdl/active", "fdl/passive"),
     ("dp/pdu",),
@@ -55,6 +58,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("dp", "dpv1"),
     ("dp/slave",),
     ("dpv1/slave",),
+    ("decode",),
     ("dp/master",),
     ("dp/acyclic",),
     ("dp/plan",),

@@ -31,6 +31,7 @@ _COMMANDS = {
     "address": "gives a slave that no master owns another station address (Set_Slave_Add) and verifies it",
     "plan": "bus parameters, rotation times, watchdogs, and what does not fit together",
     "baud": "finds the baud rate of a bus by listening only",
+    "decode": "explains telegrams to the bit: of a pcapng file, or octets in hex",
     "ports": "serial adapters with their lasting path, chip and holder",
     "doctor": "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
     "gsd": "GSD files: show, check, configure",

@@ -1,0 +1,129 @@
+"""Where transmissions to be explained come from: a pcapng file, octets as hex digits, a text file with such lines."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import BinaryIO, Final
+
+from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Damage, Packet, Reader
+from dpstack.decode.telegram import Transmission
+from dpstack.errors import CaptureFileError, UsageError
+from dpstack.fdl.codec import Flaw, claimed, parse
+from dpstack.fdl.telegram import Kind, Telegram
+
+#: what may stand between hex digits
+_BETWEEN: Final = re.compile(r"0x|[\s,;:-]+", re.IGNORECASE)
+#: octets of one line of text; a PROFIBUS telegram has 255 at most
+_MOST_LINE: Final = 1 << 20
+_DAMAGE: Final = {
+    Damage.FCS: "check sequence",
+    Damage.TOO_LONG: "too long",
+    Damage.TOO_SHORT: "too short",
+    Damage.START_DELIMITER: "start octet",
+    Damage.PARITY_OR_FRAMING: "parity or framing",
+}
+_PCAPNG: Final = b"\n\r\r\n"
+
+
+def from_hex(text: str) -> bytes:
+    """Octets from hex digits; blanks, commas, colons, dashes and 0x may stand between. Raises UsageError."""
+    digits = _BETWEEN.sub("", text)
+    try:
+        return bytes.fromhex(digits)
+    except ValueError:
+        wrong = re.search(r"[^0-9A-Fa-f]", digits)
+        why = f"{wrong[0]!r} is no hex digit" if wrong else "an octet has two hex digits, one is missing"
+        raise UsageError(f"{why}; octets are written as in 68 05 05 68") from None
+
+
+def split(octets: bytes) -> Iterator[bytes]:
+    """The telegrams in ``octets`` one by one, and between them what is none.
+
+    Within the length that a damaged telegram claimed, only telegrams with a check sequence count: an octet E5 among
+    its data is no acknowledgement.
+    """
+    at = begun = doubt = 0
+    end = len(octets)
+    while at < end:
+        found = parse(octets, at, end)
+        checked = octets[at] not in (Kind.SC, Kind.SD4)
+        if isinstance(found, Telegram) and (checked or at >= doubt):
+            if begun < at:
+                yield octets[begun:at]
+            size = claimed(octets, at, end)
+            yield octets[at : at + size]
+            at += size
+            begun = doubt = at
+            continue
+        if at >= doubt and found is not Flaw.BAD_START:
+            doubt = at + claimed(octets, at, end)
+        at += 1
+    if begun < end:
+        yield octets[begun:]
+
+
+def read_transmissions(file: BinaryIO, name: str) -> Iterator[Transmission]:
+    """The transmissions in a pcapng ``file``, or in a text file with hex digits, a transmission a line.
+
+    Raises CaptureFileError, after what could be read, for what cannot; a line of text that is no hex digits likewise.
+    """
+    head = file.read(4)
+    if head == _PCAPNG:
+        yield from _captured(Reader(_Again(head, file), name))
+    elif head.isascii() and b"\0" not in head:
+        yield from _lines(_Again(head, file), name)
+    else:
+        yield from _captured(Reader(_Again(head, file), name))  # which says what it is instead
+
+
+class _Again:
+    """``file`` with the octets that were read from it already."""
+
+    def __init__(self, head: bytes, file: BinaryIO) -> None:
+        self._head = head
+        self._file = file
+
+    def read(self, size: int, /) -> bytes:
+        head, self._head = self._head[:size], self._head[size:]
+        return head or self._file.read(size)
+
+
+def _captured(reader: Reader) -> Iterator[Transmission]:
+    for packet in reader:
+        if packet.interface.linktype not in (USER0, PROFIBUS_DL):
+            raise CaptureFileError(
+                f"{reader.name}: packets of link type {packet.interface.linktype}, "
+                f"PROFIBUS has {USER0} (USER0) or {PROFIBUS_DL}"
+            )
+        yield Transmission(packet.octets, packet.t_ns, packet.interface.bits_per_s, _note(packet))
+    if reader.cut:
+        raise CaptureFileError(f"{reader.name}: the file ends within a block: {reader.cut}")
+
+
+def _note(packet: Packet) -> str:
+    damage = [text for bit, text in _DAMAGE.items() if packet.flags & bit]
+    marked = [f"marked by the port: {', '.join(damage)}"] if damage else []
+    return "; ".join([*marked, *packet.comments])
+
+
+def _lines(file: _Again, name: str) -> Iterator[Transmission]:
+    rest, number = b"", 0
+    while True:
+        more = file.read(1 << 16)
+        *lines, rest = (rest + more).split(b"\n")
+        if not more:
+            lines, rest = [rest], b""
+        if len(rest) > _MOST_LINE:
+            raise CaptureFileError(f"{name}: line {number + 1} has more than {_MOST_LINE} characters")
+        for line in lines:
+            number += 1
+            text = line.decode("ascii", errors="replace").partition("#")[0]
+            try:
+                octets = from_hex(text)
+            except UsageError as error:
+                raise CaptureFileError(f"{name}: line {number}: {error}") from None
+            for one in split(octets):
+                yield Transmission(one)
+        if not more:
+            return
