@@ -74,8 +74,8 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("ports",),
     ("drivers",),
     ("drivers/realtime",),
-    ("drivers/virtual",),
     ("drivers/line",),
+    ("drivers/virtual",),
     ("drivers/segment",),
     ("drivers/process",),
     ("api",),
@@ -89,12 +89,6 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cli",),
     ("cli/commands",),
 )
-#: What still goes upwards, module by module; to be cut, nothing may be added.
-UPWARDS: dict[str, set[str]] = {
-    "api.server.simulation": {"api.bus.compose", "api.bus.events_json"},
-    "drivers.shutdown": {"drivers.line.echo", "drivers.line.select_loop", "drivers.line.select_runtime"},
-    "drivers.virtual.runtime": {"drivers.line.port_latency"},
-}
 #: profile sees only these modules of dp: its public slave application and image types, and records.
 PROFILE_MAY_OF_DP = {
     "dp.process_image",
@@ -219,7 +213,7 @@ def test_rooms_import_downwards() -> None:
             if "." not in (own, room) and own != room and floor[room] >= floor[own]:
                 dotted = ".".join(path.relative_to(ROOT / "dpstack").with_suffix("").parts)
                 upwards.setdefault(dotted, set()).add(name.removeprefix("dpstack."))
-    assert upwards == UPWARDS
+    assert upwards == {}
 
 
 #: files in a room, its map not counted

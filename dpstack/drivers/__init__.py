@@ -7,7 +7,6 @@
 - ``virtual/``: A machine in virtual time
 - ``futures``: Waiting for futures of asyncio through cancellations; orders that take effect at once
 - ``runtime``: The interface of all drivers to the API, and their events
-- ``shutdown``: The ordered end of a bus: safe values, Clear twice, class 2 connections given back, out of the ring
 - ``snapshots``: Snapshots of a bus for its application, the same with every driver
 - ``stack``: The machines of one bus, made from plain data, and their snapshots
 """

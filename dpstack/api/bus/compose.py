@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from dpstack.api.bus.driver_choice import PROCESS, driver_for
 from dpstack.api.bus.plan_checks import adapter_notes, data_control_ns, other_masters, refuse_misfit, with_t_tr
 from dpstack.api.config.bus import SAFE
-from dpstack.api.config.config import Config, rate_findings
+from dpstack.api.config.config import ECHO, Config, port_of, rate_findings
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.api.slave.drive import DrivePlugin
@@ -21,7 +21,6 @@ from dpstack.dp.plan.plan import Plan, make_plan
 from dpstack.dp.plan.rotation_time import Case
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
-from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.process.plugins import AttachPlugin
 from dpstack.drivers.runtime import OnEvents, OnFailure, OnRefused, Runtime
@@ -31,7 +30,7 @@ from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.errors import ConfigError
 from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import EXACT, Patience, slack
-from dpstack.ports import Delivery, Port, open_port
+from dpstack.ports import Delivery, Port
 from dpstack.profile import DriveCore, DriveStatus, registry
 from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS
@@ -40,8 +39,6 @@ if TYPE_CHECKING:
     from dpstack.drivers.process.client import ProcessRuntime
 
 __all__ = ["Case", "Plan"]  # for the command line
-
-ECHO: Final = {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}
 
 
 def plan_bus(config: Config, baud: int | None = None) -> Plan:
@@ -75,11 +72,6 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
         notes=notes,
         beside=beside,
     )
-
-
-def port_of(config: Config, baud: int, name: str | None = None) -> Port:
-    """The port of ``config`` (or the port ``name`` with its settings), not open yet. Raises PortError."""
-    return open_port(name or config.port, baud, event_char=config.bus.event_char, rs485=config.bus.rs485)
 
 
 def patience_for(config: Config, port: Port) -> Patience:

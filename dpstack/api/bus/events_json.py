@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dpstack.api.server.virtual_bench import Injected
 from dpstack.api.streams import SlaveFlapping
 from dpstack.dp.master.events import (
     ApplicationSilent,
@@ -51,30 +52,6 @@ __all__ = [
     "SlaveStateChanged",
     "Stalled",
 ]
-
-
-class Injected(Event):
-    """``dpstack ctl`` acted on a simulated slave or on the segment.
-
-    ``address`` and ``name``: of the slave; None where it is the segment. ``args`` as typed.
-    """
-
-    command: str
-    args: tuple[str, ...]
-    address: int | None = None
-    name: str | None = None
-
-    def _text(self) -> str:
-        args = self.args if self.address is None else self.args[1:]
-        who = "the segment" if self.address is None else f"slave {self.address} ({self.name})"
-        return f"{who}: {' '.join((self.command, *args))} (dpstack ctl)"
-
-    def as_dict(self, t: float) -> dict[str, object]:
-        """Its JSON line at ``t`` seconds."""
-        line: dict[str, object] = {"event": "injected", "t": round(t, 6)}
-        if self.address is not None:
-            line |= {"address": self.address, "name": self.name}
-        return {**line, "command": self.command, "args": list(self.args), "text": self.text}
 
 
 #: their JSON has no ``text``

@@ -22,8 +22,8 @@ from dpstack.dp.master.events import ForcedClear
 from dpstack.dp.plan.plan import Plan
 from dpstack.dp.plan.rotation_time import Case
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.drivers.line.shutdown import end_limit_ns
 from dpstack.drivers.runtime import Runtime
-from dpstack.drivers.shutdown import end_limit_ns
 from dpstack.drivers.snapshots import BusSnapshot, View
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.params import BusParams

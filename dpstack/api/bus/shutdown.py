@@ -1,6 +1,6 @@
 """The ordered end of a bus: through cancellations and Ctrl-C, by a finaliser after the event loop, none in a fork.
 
-The steps are :class:`dpstack.drivers.shutdown.EndSteps`; docs/ends.md lists every way out.
+The steps are :class:`dpstack.drivers.line.shutdown.EndSteps`; docs/ends.md lists every way out.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import Final
 from dpstack.api.bus.parts import BusBase
 from dpstack.dp.master.commands import Mode
 from dpstack.drivers.futures import outlast
-from dpstack.drivers.shutdown import EndSteps, at_slaves
+from dpstack.drivers.line.shutdown import EndSteps, at_slaves
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.text import printable
 from dpstack.trace import Event, Severity
@@ -153,7 +153,7 @@ class OrderedEnd:
             self._wake()
 
     async def carry_out(self) -> None:
-        """All steps that the bus still can carry out, within :func:`~dpstack.drivers.shutdown.end_limit_ns`.
+        """All steps that the bus still can carry out, within :func:`~dpstack.drivers.line.shutdown.end_limit_ns`.
 
         A cancellation of the task that runs this (asyncio.run() cancels all) has no effect.
         """

@@ -21,14 +21,18 @@ from dpstack.api.config.toml import MAX_OCTETS, TomlError, read_toml
 from dpstack.api.config.toml import Path as KeyPath
 from dpstack.api.files import read_file
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.drivers.line.echo import Echo
 from dpstack.errors import ConfigError, ParamError
 from dpstack.params import BusParams
+from dpstack.ports import Port, open_port
 from dpstack.ports.base import VIRTUAL
 from dpstack.text import octets_text
 from dpstack.units import baud_text
 
 #: keys of [bus] that are bus parameters
 _PARAMETERS: Final = ("t_sl", "t_tr", "gap", "hsa", "max_retry", "address")
+#: the key ``echo`` as the drivers want it
+ECHO: Final = {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -251,6 +255,11 @@ def _rate_finding(slave: SlaveConfig, baud: int) -> str:
             f"drive and tell it by the option {option}, or take another rate"
         )
     return f"{profile.name if profile else 'by its GSD file it'} does not know {baud_text(baud)}; take another rate"
+
+
+def port_of(config: Config, baud: int, name: str | None = None) -> Port:
+    """The port of ``config`` (or the port ``name`` with its settings), not open yet. Raises PortError."""
+    return open_port(name or config.port, baud, event_char=config.bus.event_char, rs485=config.bus.rs485)
 
 
 __all__ = [

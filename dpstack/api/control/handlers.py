@@ -9,7 +9,6 @@ from time import monotonic_ns
 from typing import Final
 
 from dpstack.api.bus.bus import Bus
-from dpstack.api.bus.events_json import Injected
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.bus.statistics import diagnosis_dict, drive_dict, inputs_dict
 from dpstack.api.control import arguments
@@ -18,7 +17,7 @@ from dpstack.api.control.drive_orders import drive_order
 from dpstack.api.control.record_orders import acyclic_order
 from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.server.simulation import Segment, Simulation
-from dpstack.api.server.virtual_bench import Bench, silence_text
+from dpstack.api.server.virtual_bench import Bench, Injected, silence_text
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.process_data import as_json

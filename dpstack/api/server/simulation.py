@@ -7,10 +7,8 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 
-from dpstack.api.bus.compose import ECHO, port_of
-from dpstack.api.bus.events_json import Injected
-from dpstack.api.config.config import AUTO, Config, rate_findings
-from dpstack.api.server.virtual_bench import Bench, SimulatedSlave, rates_of, set_rate
+from dpstack.api.config.config import AUTO, ECHO, Config, port_of, rate_findings
+from dpstack.api.server.virtual_bench import Bench, Injected, SimulatedSlave, rates_of, set_rate
 from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.slave.auto_baud import BaudState, PortBaudChanged, SearchingPort
 from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged

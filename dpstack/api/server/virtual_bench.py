@@ -20,7 +20,32 @@ from dpstack.phy.patience import EXACT, Patience
 from dpstack.profile import DriveDevice
 from dpstack.sim.io_station import IDENT, NAME, IoStation
 from dpstack.sim.world import World
+from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s
+
+
+class Injected(Event):
+    """``dpstack ctl`` acted on a simulated slave or on the segment.
+
+    ``address`` and ``name``: of the slave; None where it is the segment. ``args`` as typed.
+    """
+
+    command: str
+    args: tuple[str, ...]
+    address: int | None = None
+    name: str | None = None
+
+    def _text(self) -> str:
+        args = self.args if self.address is None else self.args[1:]
+        who = "the segment" if self.address is None else f"slave {self.address} ({self.name})"
+        return f"{who}: {' '.join((self.command, *args))} (dpstack ctl)"
+
+    def as_dict(self, t: float) -> dict[str, object]:
+        """Its JSON line at ``t`` seconds."""
+        line: dict[str, object] = {"event": "injected", "t": round(t, 6)}
+        if self.address is not None:
+            line |= {"address": self.address, "name": self.name}
+        return {**line, "command": self.command, "args": list(self.args), "text": self.text}
 
 
 def device_of(slave: SlaveConfig) -> Device:

@@ -8,5 +8,6 @@
 - ``rate``: Baud rate of an open port, which follows its machine; pauses between attempts to open a lost port
 - ``select_loop``: Event loop of the bus process on select(): file descriptors, deadlines in nanoseconds, signals
 - ``select_runtime``: The driver on select(), without asyncio: runs one protocol machine on one serial port
+- ``shutdown``: The ordered end of a bus: safe values, Clear twice, class 2 connections given back, out of the ring
 - ``timers``: Timers for deadlines in an event loop (timerfd on Linux, else the loop's own); the clock of system sleep
 """

@@ -8,9 +8,9 @@ from time import monotonic_ns
 from dpstack.drivers.futures import ActsAtOnce, outlast
 from dpstack.drivers.line.line_runtime import LineRuntime
 from dpstack.drivers.line.rate import ReopenAttempts
+from dpstack.drivers.line.shutdown import end_on_port
 from dpstack.drivers.line.timers import make_timer
 from dpstack.drivers.runtime import IN_PARENT
-from dpstack.drivers.shutdown import end_on_port
 from dpstack.errors import PortError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.units import NEVER, NS_PER_S

@@ -28,6 +28,7 @@ from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
 from dpstack.drivers.futures import outlast
+from dpstack.drivers.line.shutdown import at_slaves
 from dpstack.drivers.process import channel
 from dpstack.drivers.process.messages import CloseBus, News, SetUp, TakeOutputs, checked_arguments, event_of, typed
 from dpstack.drivers.process.shared_image import Outputs, Picture, SharedImage, Word, make_memory
@@ -40,7 +41,6 @@ from dpstack.drivers.runtime import (
     OnRefused,
     OutputsDropped,
 )
-from dpstack.drivers.shutdown import at_slaves
 from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot, no_image
 from dpstack.errors import BusError, DpError, OrderDropped, UsageError
 from dpstack.fdl.interface import LinkStats

@@ -15,6 +15,7 @@ from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.process_image import SlaveImage
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.line.select_runtime import SelectRuntime
+from dpstack.drivers.line.shutdown import Ending
 from dpstack.drivers.process.messages import (
     Answer,
     CloseBus,
@@ -32,7 +33,6 @@ from dpstack.drivers.process.messages import (
 )
 from dpstack.drivers.process.plugins import AttachPlugin, core_at, load
 from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
-from dpstack.drivers.shutdown import Ending
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import Stack, image_snapshot
 from dpstack.errors import BusError, OrderDropped, UsageError

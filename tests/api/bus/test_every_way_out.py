@@ -24,7 +24,7 @@ from support_responder import Responder
 
 import dpstack
 from dpstack.api.bus import shutdown
-from dpstack.drivers import shutdown as of_drivers
+from dpstack.drivers.line import shutdown as of_drivers
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.ports.tty import TtyPort
 from dpstack.units import ns_to_s
