@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from dpstack.api.control.socket_path import Sockets, own_name, socket_path
+from dpstack.capture.pcapng import Writer
 from dpstack.cli import main as program
 from dpstack.cli.main import main
 from dpstack.cli.terminal import output
@@ -168,6 +169,16 @@ def test_plan_and_run_of_such_a_device(reader: str, config: Path, capsys: pytest
         assert code in (0, 1)
 
 
+def test_comments_of_a_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bus.pcapng"
+    with path.open("wb") as file:
+        writer = Writer(file, EVIL)
+        writer.packet(writer.interface(EVIL, 500_000, EVIL), 0, b"\xe5", comment=EVIL)
+    for json_or_not in ([], ["--json"]):
+        code, _, _ = run(capsys, "decode", str(path), *json_or_not)
+        assert code == 0
+
+
 NAMES = [
     ["plan", EVIL],
     ["run", EVIL],
@@ -187,6 +198,8 @@ NAMES = [
     ["scan", "--port", f"/nowhere/{EVIL}"],
     ["address", "--port", f"/nowhere/{EVIL}", "126", "5", "--ident", "0x1234"],
     ["baud", "--port", f"/nowhere/{EVIL}", "--timeout", "0.1"],
+    ["decode", EVIL],
+    ["decode", "E5", "--filter", EVIL],
     ["doctor", "--port", f"/nowhere/{EVIL}"],
     ["ports", EVIL],
     ["demo", "--baud", EVIL],
