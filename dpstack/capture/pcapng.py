@@ -133,7 +133,7 @@ class Writer:
         self._write(_block(_PACKET, body + options + _option(_END, b"")))
 
     def statistics(self, interface: int, start_ns: int, end_ns: int, received: int, dropped: int) -> None:
-        """What the capture of a port has counted up to ``end_ns``: packets received, packets lost in the computer."""
+        """Counters of the capture of a port up to ``end_ns``: packets received, packets lost in the computer."""
         times = [struct.pack("<II", t >> 32, t & 0xFFFFFFFF) for t in (start_ns, end_ns)]
         options = (
             _option(_START, times[0])

@@ -34,7 +34,7 @@ class _Request:
 
 
 class Step(NamedTuple):
-    """What a telegram is in the course of the bus; numbers are those of other telegrams.
+    """The place of a telegram in the course of the bus; numbers are those of other telegrams.
 
     ``request``: the request that it answers, for its service; ``response_us``: from the end of that request, where the
     times are known. ``remarks``: what is out of order, for people.

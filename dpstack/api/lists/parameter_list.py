@@ -145,7 +145,7 @@ class ParameterPlace:
     index: int | None = None
 
     def as_dict(self) -> dict[str, int | str]:
-        """What is given of it."""
+        """The fields that have a value."""
         return {key: value for key, value in asdict(self).items() if value is not None}
 
 
@@ -292,7 +292,7 @@ def _compared(
 
 
 def _chosen(drive: Listing, data_set: int | None) -> list[ListedParam]:
-    """What is to be read. Raises UsageError for a data set that the drive does not have."""
+    """The parameters to be read. Raises UsageError for a data set that the drive does not have."""
     listed = drive.parameters
     sets = sorted({one.data_set for one in listed if one.data_set is not None})
     if data_set is not None and data_set not in sets:

@@ -321,7 +321,7 @@ class Connection(Sealed, RecordAccess):
 
     @property
     def reason(self) -> str | None:
-        """Who ended it and why; None while it is open."""
+        """The end that closed the connection, and its reason; None while it is open."""
         ending = self._ending
         return ending.over.reason if ending.over is not None else None if ending.lost is None else str(ending.lost)
 

@@ -60,6 +60,8 @@ def _transmissions(source: list[str]) -> Iterator[Transmission]:
             octets = from_hex(text)
         except UsageError as error:
             raise UsageError(f"{text!r} is no file here, and {error}") from None
+        if not octets:
+            raise UsageError("no octets to decode; give a file, octets such as 68 05 05 68, or -")
         yield from map(Transmission, split(octets))
 
 
@@ -68,7 +70,7 @@ def _show(one: Explained, *, json: bool) -> None:
         output.json_line(one.as_dict())
         return
     sent = one.transmission
-    time = "" if sent.t_ns is None else f"{sent.t_ns / NS_PER_S:.6f}  "
+    time = "" if sent.t_ns is None else f"{sent.t_ns // NS_PER_S}.{sent.t_ns % NS_PER_S:09}  "
     output.line(f"{one.number:>6}  {time}{sent.octets.hex(' ')}")
     output.line(f"        {one.text}")
     for name, value in one.fields.items():

@@ -43,7 +43,7 @@ DEFAULTS: Final = MasterSettings()
 
 
 class MasterContext:
-    """What the parts of a master share: bus parameters, settings, its mode, and the events for the application."""
+    """Shared by the parts of a master: bus parameters, settings, its mode, and the events for the application."""
 
     def __init__(self, params: BusParams, settings: MasterSettings) -> None:
         self.params = params

@@ -99,5 +99,5 @@ class TokenPass(Parts):
         self.exchange.late(telegram, now)
 
     def confirmed(self, telegram: Telegram, now: int) -> None:
-        """A telegram that is not ours: the token is elsewhere. What it says counts in Active_Idle."""
+        """A telegram of another station: the token is elsewhere. Active_Idle handles the telegram."""
         self.waiting.go_idle(now, telegram)

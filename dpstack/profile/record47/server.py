@@ -12,6 +12,7 @@ elements each, the last one is the number of the next list, 0 ends).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
@@ -47,15 +48,15 @@ _BUSY: Final = Refused(Code.STATE_CONFLICT)
 _HELD_NS: Final = 2_000_000_000
 
 
-class ParameterModel:
+class ParameterModel(ABC):
     """The parameters of a drive: one call for each parameter of a request."""
 
-    def read(self, address: Address) -> Result:
-        raise NotImplementedError
+    @abstractmethod
+    def read(self, address: Address) -> Result: ...
 
+    @abstractmethod
     def change(self, address: Address, values: Values) -> ErrorValue | None:
         """None when all values are written; else none is."""
-        raise NotImplementedError
 
     def describe(self, address: Address) -> Result:
         """The description, or one element of it; without an own method: there is none."""

@@ -39,6 +39,14 @@ def test_a_capture_with_its_times(capsys: Out, tmp_path: Path) -> None:
     assert "marked by the port: parity or framing; from 50 octets" in str(damaged["text"])
 
 
+def test_times_are_shown_to_the_nanosecond(capsys: Out, tmp_path: Path) -> None:
+    with (tmp_path / "a").open("wb") as file:
+        writer = Writer(file, "a test")
+        writer.packet(writer.interface("p", 500_000, ""), 1_790_000_000_123_456_789, b"\xe5")
+    assert main(["decode", str(tmp_path / "a")]) == 0
+    assert "     1  1790000000.123456789  e5\n" in capsys.readouterr().out
+
+
 def test_hex_digits_in_words(capsys: Out) -> None:
     assert main(["decode", *DIAG.split(), "AA"]) == 1
     out = capsys.readouterr().out
@@ -71,6 +79,7 @@ def test_a_filter_shows_what_fits_and_keeps_the_numbers(capsys: Out, tmp_path: P
     ("args", "text"),
     [
         (("nothing.pcapng",), "'nothing.pcapng' is no file here, and 'n' is no hex digit"),
+        (("",), "no octets to decode; give a file"),
         (("6",), "an octet has two hex digits, one is missing"),
     ],
 )
