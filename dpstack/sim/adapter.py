@@ -1,8 +1,8 @@
 """A station behind a USB serial adapter, in virtual time: delay and packing of octets.
 
-The adapter pumps its station as a driver on a serial port would; the adapter is added to the world. Received octets
-wait for a full packet or for the latency timer, and for the next USB frame. Octets that the host sends wait for a USB
-frame too, while the host assumes that they went on the wire at once.
+The adapter, not its station, is added to the world. It pumps its station as a driver on a serial port would. Received
+octets wait for a full packet or for the latency timer, and for the next USB frame. Octets that the host sends wait for
+a USB frame too, while the host assumes that they went on the wire at once.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from dpstack.units import NEVER, NOW, NS_PER_MS, chars_to_ns
 class Habits:
     """The behaviour of an adapter. Times in ns; the default has full-speed USB frames and a latency timer of 1 ms.
 
-    ``frame_ns``: octets go to and from the host only at multiples of this. ``latency_ns``: a packet that is not full
-    goes to the host so long after the one before it. ``packet``: octets of a full one. ``echo``: the station hears what
-    it sends.
+    ``frame_ns``: octets go to and from the host only at multiples of this. ``latency_ns``: the time between a packet
+    that is not full and the packet before it. ``packet``: octets of a full packet. ``echo``: the station hears its own
+    octets.
     """
 
     frame_ns: int = NS_PER_MS
@@ -40,22 +40,22 @@ class Habits:
             raise ConfigError(f"{self}: frame_ns and packet must be 1 or more, latency_ns 0 or more")
 
 
-#: an FTDI chip as it comes: 16 ms latency timer, 64-octet packets of which two are its status
+#: an FTDI chip as delivered: latency timer of 16 ms, packets of 64 octets of which two are its status
 FTDI: Final = Habits(latency_ns=16 * NS_PER_MS)
-#: the same with the latency timer at its least
+#: the same with the shortest latency timer, 1 ms
 FTDI_LOW_LATENCY: Final = Habits()
 
 
 class OwnOctets(Protocol):
-    """Removes a station's own octets from those that an adapter with echo delivers (drivers have one)."""
+    """Echo filter: removes a station's own octets from the octets that an adapter with echo delivers."""
 
     def sent(self, octets: bytes) -> None:
-        """``octets`` go out now."""
+        """The station sends ``octets`` now."""
 
     def strip(self, chunk: bytes) -> bytes: ...
 
     def release(self) -> bytes:
-        """The octets held back, when a deadline is due."""
+        """The octets that the filter has held back; called when a deadline is due."""
 
 
 class Adapter:
@@ -72,7 +72,7 @@ class Adapter:
         self._own = own
         self._fifo: deque[tuple[int, int]] = deque()  # end of the octet on the wire, octet
         self._packet_at = 0  # when the last packet went to the host
-        self._out: deque[tuple[int, bytes]] = deque()  # from when on it may go on the wire, octets
+        self._out: deque[tuple[int, bytes]] = deque()  # earliest time on the wire, octets
         self._sending = b""
         self._busy_until = 0  # end of the transmission under way
         self._host_at = NOW  # the station's deadline
@@ -100,7 +100,7 @@ class Adapter:
         return True
 
     def activity(self, now: int) -> None:
-        """Nothing: a port does not report edges."""
+        """Ignored: a port does not report edges."""
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         raise RuntimeError(f"an adapter was handed {telegram}: it takes octets only")
@@ -132,11 +132,11 @@ class Adapter:
 
     def wake_at(self) -> int:
         """The next packet for the host, octets for the wire, or the host's own deadline."""
-        return min(self._due(), self._start_at() if self._out else NEVER, self._host_at)
+        return min(self._packet_due(), self._start_at() if self._out else NEVER, self._host_at)
 
     def wake(self, now: int) -> None:
-        """Deliver what is due; octets before timers, as a driver does."""
-        while self._due() <= now:
+        """Deliver the packets that are due; octets before timers, as a driver does."""
+        while self._packet_due() <= now:
             self._deliver(now)
         if self._host_at <= now:
             held = self._own.release() if self._own is not None else b""
@@ -151,7 +151,7 @@ class Adapter:
         frame_ns = self.habits.frame_ns
         return -(-at // frame_ns) * frame_ns
 
-    def _due(self) -> int:
+    def _packet_due(self) -> int:
         """When the next packet goes to the host: full, or at the latency timer, which always runs."""
         fifo, habits = self._fifo, self.habits
         if not fifo:

@@ -1,4 +1,4 @@
-"""Faults on the medium, all from one seed: bit noise; chosen transmissions dropped, damaged or delayed."""
+"""Fault injection on the medium, with one seed: bit noise; transmissions dropped, damaged or delayed by choice."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from dpstack.phy.noise import BitNoise
 from dpstack.sim.transmission import Transmission
 from dpstack.units import BITS_PER_CHAR
 
-#: Chooses transmissions by sender, octets or telegram.
+#: selects transmissions by sender, octets or telegram
 Which = Callable[[Transmission], bool]
 
 _DATA_BIT_0: Final = 0x002
 
 
 @dataclass(slots=True)
-class _Order:
-    """A fault for the next ``left`` transmissions that ``which`` chooses; None = all of them."""
+class _Fault:
+    """A fault for the next ``left`` transmissions that ``which`` selects; None = all of them."""
 
     which: Which
     act: Callable[[Transmission], None]
@@ -33,7 +33,7 @@ class Faults:
     def __init__(self, seed: int) -> None:
         self.armed = False
         self._rng = Random(seed)
-        self._orders: list[_Order] = []
+        self._faults: list[_Fault] = []
         self._noise: BitNoise | None = None
 
     # --- commands ---
@@ -42,11 +42,11 @@ class Faults:
         if not 0.0 <= per_bit <= 0.5:
             raise ConfigError(f"noise of {per_bit} per bit: give a probability from 0 to 0.5")
         self._noise = BitNoise(per_bit, self._rng) if per_bit else None
-        self._rearm()
+        self._update_armed()
 
     def drop(self, which: Which, *, times: int | None = 1) -> None:
-        """Nobody hears the next ``times`` transmissions that ``which`` chooses (None = all)."""
-        self._order(which, _lose, times)
+        """Drop the next ``times`` transmissions that ``which`` selects (None = all): no station hears them."""
+        self._add(which, _drop, times)
 
     def damage(
         self, which: Which, *, octet: int | None = None, flips: int = _DATA_BIT_0, times: int | None = 1
@@ -65,10 +65,10 @@ class Faults:
             number = self._rng.randrange(size) if octet is None else octet % size
             tx.flips[number] = tx.flips.get(number, 0) ^ flips
 
-        self._order(which, act, times)
+        self._add(which, act, times)
 
     def delay(self, which: Which, by_ns: int, *, times: int | None = 1) -> None:
-        """The transmission begins ``by_ns`` later than its station wanted."""
+        """Begin the next ``times`` transmissions that ``which`` selects ``by_ns`` later than their stations wanted."""
         if by_ns < 0:
             raise ConfigError(f"a delay of {by_ns} ns: nothing can be sent before its time")
 
@@ -78,39 +78,39 @@ class Faults:
             tx.forced = True
             tx.notes.append("delayed")
 
-        self._order(which, act, times)
+        self._add(which, act, times)
 
     def clear(self) -> None:
-        self._orders.clear()
+        self._faults.clear()
         self._noise = None
-        self._rearm()
+        self._update_armed()
 
-    # --- called by the medium ---
-    def judge(self, tx: Transmission) -> None:
+    # --- for the medium ---
+    def apply(self, tx: Transmission) -> None:
         """Apply the faults to ``tx``: ``lost``, ``flips``, a later start."""
-        for order in list(self._orders):
-            if not order.which(tx):
+        for fault in list(self._faults):
+            if not fault.which(tx):
                 continue
-            order.act(tx)
-            if order.left is not None:
-                order.left -= 1
-                if not order.left:
-                    self._orders.remove(order)
-                    self._rearm()
+            fault.act(tx)
+            if fault.left is not None:
+                fault.left -= 1
+                if not fault.left:
+                    self._faults.remove(fault)
+                    self._update_armed()
         if self._noise is not None:
             for number, mask in self._noise.flips(len(tx.octets)).items():
                 tx.flips[number] = tx.flips.get(number, 0) ^ mask
 
-    def _order(self, which: Which, act: Callable[[Transmission], None], times: int | None) -> None:
+    def _add(self, which: Which, act: Callable[[Transmission], None], times: int | None) -> None:
         if times is not None and times < 1:
             raise ConfigError(f"times = {times}: give 1 or more, or None for all")
-        self._orders.append(_Order(which, act, times))
-        self._rearm()
+        self._faults.append(_Fault(which, act, times))
+        self._update_armed()
 
-    def _rearm(self) -> None:
-        self.armed = bool(self._orders) or self._noise is not None
+    def _update_armed(self) -> None:
+        self.armed = bool(self._faults) or self._noise is not None
 
 
-def _lose(tx: Transmission) -> None:
+def _drop(tx: Transmission) -> None:
     tx.lost = True
     tx.notes.append("dropped")

@@ -1,7 +1,7 @@
-"""Register of the stations on the medium: by address, by rate, and those that hear everything.
+"""Register of the stations on the medium: by address, by baud rate, and the listeners to all telegrams.
 
-The look-up of a receiver takes the same time for any number of slaves. Lists are replaced, never changed, so that a
-loop over one is not disturbed when a station comes or goes.
+The look-up of a receiver takes the same time for any number of slaves. A station that comes or goes replaces the lists
+and does not change them, so that a running loop over a list goes on undisturbed.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from dpstack.units import NEVER
 
 
 class Node:
-    """One station on the medium with its scheduling.
+    """A station on the medium and its entries in the event heap.
 
-    ``deadline`` is the last answer of its ``wake_at``, ``due`` when the world calls it (never later), and ``order`` its
-    place among those due at the same time. ``entry`` is its next entry in the event heap (never later than ``due``),
-    ``later`` are its other ones, the next one last. It hears transmissions that begin at ``hears_from`` or later: it
-    cannot hear while it sends.
+    ``deadline``: last result of the station's ``wake_at``. ``due``: time at which the world calls the station (never
+    after ``deadline``); ``order``: its place among the stations due at the same time. ``entry``: time of its next heap
+    entry (never after ``due``); ``later``: times of its other entries, the next one last. The station hears
+    transmissions that begin at ``hears_from`` or later, because it cannot hear while it sends.
     """
 
     def __init__(
@@ -29,7 +29,7 @@ class Node:
         self.station = station
         self.on_events = on_events
         self.address, self.baud, self.hears_all = station.address, station.baud, station.hears_all
-        #: a port, without telegrams and edges: it gets octets, each at its end
+        #: a port gets no telegrams and edges, but each octet at its end
         self.by_octets: bool = getattr(station, "by_octets", False)
         self.named = label is not None
         self.name = str(station.address) if label is None else label
@@ -48,11 +48,11 @@ def _not_connected(octets: bytes, now: int) -> int:
 class Nodes:
     def __init__(self) -> None:
         self._by_station: dict[int, Node] = {}
-        #: passive stations by address; two may have the same one
+        #: passive stations by address; two may have the same address
         self.by_address: dict[int, list[Node]] = {}
         self.by_rate: dict[int, list[Node]] = {}
         self.listeners: list[Node] = []
-        #: those that get single octets
+        #: the stations that get single octets
         self.ports: list[Node] = []
 
     def __iter__(self) -> Iterator[Node]:
@@ -68,29 +68,29 @@ class Nodes:
             self.ports = [*self.ports, node]
         elif node.hears_all:
             self.listeners = [*self.listeners, node]
-        self._enter(node)
+        self._index(node)
 
     def remove(self, node: Node) -> None:
         del self._by_station[id(node.station)]
         self.listeners = [other for other in self.listeners if other is not node]
         self.ports = [other for other in self.ports if other is not node]
-        self._leave(node)
+        self._unindex(node)
 
     def renew(self, node: Node) -> None:
         """The station's address or rate changed."""
-        self._leave(node)
+        self._unindex(node)
         node.address = node.station.address
         node.baud = node.station.baud
         if not node.named:
             node.name = str(node.address)
-        self._enter(node)
+        self._index(node)
 
-    def _enter(self, node: Node) -> None:
+    def _index(self, node: Node) -> None:
         self.by_rate[node.baud] = [*self.by_rate.get(node.baud, ()), node]
         if not node.hears_all:
             self.by_address[node.address] = [*self.by_address.get(node.address, ()), node]
 
-    def _leave(self, node: Node) -> None:
+    def _unindex(self, node: Node) -> None:
         _drop(self.by_rate, node.baud, node)
         if not node.hears_all:
             _drop(self.by_address, node.address, node)

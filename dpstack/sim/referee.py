@@ -1,7 +1,7 @@
 """The referee: watches every transmission and fails a run on broken timing or token rules.
 
-It knows only the wire and the bus parameters of the masters passed to :meth:`Referee.know`. A fault ordered from
-outside (injected octets, delayed transmissions) is no violation of a station; the stations' reactions are judged.
+It knows only the wire and the bus parameters of the masters passed to :meth:`Referee.know`. A fault that the test
+injects (octets, a delayed transmission) is no violation; the stations' reactions to it can be.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Violation:
 
 #: the kind of the last transmission; plain integers, because an enum's member costs ten times as much to look up
 _NOTHING: Final = 0
-_REQUEST: Final = 1  # its answer is awaited
+_REQUEST: Final = 1  # the requester waits for its answer
 _QUIET: Final = 2  # a request without answer
 _ANSWER: Final = 3
 _TOKEN: Final = 4
@@ -73,9 +73,9 @@ class _Pending(NamedTuple):
 
 
 class Referee:
-    """The referee of one wire. ``violations`` are those not allowed, ``allowed`` the others.
+    """The referee of one wire. ``violations``: those that the test has not allowed; ``allowed``: the others.
 
-    ``token_rules`` False: no rule about the token is judged (a scripted master without a ring).
+    ``token_rules`` False: it judges no rule about the token (for a scripted master without a ring).
     """
 
     def __init__(self, log: WireLog, start_ns: int = 0) -> None:
@@ -127,20 +127,20 @@ class Referee:
             lines += ["the last of the wire:", render(last, self._baud)]
         raise RefereeError("\n".join(lines))
 
-    # --- called by the medium ---
+    # --- for the medium ---
     def collision(self, late: Transmission, early: Transmission, heard_ns: int) -> None:
         """``late`` began while ``early`` was on the wire, whose last readable octet ended at ``heard_ns``."""
         if late.forced or early.forced or late.start_ns - heard_ns >= bits_to_ns(T_SYN, late.baud):
             return
         overlap = ns_to_bits(early.end_ns - late.start_ns, late.baud)
-        self._found(late, Rule.COLLISION, f"begins {overlap} bits before {early.sender} ends")
+        self._add_violation(late, Rule.COLLISION, f"begins {overlap} bits before {early.sender} ends")
 
-    def heard(self, tx: Transmission) -> None:
+    def ended(self, tx: Transmission) -> None:
         telegram = tx.telegram
         self._baud = tx.baud
         if tx.collided or tx.cut or telegram is None:
             if telegram is None and not (tx.collided or tx.cut or tx.forced):
-                self._found(tx, Rule.BROKEN, "the octets are not one telegram without gaps")
+                self._add_violation(tx, Rule.BROKEN, "the octets are not one telegram without gaps")
             self._pending = None
             after = _GARBAGE
         elif telegram.kind is _SD4:
@@ -160,9 +160,9 @@ class Referee:
     # --- rules ---
     def _request(self, tx: Transmission, telegram: Telegram) -> int:
         sa = telegram.sa
-        self._idle(tx, sa)
+        self._check_idle_time(tx, sa)
         if self.token_rules and (finding := self.tokens.request(sa, tx.node)) is not None:
-            self._found(tx, *finding)
+            self._add_violation(tx, *finding)
         if telegram.da == BROADCAST or telegram.fc & FC_FUNCTION in UNANSWERED:
             self._pending = None
             return _QUIET
@@ -178,9 +178,9 @@ class Referee:
             lacks = ""
             if silence < _ns(times.t_to, tx.baud):
                 lacks = f"after {ns_to_bits(silence, tx.baud)} bits of silence; its T_TO is {times.t_to}"
-        self._idle(tx, sa)
+        self._check_idle_time(tx, sa)
         if self.token_rules and (finding := self.tokens.token(sa, telegram.da, tx.node, lacks)) is not None:
-            self._found(tx, *finding)
+            self._add_violation(tx, *finding)
         self._pending = None
         return _TOKEN
 
@@ -188,23 +188,23 @@ class Referee:
         pending = self._pending
         self._pending = None
         if pending is None:
-            self._found(tx, Rule.UNASKED, "no request is open")
+            self._add_violation(tx, Rule.UNASKED, "no request is open")
             return _ANSWER
         if telegram.fc >= 0 and (telegram.sa != pending.da or telegram.da != pending.sa):
             text = f"{telegram.sa} answers {telegram.da}, the request was {pending.sa} -> {pending.da}"
-            self._found(tx, Rule.UNASKED, text)
+            self._add_violation(tx, Rule.UNASKED, text)
             return _ANSWER
         waited = tx.start_ns - pending.end_ns
         if waited < _ns(MIN_TSDR, tx.baud):
             text = f"{ns_to_bits(waited, tx.baud)} bits after the request; min T_SDR is {MIN_TSDR}"
-            self._found(tx, Rule.EARLY, text)
+            self._add_violation(tx, Rule.EARLY, text)
         times = self._masters.get(pending.sa)
         if times is not None and waited >= _ns(times.t_sl, tx.baud):
             text = f"{ns_to_bits(waited, tx.baud)} bits after the request; T_SL of {pending.sa} is {times.t_sl}"
-            self._found(tx, Rule.LATE, text)
+            self._add_violation(tx, Rule.LATE, text)
         return _ANSWER
 
-    def _idle(self, tx: Transmission, sa: int) -> None:
+    def _check_idle_time(self, tx: Transmission, sa: int) -> None:
         """Check the silence before a request or token."""
         after = self._after
         if after == _NOTHING:
@@ -212,7 +212,7 @@ class Referee:
         rule, need, name = _IDLE, T_SYN, "T_SYN"
         times = self._masters.get(sa)
         if times is not None:
-            if self._waits(sa):
+            if self._waits_for_slot_time(sa):
                 rule, need, name = Rule.SLOT, times.t_sl, "T_SL"
             elif after in (_ANSWER, _TOKEN):
                 need, name = times.t_id1, "T_ID1"
@@ -221,9 +221,9 @@ class Referee:
         silence = tx.start_ns - self._last_end
         if silence < _ns(need, tx.baud):
             text = f"begins after {ns_to_bits(silence, tx.baud)} bits of silence; {name} is {need}"
-            self._found(tx, rule, text)
+            self._add_violation(tx, rule, text)
 
-    def _waits(self, sa: int) -> bool:
+    def _waits_for_slot_time(self, sa: int) -> bool:
         """Whether ``sa`` waits for an answer, or for its successor to use the token."""
         if self._after == _REQUEST:
             return self._pending is not None and self._pending.sa == sa
@@ -238,7 +238,7 @@ class Referee:
             self._excused_until = tx.end_ns + bits_to_ns(_DISORDER * t_sl, tx.baud)
             tx.notes.append(f"heard as the token {heard.sa} -> {heard.da}")
 
-    def _found(self, tx: Transmission, rule: Rule, text: str) -> None:
+    def _add_violation(self, tx: Transmission, rule: Rule, text: str) -> None:
         if tx.forced or tx.start_ns < self._excused_until:
             return
         violation = Violation(tx.start_ns, rule, tx.sender, text)

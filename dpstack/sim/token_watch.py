@@ -38,7 +38,7 @@ class Finding(NamedTuple):
 
 @dataclass(slots=True)
 class _Offer:
-    """A token that was sent ``tries`` times and that ``da`` has not used yet."""
+    """A token that ``sa`` has sent ``tries`` times and that ``da`` has not used yet."""
 
     sa: int
     da: int
@@ -46,17 +46,17 @@ class _Offer:
 
 
 class TokenWatch:
-    """The holder of the token. ``ring``: the stations that have used it and that their predecessor has not given up."""
+    """The token rules of one wire. ``ring``: the stations that have used the token and still get it."""
 
     def __init__(self) -> None:
         self.holder: int | None = None
         self.ring: set[int] = set()
-        self._node: Node | None = None  # two stations may have one address
+        self._node: Node | None = None  # of the holder: two stations may have one address
         self._offer: _Offer | None = None
 
     @property
     def offered_by(self) -> int | None:
-        """The station that waits for its successor to use the token."""
+        """The station that has passed the token and waits for its successor to use it."""
         return None if self._offer is None else self._offer.sa
 
     def request(self, sa: int, node: Node | None) -> Finding | None:
@@ -64,41 +64,41 @@ class TokenWatch:
         if offer is not None and sa == offer.sa and self.holder == sa:
             self._offer = None
             return Finding(Rule.RIGHT, f"station {sa} sends a request after it passed the token to {offer.da}")
-        finding = self._turn(sa, node, "sends a request")
+        finding = self._check_holder(sa, node, "sends a request")
         if finding is not None:
-            self._take(sa, node)
+            self._set_holder(sa, node)
         return finding
 
     def token(self, sa: int, da: int, node: Node | None, lacks: str | None = None) -> Finding | None:
         """``sa`` sends the token to ``da``.
 
-        ``lacks``: what is missing for a claim, "" where the bus was silent for T_TO, None where its T_TO is unknown.
+        ``lacks``: the reason why ``sa`` may not claim the token; "" after a silence of T_TO, None if T_TO is unknown.
         """
         finding = None
         if sa == da and lacks == "":
             self._claim(sa, node)
         else:
-            finding = self._turn(sa, node, f"passes the token to {da}")
+            finding = self._check_holder(sa, node, f"passes the token to {da}")
         if finding is not None:
             if sa != da:
                 finding = Finding(Rule.TWO_TOKENS, finding.text)
             elif finding.rule is Rule.RIGHT:
                 finding = Finding(Rule.CLAIM, f"station {sa} claims the token {lacks}") if lacks else None
             self._claim(sa, node)
-        order = self._order(sa, da)
+        order = self._check_order(sa, da)
         tries = 1 + (self._offer.tries if self._offer is not None and self._offer.da == da else 0)
         self._offer = None if sa == da else _Offer(sa, da, tries)
         return finding or order
 
     def _claim(self, sa: int, node: Node | None) -> None:
-        self._take(sa, node)
+        self._set_holder(sa, node)
         self.ring = {sa}
 
-    def _turn(self, sa: int, node: Node | None, does: str) -> Finding | None:
+    def _check_holder(self, sa: int, node: Node | None, does: str) -> Finding | None:
         """Check that ``sa`` may send; its sending confirms that it has received the token."""
         offer = self._offer
         if offer is not None and sa == offer.da:
-            self._take(sa, node)
+            self._set_holder(sa, node)
             self.ring |= {offer.sa, sa}
             return None
         if sa != self.holder:
@@ -110,12 +110,12 @@ class TokenWatch:
             )
         return None
 
-    def _take(self, sa: int, node: Node | None) -> None:
+    def _set_holder(self, sa: int, node: Node | None) -> None:
         self.holder = sa
         self._node = node
         self._offer = None
 
-    def _order(self, sa: int, da: int) -> Finding | None:
+    def _check_order(self, sa: int, da: int) -> Finding | None:
         offer = self._offer
         if offer is not None and offer.da != da:
             self.ring.discard(offer.da)

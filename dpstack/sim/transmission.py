@@ -1,4 +1,4 @@
-"""One transmission: octets of one sender on the wire, and what receivers at its rate get of damaged ones.
+"""A transmission: octets of one sender on the wire, and the octets that receivers at the same rate get of it.
 
 Receivers at another rate sample the waveform (:mod:`dpstack.phy.uart`).
 """
@@ -22,9 +22,9 @@ _decode: Final = lru_cache(1_024)(decode)
 class Transmission:
     """Octets of one sender on the wire, without gaps. ``telegram`` is None when they are not exactly one.
 
-    ``forced``: injected or delayed from outside, so no station is responsible. ``flips``: inverted bits by octet number
-    (see :func:`dpstack.phy.uart.flipped`). ``lost``: not on the wire at all. ``whole``: intact so far for everybody at
-    its rate. ``heard_ns``: the end of its last readable octet.
+    ``forced``: a test injected or delayed it, so no station is responsible. ``flips``: inverted bits by octet number
+    (see :func:`dpstack.phy.uart.flipped`). ``lost``: it is not on the wire at all. ``whole``: so
+    far it is intact for all receivers at its rate. ``heard_ns``: the end of its last readable octet.
     """
 
     def __init__(self, node: Node | None, sender: str, octets: bytes, baud: int, start_ns: int, end_ns: int) -> None:

@@ -1,34 +1,331 @@
-"""The virtual world: stations on one medium, in integer nanoseconds, driven by a heap of events.
+"""The virtual world: stations on one simulated bus line, in integer nanoseconds, driven by a heap of events.
 
-Deterministic: the same seed, stations and orders give the same wire log to the nanosecond. Every station is driven
-through :func:`dpstack.machine.pump` and nothing else: on input, when its deadline is reached, after commands.
+Deterministic: the same seed, stations and orders give the same wire log to the nanosecond. The world drives every
+station through :func:`dpstack.machine.pump` and nothing else: on input, at its deadline, after commands.
+
+The medium decodes a telegram once if all stations receive it intact, and delivers it whole when its last bit is on the
+line. In other cases it delivers octets one by one: noise, a collision, another baud rate, octets that are no telegram,
+a sender that is cut off.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from heapq import heappop, heappush
-from typing import Any
+from random import Random
+from typing import Any, Final
 
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import BusStation
 from dpstack.machine import pump
-from dpstack.params import BusParams
+from dpstack.params import BROADCAST, BusParams
+from dpstack.phy.uart import Receiver, waveform
 from dpstack.sim.faults import Faults
-from dpstack.sim.medium import EDGES, ORDERS, TIMERS, Medium
 from dpstack.sim.nodes import Node, Nodes
 from dpstack.sim.referee import Referee
-from dpstack.trace import Event, WireLog
-from dpstack.units import NEVER
+from dpstack.sim.transmission import Heard, Transmission, complete, garbled, receive
+from dpstack.trace import Event, WireEntry, WireLog
+from dpstack.units import NEVER, chars_to_ns
 
 Callback = Callable[[Any], None]
+
+# Order of events in the same nanosecond: octets, ends of transmissions, commands from outside, timers, start edges.
+# A start edge cannot hold back a station whose timer ends at the same instant: both send.
+_OCTETS: Final = 0
+_ENDS: Final = 1 << 59
+_ORDERS: Final = 1 << 60
+_TIMERS: Final = 2 << 60
+_EDGES: Final = 3 << 60
+
+_LENGTHS: Final = 256
+_NEW: Final = tuple.__new__  # NamedTuple's own constructor costs twice as much
+
+
+@dataclass(slots=True, eq=False)
+class _Stream:
+    """Octets of ``tx`` that the stations at ``rate`` get one by one; ``ports_only``: the telegram is intact."""
+
+    tx: Transmission
+    rate: int
+    heard: list[Heard]
+    ports_only: bool = False
+    index: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class _Jam:
+    """A collision: one garbled character after another until the last transmission has ended."""
+
+    baud: int
+    start_ns: int
+    until_ns: int
+    count: int = 0
+
+    def end_of(self, count: int) -> int:
+        return self.start_ns + chars_to_ns(count, self.baud)
+
+
+class Medium:
+    """One bus line. ``transmissions``: number of transmissions begun; ``baud``: rate of the last one."""
+
+    def __init__(self, world: World, nodes: Nodes, seed: int) -> None:
+        self.transmissions = 0
+        self.baud = 0
+        #: transmissions whose start edge is not yet announced to the stations
+        self.starting: list[Transmission] = []
+        self._world = world
+        self._nodes = nodes
+        self._log = world.log
+        self._faults = world.faults
+        self._referee = world.referee
+        self._rng = Random(seed)
+        self._durations: dict[int, list[int]] = {}
+        self._current: Transmission | None = None  # the one on the wire that ends last
+        self._jam: _Jam | None = None
+        self._receivers: dict[int, Receiver] = {}  # by rate, of stations at another rate than the sender's
+        self._octet_ns = 0  # end of the last octet that was delivered outside of a whole telegram
+
+    # --- sending ---
+    def transmit(self, node: Node, octets: bytes, now: int) -> int:
+        """``node`` puts ``octets`` on the line at ``now``; returns the end of the last bit in ns."""
+        if node.sending_until > now:
+            raise RuntimeError(f"station {node.name} sends {octets.hex(' ')} while it is still sending")
+        baud = node.baud
+        tx = Transmission(node, node.name, octets, baud, now, now + self.duration(len(octets), baud))
+        if self._faults.armed:
+            self._faults.apply(tx)
+        if node.mute_until > now:
+            tx.lost = True
+            tx.notes.append("silenced")
+        end = node.sending_until = tx.end_ns
+        if end > node.hears_from:
+            node.hears_from = end
+        self._start_or_schedule(tx, now)
+        return end
+
+    def inject(self, octets: bytes, baud: int, now: int, sender: str) -> None:
+        """Put ``octets`` that no station sends on the line at ``now``."""
+        tx = Transmission(None, sender, octets, baud, now, now + self.duration(len(octets), baud))
+        if self._faults.armed:
+            self._faults.apply(tx)
+        self._start_or_schedule(tx, now)
+
+    def cut(self, node: Node, now: int) -> None:
+        """End the transmission of ``node``, which is unplugged: no station receives an unfinished octet."""
+        tx = self._current
+        if tx is None or tx.node is not node or tx.end_ns <= now:
+            return
+        sent = tx.octets[: complete(now - tx.start_ns, tx.baud, len(tx.octets))]
+        tx.notes.append(f"cut off after {len(sent)} of {len(tx.octets)} octets")
+        whole, tx.whole = tx.whole, False
+        if whole:
+            self._octet_ns = now
+        tx.octets = sent
+        tx.telegram = None
+        tx.end_ns = now
+        tx.cut = True
+        self._record(tx)
+        self._current = None
+        if whole and sent:
+            self._deliver_octets(sent, tx.baud, tx.start_ns, ports=False)
+
+    def duration(self, size: int, baud: int) -> int:
+        """The time of ``size`` octets on the wire in ns, from a table."""
+        table = self._durations.get(baud)
+        if table is None:
+            table = self._durations[baud] = [chars_to_ns(n, baud) for n in range(_LENGTHS)]
+        return table[size] if size < _LENGTHS else chars_to_ns(size, baud)
+
+    def edge(self, tx: Transmission) -> None:
+        """Announce the start edge of ``tx`` to the stations."""
+        if tx.cut:
+            return
+        now = tx.start_ns
+        update_deadline = self._world.update_deadline
+        for node in self._nodes.listeners:
+            if node.hears_from <= now:
+                node.station.activity(now)
+                update_deadline(node)
+        if tx.telegram is not None:
+            for node in self._nodes.by_address.get(tx.telegram.da, ()):
+                if node.hears_from <= now and node.baud == tx.baud:
+                    node.station.activity(now)
+                    update_deadline(node)
+
+    # --- the line ---
+    def _start_or_schedule(self, tx: Transmission, now: int) -> None:
+        if tx.lost:
+            self._world.schedule(tx.end_ns, _ENDS, self._transmission_ended, tx)
+        elif tx.start_ns > now:
+            self._world.schedule(tx.start_ns, _TIMERS, self._begin_late, tx)
+        else:
+            self._begin(tx)
+
+    def _begin_late(self, tx: Transmission) -> None:
+        if tx.node is None or tx.node.on_bus:
+            self._begin(tx)
+
+    def _begin(self, tx: Transmission) -> None:
+        self.transmissions += 1
+        baud = self.baud = tx.baud
+        self._world.schedule(tx.end_ns, _ENDS, self._transmission_ended, tx)
+        self.starting.append(tx)
+        before = self._current
+        if before is not None and before.end_ns > tx.start_ns:
+            self._collide(tx, before)
+            if tx.end_ns > before.end_ns:
+                self._current = tx
+            return
+        self._current = tx
+        self._octet_ns = tx.start_ns
+        if tx.flips:
+            tx.notes.append("damaged")
+        tx.whole = not tx.flips and tx.telegram is not None
+        if not tx.whole or self._nodes.ports:
+            self._schedule_octets(_Stream(tx, baud, receive(tx.octets, baud, tx.flips), ports_only=tx.whole))
+        rates = self._nodes.by_rate
+        if len(rates) > 1 or baud not in rates:
+            self._sample_at_other_rates(tx)
+
+    def _transmission_ended(self, tx: Transmission) -> None:
+        """The last bit of ``tx`` is on the line."""
+        if tx.cut:
+            return
+        self._record(tx)
+        if tx.whole:
+            self._deliver_telegram(tx)
+
+    def _record(self, tx: Transmission) -> None:
+        if self._referee is not None and not tx.lost:
+            if not tx.whole:
+                tx.heard_ns = self._octet_ns
+            self._referee.ended(tx)
+        notes = "; ".join(tx.notes) if tx.notes else ""
+        self._log.add(_NEW(WireEntry, (tx.start_ns, tx.end_ns, tx.octets, tx.sender, notes)))
+
+    def _deliver_telegram(self, tx: Transmission) -> None:
+        telegram = tx.telegram
+        assert telegram is not None
+        start = tx.start_ns
+        end = tx.end_ns
+        baud = tx.baud
+        nodes = self._nodes
+        da = telegram.da
+        others = nodes.by_rate.get(baud, []) if da == BROADCAST else nodes.by_address.get(da, [])
+        heard: list[Node] = []
+        for node in nodes.listeners:
+            if node.hears_from <= start and node.baud == baud:
+                heard.append(node)
+                node.station.telegram(telegram, end)
+        for node in others:  # the sender hears only later transmissions; listeners already have the telegram
+            if node.hears_from <= start and node.baud == baud and not node.hears_all:
+                heard.append(node)
+                node.station.telegram(telegram, end)
+        pump_station = self._world.pump_station
+        for node in heard:
+            pump_station(node, b"")
+
+    def _deliver_octets(self, octets: bytes, rate: int, since: int, *, ports: bool = True, others: bool = True) -> None:
+        """Deliver ``octets`` to the stations at ``rate``: to ``ports``, and to all ``others``."""
+        pump_station = self._world.pump_station
+        for node in self._nodes.by_rate.get(rate, ()):
+            if node.hears_from <= since and node.on_bus and (ports if node.by_octets else others):
+                pump_station(node, octets)
+
+    # --- octet by octet ---
+    def _sample_at_other_rates(self, tx: Transmission) -> None:
+        """Deliver the characters that receivers at other rates read in ``tx``."""
+        levels = waveform(tx.octets, tx.flips)
+        for rate in self._nodes.by_rate:
+            if rate == tx.baud:
+                continue
+            receiver = self._receivers.get(rate)
+            if receiver is None:
+                receiver = self._receivers[rate] = Receiver(rate)
+            got = receiver.hear(tx.start_ns, levels, tx.baud)
+            self._schedule_octets(_Stream(tx, rate, [(c.at_ns - tx.start_ns, c.octet) for c in got if c.good]))
+            if receiver.due < NEVER:
+                self._world.schedule(receiver.due, _OCTETS, self._deliver_late_character, (receiver, tx.start_ns))
+
+    def _deliver_late_character(self, late: tuple[Receiver, int]) -> None:
+        """Deliver a character that ends after its transmission, unless another transmission has begun in it."""
+        receiver, since = late
+        for char in receiver.idle(self._world.now):
+            if char.good:
+                self._deliver_octets(bytes((char.octet,)), receiver.baud, since)
+
+    def _schedule_octets(self, stream: _Stream) -> None:
+        if stream.heard:
+            self._world.schedule(stream.tx.start_ns + stream.heard[0][0], _OCTETS, self._deliver_octet, stream)
+
+    def _deliver_octet(self, stream: _Stream) -> None:
+        tx = stream.tx
+        if tx.collided or tx.cut:
+            return
+        offset, octet = stream.heard[stream.index]
+        at_ns = tx.start_ns + offset
+        stream.index += 1
+        if stream.index < len(stream.heard):
+            at = tx.start_ns + stream.heard[stream.index][0]
+            self._world.schedule(at, _OCTETS, self._deliver_octet, stream)
+        if stream.ports_only:
+            self._deliver_octets(bytes((octet,)), stream.rate, tx.start_ns, others=False)
+            return
+        if stream.rate == tx.baud:
+            self._octet_ns = at_ns
+        self._deliver_octets(bytes((octet,)), stream.rate, tx.start_ns)
+
+    def _collide(self, late: Transmission, early: Transmission) -> None:
+        """Garble both transmissions from here to the end of the longer one."""
+        now = late.start_ns
+        if self._referee is not None:
+            self._referee.collision(late, early, now if early.whole else self._octet_ns)
+        if not early.collided:
+            early.collided = True
+            early.notes.append("collision")
+            if early.whole:
+                early.whole = False
+                self._octet_ns = now
+                self._world.schedule(now, _OCTETS, self._deliver_complete_octets, (early, now))
+        late.collided = True
+        late.notes.append("collision")
+        for receiver in self._receivers.values():
+            receiver.reset()
+        until = max(early.end_ns, late.end_ns)
+        jam = self._jam
+        if jam is not None and jam.until_ns > now:
+            jam.until_ns = max(until, jam.until_ns)
+            return
+        self._jam = jam = _Jam(late.baud, now, until)
+        self._world.schedule(jam.end_of(1), _OCTETS, self._deliver_garbled_octet, jam)
+
+    def _deliver_complete_octets(self, collision: tuple[Transmission, int]) -> None:
+        """Deliver the octets of a telegram that were complete before the collision."""
+        tx, at = collision
+        sent = complete(at - tx.start_ns, tx.baud, len(tx.octets))
+        if sent:
+            self._deliver_octets(tx.octets[:sent], tx.baud, tx.start_ns, ports=False)
+
+    def _deliver_garbled_octet(self, jam: _Jam) -> None:
+        since = jam.end_of(jam.count)
+        jam.count += 1
+        if jam.end_of(jam.count + 1) <= jam.until_ns:
+            self._world.schedule(jam.end_of(jam.count + 1), _OCTETS, self._deliver_garbled_octet, jam)
+        octet = garbled(self._rng)
+        if octet is None:
+            return
+        self._octet_ns = jam.end_of(jam.count)
+        for node in self._nodes:
+            if node.hears_from <= since and node.on_bus:
+                self._world.pump_station(node, bytes((octet,)))
 
 
 class World:
     """A bus and its stations in virtual time; ``now`` in ns begins at ``start_ns``.
 
-    ``seed`` of all random faults. With ``referee`` the wire is checked: call ``world.referee.check()`` at the end.
+    ``seed``: of all random faults. With ``referee`` one checks the wire: call ``world.referee.check()`` at the end.
     ``log`` keeps the last ``keep`` transmissions.
     """
 
@@ -40,8 +337,8 @@ class World:
         self._heap: list[tuple[int, int, Callback, Any]] = []
         self._count = 0
         self._nodes = Nodes()
-        self._medium = Medium(self, self._nodes, self.log, self.faults, self.referee, 2 * seed + 1)
-        self._on_due: Callback = self._due
+        self._medium = Medium(self, self._nodes, 2 * seed + 1)
+        self._on_timer: Callback = self._run_timer
 
     @property
     def transmissions(self) -> int:
@@ -57,9 +354,9 @@ class World:
     def add(
         self, station: BusStation, *, name: str | None = None, on_events: Callable[[list[Event]], None] | None = None
     ) -> None:
-        """Connect ``station``, now. ``name``: its name in the wire log (default: its address).
+        """Connect ``station`` now. ``name``: its name in the wire log (default: its address).
 
-        ``on_events`` is called with the station's events as they happen. Two stations may have one address.
+        The world calls ``on_events`` with the station's events as they happen. Two stations may have one address.
         """
         if self._nodes.find(station) is not None:
             raise UsageError(f"station {station.address} is on this bus already")
@@ -69,10 +366,10 @@ class World:
         params = getattr(station, "params", None)
         if self.referee is not None and node.hears_all and isinstance(params, BusParams):
             self.referee.know(params)
-        self.settle(node, b"")
+        self.pump_station(node, b"")
 
     def remove(self, station: BusStation) -> None:
-        """Disconnect ``station``, or switch it off: at once, also in the middle of a telegram."""
+        """Disconnect ``station`` at once, even in the middle of a telegram."""
         node = self._node(station)
         self._nodes.remove(node)
         node.on_bus = False
@@ -82,35 +379,35 @@ class World:
         """Pass ``command`` to the station and pump it."""
         node = self._node(station)
         station.command(command, self.now)
-        self.settle(node, b"")
+        self.pump_station(node, b"")
 
     def poke(self, station: BusStation) -> None:
         """Pump the station after a change from outside (its address, its application)."""
-        self.settle(self._node(station), b"")
+        self.pump_station(self._node(station), b"")
 
     def silence(self, station: BusStation, for_ns: int, *, deaf: bool = False) -> None:
-        """For ``for_ns`` nothing that the station sends reaches the wire; ``deaf``: it does not hear either."""
+        """Keep all octets of the station off the wire for ``for_ns``; ``deaf``: it receives none either."""
         node = self._node(station)
         node.mute_until = self.now + for_ns
         if deaf:
             node.hears_from = max(node.hears_from, node.mute_until)
 
     def inject(self, octets: bytes, *, baud: int | None = None, sender: str = "injected") -> None:
-        """Put ``octets`` of no station on the line now; ``baud`` None is the common rate of the stations."""
+        """Put ``octets`` that no station sends on the line now; ``baud`` None: the common rate of the stations."""
         rates = self._nodes.by_rate
         if baud is None:
             if len(rates) != 1:
                 raise UsageError(f"stations at {len(rates)} baud rates: say at which one to inject")
             (baud,) = rates
         self._medium.inject(octets, baud, self.now, sender)
-        self._announce()
+        self._announce_edges()
 
     # --- time ---
     def call_at(self, at_ns: int, callback: Callable[[], None]) -> None:
         """Call ``callback`` when the world's time is ``at_ns`` (after the octets that end then, before timers)."""
         if at_ns < self.now:
             raise UsageError(f"call_at({at_ns}): the world's time is {self.now} already")
-        self.schedule(at_ns, ORDERS, _call, callback)
+        self.schedule(at_ns, _ORDERS, _call, callback)
 
     def next_at(self) -> int:
         """The time of the next event in ns; NEVER when there is none."""
@@ -118,14 +415,14 @@ class World:
         return heap[0][0] if heap else NEVER
 
     def step(self) -> None:
-        """Run the next event, whenever it is. Raises UsageError when there is none."""
+        """Advance to the next event and run it. Raises UsageError when there is none."""
         if not self._heap:
             raise UsageError("nothing will ever happen in this world: no station waits for a time, nothing is sent")
         self.now, _, call, argument = heappop(self._heap)
         call(argument)
 
     def run_until(self, at_ns: int) -> None:
-        """Run every event up to and including ``at_ns``; then that is the time."""
+        """Run every event up to and including ``at_ns`` and advance to that time."""
         heap = self._heap
         while heap and heap[0][0] <= at_ns:
             self.now, _, call, argument = heappop(heap)
@@ -138,9 +435,9 @@ class World:
         self.run_until(self.now + ns)
 
     def run(self, until_ns: int, stop: Callable[[], bool]) -> bool:
-        """Like :meth:`run_until`, but ends after the event after which ``stop()`` is true, at its time.
+        """Run like :meth:`run_until`, but end with the event after which ``stop()`` is true, at its time.
 
-        ``until_ns`` may be NEVER. True when it was stopped.
+        ``until_ns`` may be NEVER. Returns whether ``stop()`` ended the run.
         """
         heap = self._heap
         while heap and heap[0][0] <= until_ns:
@@ -152,13 +449,13 @@ class World:
             self.now = until_ns
         return False
 
-    # --- called by the medium ---
+    # --- for the medium ---
     def schedule(self, at: int, order: int, call: Callback, argument: object) -> None:
         """Call ``call(argument)`` at ``at``; ``order`` decides between those of the same nanosecond."""
         self._count += 1
         heappush(self._heap, (at, order + self._count, call, argument))
 
-    def settle(self, node: Node, chunk: bytes) -> None:
+    def pump_station(self, node: Node, chunk: bytes) -> None:
         """Pump the station with ``chunk`` (may be empty), schedule its deadline, pass on its events."""
         if not node.on_bus:
             return
@@ -173,13 +470,13 @@ class World:
         if deadline < node.due:
             self._arm(node)
         if self._medium.starting:
-            self._announce()
+            self._announce_edges()
         events = station.take_events()
         if events and node.on_events is not None:
             node.on_events(events)
 
-    def rearm(self, node: Node) -> None:
-        """Schedule the station after a call that sends nothing: only its deadline may have changed."""
+    def update_deadline(self, node: Node) -> None:
+        """Schedule the station after a call in which it cannot send: only its deadline may have changed."""
         node.deadline = node.station.wake_at()
         if node.deadline < node.due:
             self._arm(node)
@@ -188,7 +485,7 @@ class World:
     def _arm(self, node: Node) -> None:
         """Call the station earlier: at its deadline. It gets a new heap entry only where it has none before that.
 
-        Later entries stay: a watchdog that every exchange postpones has one entry, not one for each exchange.
+        Later entries stay: a watchdog that every exchange postpones has one heap entry, not one for each exchange.
         """
         due = node.deadline
         if due < self.now:
@@ -197,38 +494,38 @@ class World:
             return
         node.due = due
         self._count += 1
-        node.order = TIMERS + self._count
+        node.order = _TIMERS + self._count
         if due < node.entry:
-            self._enter(node)
+            self._push_timer(node)
 
-    def _enter(self, node: Node) -> None:
+    def _push_timer(self, node: Node) -> None:
         node.later.append(node.entry)
         node.entry = node.due
-        heappush(self._heap, (node.due, node.order, self._on_due, node))
+        heappush(self._heap, (node.due, node.order, self._on_timer, node))
 
-    def _due(self, node: Node) -> None:
+    def _run_timer(self, node: Node) -> None:
         if not node.on_bus:
             return
         node.entry = node.later.pop()
         if node.due > self.now:  # postponed
             if node.due < node.entry:
-                self._enter(node)
+                self._push_timer(node)
             return
         node.due = NEVER
         if node.deadline > self.now:
             if node.deadline < NEVER:
                 self._arm(node)
         else:
-            self.settle(node, b"")
+            self.pump_station(node, b"")
 
-    def _announce(self) -> None:
+    def _announce_edges(self) -> None:
         """Announce start edges, after all other events of this instant."""
         medium = self._medium
         starting, medium.starting = medium.starting, []
         heap = self._heap
         for tx in starting:
             if heap and heap[0][0] <= self.now:
-                self.schedule(self.now, EDGES, medium.edge, tx)
+                self.schedule(self.now, _EDGES, medium.edge, tx)
             else:
                 medium.edge(tx)
 
