@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bus_kit import IDENT, PPO1, mirror
-from support import MS, S, WorldFactory
+from support import MS, KeepsEvents, S, WorldFactory
 
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
@@ -33,7 +33,7 @@ def slave(address: int, **changes: Any) -> SlaveParams:
 
 
 @dataclass
-class CycleBus:
+class CycleBus(KeepsEvents):
     """A master with ``setups`` in Operate in ``world``; ``silent`` addresses have no slave. Everything is kept."""
 
     world: World
@@ -63,16 +63,27 @@ class CycleBus:
         )
         self.station.wire = self.wire.append
         self.world.add(self.station, on_events=self.events.extend)
-        self.world.command(self.station, GoOnline())
-        self.world.command(self.station, SetMode(Mode.OPERATE))
+        self.send(GoOnline())
+        self.send(SetMode(Mode.OPERATE))
+
+    def send(self, order: object) -> None:
+        """Give the master's station an order now."""
+        self.world.command(self.station, order)
+
+    def run(self, ns: int) -> None:
+        """Let ``ns`` pass."""
+        self.world.run_for(ns)
+
+    def state(self, address: int) -> SlaveState:
+        """The state of one slave."""
+        return self.master.handlers[address].state
 
     def until_exchanging(self, within_ns: int = 5 * S) -> None:
         """Run until all slaves that are there are in data exchange."""
         end = self.world.now + within_ns
-        handlers = self.master.handlers
-        while not all(handlers[a].state is SlaveState.DATA_EXCHANGE for a in self.slaves):
-            assert self.world.now < end, {a: h.state.value for a, h in handlers.items()}
-            self.world.run_for(MS)
+        while not all(self.state(address) is SlaveState.DATA_EXCHANGE for address in self.slaves):
+            assert self.world.now < end, {a: h.state.value for a, h in self.master.handlers.items()}
+            self.run(MS)
 
     def quiet(self) -> None:
         """What was kept so far is forgotten; books too."""
@@ -108,6 +119,6 @@ def running(world: WorldFactory, *setups: Any, cycle_ns: int = 4 * MS, **more: A
     """A bus whose slaves are in data exchange, a little later."""
     bus = CycleBus(world(), P500, setups or (slave(5), slave(6)), cycle_ns, **more)
     bus.until_exchanging()
-    bus.world.run_for(20 * MS)
+    bus.run(20 * MS)
     bus.quiet()
     return bus

@@ -6,8 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from support import KeepsEvents
+
 from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveFaulted, SlaveRemark, SlaveState, SlaveStateChanged
+from dpstack.dp.master.events import Fault, SlaveFaulted, SlaveRemark, SlaveState, SlaveStateChanged
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
@@ -69,7 +71,7 @@ class ScriptedSlave:
 
 
 @dataclass
-class ScriptedLink:
+class ScriptedLink(KeepsEvents):
     """Grants holds every ``period`` ns; every request takes ``step`` ns."""
 
     master: Master
@@ -107,17 +109,31 @@ class ScriptedLink:
         while self.now < end:
             self.hold()
 
+    def send(self, order: object) -> None:
+        """Give the master an order now."""
+        self.master.command(order, self.now)
+
+    def state(self, address: int) -> SlaveState:
+        """The state of one slave."""
+        return self.master.handlers[address].state
+
     def states(self, address: int) -> list[str]:
-        """The states the slave went through, as told."""
-        return [e.state.value for e in self.events if isinstance(e, SlaveStateChanged) and e.address == address]
+        """All states of one slave, as its events report them."""
+        return [e.state.value for e in self.events_of(SlaveStateChanged) if e.address == address]
+
+    def fault(self, address: int) -> Fault:
+        """The last fault of one slave."""
+        fault = self.master.handlers[address].fault
+        assert fault is not None
+        return fault
 
     def faults(self, address: int) -> list[str]:
-        """The fault kinds told of the slave."""
-        return [e.fault.kind.value for e in self.events if isinstance(e, SlaveFaulted) and e.address == address]
+        """The kinds of all reported faults of one slave."""
+        return [e.fault.kind.value for e in self.events_of(SlaveFaulted) if e.address == address]
 
     def remarks(self, address: int) -> list[str]:
-        """The remarks told of the slave."""
-        return [e.message for e in self.events if isinstance(e, SlaveRemark) and e.address == address]
+        """All remarks about one slave."""
+        return [e.message for e in self.events_of(SlaveRemark) if e.address == address]
 
 
 def setup(address: int = 3, **changes: Any) -> SlaveParams:
@@ -145,7 +161,7 @@ def operating(*setups: SlaveParams, **options: Any) -> ScriptedLink:
     """All slaves are in data exchange, in Operate; what was said until then is forgotten."""
     bus = link(*setups, **options)
     bus.run(20 * MS)
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.run(5 * MS)
     assert mode_of(bus) is Mode.OPERATE
     bus.requests.clear()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from dpstack.dpv1.describe import render
 from dpstack.fdl.telegram import Telegram
@@ -17,6 +18,19 @@ from dpstack.units import NEVER, chars_to_ns
 US = 1_000
 MS = 1_000_000
 S = 1_000_000_000
+
+
+E = TypeVar("E", bound=Event)
+
+
+class KeepsEvents:
+    """Base of the kits that keep all ``events`` of a station."""
+
+    events: list[Event]
+
+    def events_of(self, kind: type[E]) -> list[E]:
+        """The events of one kind, oldest first."""
+        return [event for event in self.events if isinstance(event, kind)]
 
 
 class WorldFactory:

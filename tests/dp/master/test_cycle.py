@@ -28,9 +28,9 @@ def test_rounds_begin_on_the_grid_to_the_nanosecond(world: WorldFactory, baud: i
     cycle_ns = 40 * S // baud * 100 + 12_345  # 4000 bits and a little
     bus = CycleBus(world(), params, (slave(5), slave(6)), cycle_ns)
     bus.until_exchanging(60 * S)
-    bus.world.run_for(20 * cycle_ns)
+    bus.run(20 * cycle_ns)
     bus.quiet()
-    bus.world.run_for(100 * cycle_ns)
+    bus.run(100 * cycle_ns)
     starts = bus.exchanges(5)
     assert 100 <= len(starts) <= 101
     assert steps(starts) == {cycle_ns}
@@ -42,7 +42,7 @@ def test_rounds_begin_on_the_grid_to_the_nanosecond(world: WorldFactory, baud: i
 def test_between_the_rounds_the_token_goes_on_round(world: WorldFactory) -> None:
     """4 ms are 2000 bits: two exchanges, then a token to itself every 33 + 37 bits until a cycle is near."""
     bus = running(world)
-    bus.world.run_for(400 * MS)
+    bus.run(400 * MS)
     tokens = sum(len(entry.octets) == 3 for entry in bus.wire)
     assert tokens > 100 * 2
     held = bus.master.cycles.begun
@@ -54,7 +54,7 @@ def test_the_gap_off_the_pause_before_a_cycle_is_shorter_than_t_to(world: WorldF
     bus = CycleBus(world(), params, (slave(5),), 4 * MS)
     bus.until_exchanging()
     bus.quiet()
-    bus.world.run_for(100 * MS)
+    bus.run(100 * MS)
     silences = [b.start_ns - a.end_ns for a, b in itertools.pairwise(bus.wire)]
     assert max(silences) <= (200 + 2 * 70) * BIT  # T_SL and two tokens
     assert max(silences) < 6 * 200 * BIT  # T_TO of address 0
@@ -63,9 +63,9 @@ def test_the_gap_off_the_pause_before_a_cycle_is_shorter_than_t_to(world: WorldF
 def test_free_running_is_as_it_was(world: WorldFactory) -> None:
     bus = CycleBus(world(), P500.replace(gap=0), (slave(5), slave(6)), 0)
     bus.until_exchanging()
-    bus.world.run_for(20 * MS)
+    bus.run(20 * MS)
     bus.quiet()
-    bus.world.run_for(20 * MS)
+    bus.run(20 * MS)
     assert steps(bus.exchanges(5)) == {(2 * EXCHANGE + 33 + 37) * BIT}
     assert bus.master.cycles.begun == 0
 
@@ -80,14 +80,14 @@ def test_the_picture_of_a_cycle(world: WorldFactory) -> None:
 
     bus.master.on_round = on_round
     bus.master.images[5].outputs = bytes(range(12))
-    bus.world.run_for(40 * MS)
+    bus.run(40 * MS)
     assert [c.t_ns for c in seen[-5:]] == bus.exchanges(5)[-5:]
     assert [c.number for c in seen] == list(range(seen[0].number, seen[0].number + len(seen)))
     last = seen[-1]
     assert last.inputs == {5: bytes(range(12)), 6: bytes(12)}  # the slaves mirror their outputs
     assert (last.fresh, last.late_ns, last.missed) == (frozenset((5, 6)), 0, 0)
     bus.world.remove(bus.slaves[6])
-    bus.world.run_for(4 * MS)
+    bus.run(4 * MS)
     assert bus.master.cycle is not None
     assert bus.master.cycle.fresh == {5}
 
@@ -111,7 +111,7 @@ def test_outputs_set_in_the_middle_of_a_round_wait_for_the_next(world: WorldFact
     begin = bus.world.now
     for n in range(400):
         bus.world.call_at(begin + n * 20_011, change)
-    bus.world.run_for(10 * MS)
+    bus.run(10 * MS)
     first = bus.exchanges(5)[0]
     sent = {a: [e.octets[7] for e in bus.data(a) if e.start_ns >= first] for a in (5, 6)}
     pairs = list(zip(sent[5], sent[6], strict=False))
@@ -125,12 +125,12 @@ def test_operate_in_the_middle_of_a_round_lets_all_outputs_out_at_once(world: Wo
     for image in bus.master.images.values():
         image.outputs = bytes([7]) * 12
     for offset in range(0, 4 * MS, 170_011):
-        bus.world.command(bus.station, SetMode(Mode.CLEAR))
-        bus.world.run_for(20 * MS)
+        bus.send(SetMode(Mode.CLEAR))
+        bus.run(20 * MS)
         bus.quiet()
-        bus.world.run_for(4 * MS + offset)
-        bus.world.command(bus.station, SetMode(Mode.OPERATE))
-        bus.world.run_for(20 * MS)
+        bus.run(4 * MS + offset)
+        bus.send(SetMode(Mode.OPERATE))
+        bus.run(20 * MS)
         first = bus.exchanges(5)[0]
         sent = {a: [e.octets[7] for e in bus.data(a) if e.start_ns >= first] for a in (5, 6)}
         assert set(zip(sent[5], sent[6], strict=False)) == {(0, 0), (7, 7)}
@@ -138,11 +138,11 @@ def test_operate_in_the_middle_of_a_round_lets_all_outputs_out_at_once(world: Wo
 
 def test_outputs_set_just_before_the_start_go_out_in_it(world: WorldFactory) -> None:
     bus = running(world)
-    bus.world.run_for(8 * MS)
+    bus.run(8 * MS)
     due = bus.exchanges(5)[-1] + 4 * MS
     bus.world.run_until(due - 1)
     bus.master.images[6].outputs = bytes([7]) * 12
-    bus.world.run_for(3 * MS)
+    bus.run(3 * MS)
     data = [e for e in bus.data(6) if e.start_ns > due]
     assert data[0].octets[7:19] == bytes([7]) * 12
 
@@ -152,7 +152,7 @@ def test_outputs_set_just_before_the_start_go_out_in_it(world: WorldFactory) -> 
 
 def test_rate_groups_are_spread_and_keep_their_cycles(world: WorldFactory) -> None:
     bus = running(world, slave(5), *(slave(a, every=2) for a in (6, 7, 8, 9)))
-    bus.world.run_for(80 * MS)
+    bus.run(80 * MS)
     grid = bus.exchanges(5)
     assert steps(grid) == {4 * MS}
     for address in (6, 7, 8, 9):
@@ -175,7 +175,7 @@ def test_min_slave_interval_is_kept_after_a_late_start(world: WorldFactory) -> N
     begin = bus.world.now
     for n in range(40):  # a lost answer of slave 5 now and then makes 6 later by a repetition
         bus.world.call_at(begin + n * 9_310_000, lambda: bus.world.silence(bus.slaves[5], 600 * US))
-    bus.world.run_for(400 * MS)
+    bus.run(400 * MS)
     assert bus.station.stats.station(5).retries > 2
     assert min(steps(bus.exchanges(6))) == 4 * MS
     assert max(steps(bus.exchanges(6))) > 4 * MS
@@ -187,8 +187,8 @@ def test_a_slave_that_is_too_slow_for_the_cycle_is_refused(world: WorldFactory) 
         CycleBus(world(), P500, [slave(5, min_slave_interval_ns=6 * MS)], 4 * MS)
     bus = running(world)
     with pytest.raises(ConfigError, match=r"give it every = 3, or take a longer cycle"):
-        bus.world.command(bus.station, AddSlave(slave(7, every=2, min_slave_interval_ns=9 * MS)))
-    bus.world.command(bus.station, AddSlave(slave(7, every=3, min_slave_interval_ns=9 * MS)))
+        bus.send(AddSlave(slave(7, every=2, min_slave_interval_ns=9 * MS)))
+    bus.send(AddSlave(slave(7, every=3, min_slave_interval_ns=9 * MS)))
 
 
 # --- two masters ------------------------------------------------------------------------------------------------------

@@ -187,6 +187,6 @@ def strike(world: WorldFactory, n: int) -> None:
         for _ in range(30):
             with contextlib.suppress(UsageError, BusError):  # what makes no sense now is refused
                 attack.strike()
-        attack.bus.world.run_for(10 * attack.cycle_ns)
+        attack.bus.run(10 * attack.cycle_ns)
     attack.hold_grid()
     attack.hold_intervals()

@@ -25,7 +25,7 @@ def tight(world: WorldFactory, baud: int) -> CycleBus:
     cycle_ns = -(-least // NS_PER_US) * NS_PER_US
     bus = CycleBus(world(), params, setups, cycle_ns, more=[acyclic_services(2)])
     bus.until_exchanging()
-    bus.world.run_for(20 * MS)
+    bus.run(20 * MS)
     bus.quiet()
     return bus
 
@@ -36,7 +36,7 @@ def test_the_token_is_kept_and_outputs_are_taken_for_each_cycle(baud: int, world
     asked: list[int] = []
     bus.master.context.on_begin = lambda: asked.append(bus.world.now)
     begun, tokens = bus.master.cycles.begun, bus.station.stats.tokens
-    bus.world.run_for(CYCLES * bus.cycle_ns)
+    bus.run(CYCLES * bus.cycle_ns)
     cycles = bus.master.cycles.begun - begun
     assert cycles >= CYCLES - 1
     assert bus.station.stats.tokens - tokens < cycles // 2
@@ -49,9 +49,9 @@ def test_the_token_is_kept_and_outputs_are_taken_for_each_cycle(baud: int, world
 def test_services_have_their_turn_in_one_of_eight_cycles(baud: int, world: WorldFactory) -> None:
     bus = tight(world, baud)
     for token, address in enumerate((3, 4, 5)):
-        bus.world.command(bus.station, ReadService(token, address, Service.CONFIG))
+        bus.send(ReadService(token, address, Service.CONFIG))
     forced = bus.master.window.forced
-    bus.world.run_for(CYCLES * bus.cycle_ns)
-    done = [event for event in bus.events if isinstance(event, ServiceDone)]
+    bus.run(CYCLES * bus.cycle_ns)
+    done = bus.events_of(ServiceDone)
     assert [each.outcome.failure for each in done] == [None] * 3
     assert 3 <= bus.master.window.forced - forced <= CYCLES // HELD_BACK_CYCLES

@@ -42,10 +42,10 @@ def test_silent_addresses_on_a_pty_never_break_a_cycle(world: WorldFactory, cycl
     setups = [slave(3), slave(4), slave(5), slave(6)]
     bus = CycleBus(world(), P1500, setups, cycle_ms * MS, silent=(6,), patience=HOST, options={"absent_divisor": 100})
     bus.until_exchanging()
-    bus.world.run_for(S)
+    bus.run(S)
     bus.quiet()
     missed, forced = bus.master.cycles.missed, bus.master.window.forced
-    bus.world.run_for(2 * S)
+    bus.run(2 * S)
     starts = bus.exchanges(3)
     assert {later - earlier for earlier, later in itertools.pairwise(starts)} == {cycle_ms * MS}
     assert bus.master.cycles.missed == missed
@@ -54,7 +54,7 @@ def test_silent_addresses_on_a_pty_never_break_a_cycle(world: WorldFactory, cycl
     # those who are there get 2 ms, more than a cycle of 2 ms has to spare: their polls are sent all the same
     assert bus.master.window.forced - forced == (len(set(polled) & {3, 4, 5}) if cycle_ms == 2 else 0)
     assert len(bus.requests(60)) >= 2  # the absent one is asked for all the time
-    told = [(e.service, e.address) for e in bus.events if isinstance(e, DoesNotFit)]
+    told = [(e.service, e.address) for e in bus.events_of(DoesNotFit)]
     assert told == ([("FDL_Status", 3)] if cycle_ms == 2 else [])
 
 
@@ -62,9 +62,9 @@ def test_a_poll_has_all_the_time_there_is(world: WorldFactory) -> None:
     """A silent poll ends 2.4 ms after it at the latest, sooner where the next cycle needs it."""
     bus = CycleBus(world(), P1500, [slave(3), slave(4), slave(5)], 5 * MS, patience=HOST)
     bus.until_exchanging()
-    bus.world.run_for(S)
+    bus.run(S)
     bus.quiet()
-    bus.world.run_for(S)
+    bus.run(S)
     starts = [e.start_ns for e in bus.wire]
     silent = [
         min(s for s in starts if s > begin) - begin
@@ -81,13 +81,13 @@ def test_a_diagnosis_on_a_pty_does_not_wait_eight_cycles(world: WorldFactory) ->
     class2 = acyclic_services(2)
     bus = CycleBus(world(), P1500, [slave(3), slave(4)], 10 * MS, patience=HOST, more=[class2])
     bus.until_exchanging()
-    bus.world.run_for(200 * MS)
+    bus.run(200 * MS)
     bus.quiet()
     began = bus.world.now
     for token in range(5):
-        bus.world.command(bus.station, ReadService(token, 3, Service.DIAGNOSIS))
-    bus.world.run_for(150 * MS)
-    done = [e for e in bus.events if isinstance(e, ServiceDone)]
+        bus.send(ReadService(token, 3, Service.DIAGNOSIS))
+    bus.run(150 * MS)
+    done = bus.events_of(ServiceDone)
     assert len(done) == 5
     assert done[-1].t_ns - began < 60 * MS
     assert bus.master.window.forced == 0
@@ -97,14 +97,14 @@ def test_a_slave_that_dies_at_a_service_costs_cycles_and_is_the_reason(world: Wo
     """The GAP asks for it when it is known: 50 ms, as in a Data_Exchange."""
     bus = CycleBus(world(), P1500, [slave(3), slave(4)], 10 * MS, patience=HOST)
     bus.until_exchanging()
-    bus.world.run_for(4 * S)
+    bus.run(4 * S)
     bus.quiet()
     origin = bus.world.now
     while tuple(bus.wire[-1].octets[1:4] if bus.wire else ()) != (4, 2, 0x49):
-        bus.world.run_for(20 * US)
+        bus.run(20 * US)
     bus.world.silence(bus.slaves[4], 20 * MS, deaf=True)
-    bus.world.run_for(200 * MS)
-    missed = [e for e in bus.events if isinstance(e, CyclesMissed)]
+    bus.run(200 * MS)
+    missed = bus.events_of(CyclesMissed)
     assert missed[0].reason == "FDL_Status to station 4 was not answered"
     book = bus.master.cycles
     assert book.reasons == {MissReason.SILENCE: book.missed}
@@ -112,22 +112,22 @@ def test_a_slave_that_dies_at_a_service_costs_cycles_and_is_the_reason(world: Wo
     starts = [start for start in bus.exchanges(3) if start > origin]
     late = [(start - starts[0]) % (10 * MS) for start in starts]
     assert sum(map(bool, late)) <= 1  # the first one after it
-    assert bus.master.handlers[4].state is SlaveState.DATA_EXCHANGE
+    assert bus.state(4) is SlaveState.DATA_EXCHANGE
 
 
 def test_a_slave_that_went_is_waited_for_once(world: WorldFactory) -> None:
     """Its last exchange with all slack; after that it is an address where nobody is known to be, for the GAP too."""
     bus = CycleBus(world(), P1500, [slave(3), slave(4)], 10 * MS, patience=HOST, options={"absent_divisor": 100})
     bus.until_exchanging()
-    bus.world.run_for(4 * S)  # the GAP has found it
-    assert 4 in {e.address for e in bus.events if isinstance(e, StationFound)}
+    bus.run(4 * S)  # the GAP has found it
+    assert 4 in {e.address for e in bus.events_of(StationFound)}
     bus.world.remove(bus.slaves[4])
-    bus.world.run_for(200 * MS)
+    bus.run(200 * MS)
     missed = bus.master.cycles.missed
     assert missed >= 10
     bus.quiet()
-    bus.world.run_for(8 * S)
-    assert 4 in {e.address for e in bus.events if isinstance(e, StationFound) and e.kind is None}
+    bus.run(8 * S)
+    assert 4 in {e.address for e in bus.events_of(StationFound) if e.kind is None}
     assert bus.master.cycles.missed == missed
 
 
@@ -136,12 +136,12 @@ def test_a_control_just_before_a_cycle_does_not_make_it_late(world: WorldFactory
     """The mode is repeated so many bits before a cycle is due."""
     bus = CycleBus(world(), P500, [slave(5)], 10 * MS)
     bus.until_exchanging()
-    bus.world.run_for(100 * MS)
+    bus.run(100 * MS)
     bus.quiet()
-    bus.world.run_for(10 * MS + 5 * MS)
+    bus.run(10 * MS + 5 * MS)
     start = bus.exchanges(5)[-1]
     bus.master.controls._due = start + 10 * MS - P500.ns(offset)
-    bus.world.run_for(30 * MS)
+    bus.run(30 * MS)
     assert {(begin - start) % (10 * MS) for begin in bus.exchanges(5)} == {0}
     assert bus.master.cycles.missed == 0
 
@@ -150,14 +150,14 @@ def test_a_control_just_before_a_cycle_does_not_make_it_late(world: WorldFactory
 def test_the_end_does_not_wait_for_a_cycle_that_the_token_is_kept_for(world: WorldFactory, before_us: int) -> None:
     bus = CycleBus(world(), P500, [slave(5, safe=bytes([9]) * 12)], 20 * MS)
     bus.until_exchanging()
-    bus.world.run_for(200 * MS)
+    bus.run(200 * MS)
     due = bus.exchanges(5)[-1] + 20 * MS
     while due - bus.world.now > before_us * US:
-        bus.world.run_for(10 * US)
+        bus.run(10 * US)
     bus.quiet()
     ordered = bus.world.now
-    bus.world.command(bus.station, Shutdown())
-    bus.world.run_for(5 * MS)
+    bus.send(Shutdown())
+    bus.run(5 * MS)
     assert bus.data(5)[0].octets[7:19] == bytes([9]) * 12
     # what was under way (a silent poll of 532 us and the token to itself), and T_ID1
     assert bus.exchanges(5)[0] - ordered <= 1100 * US

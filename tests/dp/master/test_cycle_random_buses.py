@@ -76,7 +76,7 @@ def each_has_its_turns(plant: Plant) -> None:
     assert (book.missed, book.late.max_ns) == (0, 0)
     # everything else gets through in the end
     assert sum(isinstance(e, ServiceDone) for e in bus.events) == len(here[:4])
-    assert all(bus.master.handlers[a].state is SlaveState.DATA_EXCHANGE for a in here)
+    assert all(bus.state(a) is SlaveState.DATA_EXCHANGE for a in here)
     assert bus.station.stats.gap_polls
     assert world.referee is not None
     world.referee.check()

@@ -26,7 +26,7 @@ def member(address: int) -> SlaveParams:
 def running(world: WorldFactory, *, cycle_ns: int = 10 * MS) -> CycleBus:
     bus = CycleBus(world(), P500, (member(5), member(6), slave(7)), cycle_ns, options=BOTH)
     bus.until_exchanging()
-    bus.world.run_for(30 * MS)
+    bus.run(30 * MS)
     bus.quiet()
     return bus
 
@@ -53,7 +53,7 @@ def order(bus: CycleBus, begin: int, cycle_ns: int = 10 * MS) -> list[str]:
 
 def test_freeze_begins_and_sync_ends_each_cycle(world: WorldFactory) -> None:
     bus = running(world)
-    bus.world.run_for(100 * MS)
+    bus.run(100 * MS)
     freezes = [e for e in bus.requests(58) if e.octets[9:11] == b"\x08\x01"]  # Freeze_Req to group 1
     assert {b.start_ns - a.start_ns for a, b in itertools.pairwise(freezes)} == {10 * MS}  # they are the cycle's start
     for freeze in freezes[:-1]:
@@ -76,7 +76,7 @@ def test_outputs_change_at_the_sync_and_inputs_are_of_the_freeze(world: WorldFac
             bus.world.call_at(bus.world.now + 1000, watch)
 
     watch()
-    bus.world.run_for(30 * MS)
+    bus.run(30 * MS)
     sync = next(e for e in bus.requests(58) if e.octets[9] == 0x20 and e.start_ns > bus.exchanges(6)[0])
     assert changed[5] == changed[6]
     assert abs(changed[5][0] - sync.end_ns) <= 1000
@@ -84,22 +84,22 @@ def test_outputs_change_at_the_sync_and_inputs_are_of_the_freeze(world: WorldFac
 
 def test_clear_and_the_end_let_go(world: WorldFactory) -> None:
     bus = running(world)
-    bus.world.command(bus.station, SetMode(Mode.CLEAR))
-    bus.world.run_for(100 * MS)
+    bus.send(SetMode(Mode.CLEAR))
+    bus.run(100 * MS)
     controls = [e.octets[9:11] for e in bus.requests(58)]
     assert b"\x16\x00" in controls  # Clear, Unfreeze, Unsync to all
     assert controls[-1] in (b"\x02\x00", b"\x16\x00")
     bus.quiet()
-    bus.world.run_for(50 * MS)
+    bus.run(50 * MS)
     assert {e.octets[9] & 0x28 for e in bus.requests(58)} <= {0}  # neither in Clear
-    bus.world.command(bus.station, SetMode(Mode.OPERATE))
+    bus.send(SetMode(Mode.OPERATE))
     for image in bus.master.images.values():
         image.outputs = bytes([3]) * 12
-    bus.world.run_for(50 * MS)
+    bus.run(50 * MS)
     assert [real_outputs(bus, a) for a in (5, 6)] == [bytes([3]) * 12] * 2
     assert {b"\x08\x01", b"\x20\x05"} <= {bytes(e.octets[9:11]) for e in bus.requests(58)}
-    bus.world.command(bus.station, Shutdown())
-    bus.world.run_for(200 * MS)
+    bus.send(Shutdown())
+    bus.run(200 * MS)
     assert bus.requests(58)[-1].octets[9] & 0x16 == 0x16
     assert [real_outputs(bus, a) for a in (5, 6)] == [bytes(12)] * 2  # SYNC held nothing back
 
@@ -107,21 +107,21 @@ def test_clear_and_the_end_let_go(world: WorldFactory) -> None:
 def test_who_comes_back_is_taken_in_without_a_word(world: WorldFactory) -> None:
     bus = running(world)
     bus.world.remove(bus.slaves[6])
-    bus.world.run_for(60 * MS)
+    bus.run(60 * MS)
     bus.world.add(bus.slaves[6])
     bus.until_exchanging()
-    bus.world.run_for(30 * MS)
+    bus.run(30 * MS)
     assert bus.master.controls.sync.held == {5, 6}
-    assert [e.message for e in bus.events if isinstance(e, SlaveRemark) and "put back" in e.message] == []
+    assert [e.message for e in bus.events_of(SlaveRemark) if "put back" in e.message] == []
     bus.world.command(bus.station, RemoveSlave(5))  # out of both modes first, see test_sync_freeze
-    bus.world.run_for(200 * MS)
+    bus.run(200 * MS)
     alone = [e for e in bus.wire if e.octets[4:8] == bytes((0x85, 0x82, 0x46, 58)) and e.octets[9] & 0x14 == 0x14]
     assert alone
 
 
 def test_free_running_rounds_have_them_too(world: WorldFactory) -> None:
     bus = running(world, cycle_ns=0)
-    bus.world.run_for(30 * MS)
+    bus.run(30 * MS)
     kinds = [e.octets[9:11].hex() for e in bus.requests(58) if e.octets[9]]
     assert set(kinds) == {"0801", "2005"}
     assert all(a != b for a, b in itertools.pairwise(kinds))
@@ -135,12 +135,12 @@ def test_refusals(world: WorldFactory) -> None:
         CycleBus(world(), P500, [slave(5)], 4 * MS, options={"cycle_freeze": (9,)})
     bus = running(world)
     with pytest.raises(ConfigError, match="in a group of cycle_freeze and not parameterised for FREEZE"):
-        bus.world.command(bus.station, AddSlave(slave(8, groups=(1,), sync=True)))
+        bus.send(AddSlave(slave(8, groups=(1,), sync=True)))
     for command in (
         SendControl(1, (1,), unsync=True),
         SendControl(1, (), sync=True),
         SendControl(1, (1,), freeze=True),
     ):
         with pytest.raises(UsageError, match=r"every cycle sends (SYNC|FREEZE) to group|not parameterised"):
-            bus.world.command(bus.station, command)
-    assert bus.master.handlers[5].state is SlaveState.DATA_EXCHANGE
+            bus.send(command)
+    assert bus.state(5) is SlaveState.DATA_EXCHANGE

@@ -87,9 +87,9 @@ def add_late(bus: CycleBus, lateness: Callable[[], int]) -> Late:
 def exchanging_within(bus: CycleBus, within_ns: int, address: int = 6) -> int:
     """How long it took."""
     began = bus.world.now
-    while bus.master.handlers[address].state is not SlaveState.DATA_EXCHANGE:
+    while bus.state(address) is not SlaveState.DATA_EXCHANGE:
         assert bus.world.now < began + within_ns, "never found"
-        bus.world.run_for(10 * MS)
+        bus.run(10 * MS)
     return bus.world.now - began
 
 
@@ -112,16 +112,16 @@ def test_in_a_fixed_cycle_a_look_takes_the_gap_and_nothing_else(
     bus = bus_beside(world, cycle_ms * MS)
     add_late(bus, how(late_ms))
     bus.events.clear()
-    while bus.master.handlers[6].state is SlaveState.OFFLINE:
+    while bus.state(6) is SlaveState.OFFLINE:
         assert bus.world.now < 2 * S, "never found"
-        bus.world.run_for(MS)
+        bus.run(MS)
     assert bus.master.cycles.missed == 0
     assert exchanging_within(bus, S) < S
 
 
 def test_in_a_fixed_cycle_absent_slaves_cost_no_cycle_however_long_they_are_looked_for(world: WorldFactory) -> None:
     bus = bus_beside(world, 10 * MS)
-    bus.world.run_for(10 * S)
+    bus.run(10 * S)
     assert steps(bus.exchanges(5)) == {10 * MS}
     assert bus.master.cycles.missed == bus.master.window.forced == 0
 
@@ -129,7 +129,7 @@ def test_in_a_fixed_cycle_absent_slaves_cost_no_cycle_however_long_they_are_look
 def test_absent_slaves_are_looked_for_within_their_share(world: WorldFactory) -> None:
     """The first time each, then once in 5 s for both: 50 ms of slack, T_SL and a request, a hundred times that."""
     bus = bus_beside(world)
-    bus.world.run_for(20 * S)
+    bus.run(20 * S)
     starts = bus.exchanges(5)
     long = [before for before, after in itertools.pairwise(starts) if after - before > 40 * MS]
     assert max(after - before for before, after in itertools.pairwise(starts)) < 60 * MS
@@ -148,8 +148,8 @@ def test_a_lost_late_slave_is_found_again(world: WorldFactory, patience: Patienc
     late = add_late(bus, jittering(late_ms))
     exchanging_within(bus, 2 * S)
     bus.world.remove(late)
-    bus.world.run_for(3 * S)
-    assert bus.master.handlers[6].state is SlaveState.OFFLINE
+    bus.run(3 * S)
+    assert bus.state(6) is SlaveState.OFFLINE
     add_late(bus, jittering(late_ms))
     exchanging_within(bus, 13 * S)
 

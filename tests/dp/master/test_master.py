@@ -31,13 +31,13 @@ def test_bring_up_to_the_octet() -> None:
 
 def test_global_control_is_really_sent_and_repeated() -> None:
     bus = exchanging(setup())
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.requests.clear()
     bus.run(1000 * MS)
     controls = [r for r in bus.requests if r.dsap == 58]
     assert {(r.da, r.function, r.ssap, r.data) for r in controls} == {(127, Req.SDN_HIGH, 62, b"\x00\x00")}
     assert 5 <= len(controls) <= 8  # two at once, then every 200 ms
-    bus.master.command(SetMode(Mode.CLEAR), bus.now)
+    bus.send(SetMode(Mode.CLEAR))
     bus.requests.clear()
     bus.run(10 * MS)
     assert [r.data for r in bus.requests if r.dsap == 58] == [b"\x02\x00"] * 2
@@ -46,7 +46,7 @@ def test_global_control_is_really_sent_and_repeated() -> None:
 def test_outputs_are_zero_in_clear_and_the_image_in_operate() -> None:
     bus = exchanging(setup(initial=bytes([1, 2, 3, 4])))
     assert [r.data for r in bus.hold() if r.dsap is None] == [bytes(4)]
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     assert [r.data for r in bus.hold() if r.dsap is None] == [bytes([1, 2, 3, 4])]
     bus.master.images[3].outputs = b"\x09\x08\x07\x06"
     assert [r.data for r in bus.hold() if r.dsap is None] == [b"\x09\x08\x07\x06"]
@@ -97,16 +97,16 @@ def test_inputs_only_slave_is_asked_without_data_and_outputs_only_answers_sc() -
 
 def test_stop_sends_nothing_to_slaves() -> None:
     bus = exchanging(setup())
-    bus.master.command(SetMode(Mode.STOP), bus.now)
+    bus.send(SetMode(Mode.STOP))
     assert bus.hold() == []
 
 
 def test_shutdown_safe_values_then_clear_twice() -> None:
     bus = exchanging(setup(safe=b"\x00\x01\x00\x02", initial=b"\x01\x01\x01\x01"))
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.run(5 * MS)
     bus.requests.clear()
-    bus.master.command(Shutdown(), bus.now)
+    bus.send(Shutdown())
     began = bus.now
     while not any(r.data == bytes(4) for r in bus.requests):
         bus.hold()
@@ -121,14 +121,14 @@ def test_shutdown_safe_values_then_clear_twice() -> None:
 
 def test_shutdown_without_a_token_ends_too() -> None:
     bus = exchanging(setup())
-    bus.master.command(Shutdown(), bus.now)
+    bus.send(Shutdown())
     bus.master.tick(bus.now + 1_000 * MS)
     assert any(isinstance(e, MasterStopped) for e in bus.master.take_events())
 
 
 def test_line_down_tells_every_slave_lost() -> None:
     bus = exchanging(setup(3), setup(4))
-    bus.master.command(LineDown("unplugged"), bus.now)
+    bus.send(LineDown("unplugged"))
     bus.events += bus.master.take_events()
     assert bus.faults(3) == ["lost"]
     assert bus.faults(4) == ["lost"]
@@ -147,18 +147,18 @@ def test_rotation_is_from_first_exchange_to_first_exchange() -> None:
 def test_add_and_remove_while_running() -> None:
     bus = exchanging(setup(3))
     bus.slaves[4] = ScriptedSlave()
-    bus.master.command(AddSlave(setup(4)), bus.now)
+    bus.send(AddSlave(setup(4)))
     bus.run(5 * MS)
-    assert bus.master.handlers[4].state is SlaveState.DATA_EXCHANGE
+    assert bus.state(4) is SlaveState.DATA_EXCHANGE
     bus.requests.clear()
-    bus.master.command(RemoveSlave(4), bus.now)
+    bus.send(RemoveSlave(4))
     bus.run(60 * MS)
     made = [(r.dsap, r.data) for r in bus.requests if r.da == 4]
     assert len(made) > 10
     assert set(made[:-1]) == {(None, bytes(4))}
     assert made[-1] == (61, bytes.fromhex("40 01 01 0B 06 96 00"))
     with pytest.raises(UsageError, match="no slave with address 4"):
-        bus.master.command(RemoveSlave(4), bus.now)
+        bus.send(RemoveSlave(4))
 
 
 def test_two_slaves_at_one_address_and_the_masters_own_are_refused() -> None:

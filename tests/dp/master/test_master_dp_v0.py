@@ -96,7 +96,7 @@ def test_each_bit_in_data_exchange(flag: Any) -> None:
     bus.slaves[3].answers.clear()
     made = bus.hold()
     assert [r.dsap for r in made if r.da == 3] == [None, 60]  # at once
-    state, valid = bus.master.handlers[3].state, bus.master.images[3].valid
+    state, valid = bus.state(3), bus.master.images[3].valid
     wanted: tuple[SlaveState, bool] = {
         Does.TELLS: (SlaveState.DATA_EXCHANGE, True),
         Does.WAITS: (SlaveState.DATA_EXCHANGE, False),
@@ -133,7 +133,7 @@ def test_a_slave_that_always_has_a_diagnosis_takes_every_other_turn_at_most() ->
     bus.slaves[3].answers[None] = lambda r: data(r, bytes(4), fc=0x0A)
     bus.slaves[4].configured = False
     bus.run(1_500 * MS)
-    assert bus.master.handlers[4].state is SlaveState.DATA_EXCHANGE
+    assert bus.state(4) is SlaveState.DATA_EXCHANGE
 
 
 def test_a_slave_that_does_not_watch_its_master_is_told() -> None:
@@ -167,7 +167,7 @@ def test_extended_diagnosis_is_told_in_words() -> None:
     for slave in bus.slaves.values():
         slave.ready = bytes.fromhex("08 0C 00 02 06 96 03 01 00 42 05 82 43 B0 C7")
     bus.run(20 * MS)
-    told = {e.address: e.texts for e in bus.events if isinstance(e, SlaveDiagnosis)}
+    told = {e.address: e.texts for e in bus.events_of(SlaveDiagnosis)}
     channel = "input channel 3 (word)"
     assert told[3] == ("24 V is missing", "slots with a diagnosis: 4, 6", f"slot 6, {channel}: sensor dirty")
     assert told[4] == ("device: 01 00", "slots with a diagnosis: 1, 3", f"slot 3, {channel}: error 16")
@@ -194,7 +194,7 @@ def test_the_bits_a_master_sets() -> None:
     bus.slaves[4].free = bytes.fromhex("00 0C 00 07 06 96")
     bus.slaves[5].inputs = b"\x01"
     bus.run(1_000 * MS)
-    bus.master.command(DeactivateSlave(6), bus.now)
+    bus.send(DeactivateSlave(6))
     seen = {a: h.diagnosis for a, h in bus.master.handlers.items()}
     assert {a: d.flags for a, d in seen.items() if d is not None} == {
         3: ("station_non_existent",),

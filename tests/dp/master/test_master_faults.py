@@ -21,8 +21,8 @@ def test_absent_slave_backs_off_is_told_once_and_the_other_goes_on() -> None:
     # 0.1, 0.2, 0.4, 0.8, 1, 1 ... seconds
     assert 11 <= len(polls) <= 13
     assert bus.faults(3) == ["absent"]
-    assert bus.master.handlers[4].state is SlaveState.DATA_EXCHANGE
-    fault = next(e for e in bus.events if isinstance(e, SlaveFaulted))
+    assert bus.state(4) is SlaveState.DATA_EXCHANGE
+    fault = next(e for e in bus.events_of(SlaveFaulted))
     assert "no answer from address 3 at 500 kbit/s" in fault.text
     assert "check power" in fault.text
 
@@ -39,8 +39,7 @@ def test_absent_polls_keep_their_share_of_the_bus() -> None:
 def test_wrong_ident_names_both() -> None:
     bus = link(setup(ident=0x1234))
     bus.run(5 * MS)
-    fault = bus.master.handlers[3].fault
-    assert fault is not None
+    fault = bus.fault(3)
     assert fault.kind.value == "wrong_ident"
     assert "0x0696 instead of 0x1234" in fault.message
     assert not any(r.dsap == 61 for r in bus.requests)
@@ -63,10 +62,10 @@ def test_another_device_in_place_of_a_wrong_one_is_taken_up_at_once(news: str) -
     assert len(asked) < 8
     bus.slaves[3] = ScriptedSlave()
     if news == "GAP":
-        bus.master.command(StationFound(t_ns=bus.now, address=3, kind=None), bus.now)
+        bus.send(StationFound(t_ns=bus.now, address=3, kind=None))
         bus.run(10 * MS)
         assert [r for r in bus.requests if r.da == 3] == asked  # nobody is there
-        bus.master.command(StationFound(t_ns=bus.now, address=3, kind=StationType.SLAVE), bus.now)
+        bus.send(StationFound(t_ns=bus.now, address=3, kind=StationType.SLAVE))
     else:  # read by a program, as a class 2 service
         handler.diagnosis_seen(bytes.fromhex("02 05 00 FF 43 21"), bus.now)
         bus.run(10 * MS)
@@ -81,8 +80,7 @@ def test_slave_of_another_master_is_never_parameterised() -> None:
     bus.run(30_000 * MS)
     assert bus.faults(3) == ["locked"]
     assert not any(r.dsap in (61, 62, None) for r in bus.requests if r.da == 3)
-    fault = bus.master.handlers[3].fault
-    assert fault is not None
+    fault = bus.fault(3)
     assert "owned by master 7" in fault.message
 
 
@@ -93,15 +91,13 @@ def test_slave_that_a_master_left_locked_which_is_gone(octet_2: str, words: str)
     bus = link(setup(), slaves={3: ScriptedSlave(free=bytes.fromhex(f"00 {octet_2} 00 07 06 96"))})
     bus.master.context.ring = lambda: {2}
     bus.run(1_000 * MS)
-    fault = bus.master.handlers[3].fault
-    assert fault is not None
+    fault = bus.fault(3)
     assert fault.kind.value == "locked"
     assert fault.message == "is still locked by master 7, which is not in the token ring (any more)"
     assert fault.remedy.startswith(words)
     bus.master.context.ring = lambda: {2, 7}
     bus.run(12_000 * MS)
-    fault = bus.master.handlers[3].fault
-    assert fault is not None
+    fault = bus.fault(3)
     assert "owned by master 7" in fault.message
 
 
@@ -110,7 +106,7 @@ def test_a_slave_whose_answers_cannot_be_read_is_lost_by_noise(why: Failure) -> 
     bus = exchanging(setup(3), setup(4))
     bus.slaves[3] = ScriptedSlave(answers={None: lambda _: why, 60: lambda _: why})
     bus.run(5_000 * MS)
-    (told,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted) and e.address == 3)
+    (told,) = (e.fault for e in bus.events_of(SlaveFaulted) if e.address == 3)
     assert told.kind.value == "lost"
     assert told.message == "its answers to Data_Exchange cannot be read any more"
     assert "noise" in told.remedy
@@ -120,7 +116,7 @@ def test_a_slave_whose_answers_cannot_be_read_is_lost_by_noise(why: Failure) -> 
 def test_an_address_whose_answers_were_never_readable() -> None:
     bus = link(setup(), slaves={3: ScriptedSlave(answers={60: lambda _: Failure.GARBLED})})
     bus.run(1_000 * MS)
-    (told,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    (told,) = (e.fault for e in bus.events_of(SlaveFaulted))
     assert told.kind.value == "absent"
     assert told.message == "address 3 answers at 500 kbit/s, but not readably"
     assert "noise" in told.remedy
@@ -145,8 +141,7 @@ def test_refusals_name_the_reason_and_are_retried_with_back_off(status: str, kin
     bus = link(setup(), slaves={3: slave})
     bus.run(500 * MS)
     assert bus.faults(3) == [kind]
-    fault = bus.master.handlers[3].fault
-    assert fault is not None
+    fault = bus.fault(3)
     assert words in fault.message
     assert fault.remedy
     bus.run(40_000 * MS)
@@ -155,7 +150,7 @@ def test_refusals_name_the_reason_and_are_retried_with_back_off(status: str, kin
     assert bus.faults(3) == [kind]  # told once
     slave.ready = DIAG_READY
     bus.run(11_000 * MS)
-    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+    assert bus.state(3) is SlaveState.DATA_EXCHANGE
 
 
 def test_fault_shown_in_one_diagnosis_only_is_kept() -> None:
@@ -182,8 +177,7 @@ def test_silence_that_is_never_explained() -> None:
     bus = link(setup(), slaves={3: ScriptedSlave(answers={61: lambda _r: Failure.NO_ANSWER})})
     bus.run(500 * MS)
     assert bus.faults(3) == ["refused"]
-    fault = bus.master.handlers[3].fault
-    assert fault is not None
+    fault = bus.fault(3)
     assert "does not acknowledge Set_Prm" in fault.message
 
 
@@ -224,7 +218,7 @@ def test_a_slave_that_is_never_ready_is_asked_for_its_configuration(
     slave = _asked_for_its_cfg(ScriptedSlave(ready=bytes.fromhex("02 0C 00 02 06 96")), actual)
     bus = link(setup(), slaves={3: slave})
     bus.run(10_500 * MS)
-    (told,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    (told,) = (e.fault for e in bus.events_of(SlaveFaulted))
     assert told.kind.value == "not_ready"
     assert told.message.endswith(f"is not ready after 10 s (Station_Not_Ready): {words}")
     assert told.remedy.startswith(remedy)
@@ -241,7 +235,7 @@ def test_a_slave_that_never_acknowledges_chk_cfg_is_asked_for_its_configuration(
     slave.answers[60] = lambda r: data(r, bytes.fromhex("02 0C 00 02 06 96"))
     bus = link(setup(), slaves={3: slave})
     bus.run(1_500 * MS)
-    (told,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    (told,) = (e.fault for e in bus.events_of(SlaveFaulted))
     assert told.message == f"does not acknowledge Chk_Cfg although it answers Slave_Diag: {words}"
     assert told.remedy.startswith(remedy)
 
@@ -254,7 +248,7 @@ def test_wrong_length_asks_for_the_configuration_after_safe_outputs_and_unlock(
     bus.slaves[3].inputs = b"\x01\x02"
     bus.requests.clear()
     bus.run(200 * MS)
-    (told,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    (told,) = (e.fault for e in bus.events_of(SlaveFaulted))
     assert told.kind.value == "wrong_length"
     assert told.message == f"answers Data_Exchange with 2 octets instead of 4: {words}"
     assert told.remedy.startswith(remedy)
@@ -264,7 +258,7 @@ def test_wrong_length_asks_for_the_configuration_after_safe_outputs_and_unlock(
     bus.slaves[3].inputs = bytes(4)
     bus.slaves[3].configured = False
     bus.run(1_500 * MS)
-    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+    assert bus.state(3) is SlaveState.DATA_EXCHANGE
 
 
 def test_cfg_fault_in_data_exchange_names_the_octet_that_differs() -> None:
@@ -272,7 +266,7 @@ def test_cfg_fault_in_data_exchange_names_the_octet_that_differs() -> None:
     bus.slaves[3].ready = bytes.fromhex("04 0C 00 02 06 96")
     bus.slaves[3].answers[None] = lambda r: data(r, bytes(4), fc=0x0A)
     bus.run(200 * MS)
-    (told,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    (told,) = (e.fault for e in bus.events_of(SlaveFaulted))
     assert told.message == "refuses the configuration (Cfg_Fault): Chk_Cfg was 71, it has f1: octet 1 differs"
 
 
@@ -284,7 +278,7 @@ def test_a_slave_that_refuses_data_exchange_and_wants_no_parameters(status: int,
     bus = exchanging(setup())
     bus.slaves[3].answers[None] = lambda r: Telegram(Kind.SD1, 2, r.da, status)
     bus.run(30 * MS)
-    told = next(e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    told = next(e.fault for e in bus.events_of(SlaveFaulted))
     assert told.kind.value == "refused"
     assert told.message == f"refuses Data_Exchange ({name})"
     assert words in told.remedy
@@ -296,7 +290,7 @@ def test_a_slave_that_refuses_data_exchange_and_wants_parameters_has_left_it() -
     bus.slaves[3].answers[None] = lambda r: Telegram(Kind.SD1, 2, r.da, 0x02)
     bus.slaves[3].ready = bytes.fromhex("02 0D 00 FF 06 96")
     bus.run(30 * MS)
-    told = next(e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    told = next(e.fault for e in bus.events_of(SlaveFaulted))
     assert told.message == "left data exchange by itself and wants parameters again (its watchdog was on)"
 
 
@@ -309,8 +303,7 @@ def test_prm_fault_names_the_octets_that_were_sent_and_the_other_reading() -> No
     bus.run(20 * MS)
     (sent,) = {r.data.hex(" ") for r in bus.requests if r.dsap == 61}
     assert sent == "88 01 14 0b 06 96 00 c5 00 00"  # DPV1_Enable and Fail_Safe are set in the first user octet
-    fault = bus.master.handlers[3].fault
-    assert fault is not None
+    fault = bus.fault(3)
     assert fault.text == (
         "refuses the parameters (Prm_Fault): Set_Prm was 88 01 14 0b 06 96 00 c5 00 00; octets 5-6 are the ident, "
         f"from octet 8 the user parameters (c5 00 00): compare them with its GSD file; {note}"
@@ -322,7 +315,7 @@ def test_slave_dies_and_comes_back_with_a_fresh_start() -> None:
     gone = bus.slaves.pop(3)
     bus.run(300 * MS)
     assert bus.faults(3) == ["lost"]
-    assert bus.master.handlers[4].state is SlaveState.DATA_EXCHANGE
+    assert bus.state(4) is SlaveState.DATA_EXCHANGE
     assert not bus.master.images[3].valid
     gone.configured = False
     bus.slaves[3] = gone
@@ -330,7 +323,7 @@ def test_slave_dies_and_comes_back_with_a_fresh_start() -> None:
     bus.run(1500 * MS)
     first = next(r for r in bus.requests if r.da == 3)
     assert (first.dsap, first.restart) == (60, False) or first.restart
-    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+    assert bus.state(3) is SlaveState.DATA_EXCHANGE
 
 
 def test_slave_that_was_reset_is_taken_up_afresh() -> None:
@@ -343,7 +336,7 @@ def test_slave_that_was_reset_is_taken_up_afresh() -> None:
     made = [r for r in bus.requests if r.da == 3]
     assert [r.dsap for r in made[:5]] == [None, 60, 61, 62, 60]
     assert made[1].restart
-    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+    assert bus.state(3) is SlaveState.DATA_EXCHANGE
 
 
 def test_slave_that_flaps_is_not_reinitialised_for_ever() -> None:
@@ -363,8 +356,7 @@ def test_wrong_length_is_a_fault_with_both_lengths() -> None:
     bus = exchanging(setup())
     bus.slaves[3].inputs = b"\x01\x02"
     bus.run(5 * MS)
-    fault = bus.master.handlers[3].fault
-    assert fault is not None
+    fault = bus.fault(3)
     assert "2 octets instead of 4" in fault.message
     assert bus.master.images[3].inputs == bytes(4)
 

@@ -16,10 +16,10 @@ from dpstack.fdl.telegram import SHORT_ACK, Telegram
 def test_operate_with_auto_clear_waits_for_all_slaves() -> None:
     bus = link(setup(3), setup(4), auto_clear=True)
     gone = bus.slaves.pop(4)
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.run(500 * MS)
     assert mode_of(bus) is Mode.CLEAR
-    (waits,) = [e for e in bus.events if isinstance(e, OperateWaits)]
+    (waits,) = bus.events_of(OperateWaits)
     assert waits.slaves == (3, 4)
     bus.slaves[4] = gone
     bus.run(1_500 * MS)
@@ -32,7 +32,7 @@ def test_auto_clear_after_the_data_control_time_and_back_by_order_only() -> None
     began = bus.now
     while bus.master.mode is Mode.OPERATE:
         bus.hold()
-    (cleared,) = [e for e in bus.events if isinstance(e, AutoCleared)]
+    (cleared,) = bus.events_of(AutoCleared)
     assert 299 * MS <= cleared.t_ns - began <= 310 * MS
     assert cleared.slaves == (3,)
     assert "slave 3 (s3) had no data exchange for 300 ms (stopped answering during Data_Exchange)" in cleared.text
@@ -40,9 +40,9 @@ def test_auto_clear_after_the_data_control_time_and_back_by_order_only() -> None
     lost.configured = False
     bus.slaves[3] = lost
     bus.run(2_000 * MS)
-    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+    assert bus.state(3) is SlaveState.DATA_EXCHANGE
     assert mode_of(bus) is Mode.CLEAR
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.run(5 * MS)
     assert mode_of(bus) is Mode.OPERATE
 
@@ -51,7 +51,7 @@ def test_auto_clear_after_the_data_control_time_and_back_by_order_only() -> None
 def test_no_auto_clear_for_a_slave_that_does_not_count(how: str) -> None:
     bus = operating(setup(3), setup(4, ignore_auto_clear=how == "ignored"), auto_clear=how != "off")
     if how == "deactivated":
-        bus.master.command(DeactivateSlave(4), bus.now)
+        bus.send(DeactivateSlave(4))
         bus.run(100 * MS)
     del bus.slaves[4]
     bus.run(3_000 * MS)
@@ -63,14 +63,14 @@ def test_no_auto_clear_for_a_slave_that_does_not_count(how: str) -> None:
 
 def test_deactivate_and_activate() -> None:
     bus = operating(setup(3, safe=SAFE, initial=RUN), setup(4))
-    bus.master.command(DeactivateSlave(3), bus.now)
-    assert bus.master.handlers[3].state is SlaveState.DEACTIVATED
+    bus.send(DeactivateSlave(3))
+    assert bus.state(3) is SlaveState.DEACTIVATED
     bus.run(2_000 * MS)
     assert squeezed(wire(bus)) == [(None, "04 7E 00 00"), (61, "40 01 01 0B 06 96 00")]
     assert not bus.master.images[3].valid
     bus.slaves[3].configured = False
     bus.requests.clear()
-    bus.master.command(ActivateSlave(3), bus.now)
+    bus.send(ActivateSlave(3))
     bus.run(20 * MS)
     assert squeezed(wire(bus))[:5] == [DIAG, SET_PRM, CHK_CFG, DIAG, (None, "04 7F 40 00")]
     assert bus.states(3)[0] == "deactivated"
@@ -88,7 +88,7 @@ def test_parameterised_anew_while_the_bus_runs() -> None:
     slave.answers[61] = unlocked
     others = bus.master.handlers[4].exchanges
     order = ReparameteriseSlave(setup(3, user_prm=b"\xaa", groups=(2,), watchdog_ms=500, safe=SAFE))
-    bus.master.command(order, bus.now)
+    bus.send(order)
     bus.run(100 * MS)
     assert squeezed(wire(bus))[:7] == [
         (None, "04 7E 00 00"),
@@ -105,7 +105,7 @@ def test_parameterised_anew_while_the_bus_runs() -> None:
 
 def test_other_lengths_make_a_new_image() -> None:
     bus = operating(setup(3))
-    bus.master.command(ReparameteriseSlave(setup(3, config=b"\x20\x10")), bus.now)
+    bus.send(ReparameteriseSlave(setup(3, config=b"\x20\x10")))
     image = bus.master.images[3]
     assert (image.inputs, image.outputs) == (b"\x00", b"\x00")
 
@@ -116,7 +116,7 @@ def test_an_answer_to_the_old_parameters_is_nobodys() -> None:
     bus.master.token_received(bus.now)
     request = bus.master.next_request(bus.now, False)
     assert request is not None
-    bus.master.command(DeactivateSlave(3), bus.now)
+    bus.send(DeactivateSlave(3))
     bus.master.result(request, data(request, b"\xff" * 4), bus.now)
     assert not bus.master.images[3].valid
     assert bus.master.images[3].inputs == bytes(4)

@@ -74,7 +74,7 @@ def test_every_row_of_the_table_is_exercised(monkeypatch: pytest.MonkeyPatch) ->
     # in WAIT_READY: silence and refusals of Slave_Diag
     for answer in (lambda _r: Failure.NO_ANSWER, _rs):
         bus = link(setup())
-        while bus.master.handlers[3].state is not SlaveState.WAIT_READY:
+        while bus.state(3) is not SlaveState.WAIT_READY:
             bus.hold()
         bus.slaves[3].answers[60] = answer
         bus.run(500 * MS)
@@ -104,8 +104,8 @@ def test_every_row_of_the_table_is_exercised(monkeypatch: pytest.MonkeyPatch) ->
                 if handler.state is state:
                     break
                 bus.hold()
-            bus.master.command(DeactivateSlave(3), bus.now)
+            bus.send(DeactivateSlave(3))
             bus.hold()
-            bus.master.command(ActivateSlave(3), bus.now)
+            bus.send(ActivateSlave(3))
             slave.configured = False
     assert set(TABLE) - table.used == set()

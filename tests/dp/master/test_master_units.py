@@ -43,19 +43,19 @@ def test_unit_runs_in_operate_only_and_its_defect_stays_its_own() -> None:
     unit = Unit()
     bus.master.images[3].plugin = unit
     assert bus.hold()[0].data == bytes(4)
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     assert bus.hold()[0].data == unit.outputs
-    bus.master.command(DriveCommand(3, "start", {}, 7), bus.now)
+    bus.send(DriveCommand(3, "start", {}, 7))
     bus.hold()
-    results = [e.payload for e in bus.events if isinstance(e, DriveEvent)]
+    results = [e.payload for e in bus.events_of(DriveEvent)]
     assert results == [{"type": "result", "token": 7, "ok": True, "value": "start"}]
     unit.error = ZeroDivisionError("by the test")
     made = bus.hold()
     assert made[0].data == b"\x00\x00\x00\x01"
     assert made[1].da == 4
     assert bus.faults(3) == ["plugin"]
-    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
-    bus.master.command(DriveCommand(3, "start", {}, 8), bus.now)
+    assert bus.state(3) is SlaveState.DATA_EXCHANGE
+    bus.send(DriveCommand(3, "start", {}, 8))
     last = [e for e in bus.master.take_events() if isinstance(e, DriveEvent)][-1]
     assert last.payload["ok"] is False
 
@@ -65,7 +65,7 @@ def test_unit_of_the_wrong_length_is_a_defect_of_the_unit() -> None:
     unit = Unit()
     unit.outputs = b"\x01"
     bus.master.images[3].plugin = unit
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     assert bus.hold()[0].data == bytes(4)
     assert bus.faults(3) == ["plugin"]
 
@@ -84,13 +84,13 @@ def test_a_plugin_is_told_and_nothing_is_half_applied() -> None:
     unit = bus.master.images[3].plugin = Unit()
     before = bus.master.handlers[3]
     with pytest.raises(UsageError, match="its drive plugin is made for 4 octets of inputs"):
-        bus.master.command(ReparameteriseSlave(setup(3, config=b"\x10")), bus.now)
+        bus.send(ReparameteriseSlave(setup(3, config=b"\x10")))
     with pytest.raises(UsageError, match="no slave with address 9"):
-        bus.master.command(ReparameteriseSlave(setup(9)), bus.now)
+        bus.send(ReparameteriseSlave(setup(9)))
     bus.run(10 * MS)
     assert bus.master.handlers[3] is before
     assert before.state is SlaveState.DATA_EXCHANGE
     assert unit.losses == 0
-    bus.master.command(ReparameteriseSlave(setup(3, groups=(1,))), bus.now)
+    bus.send(ReparameteriseSlave(setup(3, groups=(1,))))
     assert unit.losses == 1
     assert bus.master.images[3].plugin is unit

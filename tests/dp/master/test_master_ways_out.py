@@ -31,7 +31,7 @@ def test_out_of_operate_safe_values_come_before_clear(mode: Mode) -> None:
     """Zeros mean nothing to a drive that wants bit 10 of STW1: only its safe word stops it."""
     bus = operating(setup(safe=SAFE, initial=RUN))
     bus.hold()
-    bus.master.command(SetMode(mode), bus.now)
+    bus.send(SetMode(mode))
     began = bus.now
     while bus.master.mode is Mode.OPERATE:
         bus.hold()
@@ -40,13 +40,13 @@ def test_out_of_operate_safe_values_come_before_clear(mode: Mode) -> None:
     assert outputs(bus) == [RUN, SAFE, bytes(4)]
     assert controls(bus)[-2:] == [CLEAR_GC] * 2
     assert bus.master.mode is mode
-    modes = [e.mode for e in bus.events if isinstance(e, ModeChanged)]
+    modes = [e.mode for e in bus.events_of(ModeChanged)]
     assert modes == ([Mode.CLEAR] if mode is Mode.CLEAR else [Mode.CLEAR, Mode.STOP])
 
 
 def test_stop_from_operate_clears_first_even_where_zeros_are_safe() -> None:
     bus = operating(setup(initial=RUN))
-    bus.master.command(SetMode(Mode.STOP), bus.now)
+    bus.send(SetMode(Mode.STOP))
     bus.run(5 * MS)
     assert outputs(bus) == [bytes(4)]
     assert controls(bus) == [CLEAR_GC] * 2
@@ -55,9 +55,9 @@ def test_stop_from_operate_clears_first_even_where_zeros_are_safe() -> None:
 
 def test_back_to_operate_on_the_way_down() -> None:
     bus = operating(setup(safe=SAFE, initial=RUN))
-    bus.master.command(SetMode(Mode.CLEAR), bus.now)
+    bus.send(SetMode(Mode.CLEAR))
     bus.run(5 * MS)
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.run(100 * MS)
     assert outputs(bus) == [SAFE, RUN]
     assert CLEAR_GC not in controls(bus)
@@ -65,26 +65,26 @@ def test_back_to_operate_on_the_way_down() -> None:
 
 def test_safe_values_reach_a_slave_that_is_served_every_nth_round_only() -> None:
     bus = operating(setup(every=10_000, safe=SAFE, initial=RUN), setup(4))
-    bus.master.command(Shutdown(), bus.now)
+    bus.send(Shutdown())
     bus.run(100 * MS)
     assert outputs(bus) == [SAFE, bytes(4)]
 
 
 def test_line_down_on_the_way_down_ends_it_at_once() -> None:
     bus = operating(setup(safe=SAFE, initial=RUN))
-    bus.master.command(SetMode(Mode.STOP), bus.now)
+    bus.send(SetMode(Mode.STOP))
     bus.hold()
-    bus.master.command(LineDown("unplugged"), bus.now)
+    bus.send(LineDown("unplugged"))
     assert bus.master.mode is Mode.STOP
     assert bus.hold() == []
 
 
 def test_stop_makes_inputs_invalid_and_is_no_rotation() -> None:
     bus = operating(setup())
-    bus.master.command(SetMode(Mode.STOP), bus.now)
+    bus.send(SetMode(Mode.STOP))
     bus.run(1_000 * MS)
     stopped = bus.master.images[3].valid
-    bus.master.command(SetMode(Mode.CLEAR), bus.now)
+    bus.send(SetMode(Mode.CLEAR))
     bus.run(5 * MS)
     assert (stopped, bus.master.images[3].valid) == (False, True)
     assert bus.master.rotation.max_ns < 100 * MS
@@ -114,8 +114,8 @@ def test_the_answer_to_a_removed_slave_is_nobodys() -> None:
     bus.master.token_received(bus.now)
     request = bus.master.next_request(bus.now, False)
     assert request is not None
-    bus.master.command(RemoveSlave(3), bus.now)
-    bus.master.command(AddSlave(setup(3)), bus.now)
+    bus.send(RemoveSlave(3))
+    bus.send(AddSlave(setup(3)))
     bus.master.take_events()
     bus.master.result(request, Failure.NO_ANSWER, bus.now)
     assert bus.master.take_events() == []
@@ -123,8 +123,8 @@ def test_the_answer_to_a_removed_slave_is_nobodys() -> None:
 
 def test_a_slave_added_where_one_was_just_removed_waits_for_its_farewell() -> None:
     bus = operating(setup(3), setup(4, safe=SAFE, initial=RUN))
-    bus.master.command(RemoveSlave(4), bus.now)
-    bus.master.command(AddSlave(setup(4, initial=RUN)), bus.now)
+    bus.send(RemoveSlave(4))
+    bus.send(AddSlave(setup(4, initial=RUN)))
     bus.run(200 * MS)
     made = [(r.dsap, r.data) for r in bus.requests if r.da == 4]
     unlocked = next(at for at, (dsap, _) in enumerate(made) if dsap == 61)
@@ -138,19 +138,19 @@ def test_a_slave_added_where_one_was_just_removed_waits_for_its_farewell() -> No
 def test_a_slave_removed_during_its_bring_up_is_unlocked_when_it_was_parameterised(state: str, unlocks: int) -> None:
     bus = operating(setup(3))
     bus.slaves[4] = ScriptedSlave()
-    bus.master.command(AddSlave(setup(4)), bus.now)
-    while bus.master.handlers[4].state.value != state:
+    bus.send(AddSlave(setup(4)))
+    while bus.state(4).value != state:
         bus.hold()
     bus.requests.clear()
-    bus.master.command(RemoveSlave(4), bus.now)
+    bus.send(RemoveSlave(4))
     bus.run(200 * MS)
     assert [(r.dsap, r.data[0]) for r in bus.requests if r.da == 4] == [(61, 0x40)] * unlocks
 
 
 def test_a_removed_slave_gets_its_farewell_before_the_end() -> None:
     bus = operating(setup(3), setup(4, safe=SAFE, initial=RUN))
-    bus.master.command(RemoveSlave(4), bus.now)
-    bus.master.command(Shutdown(), bus.now)
+    bus.send(RemoveSlave(4))
+    bus.send(Shutdown())
     bus.run(100 * MS)
     assert [r.data[0] for r in bus.requests if r.da == 4 and r.dsap == 61] == [0x40]
     assert isinstance(bus.events[-1], MasterStopped)
@@ -161,14 +161,14 @@ def test_no_farewell_after_the_line_was_down_or_in_stop(how: str) -> None:
     """Meanwhile the slave may be another master's."""
     bus = operating(setup(3), setup(4))
     if how == "stop":
-        bus.master.command(SetMode(Mode.STOP), bus.now)
+        bus.send(SetMode(Mode.STOP))
         bus.run(10 * MS)
         bus.requests.clear()
-    bus.master.command(RemoveSlave(4), bus.now)
+    bus.send(RemoveSlave(4))
     if how == "line down":
-        bus.master.command(LineDown("unplugged"), bus.now)
+        bus.send(LineDown("unplugged"))
     bus.run(10 * MS)
-    bus.master.command(SetMode(Mode.CLEAR), bus.now)
+    bus.send(SetMode(Mode.CLEAR))
     bus.run(200 * MS)
     assert not any(r.da == 4 for r in bus.requests)
 
@@ -176,10 +176,10 @@ def test_no_farewell_after_the_line_was_down_or_in_stop(how: str) -> None:
 def test_shutdown_during_bring_up_parameterises_nobody_any_more() -> None:
     bus = operating(setup(3))
     bus.slaves[4] = ScriptedSlave()
-    bus.master.command(AddSlave(setup(4)), bus.now)
+    bus.send(AddSlave(setup(4)))
     bus.hold()
     bus.requests.clear()
-    bus.master.command(Shutdown(), bus.now)
+    bus.send(Shutdown())
     bus.run(100 * MS)
     assert not any(r.da == 4 for r in bus.requests)
     assert bus.master.mode is Mode.OFFLINE
@@ -206,8 +206,8 @@ def test_wrong_length_after_a_short_stay_is_retried_after_one_second() -> None:
     bus = operating(setup(3))
     bus.slaves[3].inputs = b"\x01"
     bus.run(10 * MS)
-    assert bus.master.handlers[3].state is SlaveState.FAULT
-    faulted = next(e.t_ns for e in bus.events if isinstance(e, SlaveStateChanged) and e.state is SlaveState.FAULT)
+    assert bus.state(3) is SlaveState.FAULT
+    faulted = next(e.t_ns for e in bus.events_of(SlaveStateChanged) if e.state is SlaveState.FAULT)
     bus.run(1_500 * MS)
     again = next(
         e.t_ns
@@ -222,8 +222,7 @@ def test_a_device_put_in_place_of_one_whose_ident_was_asked_is_named() -> None:
     bus.slaves[3].free = bytes.fromhex("02 05 00 FF 12 34")
     bus.slaves[3].configured = False
     bus.run(3_000 * MS)
-    fault = bus.master.handlers[3].fault
-    assert fault is not None
+    fault = bus.fault(3)
     assert "0x1234 instead of 0x0696" in fault.message
 
 
@@ -329,9 +328,8 @@ def test_a_bring_up_that_has_begun_is_not_held_up_by_many_others() -> None:
 def test_a_slave_that_wants_parameters_again_and_again_never_left_data_exchange() -> None:
     bus = operating(setup(3))
     bus.slaves[4] = ScriptedSlave(ready=bytes.fromhex("02 05 00 FF 06 96"))
-    bus.master.command(AddSlave(setup(4)), bus.now)
+    bus.send(AddSlave(setup(4)))
     bus.run(500 * MS)
     assert bus.faults(4) == ["not_ready"]
-    fault = bus.master.handlers[4].fault
-    assert fault is not None
+    fault = bus.fault(4)
     assert "wants parameters again" in fault.message

@@ -30,7 +30,7 @@ def outputs(bus: ScriptedLink, address: int = 3) -> list[str]:
 
 
 def stalls(bus: ScriptedLink) -> list[Stalled]:
-    return [event for event in bus.events if isinstance(event, Stalled)]
+    return bus.events_of(Stalled)
 
 
 def running(*addresses: int, **options: Any) -> ScriptedLink:
@@ -52,10 +52,10 @@ def test_no_old_output_goes_out_after_a_gap_longer_than_the_watchdog() -> None:
     assert set(clear) == {b"\x02\x00"}  # Global_Control: Clear, never Operate
     assert "slave 3 (s3) was not asked for 201 ms, longer than its watchdog of 200 ms" in stall.text
     bus.requests.clear()
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.run(10 * MS)
     assert outputs(bus) == ["04 7F 40 00"]
-    assert [event.mode for event in bus.events if isinstance(event, ModeChanged)] == [Mode.CLEAR, Mode.OPERATE]
+    assert [event.mode for event in bus.events_of(ModeChanged)] == [Mode.CLEAR, Mode.OPERATE]
 
 
 def test_safe_values_first_where_they_are_not_zeros() -> None:
@@ -89,13 +89,12 @@ def test_a_station_that_nobody_ran_has_not_lost_its_token_by_that() -> None:
     """Its slaves stay in data exchange: a gap shorter than their watchdogs changes nothing."""
     bus = operating(setup(3, initial=RUN, watchdog_ms=10_000))
     bus.now += 3_000 * MS
-    bus.master.command(HeldUp(3_000 * MS, "the program was stopped for 3000 ms"), bus.now)
+    bus.send(HeldUp(3_000 * MS, "the program was stopped for 3000 ms"))
     bus.master.tick(bus.now)
-    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+    assert bus.state(3) is SlaveState.DATA_EXCHANGE
     bus.now += 3_000 * MS  # and now it runs, but there is no token
     bus.master.tick(bus.now)
-    fault = bus.master.handlers[3].fault
-    assert fault is not None
+    fault = bus.fault(3)
     assert "holds no token" in fault.text
 
 
@@ -169,7 +168,7 @@ def test_the_computer_was_suspended() -> None:
     """The machine's time does not contain it."""
     bus = running(3)
     gap = HeldUp(3_000 * MS, "the computer was suspended for 3000 ms", suspended=True)
-    bus.master.command(gap, bus.now)
+    bus.send(gap)
     bus.run(20 * MS)
     assert outputs(bus) == [ZEROS]
     (stall,) = stalls(bus)
@@ -182,7 +181,7 @@ def test_the_computer_was_suspended() -> None:
 def test_nobody_ran_the_master() -> None:
     bus = running(3)
     bus.now += 500 * MS
-    bus.master.command(HeldUp(498 * MS, "the process was stopped for 498 ms"), bus.now)
+    bus.send(HeldUp(498 * MS, "the process was stopped for 498 ms"))
     bus.run(20 * MS)
     assert stalls(bus)[0].blocked is Blocked.PROGRAM
     assert "the process was stopped for 498 ms" in stalls(bus)[0].text
@@ -198,11 +197,11 @@ def test_the_token_did_not_come() -> None:
 @pytest.mark.parametrize(("away_ms", "mode"), [(150, Mode.OPERATE), (250, Mode.CLEAR)])
 def test_a_lost_port(away_ms: int, mode: Mode) -> None:
     bus = running(3, 4)
-    bus.master.command(LineDown("the adapter was pulled"), bus.now)
+    bus.send(LineDown("the adapter was pulled"))
     for slave in bus.slaves.values():
         slave.configured = away_ms < 200
     bus.now += away_ms * MS
-    bus.master.command(LineUp(), bus.now)
+    bus.send(LineUp())
     bus.run(1_000 * MS)
     assert bus.states(3)[-1] == bus.states(4)[-1] == "data_exchange"
     assert mode_of(bus) is mode
@@ -224,10 +223,10 @@ def test_the_token_was_away_so_long_that_the_line_counts_as_lost() -> None:
 def test_a_port_that_comes_back_when_its_slaves_are_gone_lets_nothing_old_out() -> None:
     """Slave 3 was asked in vain at once, which is no sign that its watchdog was kept alive before."""
     bus = running(3)
-    bus.master.command(LineDown("pulled"), bus.now)
+    bus.send(LineDown("pulled"))
     bus.now += 400 * MS
     gone = bus.slaves.pop(3)
-    bus.master.command(LineUp(), bus.now)
+    bus.send(LineUp())
     bus.run(2_000 * MS)
     gone.configured = False
     bus.slaves[3] = gone
@@ -241,22 +240,22 @@ def test_a_port_that_comes_back_when_its_slaves_are_gone_lets_nothing_old_out() 
 
 def test_a_gap_in_clear_tells_nothing() -> None:
     bus = running(3)
-    bus.master.command(SetMode(Mode.CLEAR), bus.now)
+    bus.send(SetMode(Mode.CLEAR))
     bus.run(100 * MS)
     bus.now += 5_000 * MS
     bus.run(100 * MS)
     assert not stalls(bus)
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.run(300 * MS)
     assert mode_of(bus) is Mode.OPERATE
 
 
 def test_operate_after_stop_begins_anew() -> None:
     bus = running(3)
-    bus.master.command(SetMode(Mode.STOP), bus.now)
+    bus.send(SetMode(Mode.STOP))
     bus.run(1_000 * MS)
     bus.slaves[3].configured = False
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.run(300 * MS)
     assert bus.states(3)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.OPERATE
@@ -264,7 +263,7 @@ def test_operate_after_stop_begins_anew() -> None:
 
 def test_a_slow_bring_up_is_no_stall() -> None:
     bus = link(setup(3, initial=RUN))
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.slaves[3].ready = bytes.fromhex("02 0C 00 02 06 96")  # Station_Not_Ready
     bus.run(1_000 * MS)
     bus.slaves[3].ready = bytes.fromhex("00 0C 00 02 06 96")
@@ -276,7 +275,7 @@ def test_a_slow_bring_up_is_no_stall() -> None:
 @pytest.mark.parametrize("order", [RemoveSlave(3), DeactivateSlave(3)])
 def test_a_slave_that_was_given_up_does_not_count(order: object) -> None:
     bus = operating(setup(3, initial=RUN), setup(4, initial=RUN, watchdog_ms=0))
-    bus.master.command(order, bus.now)
+    bus.send(order)
     bus.now += 1_000 * MS
     bus.run(300 * MS)
     assert mode_of(bus) is Mode.OPERATE
@@ -296,7 +295,7 @@ def test_operate_on_the_way_down_is_told() -> None:
     bus.now += 300 * MS
     bus.run(5 * MS)
     assert mode_of(bus) is Mode.OPERATE  # safe values stand for 50 ms
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.run(200 * MS)
     assert mode_of(bus) is Mode.OPERATE
     assert outputs(bus)[-1] == "04 7F 40 00"
@@ -306,7 +305,7 @@ def test_operate_on_the_way_down_is_told() -> None:
 def test_operate_that_waits_for_slaves_ends_by_a_stall() -> None:
     bus = link(setup(3, initial=RUN), setup(4), auto_clear=True)
     gone = bus.slaves.pop(4)
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.run(100 * MS)
     bus.now += 500 * MS
     bus.run(10 * MS)
@@ -323,8 +322,8 @@ def test_only_one_reason_for_one_clear() -> None:
     bus = running(3, auto_clear=True, data_control_ns=300 * MS)
     bus.now += 2_000 * MS
     bus.run(2_000 * MS)
-    assert [type(e) for e in bus.events if isinstance(e, ForcedClear)] == [Stalled]
-    assert not [e for e in bus.events if isinstance(e, AutoCleared)]
+    assert [type(e) for e in bus.events_of(ForcedClear)] == [Stalled]
+    assert not bus.events_of(AutoCleared)
 
 
 def test_a_second_stall_is_told_again() -> None:
@@ -333,7 +332,7 @@ def test_a_second_stall_is_told_again() -> None:
         bus.now += 300 * MS
         bus.run(100 * MS)
         assert len(stalls(bus)) == count
-        bus.master.command(SetMode(Mode.OPERATE), bus.now)
+        bus.send(SetMode(Mode.OPERATE))
         bus.run(100 * MS)
         assert mode_of(bus) is Mode.OPERATE
 
@@ -369,14 +368,14 @@ def test_diag_free_is_what_a_slave_says_whose_watchdog_ran_out() -> None:
 
 
 def silent(bus: ScriptedLink) -> list[ApplicationSilent]:
-    return [event for event in bus.events if isinstance(event, ApplicationSilent)]
+    return bus.events_of(ApplicationSilent)
 
 
 def test_the_application_watchdog_runs_out() -> None:
     bus = running(3, application_watchdog_ns=100 * MS)
     began = bus.now
     for _ in range(20):
-        bus.master.command(Alive(), bus.now)
+        bus.send(Alive())
         bus.run(90 * MS)
     assert mode_of(bus) is Mode.OPERATE
     assert bus.now - began > 1_800 * MS
@@ -393,7 +392,7 @@ def test_the_application_watchdog_runs_out() -> None:
     bus.run(200 * MS)
     assert mode_of(bus) is Mode.CLEAR
     assert len(silent(bus)) == 1
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.run(50 * MS)
     assert mode_of(bus) is Mode.OPERATE
     bus.run(60 * MS)
@@ -403,18 +402,18 @@ def test_the_application_watchdog_runs_out() -> None:
 def test_the_application_watchdog_is_armed_by_operate_and_off_in_clear() -> None:
     bus = link(setup(3), application_watchdog_ns=100 * MS)
     bus.run(1_000 * MS)
-    bus.master.command(Alive(), bus.now)
+    bus.send(Alive())
     assert not silent(bus)
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.send(SetMode(Mode.OPERATE))
     bus.run(50 * MS)
-    bus.master.command(SetMode(Mode.CLEAR), bus.now)
+    bus.send(SetMode(Mode.CLEAR))
     bus.run(1_000 * MS)
     assert not silent(bus)
 
 
 def test_without_an_application_watchdog_alive_changes_nothing() -> None:
     bus = running(3)
-    bus.master.command(Alive(), bus.now)
+    bus.send(Alive())
     bus.run(2_000 * MS)
     assert mode_of(bus) is Mode.OPERATE
 
@@ -427,7 +426,7 @@ def test_the_application_watchdog_runs_out_while_the_token_is_away() -> None:
     bus.run(10 * MS)
     assert len(silent(bus)) == 1
     assert outputs(bus) == [ZEROS]
-    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+    assert bus.state(3) is SlaveState.DATA_EXCHANGE
 
 
 def test_requests_of_services_are_asked_before_nothing() -> None:

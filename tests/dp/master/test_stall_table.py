@@ -21,17 +21,17 @@ OUTPUTS: Final = {"04 7F 40 00": "live outputs", "04 7E 00 00": "safe values", "
 
 def stopped(bus: ScriptedLink) -> None:
     bus.now += GAP
-    bus.master.command(HeldUp(GAP, "the process was stopped for 500 ms"), bus.now)
+    bus.send(HeldUp(GAP, "the process was stopped for 500 ms"))
 
 
 def suspended(bus: ScriptedLink) -> None:
-    bus.master.command(HeldUp(GAP, "the computer was suspended for 500 ms", suspended=True), bus.now)
+    bus.send(HeldUp(GAP, "the computer was suspended for 500 ms", suspended=True))
 
 
 def port(bus: ScriptedLink) -> None:
-    bus.master.command(LineDown("pulled"), bus.now)
+    bus.send(LineDown("pulled"))
     bus.now += GAP
-    bus.master.command(LineUp(), bus.now)
+    bus.send(LineUp())
 
 
 def token(bus: ScriptedLink) -> None:
@@ -45,7 +45,7 @@ def prm_req(bus: ScriptedLink) -> None:
 
 def short(bus: ScriptedLink) -> None:
     bus.now += 150 * MS
-    bus.master.command(HeldUp(150 * MS, "the process was stopped for 150 ms"), bus.now)
+    bus.send(HeldUp(150 * MS, "the process was stopped for 150 ms"))
 
 
 def restart(bus: ScriptedLink) -> None:
@@ -112,6 +112,6 @@ def test_row(case: str, after_stall: str) -> None:
     words = dict.fromkeys(OUTPUTS[r.data.hex(" ").upper()] for r in taken)
     assert list(words) == row.outputs
     assert mode_of(bus).name.lower() == row.mode
-    told = [line for e in bus.events if isinstance(e, ForcedClear) and (line := event_json(e, 0)) is not None]
+    told = [line for e in bus.events_of(ForcedClear) if (line := event_json(e, 0)) is not None]
     assert [word for line in told for word in (line["event"], line.get("blocked")) if word is not None] == row.told
     assert wire(bus)

@@ -59,7 +59,7 @@ def outcomes(bus: ScriptedLink) -> list[Event]:
 def test_each_is_sent_once_to_its_groups(what: dict[str, bool], groups: tuple[int, ...], octets: str) -> None:
     """Literal octets (docs/protocol.md#global_control); a second SYNC would act again, so it is never repeated."""
     bus = operating(setup(3), setup(4))
-    bus.master.command(SendControl(7, groups, **what), bus.now)
+    bus.send(SendControl(7, groups, **what))
     bus.run(500 * MS)
     assert controls(bus) == [(127, octets)]
     (sent,) = outcomes(bus)
@@ -71,9 +71,9 @@ def test_each_is_sent_once_to_its_groups(what: dict[str, bool], groups: tuple[in
 
 def test_in_clear_the_telegram_says_clear_too() -> None:
     bus = operating(setup(3))
-    bus.master.command(SetMode(Mode.CLEAR), bus.now)
+    bus.send(SetMode(Mode.CLEAR))
     bus.run(5 * MS)
-    bus.master.command(SendControl(1, (1,), freeze=True), bus.now)
+    bus.send(SendControl(1, (1,), freeze=True))
     bus.run(5 * MS)
     assert controls(bus) == [(127, "0a 01")]
 
@@ -88,7 +88,7 @@ def test_settle_waits_for_one_exchange_with_each_that_began_after_the_order() ->
 
     bus.slaves[5].answers[None] = answer  # RR three times
     bus.master.images[4].outputs = b"\x01\x02\x03\x04"
-    bus.master.command(SendControl(1, (1,), sync=True, settle=True), bus.now)
+    bus.send(SendControl(1, (1,), sync=True, settle=True))
     bus.run(20 * MS)
     sync = next(n for n, r in enumerate(bus.requests) if r.data == b"\x20\x01")
     before = bus.requests[:sync]
@@ -98,7 +98,7 @@ def test_settle_waits_for_one_exchange_with_each_that_began_after_the_order() ->
 
 def test_a_picture_is_of_exchanges_after_the_freeze() -> None:
     bus = operating(setup(3), setup(4))
-    bus.master.command(SendControl(1, (1,), freeze=True, picture=True), bus.now)
+    bus.send(SendControl(1, (1,), freeze=True, picture=True))
     while not controls(bus):
         bus.hold()
     bus.slaves[3].inputs, bus.slaves[4].inputs = b"\x0a\x0b\x0c\x0d", b"\x01\x02\x03\x04"
@@ -125,14 +125,14 @@ def test_what_cannot_be_is_refused_by_name() -> None:
 
 def test_in_stop_and_without_a_token_it_is_refused_at_once() -> None:
     bus = operating(setup(3))
-    bus.master.command(LineDown("unplugged"), bus.now)
+    bus.send(LineDown("unplugged"))
     with pytest.raises(BusError, match="holds no token"):
-        bus.master.command(SendControl(1, (1,), sync=True), bus.now)
+        bus.send(SendControl(1, (1,), sync=True))
     bus.run(20 * MS)
-    bus.master.command(SetMode(Mode.STOP), bus.now)
+    bus.send(SetMode(Mode.STOP))
     bus.run(20 * MS)
     with pytest.raises(UsageError, match="in Stop"):
-        bus.master.command(SendControl(1, (1,), sync=True), bus.now)
+        bus.send(SendControl(1, (1,), sync=True))
 
 
 @pytest.mark.parametrize(
@@ -146,8 +146,8 @@ def test_in_stop_and_without_a_token_it_is_refused_at_once() -> None:
 )
 def test_an_order_that_can_no_longer_be_sent_ends_with_the_reason(end: object, words: str) -> None:
     bus = operating(setup(3), setup(4, groups=()))
-    bus.master.command(SendControl(1, (1,), sync=True), bus.now)
-    bus.master.command(end, bus.now)
+    bus.send(SendControl(1, (1,), sync=True))
+    bus.send(end)
     bus.run(20 * MS)
     (failed,) = outcomes(bus)
     assert isinstance(failed, ControlFailed)
@@ -158,7 +158,7 @@ def test_an_order_that_can_no_longer_be_sent_ends_with_the_reason(end: object, w
 def test_a_member_that_is_lost_is_named() -> None:
     bus = operating(setup(3), setup(4))
     del bus.slaves[4]
-    bus.master.command(SendControl(1, (1,), sync=True, settle=True), bus.now)
+    bus.send(SendControl(1, (1,), sync=True, settle=True))
     bus.run(20 * MS)
     (failed,) = outcomes(bus)
     assert isinstance(failed, ControlFailed)
@@ -169,7 +169,7 @@ def test_a_member_that_is_lost_is_named() -> None:
 def test_a_slave_that_comes_back_is_put_back_into_its_groups_mode_before_its_outputs() -> None:
     """Alone, by a telegram of its own: a SYNC to the group would pass on what the others hold."""
     bus = operating(setup(3), setup(4))
-    bus.master.command(SendControl(1, (1,), sync=True), bus.now)
+    bus.send(SendControl(1, (1,), sync=True))
     bus.run(1_500 * MS)
     bus.slaves[4].configured = False
     bus.requests.clear()
@@ -185,10 +185,10 @@ def test_a_slave_that_comes_back_is_put_back_into_its_groups_mode_before_its_out
 @pytest.mark.parametrize("end", [SetMode(Mode.CLEAR), SetMode(Mode.STOP), Shutdown()])
 def test_safe_values_reach_outputs_that_are_held(end: object, safe: bytes) -> None:
     bus = operating(setup(3, safe=safe, initial=b"\x04\x7f\x40\x00"))
-    bus.master.command(SendControl(1, (1,), sync=True), bus.now)
+    bus.send(SendControl(1, (1,), sync=True))
     bus.run(10 * MS)
     bus.requests.clear()
-    bus.master.command(end, bus.now)
+    bus.send(end)
     bus.run(100 * MS)
     made = [(r.dsap, r.data.hex(" ")) for r in bus.requests]
     first = next(n for n, (dsap, octets) in enumerate(made) if dsap == 58)
@@ -198,10 +198,10 @@ def test_safe_values_reach_outputs_that_are_held(end: object, safe: bytes) -> No
 
 def test_a_slave_given_up_in_sync_gets_its_safe_values_too() -> None:
     bus = operating(setup(3), setup(4, safe=b"\x04\x7e\x00\x00", initial=b"\x04\x7f\x40\x00"))
-    bus.master.command(SendControl(1, (1,), sync=True), bus.now)
+    bus.send(SendControl(1, (1,), sync=True))
     bus.run(10 * MS)
     bus.requests.clear()
-    bus.master.command(RemoveSlave(4), bus.now)
+    bus.send(RemoveSlave(4))
     bus.run(100 * MS)
     made = [(r.dsap, r.data.hex(" ")) for r in bus.requests if r.da == 4]
     assert made[:3] == [(None, "04 7e 00 00"), (58, "14 00"), (None, "04 7e 00 00")]
