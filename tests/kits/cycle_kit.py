@@ -115,10 +115,17 @@ def steps(times: list[int]) -> set[int]:
     return {later - earlier for earlier, later in itertools.pairwise(times)}
 
 
-def running(world: WorldFactory, *setups: Any, cycle_ns: int = 4 * MS, **more: Any) -> CycleBus:
-    """A bus whose slaves are in data exchange, a little later."""
-    bus = CycleBus(world(), P500, setups or (slave(5), slave(6)), cycle_ns, **more)
+def running(
+    world: WorldFactory,
+    *setups: SlaveParams,
+    cycle_ns: int = 4 * MS,
+    params: BusParams = P500,
+    after_ns: int = 20 * MS,
+    **more: Any,
+) -> CycleBus:
+    """A bus ``after_ns`` after all its slaves reached data exchange, at 500 kbit/s with slaves 5 and 6 by default."""
+    bus = CycleBus(world(), params, setups or (slave(5), slave(6)), cycle_ns, **more)
     bus.until_exchanging()
-    bus.run(20 * MS)
+    bus.run(after_ns)
     bus.quiet()
     return bus

@@ -51,9 +51,7 @@ def test_between_the_rounds_the_token_goes_on_round(world: WorldFactory) -> None
 
 def test_the_gap_off_the_pause_before_a_cycle_is_shorter_than_t_to(world: WorldFactory) -> None:
     params = P500.replace(gap=0)
-    bus = CycleBus(world(), params, (slave(5),), 4 * MS)
-    bus.until_exchanging()
-    bus.quiet()
+    bus = running(world, slave(5), params=params, after_ns=0)
     bus.run(100 * MS)
     silences = [b.start_ns - a.end_ns for a, b in itertools.pairwise(bus.wire)]
     assert max(silences) <= (200 + 2 * 70) * BIT  # T_SL and two tokens
@@ -61,10 +59,7 @@ def test_the_gap_off_the_pause_before_a_cycle_is_shorter_than_t_to(world: WorldF
 
 
 def test_free_running_is_as_it_was(world: WorldFactory) -> None:
-    bus = CycleBus(world(), P500.replace(gap=0), (slave(5), slave(6)), 0)
-    bus.until_exchanging()
-    bus.run(20 * MS)
-    bus.quiet()
+    bus = running(world, params=P500.replace(gap=0), cycle_ns=0)
     bus.run(20 * MS)
     assert steps(bus.exchanges(5)) == {(2 * EXCHANGE + 33 + 37) * BIT}
     assert bus.master.cycles.begun == 0
@@ -169,9 +164,7 @@ def test_rate_groups_are_spread_and_keep_their_cycles(world: WorldFactory) -> No
 def test_min_slave_interval_is_kept_after_a_late_start(world: WorldFactory) -> None:
     """Its own bound, not only the grid's: after a late exchange the next one waits, others do not."""
     params = P500.replace(max_retry=5)
-    bus = CycleBus(world(), params, (slave(5), slave(6, min_slave_interval_ns=4 * MS)), 4 * MS)
-    bus.until_exchanging()
-    bus.quiet()
+    bus = running(world, slave(5), slave(6, min_slave_interval_ns=4 * MS), params=params, after_ns=0)
     begin = bus.world.now
     for n in range(40):  # a lost answer of slave 5 now and then makes 6 later by a repetition
         bus.world.call_at(begin + n * 9_310_000, lambda: bus.world.silence(bus.slaves[5], 600 * US))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from cycle_kit import CycleBus, slave
-from support import MS, WorldFactory
+from cycle_kit import CycleBus, running, slave
+from support import WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.plan.cycle_check import Verdict, least_ns
@@ -23,11 +23,7 @@ def tight(world: WorldFactory, baud: int) -> CycleBus:
     setups = [slave(address) for address in (3, 4, 5)]
     least = least_ns(Figures(params, setups))[Verdict.POSSIBLE]
     cycle_ns = -(-least // NS_PER_US) * NS_PER_US
-    bus = CycleBus(world(), params, setups, cycle_ns, more=[acyclic_services(2)])
-    bus.until_exchanging()
-    bus.run(20 * MS)
-    bus.quiet()
-    return bus
+    return running(world, *setups, params=params, cycle_ns=cycle_ns, more=[acyclic_services(2)])
 
 
 @pytest.mark.parametrize("baud", [500_000, 12_000_000])

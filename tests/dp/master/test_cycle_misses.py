@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 from bus_kit import mirror
-from cycle_kit import P500, CycleBus, running, slave, steps
+from cycle_kit import P500, running, slave, steps
 from support import MS, US, S, WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
@@ -16,7 +16,7 @@ from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.events import DoesNotFit
 from dpstack.fdl.livelist import LiveList
-from dpstack.phy.patience import HOST
+from dpstack.phy.patience import HOST, Patience
 
 # --- what waits between the rounds ------------------------------------------------------------------------------------
 
@@ -78,7 +78,7 @@ def test_a_forced_service_that_breaks_the_cycle_is_its_reason(world: WorldFactor
     bus.send(ReadService(1, 5, Service.DIAGNOSIS))
     bus.run(150 * MS)
     bus.quiet()
-    bus.world.command(bus.station, ReadService(2, 5, Service.DIAGNOSIS))  # it is known now: 50 ms for it
+    bus.send(ReadService(2, 5, Service.DIAGNOSIS))  # it is known now: 50 ms for it
     while not bus.requests(60):
         bus.run(10 * US)
     bus.world.silence(bus.slaves[5], 60 * MS, deaf=True)
@@ -93,12 +93,7 @@ def test_a_forced_service_that_breaks_the_cycle_is_its_reason(world: WorldFactor
 
 def test_a_long_round_leaves_out_whole_cycles_and_the_grid_stays(world: WorldFactory) -> None:
     """A slave dies with 20 ms of slack for it and one repetition: 10 cycles of 4 ms are over before the next begins."""
-    bus = CycleBus(
-        world(), P500, (slave(5), slave(6)), 4 * MS, patience=type(HOST)(known_ns=20 * MS, unknown_ns=MS, stall_ns=MS)
-    )
-    bus.until_exchanging()
-    bus.run(40 * MS)
-    bus.quiet()
+    bus = running(world, patience=Patience(known_ns=20 * MS, unknown_ns=MS, stall_ns=MS), after_ns=40 * MS)
     bus.run(8 * MS)
     origin = bus.exchanges(5)[0]
     before = bus.master.cycles.missed
@@ -136,10 +131,7 @@ def test_a_start_late_by_less_than_half_a_cycle_is_no_cycle_less(world: WorldFac
 
 def test_misses_are_told_at_once_then_once_a_second(world: WorldFactory) -> None:
     """An overloaded bus: the round takes 1.6 cycles, every second one is left out for ever."""
-    bus = CycleBus(world(), P500, [slave(a) for a in (5, 6, 7)], 2 * MS)
-    bus.until_exchanging()
-    bus.run(2 * S)
-    bus.quiet()
+    bus = running(world, *(slave(a) for a in (5, 6, 7)), cycle_ns=2 * MS, after_ns=2 * S)
     bus.run(3 * S)
     told = bus.events_of(CyclesMissed)
     assert len(told) == 3
@@ -161,10 +153,7 @@ def test_misses_are_told_at_once_then_once_a_second(world: WorldFactory) -> None
 
 def test_the_end_does_not_wait_for_the_grid(world: WorldFactory) -> None:
     """Safe values for 50 ms, Clear twice: with a cycle of 500 ms it takes no longer than without."""
-    bus = CycleBus(world(), P500, [slave(5, safe=bytes([9]) * 12, watchdog_ms=3000)], 500 * MS)
-    bus.until_exchanging()
-    bus.run(S)
-    bus.quiet()
+    bus = running(world, slave(5, safe=bytes([9]) * 12, watchdog_ms=3000), cycle_ns=500 * MS, after_ns=S)
     began = bus.world.now
     bus.send(Shutdown())
     bus.run(200 * MS)

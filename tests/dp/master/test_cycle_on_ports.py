@@ -7,10 +7,11 @@ was put there by the stack.
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import pytest
 from bus_kit import mirror
-from cycle_kit import CycleBus, slave
+from cycle_kit import P500, CycleBus, running, slave
 from support import MS, US, S, WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
@@ -19,6 +20,7 @@ from dpstack.dp.master.events import CyclesMissed, SlaveState
 from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -28,7 +30,11 @@ from dpstack.phy.patience import HOST, measured
 from dpstack.sim.adapter import FTDI_LOW_LATENCY, Adapter
 
 P1500 = BusParams.preset(1_500_000, address=2)
-P500 = BusParams.preset(500_000, address=2)
+
+
+def on_a_port(world: WorldFactory, *setups: SlaveParams, cycle_ns: int = 10 * MS, **more: Any) -> CycleBus:
+    """A bus at 1.5 Mbit/s whose port has the patience of a pty."""
+    return running(world, *setups, cycle_ns=cycle_ns, params=P1500, patience=HOST, **more)
 
 
 def gap_polls(bus: CycleBus) -> list[tuple[int, int]]:
@@ -40,10 +46,7 @@ def gap_polls(bus: CycleBus) -> list[tuple[int, int]]:
 def test_silent_addresses_on_a_pty_never_break_a_cycle(world: WorldFactory, cycle_ms: int) -> None:
     """Three slaves of 1 ms together; an absent one, the GAP. 2 ms of patience are more than a cycle of 2 ms has."""
     setups = [slave(3), slave(4), slave(5), slave(6)]
-    bus = CycleBus(world(), P1500, setups, cycle_ms * MS, silent=(6,), patience=HOST, options={"absent_divisor": 100})
-    bus.until_exchanging()
-    bus.run(S)
-    bus.quiet()
+    bus = on_a_port(world, *setups, cycle_ns=cycle_ms * MS, silent=(6,), options={"absent_divisor": 100}, after_ns=S)
     missed, forced = bus.master.cycles.missed, bus.master.window.forced
     bus.run(2 * S)
     starts = bus.exchanges(3)
@@ -60,10 +63,7 @@ def test_silent_addresses_on_a_pty_never_break_a_cycle(world: WorldFactory, cycl
 
 def test_a_poll_has_all_the_time_there_is(world: WorldFactory) -> None:
     """A silent poll ends 2.4 ms after it at the latest, sooner where the next cycle needs it."""
-    bus = CycleBus(world(), P1500, [slave(3), slave(4), slave(5)], 5 * MS, patience=HOST)
-    bus.until_exchanging()
-    bus.run(S)
-    bus.quiet()
+    bus = on_a_port(world, slave(3), slave(4), slave(5), cycle_ns=5 * MS, after_ns=S)
     bus.run(S)
     starts = [e.start_ns for e in bus.wire]
     silent = [
@@ -78,11 +78,7 @@ def test_a_poll_has_all_the_time_there_is(world: WorldFactory) -> None:
 
 def test_a_diagnosis_on_a_pty_does_not_wait_eight_cycles(world: WorldFactory) -> None:
     """50 ms for the silence of a slave in data exchange fit into no cycle of 10 ms; 2 ms, which a pty needs, do."""
-    class2 = acyclic_services(2)
-    bus = CycleBus(world(), P1500, [slave(3), slave(4)], 10 * MS, patience=HOST, more=[class2])
-    bus.until_exchanging()
-    bus.run(200 * MS)
-    bus.quiet()
+    bus = on_a_port(world, slave(3), slave(4), more=[acyclic_services(2)], after_ns=200 * MS)
     began = bus.world.now
     for token in range(5):
         bus.send(ReadService(token, 3, Service.DIAGNOSIS))
@@ -95,10 +91,7 @@ def test_a_diagnosis_on_a_pty_does_not_wait_eight_cycles(world: WorldFactory) ->
 
 def test_a_slave_that_dies_at_a_service_costs_cycles_and_is_the_reason(world: WorldFactory) -> None:
     """The GAP asks for it when it is known: 50 ms, as in a Data_Exchange."""
-    bus = CycleBus(world(), P1500, [slave(3), slave(4)], 10 * MS, patience=HOST)
-    bus.until_exchanging()
-    bus.run(4 * S)
-    bus.quiet()
+    bus = on_a_port(world, slave(3), slave(4), after_ns=4 * S)
     origin = bus.world.now
     while tuple(bus.wire[-1].octets[1:4] if bus.wire else ()) != (4, 2, 0x49):
         bus.run(20 * US)
@@ -134,10 +127,7 @@ def test_a_slave_that_went_is_waited_for_once(world: WorldFactory) -> None:
 @pytest.mark.parametrize("offset", range(60, 560, 20))
 def test_a_control_just_before_a_cycle_does_not_make_it_late(world: WorldFactory, offset: int) -> None:
     """The mode is repeated so many bits before a cycle is due."""
-    bus = CycleBus(world(), P500, [slave(5)], 10 * MS)
-    bus.until_exchanging()
-    bus.run(100 * MS)
-    bus.quiet()
+    bus = running(world, slave(5), cycle_ns=10 * MS, after_ns=100 * MS)
     bus.run(10 * MS + 5 * MS)
     start = bus.exchanges(5)[-1]
     bus.master.controls._due = start + 10 * MS - P500.ns(offset)
@@ -148,8 +138,7 @@ def test_a_control_just_before_a_cycle_does_not_make_it_late(world: WorldFactory
 
 @pytest.mark.parametrize("before_us", [100, 300, 500, 700, 1000])
 def test_the_end_does_not_wait_for_a_cycle_that_the_token_is_kept_for(world: WorldFactory, before_us: int) -> None:
-    bus = CycleBus(world(), P500, [slave(5, safe=bytes([9]) * 12)], 20 * MS)
-    bus.until_exchanging()
+    bus = running(world, slave(5, safe=bytes([9]) * 12), cycle_ns=20 * MS, after_ns=0)
     bus.run(200 * MS)
     due = bus.exchanges(5)[-1] + 20 * MS
     while due - bus.world.now > before_us * US:

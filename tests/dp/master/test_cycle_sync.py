@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 
+import cycle_kit
 import pytest
-from cycle_kit import CycleBus, slave
+from cycle_kit import P500, CycleBus, slave
 from support import MS, WorldFactory
 
 from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SendControl, SetMode, Shutdown
@@ -13,9 +14,7 @@ from dpstack.dp.master.events import SlaveRemark, SlaveState
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError, UsageError
-from dpstack.params import BusParams
 
-P500 = BusParams.preset(500_000, address=2)
 BOTH = {"cycle_freeze": (1,), "cycle_sync": (1, 3)}
 
 
@@ -24,11 +23,8 @@ def member(address: int) -> SlaveParams:
 
 
 def running(world: WorldFactory, *, cycle_ns: int = 10 * MS) -> CycleBus:
-    bus = CycleBus(world(), P500, (member(5), member(6), slave(7)), cycle_ns, options=BOTH)
-    bus.until_exchanging()
-    bus.run(30 * MS)
-    bus.quiet()
-    return bus
+    setups = (member(5), member(6), slave(7))
+    return cycle_kit.running(world, *setups, cycle_ns=cycle_ns, options=BOTH, after_ns=30 * MS)
 
 
 def real_outputs(bus: CycleBus, address: int) -> bytes:
@@ -113,7 +109,7 @@ def test_who_comes_back_is_taken_in_without_a_word(world: WorldFactory) -> None:
     bus.run(30 * MS)
     assert bus.master.controls.sync.held == {5, 6}
     assert [e.message for e in bus.events_of(SlaveRemark) if "put back" in e.message] == []
-    bus.world.command(bus.station, RemoveSlave(5))  # out of both modes first, see test_sync_freeze
+    bus.send(RemoveSlave(5))  # out of both modes first, see test_sync_freeze
     bus.run(200 * MS)
     alone = [e for e in bus.wire if e.octets[4:8] == bytes((0x85, 0x82, 0x46, 58)) and e.octets[9] & 0x14 == 0x14]
     assert alone

@@ -19,7 +19,7 @@ def test_the_right_device_is_taken_up_when_a_gap_poll_has_found_it(world: WorldF
     bus = SimBus(world(), params, [5])
     wrong = make_slave(3, MirrorDevice(0x4321, PPO1), params)
     bus.world.add(wrong)
-    bus.world.command(bus.station, AddSlave(SlaveParams(address=3, name="s3", ident=IDENT, config=PPO1)))
+    bus.send(AddSlave(SlaveParams(address=3, name="s3", ident=IDENT, config=PPO1)))
     bus.world.run_for(16 * S)  # refused after 1, 3, 7 and 15 s: the next time would be at 25 s
     (fault,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted) and e.address == 3)
     assert "0x4321 instead of 0x1234" in fault.message

@@ -388,7 +388,7 @@ def test_the_application_watchdog_runs_out() -> None:
     assert 99 <= (event.t_ns - last) / MS <= 102
     assert "alive() was not called for 100 ms" in event.text
     assert outputs(bus) == [ZEROS]
-    bus.master.command(Alive(), bus.now)  # does not bring it back
+    bus.send(Alive())  # does not bring it back
     bus.run(200 * MS)
     assert mode_of(bus) is Mode.CLEAR
     assert len(silent(bus)) == 1
