@@ -18,12 +18,13 @@ from dpstack.dp.master.commands import DriveCommand, Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
-from dpstack.dp.slave.application import make_slave
+from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
 from dpstack.profile.registry import find as find_drive
 from dpstack.sim.world import World
@@ -52,7 +53,7 @@ class Plant:
         user_prm = b"" if profile is None else profile.user_prm
         for address in addresses:
             device: Device = MirrorDevice(_IDENT, _PPO1) if profile is None else profile.device("PPO1")
-            self.world.add(make_slave(address, device, params))
+            self.world.add(PassiveStation(address, SlaveApp(device, address=address), params))
         self.master = Master(
             params,
             [SlaveParams(address=a, name=f"s{a}", ident=ident, config=config, user_prm=user_prm) for a in addresses],

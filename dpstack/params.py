@@ -25,8 +25,8 @@ UNADDRESSED: Final = 126
 BROADCAST: Final = 127
 
 
-#: lowest and highest value, and what it is
-LIMITS: Final = {
+#: bus parameter -> lowest value, highest value, text for messages
+BUS_LIMITS: Final = {
     "address": (0, MAX_STATION, "station addresses"),
     "hsa": (1, 126, "highest station address"),
     "t_sl": (37, MAX_T_SL, "T_SL"),
@@ -88,7 +88,7 @@ class BusParams:
     def _problems(self) -> Iterable[str]:
         if self.baud not in BAUD_RATES:
             yield _unknown_rate(self.baud)
-        for name, (low, high, what) in LIMITS.items():
+        for name, (low, high, what) in BUS_LIMITS.items():
             value = getattr(self, name)
             if not low <= value <= high:
                 yield f"{name} = {value} is outside {low}..{high} ({what})"
@@ -144,14 +144,13 @@ class BusParams:
         return max(self.t_id1_bare, self.max_tsdr) + self.extra_idle
 
     @property
-    def t_rdy(self) -> int:
-        """T_RDY in bit times: a station must be able to receive so soon after its own last bit; min T_SDR."""
-        return self.min_tsdr
-
-    @property
     def t_to(self) -> int:
-        """Time-out T_TO in bit times after which this station considers the token lost: 6 T_SL + 2 TS T_SL."""
-        return (6 + 2 * self.address) * self.t_sl
+        """Time-out T_TO in bit times after which this station considers the token lost."""
+        return self.t_to_of(self.address)
+
+    def t_to_of(self, address: int) -> int:
+        """T_TO in bit times of the master ``address`` on this bus (docs/protocol.md#t_to)."""
+        return (6 + 2 * address) * self.t_sl
 
 
 def _unknown_rate(baud: int) -> str:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-from collections.abc import Iterable
 from importlib import resources
 from operator import attrgetter
 from pathlib import Path
 from typing import Final
 
 from dpstack.api.files import FileToBe, read_file
-from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import Device, Diagnosis, Diagnostic, GsdFile, Module, Parameter, PrmBlock
+from dpstack.gsd.model import Device, Diagnosis, Diagnostic, GsdFile, Module, Parameter, PrmBlock, alarm_kinds
 from dpstack.gsd.parser import load_gsd, parse_gsd
 from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.gsd.text import MAX_OCTETS
@@ -214,11 +212,6 @@ def supports(file: GsdFile) -> tuple[str, ...]:
 def requires(file: GsdFile) -> tuple[str, ...]:
     """The abilities that the device requires of its master, in words; alarms beside."""
     return tuple(name for name, flag in _REQUIRES.items() if attrgetter(flag)(file.device))
-
-
-def alarm_kinds(keywords: Iterable[str]) -> tuple[str, ...]:
-    """Kinds of alarms as ``alarms`` of a [[slave]] table names them, by their keywords."""
-    return tuple(kind for kind, keyword in ALARM_KEYWORDS.items() if keyword in keywords)
 
 
 def alarms_text(device: Device) -> str | None:

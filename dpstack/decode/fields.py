@@ -12,7 +12,6 @@ from dpstack.dp.pdu.alarm_blocks import Alarm, alarm_name, parse_block
 from dpstack.dp.pdu.diag_blocks import Block, ChannelBlock, DeviceBlock, IdentifierBlock, RevisionBlock
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.pdu.dpv1_status import (
-    ALARM_KEYWORDS,
     ALARM_LIMITS,
     ALARM_MODE,
     ALARMS,
@@ -52,6 +51,7 @@ from dpstack.fdl.telegram import (
     Telegram,
 )
 from dpstack.gsd.identifiers import parse_identifiers
+from dpstack.gsd.model import ALARM_KEYWORDS
 from dpstack.units import ns_to_s
 
 Fields = dict[str, object]

@@ -9,11 +9,11 @@ from typing import Final, NamedTuple
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.pdu.dpv1_status import DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
-from dpstack.dp.pdu.requests import MAX_USER_PRM
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.identifiers import io_lengths
+from dpstack.gsd.model import MAX_USER_PRM
 from dpstack.params import UNADDRESSED
 from dpstack.text import octets_text
 from dpstack.units import NS_PER_MS, NS_PER_US
@@ -21,8 +21,8 @@ from dpstack.units import NS_PER_MS, NS_PER_US
 #: Min_Slave_Interval counts in 100 us, as GSD files do
 INTERVAL_UNIT: Final = 100 * NS_PER_US
 MAX_WATCHDOG_MS: Final = 650_250
-#: lowest and highest value; 126 is a slave as delivered
-LIMITS: Final = {
+#: parameter -> lowest value, highest value; address 126 is a slave as delivered
+SLAVE_LIMITS: Final = {
     "address": (0, UNADDRESSED),
     "ident": (0, 0xFFFF),
     "watchdog_ms": (0, MAX_WATCHDOG_MS),
@@ -98,7 +98,7 @@ class SlaveParams:
 
     def __post_init__(self) -> None:
         where = self.who
-        for key, (low, high) in LIMITS.items():
+        for key, (low, high) in SLAVE_LIMITS.items():
             value = getattr(self, key)
             for one in value if isinstance(value, tuple) else (value,):
                 if one is not None and not low <= one <= high:

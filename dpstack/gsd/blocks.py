@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Final, Self, TypeAlias, TypeVar
 
 from dpstack.gsd.lexer import Statement, first_number, number, numbers, ranges, ranges_only, string
 from dpstack.gsd.model import (
+    MAX_USER_PRM,
     Diagnosis,
     DiagText,
     Findings,
@@ -410,10 +411,6 @@ class DiagTypeBlock(DiagBlock, NumberedBlock):
 
     title = "UnitDiagType"
     full_title = Block.full_title
-
-
-#: octets a Set_Prm can carry behind the seven fixed ones
-MAX_USER_PRM: Final = 237
 
 
 @dataclass

@@ -7,13 +7,25 @@ units: min_slave_interval in 100 us, response time-outs in 10 ms, MaxTsdr in bit
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple, TypeAlias
 
 from dpstack.trace import Severity
 from dpstack.units import NS_PER_MS
+
+#: octets that a Set_Prm can carry behind the seven fixed ones
+MAX_USER_PRM: Final = 237
+#: kinds of alarms of DP-V1: the name in configurations, and the keyword without _supp and _required
+ALARM_KEYWORDS: Final = {
+    "pull_plug": "Pull_Plug_Alarm",
+    "process": "Process_Alarm",
+    "diagnostic": "Diagnostic_Alarm",
+    "manufacturer": "Manufacturer_Specific_Alarm",
+    "status": "Status_Alarm",
+    "update": "Update_Alarm",
+}
 
 #: Allowed values: both ends of each range belong to it, a single value is a range of one.
 Ranges: TypeAlias = tuple[tuple[int, int], ...]
@@ -24,6 +36,11 @@ _RESPONSE_UNIT: Final = 10 * NS_PER_MS
 def in_ranges(value: int, ranges: Ranges) -> bool:
     """True when ``value`` lies in one of ``ranges``; no ranges allow everything."""
     return not ranges or any(low <= value <= high for low, high in ranges)
+
+
+def alarm_kinds(keywords: Iterable[str]) -> tuple[str, ...]:
+    """The names of the kinds of alarms whose keywords are among ``keywords``."""
+    return tuple(kind for kind, keyword in ALARM_KEYWORDS.items() if keyword in keywords)
 
 
 def ranges_text(ranges: Ranges) -> str:

@@ -8,22 +8,12 @@ from typing import Any, Final
 
 from dpstack.gsd.blocks import octets_of
 from dpstack.gsd.lexer import Statement, first_number, number, string
-from dpstack.gsd.model import Device, DpV1, Findings, Isochronous, Speed
+from dpstack.gsd.model import ALARM_KEYWORDS, Device, DpV1, Findings, Isochronous, Speed
 from dpstack.units import BAUD_RATES
 
 #: baud rate in bit/s by the spelling in ``500_supp``, ``MaxTsdr_500``
 _RATES: Final = "9.6 19.2 31.25 45.45 93.75 187.5 500 1.5m 3m 6m 12m"
 RATES: Final[dict[str, int]] = dict(zip(_RATES.split(), BAUD_RATES, strict=True))
-
-#: alarms of DP-V1 by their keyword (``Diagnostic_Alarm_supp``, ``Diagnostic_Alarm_required``)
-ALARMS: Final = (
-    "Diagnostic_Alarm",
-    "Process_Alarm",
-    "Pull_Plug_Alarm",
-    "Status_Alarm",
-    "Update_Alarm",
-    "Manufacturer_Specific_Alarm",
-)
 
 #: flags whose keyword ends with _supp
 _SUPPORTED: Final = """
@@ -98,7 +88,7 @@ class Settings:
         return found
 
     def _alarms(self, ending: str) -> tuple[str, ...]:
-        return tuple(alarm for alarm in ALARMS if self._flag(f"{alarm.lower()}_{ending}"))
+        return tuple(alarm for alarm in ALARM_KEYWORDS.values() if self._flag(f"{alarm.lower()}_{ending}"))
 
     def _fields(self, section: type[Device | DpV1 | Isochronous]) -> dict[str, Any]:
         """The fields of ``section`` that are one value, as far as the file has their keywords."""
@@ -208,7 +198,7 @@ KEYWORDS: Final = frozenset(_FIELDS).union(
     _OTHERS.split(),
     (f"{rate}_supp" for rate in RATES),
     (f"{t}_{rate}" for rate in RATES for t in ("maxtsdr", "trdy", "tqui", "tset", "tsdi", "transmission_delay")),
-    (f"{alarm.lower()}_{ending}" for alarm in ALARMS for ending in ("supp", "required")),
+    (f"{alarm.lower()}_{ending}" for alarm in ALARM_KEYWORDS.values() for ending in ("supp", "required")),
 )
 
 
@@ -224,7 +214,7 @@ def contradictions(dpv1: DpV1) -> Iterator[tuple[str, str]]:
     for name, supported, required, read_as in (
         ("C1_Read_Write", dpv1.c1_read_write, dpv1.c1_read_write_required, "read as a device without them"),
         ("C2_Read_Write", dpv1.c2_read_write, dpv1.c2_read_write_required, "read as a device without them"),
-        *((a, a in dpv1.alarms, a in dpv1.required, "it is enabled all the same") for a in ALARMS),
+        *((a, a in dpv1.alarms, a in dpv1.required, "it is enabled all the same") for a in ALARM_KEYWORDS.values()),
     ):
         if required and not supported:
             yield f"{name.lower()}_required", f"{name}_required = 1 without {name}_supp = 1: {read_as}"

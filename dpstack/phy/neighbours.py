@@ -56,7 +56,7 @@ class Neighbours:
     @property
     def t_to_ns(self) -> int:
         """The silence after which the lowest of them claims the token, with the T_SL of ``params``."""
-        return self.params.ns((6 + 2 * self.lowest) * self.params.t_sl)
+        return self.params.ns(self.params.t_to_of(self.lowest))
 
     def advice(self) -> str:
         """Advice for the user with the figures; empty when T_SL of ``params`` is enough."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from octet_class2 import ABORT, INITIATE, RS, SC, Class2
 from octet_wire import MS, Wire
+from slave_kit import make_slave
 
-from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dp.slave.application import SlaveApp
 from dpstack.params import BusParams
 from dpstack_drives.ls import DRIVE
 from dpstack_drives.ls.simulator import LsDevice

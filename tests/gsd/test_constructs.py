@@ -41,7 +41,7 @@ def test_a_whole_file() -> None:
         c2_response_timeout=200,
         c2_max_count_channels=2,
         max_initiate_pdu_length=52,
-        alarms=("Diagnostic_Alarm", "Process_Alarm"),
+        alarms=("Process_Alarm", "Diagnostic_Alarm"),
         required=("Process_Alarm",),
         alarm_type_mode=True,
         wd_base_1ms=True,

@@ -7,8 +7,10 @@ import functools
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from typing import Any, ParamSpec, TypeVar
 
+from slave_kit import make_slave
+
 import dpstack
-from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.device import Device
 from dpstack.drivers.stack import Stack
 from dpstack.fdl.passive.station import PassiveStation

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from octet_wire import PARAMS, Wire, framed
+from slave_kit import make_slave
 
-from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from slave_kit import make_slave
 from support import MS, S
 
 from dpstack.dp.master.commands import Mode, SetMode
@@ -12,7 +13,7 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.device import DpV0Device
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.loopback_device import MirrorDevice

@@ -10,9 +10,9 @@ from octet_class2 import (
     Class2,
 )
 from octet_wire import MS, Wire, framed
-from slave_kit import Recorder
+from slave_kit import Recorder, make_slave
 
-from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.record_requests import RecordRequest, Records, Transport
 from dpstack.dpv1.slave.record_table import RecordTable

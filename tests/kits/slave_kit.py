@@ -6,7 +6,10 @@ from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.device import DpV0Device, Leave
 from dpstack.dpv1.slave.device import Device
 from dpstack.fdl.interface import Reply
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Kind, Req, Telegram
+from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT, Patience
 
 MS = 1_000_000
 MASTER = 2
@@ -26,6 +29,14 @@ WAIT_PRM, WAIT_CFG, DATA_EXCH = SlaveAppState.WAIT_PRM, SlaveAppState.WAIT_CFG, 
 
 CLEAR, OPERATE = b"\x02\x00", b"\x00\x00"
 SYNC, UNSYNC, FREEZE, UNFREEZE = b"\x20\x00", b"\x10\x00", b"\x08\x00", b"\x04\x00"
+
+
+def make_slave(
+    address: int, device: DpV0Device, params: BusParams, *, t_sdr: int | None = None, patience: Patience = EXACT
+) -> PassiveStation:
+    """A passive station at ``address`` whose responder is a SlaveApp around ``device``; ``t_sdr``: its response time in
+    bit times."""
+    return PassiveStation(address, SlaveApp(device, address=address), params, t_sdr=t_sdr, patience=patience)
 
 
 class Recorder(Device):

@@ -9,13 +9,14 @@ import pytest
 from api_kit import bus_of, virtual
 from octet_class2 import ABORT_REQUEST, INITIATE, RS, Class2
 from octet_wire import Wire
+from slave_kit import make_slave
 
 import dpstack
 from dpstack import Im0, IoStation
 from dpstack.api.config.config import make_config
 from dpstack.api.gsd_info import check_gsd, read_gsd
 from dpstack.api.server.simulation import Simulation
-from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.drivers.segment.hub import Segment
 from dpstack.params import BusParams

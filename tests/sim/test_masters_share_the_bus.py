@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import pytest
 from bus_kit import SimBus
 from planned_bus import IDENT, identifiers
+from slave_kit import make_slave
 from support import S, WorldFactory
 
 from dpstack.dp.master.commands import Mode, SetMode
@@ -15,7 +16,6 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.plan.cycle_check import token_wait_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, rotation
-from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.station import ActiveStation

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
 from dpstack.api.config.table import Key, Source, Table, is_integer, keys_of
-from dpstack.params import LIMITS, MAX_STATION
+from dpstack.params import BUS_LIMITS, MAX_STATION
 from dpstack.units import BAUD_RATES, NS_PER_MS
 
 #: the baud rate is found by listening (see :mod:`dpstack.api.bus.find_baud`); echo is recognised
@@ -21,7 +21,7 @@ _MAX_CYCLE_MS: Final = 60_000
 
 def _like(parameter: str, unit: str = "", hint: str = "") -> Key:
     """A key within the limits of a bus parameter."""
-    low, high, _ = LIMITS[parameter]
+    low, high, _ = BUS_LIMITS[parameter]
     return Key(low, high, unit, hint)
 
 

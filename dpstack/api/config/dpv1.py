@@ -8,10 +8,10 @@ from operator import attrgetter
 from typing import Annotated, Any, Final, TypedDict
 
 from dpstack.api.config.table import Gsd, Key, Table, as_given, keys_of
-from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS, ALARM_LIMITS, ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1
+from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1
 from dpstack.dp.pdu.layouts import MAX_RECORD, Layout
 from dpstack.dp.pdu.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock
-from dpstack.gsd.model import Device
+from dpstack.gsd.model import ALARM_KEYWORDS, Device, alarm_kinds
 from dpstack.units import NS_PER_MS
 
 
@@ -93,7 +93,7 @@ def _of_gsd(device: Device | None) -> Dpv1:
         c1_response_timeout_ns=device.dpv1.c1_response_ns,
         c1_max_data_len=min(longest, MAX_RECORD) if longest else MAX_RECORD,
         extra_alarm_sap=device.dpv1.extra_alarm_sap,
-        required_alarms=_required(device),
+        required_alarms=alarm_kinds(device.dpv1.required),
         structured=device.dpv1.prm_block_structure_required,
     )
 
@@ -116,7 +116,7 @@ def _check_limits(device: Device, table: Table, given: Mapping[str, Any]) -> Non
         if ALARM_KEYWORDS[name] not in (*device.dpv1.alarms, *device.dpv1.required):
             problem = f"alarms holds {name}, but its GSD file says {ALARM_KEYWORDS[name]}_supp = 0"
             table.fail("alarms", problem, "leave it out")
-    for name in _required(device) if "alarms" in given else ():
+    for name in alarm_kinds(device.dpv1.required) if "alarms" in given else ():
         if name not in given["alarms"]:
             problem = f"alarms lacks {name}, but its GSD file says {ALARM_KEYWORDS[name]}_required = 1"
             table.fail("alarms", problem, "add it, or leave alarms out")
@@ -126,11 +126,6 @@ def _check_limits(device: Device, table: Table, given: Mapping[str, Any]) -> Non
         table.fail("alarm_mode", f"{problem}Alarm_Sequence_Mode_Count = {most}", "0 is one of each kind at a time")
     if "blocks" in given and not (device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required):
         table.fail("blocks", "blocks, but its GSD file says Prm_Block_Structure_supp = 0", "leave blocks out")
-
-
-def _required(device: Device) -> tuple[str, ...]:
-    """Kinds that the device wants to be enabled."""
-    return tuple(name for name in ALARMS if ALARM_KEYWORDS[name] in device.dpv1.required)
 
 
 def _block(table: Table) -> PrmBlock:

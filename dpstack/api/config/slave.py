@@ -16,7 +16,7 @@ from dpstack.api.config.dpv1 import read_dpv1
 from dpstack.api.config.slave_source import Who, basis_of, modules_of, remarks
 from dpstack.api.config.table import Gsd, Key, Octets, Source, Table, as_given, keys_of
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap
-from dpstack.dp.slave_params import INTERVAL_UNIT, LIMITS, SlaveParams
+from dpstack.dp.slave_params import INTERVAL_UNIT, SLAVE_LIMITS, SlaveParams
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.errors import ConfigError, UsageError
 from dpstack.gsd.identifiers import io_lengths
@@ -146,17 +146,17 @@ class Changes(TypedDict, total=False):
     fail_safe: in Clear the slave gets an empty output frame. Left out: the drive's, or as its GSD file says
     """
 
-    ident: Annotated[int | str | None, Key(*LIMITS["ident"], hint="an ident number has two octets", read=_ident)]
+    ident: Annotated[int | str | None, Key(*SLAVE_LIMITS["ident"], hint="an ident number has two octets", read=_ident)]
     config: Octets | None
     user_prm: Octets | None
     watchdog_ms: Annotated[
-        int | None, Key(*LIMITS["watchdog_ms"], hint="0 is off; leave it out for the plan's recommendation")
+        int | None, Key(*SLAVE_LIMITS["watchdog_ms"], hint="0 is off; leave it out for the plan's recommendation")
     ]
     wd_base_1ms: Annotated[bool | None, Key(gsd=Gsd("WD_Base_1ms_supp", attrgetter("dpv1.wd_base_1ms")))]
-    groups: Annotated[Sequence[int] | None, Key(*LIMITS["groups"])]
+    groups: Annotated[Sequence[int] | None, Key(*SLAVE_LIMITS["groups"])]
     sync: Annotated[bool | None, Key(gsd=Gsd("Sync_Mode_supp", attrgetter("sync")))]
     freeze: Annotated[bool | None, Key(gsd=Gsd("Freeze_Mode_supp", attrgetter("freeze")))]
-    every: Annotated[int | None, Key(*LIMITS["every"])]
+    every: Annotated[int | None, Key(*SLAVE_LIMITS["every"])]
     safe: Octets | None
     min_slave_interval: Annotated[int | None, Key(0, 0xFFFF, "x 100 us", read=_interval)]
     dpv1: Annotated[bool | Mapping[str, object] | None, Key(read=as_given)]

@@ -14,14 +14,14 @@ from typing import Any, Final, TypeAlias, TypedDict
 from dpstack.api.config.table import Key, Table, is_integer
 from dpstack.api.gsd_info import read_gsd
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
-from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS, DPV1_STATUS_LEN, Dpv1
+from dpstack.dp.pdu.dpv1_status import DPV1_STATUS_LEN, Dpv1
 from dpstack.dp.pdu.requests import SET_PRM_LEN
 from dpstack.dp.slave_params import INTERVAL_UNIT, SlaveParams
 from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.configuration import Configuration, configuration_like, configure
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import Device
+from dpstack.gsd.model import ALARM_KEYWORDS, Device
 from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.profile import DriveProfile, TelegramSpec, registry
 

@@ -114,22 +114,17 @@ class Diagnosis:
         """The fault in the lengths of the extended diagnosis, None when they are right."""
         return split_blocks(self.ext)[1]
 
-    # the bits that only a master sets say so; texts and what the master does: FLAGS
-    station_non_existent = _Bit("station_non_existent")  # the master's: no answer
+    # those that only a master sets are in `findings`
     not_ready = _Bit("station_not_ready")
     cfg_fault = _Bit("cfg_fault")
     ext_diag = _Bit("ext_diag")
     not_supported = _Bit("not_supported")
-    invalid_response = _Bit("invalid_slave_response")  # the master's: an impossible answer
     prm_fault = _Bit("prm_fault")
-    master_lock = _Bit("master_lock")  # the master's: parameterised by another master
     prm_req = _Bit("prm_req")
     stat_diag = _Bit("stat_diag")
     wd_on = _Bit("wd_on")
     freeze = _Bit("freeze_mode")
     sync = _Bit("sync_mode")
-    not_present = _Bit("not_present")  # the master's: not there
-    deactivated = _Bit("deactivated")  # the master's: taken out of service
     overflow = _Bit("ext_diag_overflow")
 
 

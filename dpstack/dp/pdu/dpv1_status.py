@@ -7,6 +7,7 @@ master sets what it uses (DPV1_Enable, Fail_Safe, WD_Base_1ms) and leaves the ot
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -27,15 +28,6 @@ ALARMS: Final = {
     "manufacturer": 0x10,
     "status": 0x08,
     "update": 0x04,
-}
-#: the GSD keywords of those kinds, without _supp and _required
-ALARM_KEYWORDS: Final = {
-    "pull_plug": "Pull_Plug_Alarm",
-    "process": "Process_Alarm",
-    "diagnostic": "Diagnostic_Alarm",
-    "manufacturer": "Manufacturer_Specific_Alarm",
-    "status": "Status_Alarm",
-    "update": "Update_Alarm",
 }
 CHECK_CFG_MODE: Final = 0x01
 #: DPV1_Status_3
@@ -70,9 +62,7 @@ class Dpv1:
     structured: bool = False
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.alarms or () if name not in ALARMS]
-        if unknown:
-            raise ConfigError(f"there is no {unknown[0]!r} alarm; there are: {', '.join(ALARMS)}")
+        check_alarm_kinds(self.alarms or ())
         if self.alarm_mode is not None and not 0 <= self.alarm_mode <= ALARM_MODE:
             raise ConfigError(f"alarm_mode {self.alarm_mode} is outside 0..7")
         if not 0 <= self.c1_max_data_len <= MAX_RECORD:
@@ -111,6 +101,13 @@ class Dpv1:
         set_bit(octets, 2, PRM_STRUCTURE, True)
         for block in self.blocks:
             octets += block.octets
+
+
+def check_alarm_kinds(kinds: Iterable[str]) -> None:
+    """Raise ConfigError for a name that is no key of :data:`ALARMS`."""
+    for kind in kinds:
+        if kind not in ALARMS:
+            raise ConfigError(f"there is no {kind!r} alarm; there are: {', '.join(ALARMS)}")
 
 
 def set_bit(octets: bytearray, at: int, bit: int, on: bool | None) -> None:

@@ -9,7 +9,7 @@ docs/protocol.md#functions-of-dp-v1, docs/protocol.md#im.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
 import construct as cs
 
@@ -81,7 +81,24 @@ class Layout(Generic[R]):
             raise PduError(f"{self.name}: {what} does not fit its octets") from None
 
 
-#: what declarations are made of: ``"name" / OCTET``
+class Pdu:
+    """Base class of the PDUs that :attr:`LAYOUT` describes completely."""
+
+    __slots__ = ()
+    LAYOUT: ClassVar[Layout[Any]]
+
+    def build(self) -> bytes:
+        """The octets. Raises PduError where a value does not fit."""
+        return self.LAYOUT.build(self)
+
+    @classmethod
+    def parse(cls, octets: bytes) -> Self:
+        """Read ``octets``; reserved bits and octets may be anything. Raises PduError naming the octet."""
+        pdu: Self = cls.LAYOUT.parse(octets)
+        return pdu
+
+
+#: the kinds of fields: ``"name" / OCTET``
 OCTET: Final[Any] = cs.BitsInteger(8)
 WORD: Final[Any] = cs.BitsInteger(16)
 DOUBLE_WORD: Final[Any] = cs.BitsInteger(32)

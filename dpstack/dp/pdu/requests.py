@@ -10,15 +10,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
 
-from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, adapted, fixed, flags
+from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, Pdu, adapted, fixed, flags
 from dpstack.errors import PduError
+from dpstack.gsd.model import MAX_USER_PRM
 from dpstack.params import MAX_STATION
 
 #: The fixed octets of Set_Prm.
 SET_PRM_LEN: Final = 7
-#: Octets of user parameters that fit after the seven fixed ones.
-MAX_USER_PRM: Final = 237
-
 #: Octets for the device itself that fit after the four fixed ones of Set_Slave_Add.
 MAX_REM_SLAVE_DATA: Final = 240
 
@@ -124,7 +122,7 @@ _parse_control: Final = lru_cache(_KEPT_CONTROLS)(_GLOBAL_CONTROL.parse)
 
 
 @dataclass(frozen=True, slots=True)
-class SetSlaveAdd:
+class SetSlaveAdd(Pdu):
     """Set_Slave_Add (DSAP 55): the station address of a slave in Wait_Prm.
 
     ``address``: the new one, 0..125. ``ident``: the slave's own, else it does nothing. ``no_add_chg``: the slave shall
@@ -144,15 +142,10 @@ class SetSlaveAdd:
             raise PduError(
                 f"Set_Slave_Add: {len(self.rem_slave_data)} octets for the device, {MAX_REM_SLAVE_DATA} are possible"
             )
-        return _SET_SLAVE_ADD.build(self)
-
-    @classmethod
-    def parse(cls, octets: bytes) -> SetSlaveAdd:
-        """Read ``octets``; the slave judges the address in them. Raises PduError when they are too few."""
-        return _SET_SLAVE_ADD.parse(octets)
+        return self.LAYOUT.build(self)
 
 
-_SET_SLAVE_ADD: Final = Layout(
+SetSlaveAdd.LAYOUT = Layout(
     "Set_Slave_Add",
     SetSlaveAdd,
     "address" / OCTET * "new_address",

@@ -25,13 +25,11 @@ from dpstack.dp.slave.state import DeviceClock, SlaveCore
 from dpstack.dp.slave.state_table import ACCESS, CONNECTION, AppTrigger, SlaveAppState
 from dpstack.errors import PduError
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply, StationControl
-from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Resp, Telegram
-from dpstack.params import UNADDRESSED, BusParams
-from dpstack.phy.patience import EXACT, Patience
+from dpstack.params import UNADDRESSED
 from dpstack.trace import Event
 
-__all__ = ["SlaveApp", "SlaveAppState", "SlaveAppStats", "make_slave"]
+__all__ = ["SlaveApp", "SlaveAppState", "SlaveAppStats"]
 
 _DL: Final = Resp.DL
 _DH: Final = Resp.DH
@@ -226,14 +224,3 @@ class SlaveApp(SlaveCore):
         self.report.refused("Data_Exchange", sa, f"{got} output octets, the configuration has {expected}", now)
         self.step(AppTrigger.LENGTH, now, Leave.WRONG_LENGTH)
         return RS_REPLY
-
-
-def make_slave(
-    address: int, device: DpV0Device, params: BusParams, *, t_sdr: int | None = None, patience: Patience = EXACT
-) -> PassiveStation:
-    """A whole slave: a passive station at ``address`` with a :class:`SlaveApp` around ``device`` as its responder.
-
-    ``params`` give baud rate, min T_SDR and slot time; ``t_sdr`` is the station's own response time in bit times.
-    Raises ConfigError.
-    """
-    return PassiveStation(address, SlaveApp(device, address=address), params, t_sdr=t_sdr, patience=patience)

@@ -27,9 +27,9 @@ from dpstack.params import BusParams
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NOW, baud_text
 
-#: BAUD_CONTROL gives up after T_TO of a station that is no master (docs/protocol.md#t_to): 6 T_SL + 2 x 130 T_SL. A
-#: master that is alive is never silent for so long; the chips have a register for it.
-_CONTROL_SLOTS: Final = 6 + 2 * 130
+#: BAUD_CONTROL gives up after T_TO of a station that is no master: the standard counts 130 as its address
+#: (docs/protocol.md#t_to). A master that is alive is never silent for so long; the chips have a register for it.
+_NO_MASTER: Final = 130
 
 
 class BaudState(Enum):
@@ -155,7 +155,7 @@ class Searching(abc.ABC):
             params = self._params_at(result.baud)
             self._rate = result.baud
             self._search = None
-            self._control_ns = params.ns(_CONTROL_SLOTS * params.t_sl) + self._slack_ns
+            self._control_ns = params.ns(params.t_to_of(_NO_MASTER)) + self._slack_ns
             self._last_telegram = now
             self._found(params, now)
             self._reach(BaudState.DP_MODE if self._watched() else BaudState.CONTROL, now)

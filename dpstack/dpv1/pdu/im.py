@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
-from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, adapted, array, fixed, octets
+from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, Pdu, adapted, array, fixed, octets
 from dpstack.errors import PduError
 
 #: the record of every slot that calls go through
@@ -27,19 +27,15 @@ IM_FI: Final = range(_FIRST, _FIRST + 200)
 _KINDS: Final = "VRPUT"
 
 
-class _ImRecord:
-    """One record of I&M; its octets: :data:`_LAYOUTS`."""
+class _ImRecord(Pdu):
+    """One record of I&M, 64 octets."""
 
     __slots__ = ()
-
-    def build(self) -> bytes:
-        """The 64 octets. Raises PduError where a value does not fit."""
-        return _LAYOUTS[type(self)].build(self)
 
     @classmethod
     def parse(cls, octets: bytes) -> Self:
         """Read ``octets``; those after the 64 are ignored. Raises PduError where there are fewer."""
-        record: Self = _LAYOUTS[cls].parse(octets[:IM_LEN])
+        record: Self = cls.LAYOUT.parse(octets[:IM_LEN])
         return record
 
 
@@ -173,24 +169,22 @@ def _revision(text: str) -> bytes:
 
 
 _HEADER: Final = "header" / fixed(80)
-_LAYOUTS: Final[dict[type, Layout[Any]]] = {
-    Im0: Layout(
-        "I&M0",
-        Im0,
-        _HEADER,
-        "manufacturer_id" / WORD,
-        _text("order_id", 20, visible=True),
-        _text("serial_number", 16, visible=True),
-        "hardware_revision" / WORD,
-        "software_revision" / adapted(octets(4), _read_revision, _revision),
-        "revision_counter" / WORD,
-        "profile_id" / WORD,
-        "profile_type" / WORD,
-        "version" / adapted(array(2, OCTET), tuple, list),
-        "supported" / WORD,
-    ),
-    Im1: Layout("I&M1", Im1, _HEADER, _text("tag_function", 32), _text("tag_location", 22)),
-    Im2: Layout("I&M2", Im2, _HEADER, _text("date", 16), "reserved" / fixed(38 * 8)),
-    Im3: Layout("I&M3", Im3, _HEADER, _text("descriptor", 54)),
-    Im4: Layout("I&M4", Im4, _HEADER, "signature" / octets(54)),
-}
+Im0.LAYOUT = Layout(
+    "I&M0",
+    Im0,
+    _HEADER,
+    "manufacturer_id" / WORD,
+    _text("order_id", 20, visible=True),
+    _text("serial_number", 16, visible=True),
+    "hardware_revision" / WORD,
+    "software_revision" / adapted(octets(4), _read_revision, _revision),
+    "revision_counter" / WORD,
+    "profile_id" / WORD,
+    "profile_type" / WORD,
+    "version" / adapted(array(2, OCTET), tuple, list),
+    "supported" / WORD,
+)
+Im1.LAYOUT = Layout("I&M1", Im1, _HEADER, _text("tag_function", 32), _text("tag_location", 22))
+Im2.LAYOUT = Layout("I&M2", Im2, _HEADER, _text("date", 16), "reserved" / fixed(38 * 8))
+Im3.LAYOUT = Layout("I&M3", Im3, _HEADER, _text("descriptor", 54))
+Im4.LAYOUT = Layout("I&M4", Im4, _HEADER, "signature" / octets(54))

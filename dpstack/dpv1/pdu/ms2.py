@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, ClassVar, Final, Self
+from typing import Any, Final, Self
 
-from dpstack.dp.pdu.layouts import MAX_RECORD, OCTET, REST, WORD, Layout, adapted, bits, fixed, ignored
+from dpstack.dp.pdu.layouts import MAX_RECORD, OCTET, REST, WORD, Layout, Pdu, adapted, bits, fixed, ignored
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import PduError
 from dpstack.units import NS_PER_MS, ns_to_s
@@ -51,25 +51,17 @@ class Address:
 
 
 @dataclass(frozen=True, slots=True)
-class ResourceManagerRes:
+class ResourceManagerRes(Pdu):
     """The resource manager's answer to Initiate: go on at ``server_sap``, which has ``send_timeout_ns`` at least."""
 
     server_sap: int
     send_timeout_ns: int
 
-    def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
-        if self.server_sap not in SERVER_SAPS:
-            raise PduError(f"{self.server_sap} is no server SAP: 0..{SERVER_SAPS[-1]}")
-        return _RESOURCE_MANAGER.build(self)
 
-    @classmethod
-    def parse(cls, octets: bytes) -> ResourceManagerRes:
-        """Raises PduError naming the octet."""
-        manager = _RESOURCE_MANAGER.parse(octets)
-        if manager.server_sap not in SERVER_SAPS:
-            raise PduError(f"Resource_Manager: octet 2: {manager.server_sap} is no server SAP (0..{SERVER_SAPS[-1]})")
-        return manager
+def _server_sap(sap: int) -> int:
+    if sap not in SERVER_SAPS:
+        raise PduError(f"Resource_Manager: octet 2: {sap} is no server SAP (0..{SERVER_SAPS[-1]})")
+    return sap
 
 
 def _counts(timeout_ns: int) -> int:
@@ -82,17 +74,17 @@ def _counts(timeout_ns: int) -> int:
 
 
 _SEND_TIMEOUT: Final = "send_timeout_ns" / adapted(WORD, lambda counts: counts * TIMEOUT_UNIT, _counts) * "send_timeout"
-_RESOURCE_MANAGER: Final = Layout(
+ResourceManagerRes.LAYOUT = Layout(
     "Resource_Manager",
     ResourceManagerRes,
-    "server_sap" / OCTET,
+    "server_sap" / adapted(OCTET, _server_sap, _server_sap),
     _SEND_TIMEOUT,
     function=Function.RESOURCE_MANAGER,
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Initiate:
+class Initiate(Pdu):
     """The common part of both Initiate PDUs: ``features``, ``profile_features``: two octets each; ``profile_ident``: 0
     for none; ``source``: the end that sends it."""
 
@@ -101,8 +93,6 @@ class Initiate:
     profile_ident: int = 0
     source: Address = Address()
     destination: Address = Address()
-
-    LAYOUT: ClassVar[Layout[Any]]
 
     def build(self) -> bytes:
         """The octets: a request has at least 20, a response 16. Raises PduError where a value does not fit."""
@@ -115,12 +105,6 @@ class Initiate:
             d_len=len(destination),
             addresses=source + destination,
         )
-
-    @classmethod
-    def parse(cls, octets: bytes) -> Self:
-        """Reserved octets may be anything. Raises PduError naming the octet."""
-        initiate: Self = cls.LAYOUT.parse(octets)
-        return initiate
 
     @classmethod
     def _read(cls, s_type: int, s_len: int, d_type: int, d_len: int, addresses: bytes, **fields: Any) -> Self:
@@ -234,7 +218,7 @@ _SUBNETS: Final[Mapping[int, str]] = {Subnet.LOCAL: " in its own subnet", Subnet
 
 
 @dataclass(frozen=True, slots=True)
-class Abort:
+class Abort(Pdu):
     """The end of a connection, from either end, without an answer. ``instance`` gives ``reason`` 0..15 its meaning."""
 
     reason: int
@@ -257,24 +241,14 @@ class Abort:
             case _:
                 return f"instance {self.instance}, reason {self.reason}{where}, both reserved"
 
-    def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
-        return _ABORT.build(self)
 
-    @classmethod
-    def parse(cls, octets: bytes) -> Abort:
-        """Octets behind the reason are reserved and may be anything (Balluff sends some). Raises PduError naming the
-        octet."""
-        return _ABORT.parse(octets)
-
-
-_ABORT: Final = Layout(
+Abort.LAYOUT = Layout(
     "Abort",
     Abort,
     "subnet" / OCTET,
     "reserved" / fixed(2),
     "instance" / bits(2),
     "reason" / bits(4),
-    "rest" / ignored(),
+    "rest" / ignored(),  # reserved; Balluff sends some octets
     function=Function.ABORT,
 )

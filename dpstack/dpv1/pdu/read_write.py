@@ -12,7 +12,7 @@ from types import SimpleNamespace
 from typing import ClassVar, Final
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier
-from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT, OCTET, REST, Layout, adapted, bits, flags
+from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT, OCTET, REST, Layout, Pdu, adapted, bits, flags
 from dpstack.dpv1.pdu.error_codes import Code, Decode, negative_text
 from dpstack.errors import PduError
 
@@ -162,7 +162,7 @@ class DataTransport(_WithData):
 
 
 @dataclass(frozen=True, slots=True)
-class Negative:
+class Negative(Pdu):
     """A negative response to ``function``. ``code_1``: class and code; ``code_2``: the device's own."""
 
     function: int
@@ -174,12 +174,8 @@ class Negative:
     def text(self) -> str:
         return negative_text(self.decode, self.code_1, self.code_2)
 
-    def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
-        return _NEGATIVE.build(self)
 
-
-_NEGATIVE: Final = Layout(
+Negative.LAYOUT = Layout(
     "DP-V1 negative response",
     Negative,
     "function" / adapted(OCTET, lambda octet: octet & ~_REFUSED, lambda function: function | _REFUSED),
@@ -190,7 +186,7 @@ _NEGATIVE: Final = Layout(
 
 
 @dataclass(frozen=True, slots=True)
-class AlarmAck:
+class AlarmAck(Pdu):
     """Alarm_Ack, request and positive response: slot, type and specifier of the alarm."""
 
     slot: int
@@ -199,22 +195,13 @@ class AlarmAck:
     sequence: int = 0
     add_ack: bool = False
 
-    def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
-        return _ALARM_ACK.build(self)
-
     @classmethod
     def of(cls, alarm: Alarm) -> AlarmAck:
         """The acknowledgement of ``alarm``."""
         return cls(alarm.slot, alarm.type, alarm.specifier, alarm.sequence, alarm.add_ack)
 
-    @classmethod
-    def parse(cls, octets: bytes) -> AlarmAck:
-        """Raises PduError naming the octet."""
-        return _ALARM_ACK.parse(octets)
 
-
-_ALARM_ACK: Final = Layout(
+AlarmAck.LAYOUT = Layout(
     "Alarm_Ack",
     AlarmAck,
     "slot" / OCTET,
@@ -276,7 +263,7 @@ def parse_response(octets: bytes) -> RecordRes:
     if function & ~_REFUSED not in FUNCTIONS:
         raise PduError(f"DP-V1 response: octet 1 is 0x{function:02X}, which is no service")
     if function & _REFUSED:
-        return _NEGATIVE.parse(octets)
+        return Negative.parse(octets)
     name = f"{Function(function).title} response"
     if function not in (Function.READ, Function.WRITE):
         raise PduError(f"DP-V1 response: octet 1: {Function(function).title} answers neither Read nor Write")

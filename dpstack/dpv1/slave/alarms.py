@@ -16,7 +16,7 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from dpstack.dp.pdu.alarm_blocks import SEQUENCES, VENDOR, Alarm, Status, StatusType, kind_of
-from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARMS
+from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARMS, check_alarm_kinds
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative
 from dpstack.errors import AlarmError, ConfigError, PduError, UsageError
@@ -39,9 +39,7 @@ class AlarmSupport:
     extra_sap: bool = False
 
     def __post_init__(self) -> None:
-        unknown = sorted(self.kinds - set(ALARMS))
-        if unknown:
-            raise ConfigError(f"there is no {unknown[0]!r} alarm; there are: {', '.join(ALARMS)}")
+        check_alarm_kinds(sorted(self.kinds))
         if self.sequence != 0 and not 2 <= self.sequence <= SEQUENCES:
             raise ConfigError(f"{self.sequence} alarms at a time: 2..{SEQUENCES}, or 0 without sequence mode")
 

@@ -14,13 +14,13 @@ from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, DPV1_STATUS_LEN, PRM_STRUCTURE, set_bit
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.pdu.prm_blocks import PrmBlock, parse_blocks
-from dpstack.dp.pdu.requests import MAX_USER_PRM
 from dpstack.dp.slave_params import INTERVAL_UNIT
 from dpstack.dpv1.slave.alarms import AlarmSupport
 from dpstack.dpv1.slave.resource_manager import check_ms2
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import config_for, io_lengths
+from dpstack.gsd.model import MAX_USER_PRM
 
 #: the octet of Set_Prm that a first block begins with, from 1 on
 _FIRST_BLOCK: Final = 11

@@ -6,9 +6,8 @@ from typing import Any, Final
 
 from dpstack.dp.pdu.alarm_blocks import HEAD, SEQUENCES
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
-from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS, ALARM_LIMITS, DPV1_STATUS_LEN
+from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, DPV1_STATUS_LEN
 from dpstack.dp.pdu.layouts import MAX_RECORD
-from dpstack.dp.pdu.requests import MAX_USER_PRM
 from dpstack.dp.slave_params import INTERVAL_UNIT
 from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
 from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule
@@ -17,7 +16,7 @@ from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.configuration import Configuration, fixed_modules, is_fixed, plug
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import Device
+from dpstack.gsd.model import MAX_USER_PRM, Device, alarm_kinds
 
 #: what stands for an empty slot of a modular station
 _EMPTY_SLOT: Final = b"\0"
@@ -88,7 +87,7 @@ def _alarms(device: Device) -> dict[str, Any]:
         return {}
     count = device.dpv1.alarm_sequence_mode_count
     return {
-        "alarms": tuple(kind for kind, keyword in ALARM_KEYWORDS.items() if keyword in device.dpv1.alarms),
+        "alarms": alarm_kinds(device.dpv1.alarms),
         "alarm_sequence": min(count, SEQUENCES) if count >= ALARM_LIMITS[1] else 0,
         "extra_alarm_sap": device.dpv1.extra_alarm_sap,
     }

@@ -121,6 +121,6 @@ class Admission:
         extra = min(request.extra_ns, patience.known_ns - patience.unknown_ns)
         if patience.sending_ns and ring.ns != ring.ts:
             lowest = min(address for address in ring.members if address != ring.ts)
-            t_to_ns = params.ns((6 + 2 * lowest) * params.t_sl)
+            t_to_ns = params.ns(params.t_to_of(lowest))
             extra = min(extra, t_to_ns - times.slot_unknown_ns - patience.unknown_ns)
         return max(0, extra)

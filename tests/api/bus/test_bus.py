@@ -6,12 +6,13 @@ import asyncio
 
 import pytest
 from api_kit import FAN, HOIST, RAW, bus_of, in_virtual_time, slave_in, stack_of, virtual
+from slave_kit import make_slave
 from support import WorldFactory
 
 import dpstack
 from dpstack.dp.master.events import DriveEvent, ModeChanged, SlaveFaulted, SlaveStateChanged
 from dpstack.dp.plan.rotation_time import Case
-from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.events import RingJoined
 from dpstack.fdl.interface import Reply

@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 from gsd_kit import FILES, device, made
 from octet_wire import PARAMS, Wire, framed
+from slave_kit import make_slave
 
 import dpstack
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.config.config import slave_config
 from dpstack.api.server.virtual_bench import device_of
-from dpstack.dp.slave.application import make_slave
 from dpstack.dpv1.pdu.im import Im0
 from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.dpv1.slave.device import Device

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from bus_kit import IDENT, PPO1, SimBus
+from slave_kit import make_slave
 from support import MS, S, WorldFactory
 
 from dpstack.dp.master.commands import AddSlave
 from dpstack.dp.master.events import SlaveFaulted, SlaveState, SlaveStateChanged
-from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.events import StationFound

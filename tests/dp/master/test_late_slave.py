@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 from bus_kit import IDENT, PPO1, mirror
 from cycle_kit import CycleBus, slave, steps
+from slave_kit import make_slave
 from support import MS, S, WorldFactory
 
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
-from dpstack.dp.slave.application import make_slave
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline

@@ -10,12 +10,12 @@ import pytest
 from bus_kit import IDENT
 from scripted_link import MS, ScriptedLink, data, operating
 from scripted_link import setup as slave
+from slave_kit import make_slave
 from support import US, WorldFactory
 
 from dpstack.dp.master.commands import Mode, RemoveSlave, SendControl, SetMode, Shutdown
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken, SlaveState
 from dpstack.dp.master.master import Master
-from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.device import Device
 from dpstack.errors import BusError, UsageError

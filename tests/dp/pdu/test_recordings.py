@@ -24,6 +24,7 @@ from recordings import (
     is_to,
 )
 from ring_bus import RingBus
+from slave_kit import make_slave
 
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
@@ -32,7 +33,6 @@ from dpstack.dp.pdu.diag_blocks import DeviceBlock, IdentifierBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.pdu.requests import SetPrm
-from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.describe import inside
 from dpstack.dpv1.slave.loopback_device import MirrorDevice

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from octet_wire import PARAMS, Wire, framed
-from slave_kit import CFG, MASTER, PRM, SLAVE, Bench
+from slave_kit import CFG, MASTER, PRM, SLAVE, Bench, make_slave
 
 from dpstack.dp.pdu.diag_blocks import (
     NO_DIAG,
@@ -21,7 +21,7 @@ from dpstack.dp.pdu.diag_blocks import (
     revision_block,
     split_blocks,
 )
-from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import PduError

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from octet_wire import PARAMS, Wire, framed
-from slave_kit import CFG, OTHER, PRM, Bench, Recorder
+from slave_kit import CFG, OTHER, PRM, Bench, Recorder, make_slave
 
-from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.events import AddressChanged, DeviceFailed, RequestRefused
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY

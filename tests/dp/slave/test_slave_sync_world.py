@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from octet_wire import BIT, PARAMS, framed
+from slave_kit import make_slave
 from support import MS, Dummy, WorldFactory
 
-from dpstack.dp.slave.application import make_slave
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave, OnCycle
 from dpstack.fdl.telegram import Kind, Telegram

@@ -14,9 +14,9 @@ from faulty_slaves import (
     wrong_ident,
 )
 from octet_wire import BIT, PARAMS, Wire, framed
-from slave_kit import CFG, MS, PRM, Bench
+from slave_kit import CFG, MS, PRM, Bench, make_slave
 
-from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.events import SlaveAppStateChanged
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from bus_kit import IDENT, PPO1
+from slave_kit import make_slave
 from support import MS, WorldFactory
 
 from dpstack.dp.master.commands import Mode, SetMode
@@ -11,7 +12,6 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
 from dpstack.dpv1.master.orders import RecordDone, RecordOrder

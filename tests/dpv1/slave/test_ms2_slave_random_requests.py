@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from octet_class2 import ABORT, IDLE, INITIATE, OPENED, RS, SC, Class2
 from octet_wire import MS, Wire
 from property_kit import examples
-from slave_kit import Recorder
+from slave_kit import Recorder, make_slave
 
-from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.pdu.read_write import DataTransport
 from dpstack.dpv1.slave.ms2_connection import ConnectionClosed, ConnectionOpened
 from dpstack.dpv1.slave.record_requests import RecordRequest
