@@ -6,13 +6,12 @@ Both ends alone, against literal octets.
 from __future__ import annotations
 
 import pytest
-from demag_kit import ZERO, pkw, plugin, sim
-from drive_bench import MS, S, as_mapping
+from demag_kit import START, ZERO, DemagBench, enable, pkw, plugin, sim
+from drive_bench import MS, S
 from slave_kit import SLAVE, Bench
 
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.errors import ConfigError
-from dpstack.profile import Leave
 from dpstack_drives.demag import DRIVE
 
 # -- docs/drives/demag.md#gsd-facts -----------------------------------------------------------------------------------
@@ -33,11 +32,16 @@ def test_d1_what_set_prm_and_chk_cfg_bring() -> None:
 # -- docs/drives/demag.md#stopping -----------------------------------------------------------------------------------
 
 
-def test_d8_the_dc_brake_holds_for_632_and_takes_no_control_word() -> None:
+def braking() -> DemagBench:
+    """At full speed, with a DC brake of 2 s at the next stop (392 = 1)."""
     bench = sim("PPO3", {"392": 1, "632": 2.0})
-    for control in ("00 06", "00 07"):
-        bench.send(control + " 40 00")
+    enable(bench, "40 00", words=START[:2])
     bench.until("00 0F 40 00", "06 27 40 00", 2000)
+    return bench
+
+
+def test_d8_the_dc_brake_holds_for_632_and_takes_no_control_word() -> None:
+    bench = braking()
     began = bench.now
     assert bench.send("00 07 40 00", 40)[:5] == "0A 27"  # the torque limit holds it: bit 11
     assert bench.send("00 0F 40 00", 200) == "02 27 00 00"  # 0F does not bring it back
@@ -52,10 +56,7 @@ def test_d8_the_dc_brake_holds_for_632_and_takes_no_control_word() -> None:
 
 def test_d8_the_dc_brake_ends_with_the_release_or_a_fault() -> None:
     for word, what in (("00 23 00 00", "release"), ("02 08 00 00", "fault")):
-        bench = sim("PPO3", {"392": 1, "632": 2.0})
-        for control in ("00 06", "00 07"):
-            bench.send(control + " 40 00")
-        bench.until("00 0F 40 00", "06 27 40 00", 2000)
+        bench = braking()
         bench.send("00 07 40 00", 40)
         if what == "release":
             bench.device.release(False)
@@ -156,8 +157,7 @@ def test_d10_the_plugin_warns_when_881_is_too_short(limit: str, told: bool) -> N
 
 def test_d19_a_write_of_391_resets_the_drive() -> None:
     bench = sim("PPO1")
-    for control in ("00 06", "00 07"):
-        bench.send(f"{ZERO}{control} 20 00")
+    enable(bench, head=ZERO, words=START[:2])
     assert bench.send(ZERO + "00 0F 20 00", 1500) == ZERO + "06 27 20 00"
     assert bench.send("81 E0 06 00 00 00 03 E8 00 0F 20 00")[:23] == "51 E0 06 00 00 00 03 E8"  # 480 in RAM only
     bench.send(ZERO + "00 0F 20 00")
@@ -176,9 +176,8 @@ def test_d19_the_plugin_reads_and_writes_391() -> None:
     bench.run(2)
     assert bench.out() == "21 87 00 00 00 00 00 07 00 00 00 00"
     bench.see("11 87 00 00 00 00 00 07 02 40 00 00", 2)
-    assert as_mapping(bench.result(token))["value"] == 7
-    refused = as_mapping(bench.result(bench.order("write", number=391, value=127)))
-    assert "0..126" in str(refused["text"])
+    assert bench.value(token) == 7
+    assert "0..126" in bench.misuse("write", number=391, value=127)
 
 
 def test_d20_limits_and_factory_values_over_the_channel() -> None:
@@ -209,10 +208,8 @@ def test_d15_d21_warning_bits_of_the_drive(mask: int, status: str) -> None:
 
 def test_d15_lost_master_is_f2062() -> None:
     bench = sim()
-    for control in ("00 06", "00 07", "00 0F"):
-        bench.send(control + " 20 00")
-    bench.device.leave(Leave.WATCHDOG, bench.now)
-    bench.device.enter(b"\x71", bench.now)
+    enable(bench)
+    bench.away()
     bench.send("60 00 00 00")
     assert bench.send("60 00 00 00") == "62 08 20 62"
 
@@ -257,4 +254,4 @@ def test_d17_the_plugin_waits_for_two_scans_before_it_believes() -> None:
         bench.run(early // 2)
         assert bench.result(token) is None
         bench.run(10)
-        assert as_mapping(bench.result(token))["ok"]
+        assert bench.done(token)["ok"]

@@ -2,39 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
 import pytest
-from demag_kit import ZERO, pkw
+from demag_kit import NONE, START, ZERO, DemagBench, device, enable, pkw, sim
 from drive_bench import MS, DeviceBench, S
 
 from dpstack.profile import Leave
 from dpstack_drives.demag import DRIVE
-from dpstack_drives.demag.simulator import DemagDevice
 
 
-def drive(**presets: Any) -> DemagDevice:
-    device = DRIVE.device("PPO1", {"412": 1, **presets})
-    assert isinstance(device, DemagDevice)
-    return device
-
-
-def ppo3(**presets: Any) -> DeviceBench:
-    return DeviceBench(drive(**presets), "71")
-
-
-def ppo1(**presets: Any) -> DeviceBench:
-    return DeviceBench(drive(**presets), "F3 71")
-
-
-def running(bench: DeviceBench, reference: str = "20 00") -> None:
-    for control in ("00 06", "00 07", "00 0F"):
-        bench.send(f"{control} {reference}")
+def enabled(presets: Mapping[str, Any] = NONE, reference: str = "20 00", ms: float = 1000) -> DemagBench:
+    """PPO3 after the words of a start and some time more."""
+    bench = sim("PPO3", presets)
+    enable(bench, reference)
+    bench.send(f"00 0F {reference}", ms)
+    return bench
 
 
 def test_d7_power_up_and_every_state_word_by_word() -> None:
-    bench = ppo3()
+    bench = sim()
     assert bench.send("00 00 00 00") == "02 40 00 00"
     assert bench.send("00 06 00 00") == "02 21 00 00"  # 2
     assert bench.send("00 07 00 00") == "02 23 00 00"  # 3
@@ -55,9 +44,7 @@ def test_d7_power_up_and_every_state_word_by_word() -> None:
 
 
 def test_d8_transition_5_ramps_down_and_can_be_taken_back() -> None:
-    bench = ppo3()
-    running(bench)
-    bench.send("00 0F 20 00", 1000)
+    bench = enabled()
     word = bench.send("00 07 20 00", 200)
     assert word[:5] == "02 27"
     assert 0 < int(word[6:].replace(" ", ""), 16) < 0x2000
@@ -69,9 +56,7 @@ def test_d8_transition_5_ramps_down_and_can_be_taken_back() -> None:
 
 @pytest.mark.parametrize(("how", "word"), [(0, "02 23 00 00"), (1, "02 27 00 00")])
 def test_d8_transition_5_by_392(how: int, word: str) -> None:
-    bench = ppo3(**{"392": how, "632": 0.5})
-    running(bench)
-    bench.send("00 0F 20 00", 1000)
+    bench = enabled({"392": how, "632": 0.5})
     assert bench.send("00 07 20 00", 40) == word
     if how == 1:  # no new control word until 632 is over
         assert bench.send("00 0F 20 00", 300) == "02 27 00 00"
@@ -79,9 +64,7 @@ def test_d8_transition_5_by_392(how: int, word: str) -> None:
 
 
 def test_d8_quick_stop_11_and_12() -> None:
-    bench = ppo3(**{"424": 50, "638": 0.2})
-    running(bench)
-    bench.send("00 0F 20 00", 1000)
+    bench = enabled({"424": 50, "638": 0.2})
     assert bench.send("00 02 20 00", 100)[:5] == "02 07"
     start = bench.now
     bench.until("00 02 20 00", "02 40 00 00", 2000)
@@ -103,9 +86,8 @@ def test_412_set_over_the_bus() -> None:
 
 
 def test_d7_release() -> None:
-    bench = ppo3()
-    running(bench)
-    assert bench.send("00 0F 20 00", 1000) == "06 27 20 00"
+    bench = enabled()
+    assert bench.send("00 0F 20 00") == "06 27 20 00"
     bench.device.release(False)
     assert bench.send("00 0F 20 00") == "00 23 00 00"  # coasts, bit 9 gone
     assert bench.send("00 00 20 00") == "00 23 00 00"  # not obeyed
@@ -114,8 +96,8 @@ def test_d7_release() -> None:
 
 
 def test_d9_fault_and_its_lock_exact() -> None:
-    bench = ppo3()
-    running(bench)
+    bench = sim()
+    enable(bench)
     bench.device.trip("F2100")
     came = bench.now + 16 * MS
     assert bench.send("00 00 00 00", 32) == "02 08 00 00"
@@ -130,9 +112,9 @@ def test_d9_fault_and_its_lock_exact() -> None:
 @pytest.mark.parametrize(("scans", "word"), [(937, "02 08 00 00"), (938, "02 40 00 00")])
 def test_d9_the_scan_before_15_s_and_the_one_after(scans: int, word: str) -> None:
     """A scan is 16 ms: 937 of them are 14.992 s, 938 are 15.008 s; one edge each, and never another."""
-    bench = ppo3()
+    bench = sim()
     bench.rotation = MS
-    running(bench)
+    enable(bench)
     bench.device.trip("F2100")
     while not bench.send("00 00 00 00", 1).startswith("02 08"):
         pass
@@ -144,9 +126,7 @@ def test_d9_the_scan_before_15_s_and_the_one_after(scans: int, word: str) -> Non
 
 def test_d7_d8_reaction_to_a_fault_and_a_quick_stop_step_by_step() -> None:
     """11 and 12 by 02, 13 and 14 by a fault, 15 by the edge of bit 7; bits 0-6 by the masks of the states."""
-    bench = ppo3(**{"424": 50})
-    running(bench)
-    bench.send("00 0F 20 00", 1000)
+    bench = enabled({"424": 50})
     seen = bench.until("00 02 20 00", "02 40 00 00", 2000)
     assert {word[3:5] for word in seen} == {"27", "07", "40"}
     assert int(seen[1][3:5], 16) & 0x6F == 0x07  # quick stop
@@ -160,20 +140,18 @@ def test_d7_d8_reaction_to_a_fault_and_a_quick_stop_step_by_step() -> None:
 
 
 def test_faults_are_named_by_digits() -> None:
-    device = drive()
-    assert device.fault_code("F2062") == 0x2062
-    assert device.fault_code("2065") == 0x2065
+    drive = device()
+    assert drive.fault_code("F2062") == 0x2062
+    assert drive.fault_code("2065") == 0x2065
     with pytest.raises(ValueError, match="F2061"):
-        device.trip("motor")
+        drive.trip("motor")
 
 
 def test_d13_selected_actual_values() -> None:
-    bench = ppo3()
-    running(bench)
-    assert bench.send("00 0F 20 00", 1500) == "06 27 20 00"
+    bench = enabled(ms=1500)
+    assert bench.send("00 0F 20 00") == "06 27 20 00"
     assert bench.send("10 0F 20 00")[:5] == "16 27"
-    current = int(bench.send("10 0F 20 00")[6:].replace(" ", ""), 16)
-    active = int(bench.send("20 0F 20 00")[6:].replace(" ", ""), 16)
+    current, active = (int.from_bytes(bytes.fromhex(bench.send(f"{which} 0F 20 00"))[2:]) for which in ("10", "20"))
     assert active == pytest.approx(0.2 * 0x4000, abs=20)
     assert current == pytest.approx((0.2**2 + 0.4**2) ** 0.5 * 0x4000, abs=20)
     assert bench.send("30 0F 20 00") == "06 27 20 00"  # no such choice: the frequency
@@ -185,14 +163,14 @@ def test_d13_selected_actual_values() -> None:
 
 
 def test_d17_inputs_change_once_a_scan() -> None:
-    for config, scan in (("71", 16), ("F3 71", 32)):
-        prefix = ZERO if scan == 32 else ""
-        bench = DeviceBench(drive(), config, rotation=MS)
+    for telegram, scan, head in (("PPO3", 16, ""), ("PPO1", 32, ZERO)):
+        bench = sim(telegram)
+        bench.rotation = MS
         changes = []
         last = ""
-        for control in ("00 06", "00 07", "00 0F"):
+        for control in START:
             for _ in range(2 * scan):
-                inputs = bench.send(prefix + control + " 40 00", 1)
+                inputs = bench.send(f"{head}{control} 40 00", 1)
                 if inputs != last:
                     changes.append(bench.now)
                     last = inputs
@@ -202,38 +180,30 @@ def test_d17_inputs_change_once_a_scan() -> None:
 
 
 def test_d11_references() -> None:
-    bench = ppo3(**{"390": 60, "375": 50})
-    running(bench, "20 00")
-    assert bench.send("00 0F 20 00", 1500) == "06 27 20 00"
-    assert isinstance(bench.device, DemagDevice)
+    bench = enabled({"390": 60, "375": 50}, ms=1500)
+    assert bench.send("00 0F 20 00") == "06 27 20 00"
     assert bench.device.motor.frequency * 50 == pytest.approx(30)
-    backwards = ppo3()
-    running(backwards, "E0 00")
-    assert backwards.send("00 0F E0 00", 1500) == "06 27 E0 00"
+    assert enabled(reference="E0 00", ms=1500).send("00 0F E0 00") == "06 27 E0 00"
 
 
 @pytest.mark.parametrize(("word", "hundredths"), [("80 00", "FF FF B1 E0"), ("7F FF", "00 00 4E 1F")])
 def test_d11_field_weakening_of_the_example(word: str, hundredths: str) -> None:
     """375 = 50 Hz and 390 = 100 Hz: 282 shows -200.00 and 199.99 Hz."""
-    bench = ppo1(**{"390": 100, "375": 50})
+    bench = sim("PPO1", {"390": 100, "375": 50})
     bench.send(ZERO + f"00 00 {word}")
     assert bench.send(f"11 1A 00 00 00 00 00 00 00 00 {word}")[:23] == f"21 1A 00 00 {hundredths}"
 
 
 def test_d11_ramp_set_point_434() -> None:
-    internal = ppo3(**{"434": 1})
-    running(internal, "20 00")
-    assert internal.send("00 0F 20 00", 500) == "06 27 00 00"
-    device = DRIVE.device("PPO3", {"412": 1, "434": 2, "f_min": 5.0})
-    line = DeviceBench(device, "71")
-    running(line, "00 00")
-    assert line.send("00 0F 00 00", 500) == "06 27 06 66"  # + after power-on: 5 Hz of 50
+    assert enabled({"434": 1}, ms=500).send("00 0F 20 00") == "06 27 00 00"
+    line = enabled({"434": 2, "f_min": 5.0}, "00 00", 500)
+    assert line.send("00 0F 00 00") == "06 27 06 66"  # + after power-on: 5 Hz of 50
     assert line.send("00 0F E0 00", 1500) == "06 27 E0 00"
     assert line.send("00 0F 00 00", 1500) == "06 27 F9 9A"  # the sign of the last one
 
 
 def test_d6_examples() -> None:
-    bench = ppo1()
+    bench = sim("PPO1")
     assert pkw(bench, "11 90 00 00 00 00 00 00") == "11 90 00 00 00 00 00 02"
     assert pkw(bench, "81 E0 03 00 FF FF 8A D0") == "51 E0 03 00 FF FF 8A D0"
     assert pkw(bench, "61 E0 03 00 00 00 00 00") == "51 E0 03 00 FF FF 8A D0"
@@ -241,7 +211,7 @@ def test_d6_examples() -> None:
 
 
 def test_d4_a_new_order_is_ignored_until_zero() -> None:
-    bench = ppo1()
+    bench = sim("PPO1")
     assert pkw(bench, "11 90 00 00 00 00 00 00") == "11 90 00 00 00 00 00 02"
     assert bench.send("11 9E 00 00 00 00 00 00 00 00 00 00")[:23] == "11 90 00 00 00 00 00 02"
     assert bench.send(ZERO + "00 00 00 00")[:23] == ZERO.strip()
@@ -273,11 +243,11 @@ REPLIES = [
 
 @pytest.mark.parametrize(("order", "reply"), REPLIES)
 def test_d3_orders_and_replies(order: str, reply: str) -> None:
-    assert pkw(ppo1(), order) == reply
+    assert pkw(sim("PPO1"), order) == reply
 
 
 def test_d3_read_of_data_set_0_with_unequal_sets() -> None:
-    bench = ppo1()
+    bench = sim("PPO1")
     pkw(bench, "81 E0 03 00 FF FF 8A D0")
     assert pkw(bench, "61 E0 00 00 00 00 00 00") == "71 E0 00 00 00 00 00 6B"
     assert pkw(bench, "81 E0 00 00 00 00 01 F4") == "51 E0 00 00 00 00 01 F4"
@@ -285,23 +255,24 @@ def test_d3_read_of_data_set_0_with_unequal_sets() -> None:
 
 
 def test_d5_eeprom_writes_are_counted() -> None:
-    device = drive()
-    bench = DeviceBench(device, "F3 71")
+    bench = sim("PPO1")
+    store = bench.device.store
     pkw(bench, "81 E0 08 00 00 00 03 E8")  # data set 3, RAM only
-    assert device.store.eeprom_writes == 0
+    assert store.eeprom_writes == 0
     assert pkw(bench, "61 E0 03 00 00 00 00 00") == "51 E0 03 00 00 00 03 E8"
-    pkw(bench, "81 E0 01 00 00 00 03 E8")
-    assert device.store.eeprom_writes == 1
-    pkw(bench, "81 E0 00 00 00 00 03 E8")
-    assert device.store.eeprom_writes == 5
-    pkw(bench, "21 9E 05 00 00 00 00 02")
-    assert device.store.eeprom_writes == 5
-    device.store.power_up()
+    for order, writes in (
+        ("81 E0 01 00 00 00 03 E8", 1),
+        ("81 E0 00 00 00 00 03 E8", 5),
+        ("21 9E 05 00 00 00 00 02", 5),
+    ):
+        pkw(bench, order)
+        assert store.eeprom_writes == writes
+    store.power_up()
     assert pkw(bench, "11 9E 00 00 00 00 00 00") == "11 9E 00 00 00 00 00 00"
 
 
 def test_d18_data_sets() -> None:
-    bench = ppo1()
+    bench = sim("PPO1")
     assert pkw(bench, "10 F9 00 00 00 00 00 00") == "10 F9 00 00 00 00 00 01"
     pkw(bench, "71 9C 03 00 00 00 00 2C")  # 412 = 44 in data set 3 only
     assert bench.send(ZERO + "00 00 00 00")[24:29] == "02 40"
@@ -311,7 +282,7 @@ def test_d18_data_sets() -> None:
 
 
 def test_d20_actual_parameters() -> None:
-    bench = ppo1()
+    bench = sim("PPO1")
     bench.device.warn(0x0881)
     assert pkw(bench, "11 0E 00 00 00 00 00 00") == "11 0E 00 00 00 00 08 81"
     assert bench.send("11 1A 00 00 00 00 00 00 00 00 20 00") is not None
@@ -320,14 +291,14 @@ def test_d20_actual_parameters() -> None:
 
 
 def test_d7_mode_2_remote_contacts() -> None:
-    bench = ppo3(**{"412": 2})
+    bench = sim("PPO3", {"412": 2})
     assert bench.send("00 00 20 00") == "02 23 00 00"
     assert bench.send("00 03 20 00", 1500) == "06 27 20 00"
     bench.until("00 01 20 00", "02 23 00 00", 2000)
 
 
 def test_d2_d13_ppo2_reports_everything() -> None:
-    bench = DeviceBench(drive(), "F3 75")
+    bench = sim("PPO2")
     rest = " 00 00 00 00 00 00 00 00"
     assert bench.send(ZERO + "00 00 00 00" + rest) == ZERO + "02 40 00 00 00 00 00 00 00 00 00 00"
     bench.device.trip("F2061")
@@ -335,11 +306,10 @@ def test_d2_d13_ppo2_reports_everything() -> None:
 
 
 def test_d12_additional_reference_in_ppo4() -> None:
-    bench = DeviceBench(drive(), "75")
-    rest = " 10 00 00 00 00 00 00 00"
-    for control in ("00 06", "00 07"):
-        bench.send(control + " 20 00" + rest)
-    assert bench.send("00 0F 20 00" + rest, 1500)[6:11] == "30 00"
+    bench = sim("PPO4")
+    outputs = "20 00 10 00 00 00 00 00 00 00"
+    enable(bench, outputs)
+    assert bench.send(f"00 0F {outputs}", 1500)[6:11] == "30 00"
 
 
 @pytest.mark.parametrize(
@@ -347,29 +317,23 @@ def test_d12_additional_reference_in_ppo4() -> None:
     [(Leave.WATCHDOG, "02 08 00 00"), (Leave.UNLOCK, "02 40 00 00"), (Leave.NEW_PARAMETERS, "02 40 00 00")],
 )
 def test_d15_master_lost_while_running(reason: Leave, word: str) -> None:
-    bench = ppo3()
-    running(bench)
-    bench.send("00 0F 20 00", 1000)
-    bench.device.leave(reason, bench.now)
-    bench.device.enter(b"\x71", bench.now + 100 * MS)
-    bench.now += 100 * MS
+    bench = enabled()
+    bench.away(100, reason)
     assert bench.send("00 00 00 00") == word
     if reason is Leave.WATCHDOG:
         assert bench.send("60 00 00 00") == "62 08 20 62"
 
 
 def test_master_lost_while_off_is_no_fault() -> None:
-    bench = ppo3()
+    bench = sim()
     bench.send("00 06 00 00")
-    bench.device.leave(Leave.WATCHDOG, bench.now)
-    bench.device.enter(b"\x71", bench.now)
+    bench.away()
     assert bench.send("00 00 00 00") == "02 40 00 00"
 
 
 def test_clear_lets_it_coast() -> None:
-    bench = ppo3()
-    running(bench)
-    assert bench.send("00 0F 20 00", 1000) == "06 27 20 00"
+    bench = enabled()
+    assert bench.send("00 0F 20 00") == "06 27 20 00"
     bench.device.clear(bench.now)
     bench.now += 100 * MS
     assert bench.device.exchange(bytes(4), bench.now).hex() == "02400000"
@@ -377,13 +341,14 @@ def test_clear_lets_it_coast() -> None:
 
 def test_it_is_the_same_whether_asked_often_or_not() -> None:
     def play(rotation: int) -> list[str]:
-        bench = DeviceBench(drive(), "71", rotation)
+        bench = sim()
+        bench.rotation = rotation
         return [bench.send(word, 800) for word in ("00 06 00 00", "00 07 00 00", "00 0F 20 00", "00 0F C0 00")]
 
     assert play(MS) == play(4 * MS) == play(8 * MS)
 
 
 def test_a_long_silence_is_caught_up() -> None:
-    bench = ppo3()
-    running(bench)
+    bench = sim()
+    enable(bench)
     assert bench.device.exchange(bytes.fromhex("000F2000"), bench.now + 10 * 3600 * S).hex() == "06272000"

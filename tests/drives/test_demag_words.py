@@ -9,7 +9,6 @@ from drive_bench import as_mapping
 
 from dpstack.errors import ConfigError
 from dpstack_drives.demag import DRIVE
-from dpstack_drives.demag.simulator import DemagDevice
 
 # -- docs/drives/demag.md#out-pzd -------------------------------------------------------------------------------------
 
@@ -32,7 +31,7 @@ def test_d14_the_words_of_the_plugin(kind: str, value: float, word: str) -> None
     """390 = 60 Hz, scaling current 10 A; PZD5."""
     options = {"reference_hz": 60, "scaling_current": 10, "map_outputs": f"- - {kind}"}
     bench = plugin("02 40" + " 00" * 10, "PPO4", **options)
-    assert as_mapping(bench.result(bench.order("output", number="pzd5", value=value)))["ok"]
+    bench.ok("output", number="pzd5", value=value)
     assert bench.out() == f"00 00 00 00 00 00 00 00 {word} 00 00"
     bench.core.lost(bench.now)
     assert bench.core.cyclic(b"", bench.now).hex(" ").upper() == "00 00 00 00 00 00 00 00 00 00 00 00"
@@ -71,8 +70,7 @@ def test_d14_maps_that_cannot_be(telegram: str, text: str, says: str) -> None:
 )
 def test_d14_values_that_cannot_be_are_refused_before_anything_is_sent(number: str, value: float, says: str) -> None:
     bench = plugin("02 40" + " 00" * 10, "PPO4", map_outputs="bool percent frequency current")
-    result = as_mapping(bench.result(bench.order("output", number=number, value=value)))
-    assert (result["error"], says in str(result["text"])) == ("usage", True), result
+    assert says in bench.misuse("output", number=number, value=value)
     assert bench.out() == "00 00 00 00 00 00 00 00 00 00 00 00"
 
 
@@ -91,19 +89,15 @@ def test_d14_the_sources_of_the_drive(words: str, number: int, value: bool | flo
     """390 = 60 Hz; the table's numbers: PZD5 as long is 760, not 759."""
     bench = sim("PPO4", {"390": 60})
     bench.send("00 00 00 00 " + words)
-    assert isinstance(bench.device, DemagDevice)
     assert bench.device.source(number) == pytest.approx(value)
 
 
 def test_d14_sources_are_there_in_ppo2_and_ppo4_only() -> None:
     bench = sim("PPO3")
-    assert isinstance(bench.device, DemagDevice)
     with pytest.raises(ValueError, match="PPO2 and PPO4 only"):
         bench.device.source(750)
-    wide = sim("PPO4").device
-    assert isinstance(wide, DemagDevice)
     with pytest.raises(ValueError, match="none of 750 to 761"):
-        wide.source(762)
+        sim("PPO4").device.source(762)
 
 
 # -- docs/drives/demag.md#trace-lines --------------------------------------------------------------------------------
@@ -123,7 +117,7 @@ def test_d16_the_lines_of_the_manual_from_live_data() -> None:
     bench.run(2)
     bench.see("51 E0 03 00 FF FF EA 84" + wide, 3)
     bench.see(ZERO.strip() + wide, 3)
-    lines = as_mapping(as_mapping(bench.result(bench.order("trace")))["value"])
+    lines = as_mapping(bench.ok("trace"))
     assert bench.out() == ZERO + "00 0F 20 00 00 00 00 00 00 00 00 00"
     assert lines["in"] == ("PKE: 5 480 IND: 03 00 PWE: -005500 STA: 06A7 VAL: 2000 3: 1147 4: 0CCC 5: 0800 6: 0000")
     assert lines["out"] == ("PKE: 6 480 IND: 03 00 PWE: +000000 CTR: 000F STP: 2000 3: 0000 4: 0000 5: 0000 6: 0000")
@@ -134,11 +128,11 @@ def test_d16_a_write_shows_its_value_and_narrow_telegrams_their_part() -> None:
     bench.order("write", number=480, data_set=3, value=-55)
     bench.run(2)
     bench.see("51 E0 03 00 FF FF EA 84 02 40 00 00", 3)
-    lines = as_mapping(as_mapping(bench.result(bench.order("trace")))["value"])
+    lines = as_mapping(bench.ok("trace"))
     assert lines["out"] == "PKE: 8 480 IND: 03 00 PWE: -005500 CTR: 0000 STP: 0000"
     assert lines["in"] == "PKE: 5 480 IND: 03 00 PWE: -005500 STA: 0240 VAL: 0000"
     narrow = plugin("02 40 00 00")
-    assert as_mapping(as_mapping(narrow.result(narrow.order("trace")))["value"])["in"] == "STA: 0240 VAL: 0000"
+    assert as_mapping(narrow.ok("trace"))["in"] == "STA: 0240 VAL: 0000"
 
 
 def test_d16_the_texts_281_and_284_cannot_be_read_over_the_channel() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from drive_bench import as_mapping
 from fuji_kit import IDLE, WIDE, ZERO, plugin, sim
 
 from dpstack.profile import State
@@ -16,19 +15,19 @@ def test_f3_worked_run_of_the_master() -> None:
     start = bench.order("start")
     assert bench.see("02 31 00 00") == "04 7F 40 00"  # 3
     bench.see("02 37 00 10", 3)
-    assert as_mapping(bench.result(start))["value"] == "running"
+    assert bench.value(start) == "running"
     reached = bench.order("reached")
     bench.see("02 37 20 00", 100)
     assert bench.result(reached) is None
     bench.see("07 37 40 00")  # FDT (bit 10) does not matter
-    assert as_mapping(bench.result(reached))["value"] == 1.0
+    assert bench.value(reached) == 1.0
     stop = bench.order("stop")
     assert bench.out() == "04 7E 40 00"  # 4
     bench.see("02 33 20 00", 60)
     assert bench.core.status().state is State.STOPPING
     assert bench.result(stop) is None
     bench.see("02 31 00 00", 60)
-    assert as_mapping(bench.result(stop))["value"] == "ready_to_switch_on"
+    assert bench.value(stop) == "ready_to_switch_on"
     bench.order("speed", value=-0.5)
     start = bench.order("start")
     assert bench.out() == "0C 7F 20 00"  # 5
@@ -43,7 +42,7 @@ def test_f3_worked_run_of_the_master() -> None:
     assert bench.out() == "04 80 10 00"  # 7
     assert bench.see("02 40 00 00", 60) == "04 00 10 00"
     assert bench.see("02 40 00 00", 60) == "04 7E 10 00"
-    assert as_mapping(bench.result(token))["value"] == "switch_on_inhibited"
+    assert bench.value(token) == "switch_on_inhibited"
 
 
 def test_f3_reverse_by_the_sign() -> None:
@@ -66,9 +65,7 @@ def test_f10_start_without_bit_9_says_y98() -> None:
     bench = plugin(inputs="00 40 00 00")
     token = bench.order("start")
     bench.run(100)
-    result = as_mapping(bench.result(token))
-    assert result["error"] == "fault"
-    assert "set y98 to 3" in str(result["text"])
+    assert "set y98 to 3" in bench.text(token, "fault")
 
 
 def test_f10_start_reads_y98_where_it_can() -> None:
@@ -77,17 +74,16 @@ def test_f10_start_reads_y98_where_it_can() -> None:
     bench.run(60)
     assert bench.out().startswith("11 0F 62 00")
     bench.see("11 0F 62 00 00 00 00 00 00 40 00 00", 2)
-    assert str(as_mapping(bench.result(token))["text"]).startswith("y98 is 0")
+    assert bench.text(token).startswith("y98 is 0")
 
 
 def test_a_drive_that_stays_in_s1_is_told_with_what_to_look_at() -> None:
     bench = plugin()
     token = bench.order("start", timeout_s=1)
     bench.run(600)
-    result = as_mapping(bench.result(token))
-    assert result["error"] == "timeout"
+    text = bench.text(token, "timeout")
     for part in ("S1", "y98", "LE", "LOC", "y99"):
-        assert part in str(result["text"])
+        assert part in text
 
 
 def test_f9_alarm_is_named_through_the_parameter_channel() -> None:
@@ -153,9 +149,7 @@ def test_f15_the_plugin_says_that_the_inverter_has_no_power() -> None:
     bench = plugin("PPO1", ZERO + "00 00 00 00")
     token = bench.order("start")
     bench.run(100)
-    result = as_mapping(bench.result(token))
-    assert result["error"] == "fault"
-    assert "the inverter has no power" in str(result["text"])
+    assert "the inverter has no power" in bench.text(token, "fault")
 
 
 def test_f9_an_alarm_whose_name_was_lost_is_asked_again() -> None:

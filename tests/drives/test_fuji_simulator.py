@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
-from drive_bench import MS, DeviceBench, S
-from fuji_kit import WIDE, ZERO, again, pkw, sim
+from drive_bench import MS, S
+from fuji_kit import WIDE, ZERO, FujiBench, again, pkw, running, sim
 
 from dpstack.errors import ConfigError
 from dpstack.profile import Leave
@@ -50,16 +48,12 @@ def test_fdt_by_e31() -> None:
 )
 def test_f12_bits(control: str, word: str) -> None:
     """OFF2 coasts to S1; b6 = 0 disables b0; b3 = 0 blocks; b10 = 0: the whole frame is ignored."""
-    bench = sim()
-    bench.send("04 7E 40 00")
-    bench.until("04 7F 40 00", "03 37 40 00", 3000)
+    bench = running()
     assert bench.send(control)[:5] == word
 
 
 def test_f12_off3_stops_with_h56_to_s1() -> None:
-    bench = sim(H56=0.5, F08=5)
-    bench.send("04 7E 40 00")
-    bench.until("04 7F 40 00", "03 37 40 00", 3000)
+    bench = running(H56=0.5, F08=5)
     start = bench.now
     bench.until("04 7A 40 00", "02 50 00 00", 1000)
     assert 490 * MS < bench.now - start < 600 * MS
@@ -76,9 +70,7 @@ def test_f12_ramp_bits() -> None:
 
 
 def test_047f_during_the_ramp_takes_it_back() -> None:
-    bench = sim()
-    bench.send("04 7E 40 00")
-    bench.until("04 7F 40 00", "03 37 40 00", 3000)
+    bench = running()
     assert bench.send("04 7E 40 00", 300)[:5] == "02 33"
     bench.until("04 7F 40 00", "03 37 40 00", 3000)
 
@@ -100,19 +92,10 @@ def test_f10_run_from_the_bus_frequency_from_the_inverter() -> None:
     assert bench.send("04 7F 40 00", 500) == "03 37 00 00"
 
 
-def lost(reason: Leave, **presets: Any) -> tuple[DeviceBench, int]:
-    bench = sim(**presets)
-    bench.send("04 7E 40 00")
-    bench.until("04 7F 40 00", "03 37 40 00", 3000)
-    bench.device.leave(reason, bench.now)
-    return bench, bench.now
-
-
-def back(bench: DeviceBench, ms: float, outputs: str = "00 00 00 00") -> str:
-    """The master returns after some time; the first inputs that come of a scan."""
-    bench.now += round(ms * MS)
-    bench.device.enter(b"\x71", bench.now)
-    return bench.send(outputs, 6)
+def back(bench: FujiBench, ms: float, reason: Leave = Leave.WATCHDOG) -> str:
+    """The master is away for some time; the word of the first inputs that come of a scan."""
+    bench.away(ms, reason)
+    return bench.send("00 00 00 00", 6)[:5]
 
 
 @pytest.mark.parametrize(
@@ -132,40 +115,33 @@ def back(bench: DeviceBench, ms: float, outputs: str = "00 00 00 00") -> str:
     ],
 )
 def test_f8_lost_communication(o27: int, o28: float, ms: float, word: str) -> None:
-    bench, _ = lost(Leave.WATCHDOG, o27=o27, o28=o28)
-    assert back(bench, ms)[:5] == word
+    assert back(running(o27=o27, o28=o28), ms) == word
 
 
 @pytest.mark.parametrize(("o27", "word"), [(1, "02 78"), (2, "03 37"), (11, "02 78"), (12, "03 37")])
 def test_f8_data_that_return_in_time(o27: int, word: str) -> None:
-    bench, _ = lost(Leave.WATCHDOG, o27=o27, o28=1.0)
-    assert back(bench, 500)[:5] == "03 37"
+    bench = running(o27=o27, o28=1.0)
+    assert back(bench, 500) == "03 37"
     assert bench.send("00 00 00 00", 5000)[:5] == word
 
 
 def test_f8_no_watchdog_no_reaction_and_nothing_before_data() -> None:
-    bench, _ = lost(Leave.UNLOCK)
-    assert back(bench, 500)[:5] == "03 37"
-    device = DRIVE.device("PPO3")
-    device.enter(b"\x71", 5 * S)
-    device.leave(Leave.WATCHDOG, 6 * S)
-    device.enter(b"\x71", 7 * S)
-    assert device.exchange(bytes(4), 7 * S + 100 * MS).hex() == "02400000"
+    assert back(running(), 500, Leave.UNLOCK) == "03 37"
+    bench = sim()
+    bench.pass_time(1000)
+    bench.away(1000)
+    assert bench.send("00 00 00 00", 100) == "02 40 00 00"
 
 
 def test_clear_is_ignored_by_bit_10() -> None:
-    bench = sim()
-    bench.send("04 7E 40 00")
-    bench.until("04 7F 40 00", "03 37 40 00", 3000)
+    bench = running()
     bench.device.clear(bench.now)
     bench.now += 500 * MS
     assert bench.device.exchange(bytes(4), bench.now).hex() == "03374000"
 
 
 def test_safe_outputs_of_one_frame_count_although_clear_follows_at_once() -> None:
-    bench = sim()
-    bench.send("04 7E 40 00")
-    bench.until("04 7F 40 00", "03 37 40 00", 3000)
+    bench = running()
     bench.device.exchange(DRIVE.core("fan", "PPO3").safe_outputs, bench.now + 10_000)
     bench.device.clear(bench.now + 20_000)
     bench.now += 3 * S

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from drive_bench import PluginBench, as_mapping
+from drive_bench import PluginBench
 from imo_kit import NOTHING, READY, RUNS, Card
 
 from dpstack.errors import ConfigError
@@ -28,13 +28,13 @@ def test_i3_the_read_of_the_manual() -> None:
     token = bench.order("read", number="P00.10")
     assert pkw(bench, "00 00 00 00 00 00 00 00") == "00 01 00 0A 00 00 00 00"
     assert pkw(bench, "00 01 00 0A 00 00 13 88") == "00 00 00 00 00 00 00 00"
-    result = as_mapping(bench.result(token))
+    result = bench.done(token)
     assert (result["value"], result["raw"], result["unit"]) == (50.0, 0x1388, "Hz")
     by_number = bench.order("read", number=10)
     bench.run(60)
     pkw(bench, "00 00 00 00 00 00 00 00")
     pkw(bench, "00 01 00 0A 00 00 00 64")
-    assert as_mapping(bench.result(by_number))["value"] == 1.0
+    assert bench.value(by_number) == 1.0
 
 
 def test_i3_a_long_response() -> None:
@@ -42,7 +42,7 @@ def test_i3_a_long_response() -> None:
     token = bench.order("read", number="P07.20")
     assert pkw(bench, "00 00 00 00 00 00 00 00") == "00 01 07 14 00 00 00 00"
     pkw(bench, "00 02 07 14 00 01 E2 40")
-    assert as_mapping(bench.result(token))["value"] == 123456
+    assert bench.value(token) == 123456
 
 
 def test_i3_a_write_is_request_4_with_cw_bit_8() -> None:
@@ -74,7 +74,7 @@ def test_i3_refusals(reply: str, says: str, number: int | None) -> None:
     token = bench.order("write", number="P00.10", value=1)
     pkw(bench, "00 00 00 00 00 00 00 00")
     pkw(bench, reply)
-    result = as_mapping(bench.result(token))
+    result = bench.done(token)
     assert (result["error"], result["number"]) == ("parameter", number)
     assert says in str(result["text"])
 
@@ -96,9 +96,7 @@ def test_i3_refusals(reply: str, says: str, number: int | None) -> None:
 def test_i3_i5_misuse_is_refused_before_anything_is_sent(op: str, args: dict[str, object], says: str) -> None:
     bench = Card(RUNS)
     bench.seen.clear()
-    result = bench.ask(op, **args)
-    assert result["error"] == "usage"
-    assert says in str(result["text"])
+    assert says in bench.misuse(op, **args)
     assert bench.seen == ["00 00 00 00 00 00 00 00"]
 
 
@@ -107,12 +105,12 @@ def test_i3_a_drive_that_is_silent_or_answers_for_another_address() -> None:
     token = bench.order("read", number="P00.10", timeout_s=0.1)
     pkw(bench, "00 01 00 0B 00 00 00 00")
     bench.run(60)
-    assert "answered for P00.11 (response 1) instead" in str(as_mapping(bench.result(token))["text"])
+    assert "answered for P00.11 (response 1) instead" in bench.text(token)
     bench = quiet()
     token = bench.order("read", number="P00.10", timeout_s=0.1)
     pkw(bench, "00 00 00 00 00 00 00 00")
     bench.run(60)
-    assert "did not answer in its parameter channel in time" in str(as_mapping(bench.result(token))["text"])
+    assert "did not answer in its parameter channel in time" in bench.text(token)
 
 
 @pytest.mark.parametrize(

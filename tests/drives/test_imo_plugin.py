@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from drive_bench import PluginBench, as_mapping
+from drive_bench import PluginBench
 from imo_kit import NOTHING, READY, RUNS, Card
 
 from dpstack.profile import State
@@ -26,7 +26,7 @@ def test_i2_i4_forward_reverse_stop_coast_reset() -> None:
     assert bench.result(start) is None
     # forward, 20.00 Hz, 10.0 A, 30.0 %, no fault
     bench.show("41 01 ", "07 D0 00 64 01 2C 00 00" + " 00" * 14)
-    assert as_mapping(bench.result(start))["value"] == "running"
+    assert bench.value(start) == "running"
     status = bench.core.status()
     assert (status.frequency_hz, status.current, status.torque) == (20.0, 0.5, 0.3)
     bench.order("speed", value=-0.5)
@@ -42,7 +42,7 @@ def test_i2_i4_forward_reverse_stop_coast_reset() -> None:
     assert bench.show(READY, rotations=2)[:5] == "00 06"
     bench.show("41 04 ", "00 00 00 00 00 00 00 0B" + " 00" * 14)
     assert bench.core.status().faults == ("OL1 (code 11)",)
-    assert "OL1 (code 11); acknowledge it first" in str(bench.ask("start")["text"])
+    assert "OL1 (code 11); acknowledge it first" in bench.refused("start")[1]
     bench.order("acknowledge")
     assert bench.show("41 04 ", rotations=2)[:5] == "00 07"
     assert bench.show(READY, rotations=200)[:5] == "00 05"
@@ -78,37 +78,37 @@ def test_i2_bits() -> None:
     bench.show("4B 03 ")
     assert bench.core.status().warnings == ("heartbeat not echoed (SW bit 15)",)
     for name, cw in (("torque_control", "8A"), ("clear_energy", "92"), ("pre_excitation", "A2"), ("dc_brake", "C2")):
-        assert bench.ask("control", number=name, value=1)["ok"]
+        bench.ok("control", number=name, value=1)
         assert bench.show("CB 03 ", rotations=1)[:5] == f"{cw} 05"
-        bench.ask("control", number=name, value=0)
-    assert "torque_control, clear_energy" in str(bench.ask("control", number="motor", value=1)["text"])
+        bench.do("control", number=name, value=0)
+    assert "torque_control, clear_energy" in bench.misuse("control", number="motor", value=1)
 
 
 def test_i2_inching_and_pre_excitation_last_until_another_command() -> None:
     bench = Card(RUNS)
     for direction, cw in (("forward", "00 03"), ("reverse", "00 04"), ("stop", "00 08")):
-        assert bench.ask("inch", direction=direction)["ok"]
+        bench.ok("inch", direction=direction)
         assert bench.show(READY, rotations=1)[:5] == cw
-    bench.ask("inch", direction="forward")
+    bench.do("inch", direction="forward")
     bench.show("41 01 ")
     assert bench.core.status().state is State.RUNNING
     bench.order("stop")
     assert bench.show("41 01 ", rotations=1)[:5] == "00 05"
     bench.show(READY)
-    assert bench.ask("pre_excite")["ok"]
+    bench.ok("pre_excite")
     assert bench.show(READY, rotations=1)[:5] == "00 09"
     bench.show("41 04 ")  # a fault ends it: not again after its reset
     assert bench.show(READY)[:5] == "00 05"
     bench.order("start")
     bench.show(READY)
     bench.show("41 01 ")
-    assert "stop() it first" in str(bench.ask("inch", direction="forward")["text"])
-    assert "forward, reverse, stop" in str(bench.ask("inch", direction="up")["text"])
+    assert "stop() it first" in bench.misuse("inch", direction="forward")
+    assert "forward, reverse, stop" in bench.misuse("inch", direction="up")
 
 
 def test_i2_no_quick_stop_is_said_by_name() -> None:
     bench = Card(RUNS)
-    assert "no quick stop ramp: its emergency stop (6) coasts" in str(bench.ask("quick_stop")["text"])
+    assert "no quick stop ramp: its emergency stop (6) coasts" in bench.misuse("quick_stop")
 
 
 @pytest.mark.parametrize(
@@ -123,14 +123,14 @@ def test_i2_no_quick_stop_is_said_by_name() -> None:
 )
 def test_i2_start_says_what_keeps_it(sw: str, says: str) -> None:
     bench = Card(RUNS, sw)
-    result = bench.ask("start")
-    assert result["error"] == "fault"
-    assert says in str(result["text"])
+    kind, why = bench.refused("start")
+    assert kind == "fault"
+    assert says in why
     assert bench.show(sw, rotations=1)[:5] == "00 05"
 
 
 def test_i4_start_without_a_set_frequency_names_the_parameter() -> None:
-    text = str(Card({3: 4}).ask("start")["text"])
+    text = str(Card({3: 4}).do("start")["text"])
     assert "of P15.02 to P15.12 none is 1; set P15.02 to 1" in text
 
 
@@ -153,15 +153,13 @@ def test_a_drive_that_never_tells_its_map_is_a_time_out_with_a_reason() -> None:
     bench = PluginBench(DRIVE.core("pump"), "00 " * 8 + READY + NOTHING)
     token = bench.order("start", timeout_s=0.5)
     bench.run(400)
-    result = as_mapping(bench.result(token))
-    assert result["error"] == "timeout"
-    assert "not yet told what its process data are (P15.02 to P15.23)" in str(result["text"])
+    assert "not yet told what its process data are (P15.02 to P15.23)" in bench.text(token, "timeout")
 
 
 def test_what_was_given_does_not_come_back_with_the_drive() -> None:
     bench = Card({2: 4})
-    bench.ask("output", number="torque", value=50)
-    bench.ask("control", number="dc_brake", value=1)
+    bench.do("output", number="torque", value=50)
+    bench.do("control", number="dc_brake", value=1)
     assert bench.show(READY, rotations=1)[:11] == "40 05 01 F4"
     bench.core.lost(bench.now)
     assert bench.show(READY)[:11] == "00 05 00 00"

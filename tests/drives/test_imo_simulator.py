@@ -8,7 +8,6 @@ import pytest
 from drive_bench import MS, DeviceBench, S
 
 from dpstack.errors import ConfigError
-from dpstack.profile import Leave
 from dpstack_drives.imo import DRIVE
 from dpstack_drives.imo.simulator import ImoDevice
 
@@ -17,13 +16,12 @@ NO_PKW = "00 00 00 00 00 00 00 00 "
 MAPS = {"P15.02": 1, "P15.13": 1, "P15.14": 5, "P15.15": 6, "P15.16": 8, "P15.17": 11}
 
 
-class Bench(DeviceBench):
+class Bench(DeviceBench[ImoDevice]):
     """Process data without the PKW zone, short: the rest is zeros."""
 
     def __init__(self, **presets: Any) -> None:
         device = DRIVE.device(None, presets)
         assert isinstance(device, ImoDevice)
-        self.drive = device
         super().__init__(device, "F3 7B")
 
     def pzd(self, process: str, ms: float = 70) -> str:
@@ -56,7 +54,7 @@ def test_i2_i4_a_run_step_by_step() -> None:
     assert bench.pzd("00 05 09 C4", 1500)[:11] == "41 03 00 00"
     bench.pzd("00 01 09 C4", 1500)
     assert bench.pzd("00 06 09 C4", 10)[:11] == "41 03 00 00"
-    assert bench.drive.motor.speed > 0.4  # coasts
+    assert bench.device.motor.speed > 0.4  # coasts
 
 
 def test_i2_ramps_are_exact_in_bus_time() -> None:
@@ -103,9 +101,9 @@ def test_i2_bits_of_the_control_word() -> None:
     assert bench.pzd("00 05")[:5] == "40 05"
     bench.device.release(True)
     bench.pzd("00 01 09 C4", 1500)
-    assert bench.drive.energy > 0
+    assert bench.device.energy > 0
     bench.pzd("10 05 09 C4", 1500)
-    assert bench.drive.energy == 0
+    assert bench.device.energy == 0
     bench.pzd("00 01 09 C4", 1500)
     assert bench.pzd("40 01 09 C4", 500)[:11] == "41 03 00 00"  # DC brake
 
@@ -154,12 +152,12 @@ def test_i3_a_password() -> None:
 def test_i3_a_request_that_stands_is_written_once_to_the_eeprom() -> None:
     bench = Bench()
     bench.pkw("00 04 00 0A 00 00 04 E2", ms=500)
-    assert bench.drive.store.eeprom_writes == 1
+    assert bench.device.store.eeprom_writes == 1
     bench.pkw("00 04 00 0A 00 00 04 E2")
-    assert bench.drive.store.eeprom_writes == 2
+    assert bench.device.store.eeprom_writes == 2
     after = DRIVE.device()
     assert isinstance(after, ImoDevice)
-    after.inherit(bench.drive)
+    after.inherit(bench.device)
     assert after.store.value("P00.10") == 12.5
     assert after.store.eeprom_writes == 2
 
@@ -254,9 +252,7 @@ def test_a_lost_master_by_the_option(how: str, sw: str) -> None:
     """A reading: the card's manual does not say."""
     bench = Bench(**MAPS, on_loss=how)
     bench.pzd("00 01 09 C4", 1500)
-    bench.device.leave(Leave.WATCHDOG, bench.now)
-    bench.now += 3 * S
-    bench.device.enter(bytes.fromhex("F3 7B"), bench.now)
+    bench.away(3000)
     assert bench.pzd("00 00", 20)[:5] == sw
 
 

@@ -14,7 +14,7 @@ def test_i4_the_rpm_of_the_manual() -> None:
     """P15.14 = 8: 00 0A in PZD3 is 10 rpm."""
     bench = Card({14: 8}, reference_rpm=1000)
     bench.show(READY, "FF FF 00 0A" + " 00" * 18)
-    assert bench.ask("inputs")["value"] == {"rpm": 10}
+    assert bench.ok("inputs") == {"rpm": 10}
     assert bench.core.status().speed == 0.01
 
 
@@ -52,7 +52,7 @@ TRANSMITTED = [
 def test_i4_transmitted(number: int, name: str, octets: str, value: float) -> None:
     bench = Card({23: number})
     bench.show(READY, "00 " * 20 + octets)
-    assert bench.ask("inputs")["value"] == {name: value}
+    assert bench.ok("inputs") == {name: value}
 
 
 RECEIVED = [
@@ -79,19 +79,17 @@ RECEIVED = [
 @pytest.mark.parametrize(("number", "name", "value", "octets", "beyond", "limits"), RECEIVED)
 def test_i4_received(number: int, name: str, value: float, octets: str, beyond: float, limits: str) -> None:
     bench = Card({12: number})
-    assert bench.ask("output", number=name, value=value)["ok"]
+    bench.ok("output", number=name, value=value)
     assert bench.show(READY, rotations=1) == "00 05" + " 00" * 20 + " " + octets
-    result = bench.ask("output", number=name, value=beyond)
-    assert result["error"] == "usage"
-    assert f"is outside {limits}" in str(result["text"])
+    assert f"is outside {limits}" in bench.misuse("output", number=name, value=beyond)
     assert bench.show(READY, rotations=1)[-5:] == octets
 
 
 def test_i4_set_points_beyond_the_maximum_frequency() -> None:
-    text = str(Card(RUNS).ask("speed", value=1.2)["text"])
+    text = str(Card(RUNS).do("speed", value=1.2)["text"])
     assert "set_frequency 60 Hz is outside 0..50 Hz (the maximum frequency, option max_hz)" in text
     bench = Card(RUNS, max_hz=60)
-    assert bench.ask("speed", value=1.2)["ok"]
+    bench.ok("speed", value=1.2)
     assert bench.show(READY, rotations=1)[:11] == "00 05 17 70"
 
 
@@ -108,9 +106,7 @@ def test_i4_set_points_beyond_the_maximum_frequency() -> None:
 def test_i4_maps_are_checked_before_anything_is_sent(args: dict[str, object], says: str) -> None:
     bench = Card(RUNS)
     bench.seen.clear()
-    result = bench.ask("write_map", **args)
-    assert result["error"] == "usage"
-    assert says in str(result["text"])
+    assert says in bench.misuse("write_map", **args)
     assert bench.seen == ["00 00 00 00 00 00 00 00"]
 
 
@@ -118,13 +114,13 @@ def test_i4_a_map_is_read_and_only_what_differs_is_written() -> None:
     bench = Card({2: 1, 13: 1, 22: 7})
     reads = [int(request[9:11], 16) for request in bench.seen if re.match("00 01 0F", request)]
     assert reads == list(range(2, 24))  # P15.22 too, which is missing in print
-    assert bench.ask("read_map")["value"] == {
+    assert bench.ok("read_map") == {
         "inputs": "frequency - - - - - - - - power",
         "outputs": "set_frequency",
     }
     bench.seen.clear()
-    assert bench.ask("write_map", outputs="set_frequency torque", inputs="frequency rpm - - - - - - - power")["ok"]
+    bench.ok("write_map", outputs="set_frequency torque", inputs="frequency rpm - - - - - - - power")
     writes = [request for request in bench.seen if request.startswith("00 04")]
     assert writes == ["00 04 0F 03 00 00 00 04", "00 04 0F 0E 00 00 00 08"]
-    assert "not in the output map (set_frequency torque)" in str(bench.ask("output", number="ao1", value=0)["text"])
-    assert "written by speed" in str(bench.ask("output", number="set_frequency", value=0)["text"])
+    assert "not in the output map (set_frequency torque)" in bench.misuse("output", number="ao1", value=0)
+    assert "written by speed" in bench.misuse("output", number="set_frequency", value=0)

@@ -5,40 +5,29 @@ from __future__ import annotations
 from collections.abc import Generator
 
 import pytest
-from drive_bench import ALONE, MS, DeviceBench, PluginBench, Times
+from drive_bench import MS, PluginBench, Times
 from hypothesis import given
 from hypothesis import strategies as st
+from keb_kit import IDLE, ZERO, KebBench, device, plugin, sim
 
 from dpstack.profile import CommandError, ParamKey
 from dpstack_drives.keb import DRIVE
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb.channel import KebChannel, KebServer
-from dpstack_drives.keb.simulator import KebDevice
 
-ZERO = "00 00 00 00 00 00 00 00"
-IDLE = " 00 00 00 00"
 WRITE_20_HZ = "72 01 23 03 00 00 06 40"  # oP.3 := 20 Hz with four octets
 CONFIRMED = "42 01 23 03 00 00 06 40"
 
 
-def plugin() -> PluginBench:
-    return PluginBench(DRIVE.core("hoist", "PCH+4/4", ALONE), ZERO + IDLE)
-
-
-def drive(**presets: object) -> DeviceBench:
-    return DeviceBench(DRIVE.device("PCH+4/4", presets), "B7 A3 93")
-
-
-def keb(bench: DeviceBench) -> KebDevice:
-    assert isinstance(bench.device, KebDevice)
-    return bench.device
+def drive(**presets: object) -> KebBench:
+    return sim(presets, "PCH+4/4")
 
 
 def channel(bench: PluginBench, reply: str, rotations: int = 1) -> str:
     return bench.see(reply + IDLE, rotations)[:23]
 
 
-def ask(bench: DeviceBench, request: str) -> str:
+def ask(bench: KebBench, request: str) -> str:
     return bench.send(request + IDLE, 6)[:23]
 
 
@@ -51,8 +40,7 @@ def test_k3_k4_the_plugin_writes_with_four_octets_and_judges_handshake_and_resul
     assert bench.out()[:23] == WRITE_20_HZ
     assert channel(bench, ZERO, 5) == WRITE_20_HZ  # held: bit 6 is not yet ours
     assert channel(bench, CONFIRMED) == WRITE_20_HZ  # the request stays; bit 6 says that it is done
-    result = bench.result(token)
-    assert result is not None
+    result = bench.done(token)
     assert (result["ok"], result["value"], result["raw"], result["unit"]) == (True, 20.0, 0x640, "Hz")
 
 
@@ -61,8 +49,7 @@ def test_k4_the_confirmation_of_the_manual_is_one() -> None:
     token = bench.order("write", number="oP.3", value=20)
     channel(bench, ZERO, 2)
     channel(bench, "42 01 23 03 06 40 00 00")
-    result = bench.result(token)
-    assert result is not None
+    result = bench.done(token)
     assert (result["ok"], result["value"]) == (True, 20.0)
 
 
@@ -71,14 +58,12 @@ def test_k3_the_handshake_is_inverted_for_every_new_request() -> None:
     first, second = bench.order("read", number="oP.3"), bench.order("read", number="sy.51", data_set=2)
     assert bench.out()[:23] == "71 01 23 03 00 00 00 00"
     assert channel(bench, "41 01 23 03 00 00 06 40") == "31 04 20 33 00 00 00 00"
-    result = bench.result(first)
-    assert result is not None
+    result = bench.done(first)
     assert result["value"] == 20.0
     assert channel(bench, "41 01 23 03 00 00 06 40", 3) == "31 04 20 33 00 00 00 00"
     assert bench.result(second) is None
     channel(bench, "01 04 20 33 00 00 00 05")
-    result = bench.result(second)
-    assert result is not None
+    result = bench.done(second)
     assert (result["value"], result["data_set"]) == (5, 2)
 
 
@@ -103,8 +88,7 @@ def test_k5_errors_as_texts(answer: str, number: int, text: str) -> None:
     token = bench.order("read", number="oP.3")
     bench.run()
     channel(bench, answer)
-    result = bench.result(token)
-    assert result is not None
+    result = bench.done(token)
     assert (result["ok"], result["error"], result["number"]) == (False, "parameter", number)
     assert f"oP.03 (2303h) digital setpoint setting: error {text}" in str(result["text"])
 
@@ -117,9 +101,7 @@ def test_k5_a_busy_inverter_is_asked_again() -> None:
     assert channel(bench, "C1 01 23 03 08 00 00 22", 15)[:2] == "31"  # again, the handshake inverted
     assert bench.result(token) is None
     channel(bench, "01 01 23 03 00 00 00 50")
-    result = bench.result(token)
-    assert result is not None
-    assert result["value"] == 1.0
+    assert bench.value(token) == 1.0
 
 
 def test_k5_busy_up_to_the_time_out_is_told() -> None:
@@ -127,9 +109,7 @@ def test_k5_busy_up_to_the_time_out_is_told() -> None:
     token = bench.order("read", number="oP.3", timeout_s=0.2)
     for hand in "C8" * 20:
         channel(bench, f"{hand}1 01 23 03 08 00 00 22", 10)
-    result = bench.result(token)
-    assert result is not None
-    assert "the inverter is busy" in str(result["text"])
+    assert "the inverter is busy" in bench.text(token)
 
 
 @pytest.mark.parametrize(
@@ -144,10 +124,7 @@ def test_a_drive_that_is_silent_or_answers_for_another_parameter(answer: str, sa
     token = bench.order("read", number="oP.3", timeout_s=0.1)
     bench.run()
     channel(bench, answer, 60)
-    result = bench.result(token)
-    assert result is not None
-    assert result["error"] == "timeout"
-    assert says in str(result["text"])
+    assert says in bench.text(token, "timeout")
 
 
 def test_a_request_given_up_keeps_the_channel_until_the_drive_confirms_it() -> None:
@@ -162,9 +139,7 @@ def test_a_request_given_up_keeps_the_channel_until_the_drive_confirms_it() -> N
     token = bench.order("read", number="sy.51")
     assert channel(bench, "41 01 23 03 00 00 06 40") == "31 01 20 33 00 00 00 00"
     channel(bench, "01 01 20 33 00 00 00 03")
-    result = bench.result(token)
-    assert result is not None
-    assert result["value"] == 3
+    assert bench.value(token) == 3
 
 
 def test_after_a_new_start_the_drives_own_handshake_bit_is_taken() -> None:
@@ -222,10 +197,7 @@ def test_k6_sets_by_the_bit_of_the_subindex(args: dict[str, object], request_oct
 def test_k6_wrong_parameters_raise_at_once(args: dict[str, object], says: str) -> None:
     bench = plugin()
     token = bench.order("read", **args)
-    result = bench.result(token)
-    assert result is not None
-    assert result["error"] == "usage"
-    assert says in str(result["text"])
+    assert says in bench.text(token, "usage")
     assert bench.out()[:23] == ZERO
 
 
@@ -240,9 +212,7 @@ def test_k6_wrong_parameters_raise_at_once(args: dict[str, object], says: str) -
 )
 def test_values_are_checked_before_anything_is_sent(args: dict[str, object], says: str) -> None:
     bench = plugin()
-    result = bench.result(bench.order("write", **args))
-    assert result is not None
-    assert says in str(result["text"])
+    assert says in bench.misuse("write", **args)
 
 
 def test_negative_values_are_32_bits() -> None:
@@ -253,8 +223,8 @@ def test_negative_values_are_32_bits() -> None:
 
 def test_without_a_channel_there_are_no_parameters() -> None:
     bench = PluginBench(DRIVE.core("hoist", "4/4"), "00 00 00 00")
-    assert "4/4 of keb-f5 has no parameter channel" in str(bench.result(bench.order("read", number="oP.3")))
-    assert "no parameter channel: take PCH+" in str(bench.result(bench.order("read_map")))
+    assert "4/4 of keb-f5 has no parameter channel" in bench.misuse("read", number="oP.3")
+    assert "no parameter channel: take PCH+" in bench.misuse("read_map")
 
 
 # -- the simulated drive -----------------------------------------------------------------------------------------------
@@ -264,8 +234,8 @@ def test_k4_the_example_of_the_manual() -> None:
     bench = drive()
     assert ask(bench, ZERO) == ZERO
     assert ask(bench, "52 01 23 03 06 40 00 00") == "42 01 23 03 06 40 00 00"
-    assert keb(bench).store.value("oP.03", 1) == 20.0
-    assert keb(bench).store.value("oP.03", 2) == 0.0
+    assert bench.device.store.value("oP.03", 1) == 20.0
+    assert bench.device.store.value("oP.03", 2) == 0.0
 
 
 def test_k3_any_parameter_with_four_octets() -> None:
@@ -282,9 +252,9 @@ def test_k3_a_request_is_new_when_bit_6_changes() -> None:
     assert ask(bench, WRITE_20_HZ) == CONFIRMED
     assert ask(bench, "72 01 23 03 00 00 0C 80") == CONFIRMED
     assert ask(bench, "32 01 23 03 00 00 0C 80") == "02 01 23 03 00 00 0C 80"
-    assert keb(bench).server.requests == 2
+    assert bench.device.server.requests == 2
     assert ask(bench, "40 00 00 00 00 00 00 00") == "40 00 00 00 00 00 00 00"  # no service
-    assert keb(bench).server.requests == 2
+    assert bench.device.server.requests == 2
 
 
 def test_k3_both_services_at_once_are_an_error() -> None:
@@ -310,11 +280,11 @@ def test_k5_errors_of_the_drive(request_octets: str, answer: str) -> None:
 
 def test_k5_no_inverter_busy_and_password() -> None:
     bench = drive()
-    keb(bench).link(False)
+    bench.device.link(False)
     assert ask(bench, "71 01 23 03 00 00 00 00") == "C1 01 23 03 06 02 00 00"
     assert ask(bench, "31 00 5F F8 00 00 00 00") == "01 00 5F F8 00 00 00 FF"  # the operator's own works on
-    keb(bench).link(True)
-    keb(bench).refuse("busy")
+    bench.device.link(True)
+    bench.device.refuse("busy")
     assert ask(bench, "71 01 23 03 00 00 00 00") == "C1 01 23 03 08 00 00 22"
     assert ask(bench, "31 01 23 03 00 00 00 00") == "01 01 23 03 00 00 00 00"
     locked = drive(**{"ud.01": 0})
@@ -327,7 +297,7 @@ def test_k6_a_write_goes_to_all_sets_and_unequal_ones_cannot_be_read_together() 
     """The error is a reading."""
     bench = drive()
     assert ask(bench, "72 05 23 03 00 00 06 40") == "42 05 23 03 00 00 06 40"  # sets 0 and 2
-    assert [keb(bench).store.value("oP.03", n) for n in (1, 2, 3)] == [20.0, 0.0, 20.0]
+    assert [bench.device.store.value("oP.03", n) for n in (1, 2, 3)] == [20.0, 0.0, 20.0]
     assert ask(bench, "31 05 23 03 00 00 00 00") == "01 05 23 03 00 00 06 40"
     assert ask(bench, "71 07 23 03 00 00 00 00") == "C1 07 23 03 08 00 00 34"
     assert ask(bench, "31 00 23 03 00 00 00 00") == "01 00 23 03 00 00 06 40"  # indirect: set 0
@@ -338,13 +308,12 @@ def test_k6_a_write_goes_to_all_sets_and_unequal_ones_cannot_be_read_together() 
 
 @given(st.lists(st.binary(min_size=8, max_size=8), max_size=30))
 def test_any_octets_never_raise(octets: list[bytes]) -> None:
-    device = DRIVE.device()
-    assert isinstance(device, KebDevice)
+    server = device().server
     times = Times(settle_ns=10)
     client = KebChannel(times)
     jobs = [client.read(ParamKey("oP.3"), 10**9) for _ in range(4)]
     for request in octets:
-        assert len(device.server.step(request)) == 8
+        assert len(server.step(request)) == 8
         times.now += MS
         client.step(request, times.now)
         assert len(client.octets) == 8

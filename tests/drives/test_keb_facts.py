@@ -7,6 +7,7 @@ from importlib import resources
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from keb_kit import device
 
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
@@ -16,7 +17,6 @@ from dpstack.profile import DriveProfile
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.keb import DRIVE
 from dpstack_drives.keb import table as t
-from dpstack_drives.keb.simulator import KebDevice
 from dpstack_drives.ls import DRIVE as LS
 
 
@@ -195,13 +195,12 @@ def test_our_gsd_files_have_the_facts_of_the_profile(drive: DriveProfile, module
 
 
 def test_the_simulated_drive_knows_its_trips_and_has_no_warnings() -> None:
-    device = DRIVE.device()
-    assert isinstance(device, KebDevice)
-    assert device.fault_code("e.BUS") == device.fault_code("18") == 18
+    drive = device()
+    assert drive.fault_code("e.BUS") == drive.fault_code("18") == 18
     with pytest.raises(ValueError, match=r"known \(made up\): E\.OP \(1\)"):
-        device.trip("F2100")
+        drive.trip("F2100")
     with pytest.raises(ValueError, match="no warning on the bus"):
-        device.warn(1)
+        drive.warn(1)
 
 
 @pytest.mark.parametrize(

@@ -7,17 +7,16 @@ import struct
 from collections.abc import Mapping
 
 import pytest
-from drive_bench import ALONE, DeviceBench, PairBench, PluginBench
+from drive_bench import DeviceBench, PairBench
 from hypothesis import given
 from hypothesis import strategies as st
+from keb_kit import NONE, ZERO, again, device, plugin
 
 from dpstack.profile import process_data_map
 from dpstack_drives.keb import DRIVE
 from dpstack_drives.keb.pdmap import DEFAULT_INPUTS, DEFAULT_OUTPUTS, Entry, PdMap, check
 from dpstack_drives.keb.simulator import KebDevice
 
-NONE: Mapping[str, object] = {}
-ZERO = "00 00 00 00 00 00 00 00"
 #: the manual's example 1 of 6000h and of 6001h, and example 2
 EXAMPLE_1_IN = [4, 0x2033, 1, 0, 0, 0x2035, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
 EXAMPLE_1_OUT = [4, 0x2032, 1, 0, 0, 0x2034, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
@@ -29,20 +28,6 @@ TEST_OUTPUTS = "2F13:long 2032 2034 230A"
 
 def numbered(values: list[int]) -> dict[int, int]:
     return dict(enumerate(values, 1))
-
-
-def again(device: KebDevice, telegram: str = "PCH+4/4") -> KebDevice:
-    """Off and on."""
-    other = DRIVE.device(telegram)
-    assert isinstance(other, KebDevice)
-    other.inherit(device)
-    return other
-
-
-def new(telegram: str = "PCH+4/4", presets: Mapping[str, object] = NONE) -> KebDevice:
-    device = DRIVE.device(telegram, presets)
-    assert isinstance(device, KebDevice)
-    return device
 
 
 # -- the records -------------------------------------------------------------------------------------------------------
@@ -129,7 +114,7 @@ def test_any_record_is_a_map_or_a_value_error(record: dict[int, int]) -> None:
 
 def test_k7_the_requests_of_write_map() -> None:
     """34 subindexes, the two enables and their check, against a drive that confirms whatever it is asked."""
-    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4", ALONE), ZERO + " 00 00 00 00")
+    bench = plugin()
     token = bench.order("write_map", inputs="233B:long 2D00:long", outputs="2032 2034")
     seen: list[tuple[int, int, int]] = []
     while bench.result(token) is None:
@@ -146,8 +131,7 @@ def test_k7_the_requests_of_write_map() -> None:
     outputs = [(2, n << 16 | 0x6001, value) for n, value in enumerate(EXAMPLE_1_OUT, 1)]
     enables = [(2, 0x5FF8, 0xFF), (1, 0x5FF8, 0), (2, 0x6002, 0xFF), (1, 0x6002, 0)]
     assert seen == inputs + outputs + enables
-    result = bench.result(token)
-    assert result is not None
+    result = bench.done(token)
     assert result["acts"] == "after power-on"
     assert "after the next power-on" in bench.notices()[0]
     assert "the map has 8 octets of inputs, PCH+4/4 has 4" in bench.notices()[1]
@@ -155,8 +139,7 @@ def test_k7_the_requests_of_write_map() -> None:
 
 def test_k11_k12_block_2_by_the_users_indexes_and_an_enable_that_falls_back() -> None:
     """12 octets of inputs: block 2's record has no length; its enable is not confirmed."""
-    options = {"block2_inputs": "5FE0 5FE1", "block2_outputs": "5FE2 5FE3"}
-    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4", {**ALONE, **options}), ZERO + " 00 00 00 00")
+    bench = plugin(block2_inputs="5FE0 5FE1", block2_outputs="5FE2 5FE3")
     token = bench.order("write_map", inputs=TEST_INPUTS, outputs=TEST_OUTPUTS)
     seen: list[str] = []
     while bench.result(token) is None:
@@ -174,9 +157,7 @@ def test_k11_k12_block_2_by_the_users_indexes_and_an_enable_that_falls_back() ->
     assert "02 02 5F E2 00 00 23 0A" in seen
     assert not any(request.startswith("02 01 5F E0") for request in seen)
     assert seen[-2:] == ["02 00 5F E1 00 00 00 FF", "01 00 5F E1 00 00 00 00"]
-    result = bench.result(token)
-    assert result is not None
-    assert "does not confirm the enable of inputs, block 2 (5FE1h is 00h)" in str(result["text"])
+    assert "does not confirm the enable of inputs, block 2 (5FE1h is 00h)" in bench.text(token)
 
 
 @pytest.mark.parametrize(
@@ -190,10 +171,8 @@ def test_k11_k12_block_2_by_the_users_indexes_and_an_enable_that_falls_back() ->
     ],
 )
 def test_k7_nothing_is_sent_for_a_wrong_map(maps: dict[str, object], says: str) -> None:
-    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4", ALONE), ZERO + " 00 00 00 00")
-    result = bench.result(bench.order("write_map", **maps))
-    assert result is not None
-    assert says in str(result["text"])
+    bench = plugin()
+    assert says in bench.misuse("write_map", **maps)
     assert bench.out()[:23] == ZERO
 
 
@@ -203,8 +182,10 @@ def test_k7_nothing_is_sent_for_a_wrong_map(maps: dict[str, object], says: str) 
 class Requests:
     """Literal requests to the simulated drive alone; the handshake bit is kept here."""
 
-    def __init__(self, device: KebDevice) -> None:
-        self.bench = DeviceBench(device, "B7 A3 93")
+    def __init__(self, before: Requests | None = None) -> None:
+        """A new drive, or the one of ``before`` after power off and on."""
+        self.device: KebDevice = again(before.device) if before else device()
+        self.bench = DeviceBench(self.device, "B7 A3 93")
         self.hand = 0
 
     def ask(self, service: int, subindex: int, index: str, value: int = 0) -> str:
@@ -220,8 +201,7 @@ class Requests:
 
 
 def test_k7_a_change_resets_the_enable_and_is_lost_without_it() -> None:
-    device = new()
-    line = Requests(device)
+    line = Requests()
     assert [line.ask(1, n, "60 00") for n in (1, 2, 3, 6)] == [
         "00 00 00 04",
         "00 00 20 33",
@@ -232,20 +212,19 @@ def test_k7_a_change_resets_the_enable_and_is_lost_without_it() -> None:
     line.write("60 00", EXAMPLE_2)
     assert line.ask(1, 0, "5F F8") == "00 00 00 00"
     assert line.ask(1, 0, "60 02") == "00 00 00 FF"
-    assert again(device).operator.into.map() == DEFAULT_INPUTS
+    assert again(line.device).operator.into.map() == DEFAULT_INPUTS
 
 
 def test_k7_the_enable_is_answered_by_an_error_and_the_map_acts_after_power_on() -> None:
     """Which error is a reading: 8/0/0034."""
-    device = new()
-    line = Requests(device)
+    line = Requests()
     line.write("60 00", [2, 0x2200, 1] + 14 * [0])
     assert line.ask(2, 0, "5F F8", 0xFF) == "error 08 00 00 34"
     assert line.ask(1, 0, "5F F8") == "00 00 00 FF"
-    device.trip("E.OL")
+    line.device.trip("E.OL")
     assert line.bench.send(ZERO + " 00 00 00 00", 60)[24:] == "00 02 00 00"  # the old map: sy.51 = fault
-    after = Requests(again(device))
-    after.bench.device.trip("E.OL")
+    after = Requests(line)
+    after.device.trip("E.OL")
     assert after.bench.send(ZERO + " 00 00 00 00", 60)[24:] == "00 10 00 00"  # ru.00 = 16
     assert after.ask(1, 2, "60 00") == "00 00 22 00"
 
@@ -262,53 +241,48 @@ def test_k7_the_enable_is_answered_by_an_error_and_the_map_acts_after_power_on()
     ],
 )
 def test_k11_a_wrong_map_is_taken_but_not_confirmed(values: list[int]) -> None:
-    device = new()
-    line = Requests(device)
+    line = Requests()
     line.write("60 01", values)
     assert line.ask(2, 0, "60 02", 0xFF).startswith("error")
     assert line.ask(1, 0, "60 02") == "00 00 00 00"
-    assert again(device).operator.out.map() == DEFAULT_OUTPUTS
+    assert again(line.device).operator.out.map() == DEFAULT_OUTPUTS
 
 
 def test_k11_each_bit_of_the_enable_stands_for_an_octet() -> None:
-    device = new()
-    line = Requests(device)
+    line = Requests()
     line.ask(2, 0, "5F F8", 0x03)
-    after = DeviceBench(again(device), "B7 A3 93")
+    after = Requests(line)
     after.device.trip("E.OL")
-    assert after.send(ZERO + " 00 01 03 E8", 60)[24:29] == "00 02"
-    assert [entry.index for _, entry in again(device).operator.into.active[0]] == [0x2033]
+    assert after.bench.send(ZERO + " 00 01 03 E8", 60)[24:29] == "00 02"
+    assert [entry.index for _, entry in after.device.operator.into.active[0]] == [0x2033]
 
 
 def test_k11_fb23_0_restores_the_default_map_at_power_on() -> None:
-    device = new()
-    line = Requests(device)
+    line = Requests()
     line.write("60 00", [2, 0x2200, 1] + 14 * [0])
     line.ask(2, 0, "5F F8", 0xFF)
-    kept = again(device)
-    assert str(kept.operator.into.map()) == "2200"
-    line = Requests(kept)
+    line = Requests(line)
+    assert str(line.device.operator.into.map()) == "2200"
     assert line.ask(2, 0, "5F 17", 0) == "00 00 00 00"  # Fb23, at an index that is made up
-    assert again(kept).operator.into.map() == DEFAULT_INPUTS
+    assert again(line.device).operator.into.map() == DEFAULT_INPUTS
 
 
 # -- both -------------------------------------------------------------------------------------------------------------
 
 
-def pair(telegram: str, options: Mapping[str, object] = NONE, device: KebDevice | None = None) -> PairBench:
-    return PairBench(DRIVE.core("it", telegram, options, simulated=True), device or new(telegram))
+def pair(telegram: str, options: Mapping[str, object] = NONE, drive: KebDevice | None = None) -> PairBench:
+    return PairBench(DRIVE.core("it", telegram, options, simulated=True), drive or device(telegram))
 
 
 def test_a_map_of_eight_octets_from_one_power_on_to_the_next() -> None:
     telegram = "PCH+8/8"
     inputs, outputs = "ru.12:long sy.51 sy.53", "cS.19:long sy.50 sy.52"
-    bench = pair(telegram)
-    bench.ok("write_map", inputs=inputs, outputs=outputs)
-    assert isinstance(bench.device, KebDevice)
+    drive = device(telegram)
+    pair(telegram, drive=drive).ok("write_map", inputs=inputs, outputs=outputs)
+    drive = again(drive, telegram)
     options = {"map_inputs": inputs, "map_outputs": "cS.19:long=100 sy.50 sy.52"}
-    bench = pair(telegram, options, again(bench.device, telegram))
-    read = bench.ok("read_map")
-    assert read == {
+    bench = pair(telegram, options, drive)
+    assert bench.ok("read_map") == {
         "inputs": "220C:long 2033 2035",
         "inputs_enable": 255,
         "outputs": "2F13:long 2032 2034",
@@ -318,12 +292,10 @@ def test_a_map_of_eight_octets_from_one_power_on_to_the_next() -> None:
     bench.ok("start")
     bench.ok("reached")
     bench.pass_time(300)
-    values = bench.ok("inputs")
-    assert values == {"ru.12 (220Ch)": 20, "sy.51 (2033h)": 0x15, "sy.53 (2035h)": 750}
+    assert bench.ok("inputs") == {"ru.12 (220Ch)": 20, "sy.51 (2033h)": 0x15, "sy.53 (2035h)": 750}
     assert bench.ok("output", number="cS.19", value=-5) == -5
     bench.pass_time(50)
-    assert isinstance(bench.device, KebDevice)
-    assert bench.device.store.value("cS.19") == -5
+    assert drive.store.value("cS.19") == -5
     assert "is written by start" in bench.refused("output", number="sy.50", value=1)[1]
     assert "is not in the output map" in bench.refused("output", number="sy.06", value=1)[1]
     assert "takes 32-bit integers" in bench.refused("output", number="cS.19", value=0.5)[1]
@@ -331,11 +303,10 @@ def test_a_map_of_eight_octets_from_one_power_on_to_the_next() -> None:
 
 def test_k12_two_blocks_both_ways() -> None:
     telegram = "PCH+8+2/8+4 own-gsd"
-    bench = pair(telegram)
-    bench.ok("write_map", inputs=TEST_INPUTS, outputs=TEST_OUTPUTS)
-    assert isinstance(bench.device, KebDevice)
+    drive = device(telegram)
+    pair(telegram, drive=drive).ok("write_map", inputs=TEST_INPUTS, outputs=TEST_OUTPUTS)
     options = {"map_inputs": TEST_INPUTS, "map_outputs": "2F13:long=100 2032 2034 230A=8000"}
-    bench = pair(telegram, options, again(bench.device, telegram))
+    bench = pair(telegram, options, again(drive, telegram))
     read = bench.ok("read_map")
     assert isinstance(read, dict)
     assert (read["inputs"], read["outputs"]) == (TEST_INPUTS, TEST_OUTPUTS)

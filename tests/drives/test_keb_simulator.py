@@ -8,28 +8,17 @@ from itertools import pairwise
 
 import pytest
 from drive_bench import MS, START, DeviceBench, S
+from keb_kit import IDLE, NONE, KebBench, again, device, sim
 from slave_kit import Bench
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Resp
-from dpstack.profile import Leave
 from dpstack_drives.keb import DRIVE
-from dpstack_drives.keb.simulator import KebDevice
 from dpstack_drives.keb.watchdog import Life, Watchdog
 
-NONE: Mapping[str, object] = {}
 #: enable and run of the simulated drive's own bits; 1500 rpm are 05DC
 RUN = "00 05 05 DC"
-
-
-def sim(presets: Mapping[str, object] = NONE, telegram: str = "4/4", config: str = "A3 93") -> DeviceBench:
-    return DeviceBench(DRIVE.device(telegram, presets), config)
-
-
-def keb(bench: DeviceBench) -> KebDevice:
-    assert isinstance(bench.device, KebDevice)
-    return bench.device
 
 
 # -- docs/drives/keb-f5.md#services ----------------------------------------------------------------------------------
@@ -103,11 +92,11 @@ def test_k8_the_recipe_makes_it_obey() -> None:
 
 def test_k8_the_control_word_as_a_long_and_over_the_channel() -> None:
     """sy.43's low half is sy.50; a parameter written over the channel counts like process data."""
-    bench = sim(telegram="PCH+0/4", config="B7 93")
+    bench = sim(telegram="PCH+0/4")
     assert bench.send("72 01 20 34 00 00 05 DC")[:23] == "42 01 20 34 00 00 05 DC"
     assert bench.send("32 01 20 2B 00 00 00 05", 1200) == "02 01 20 2B 00 00 00 05 00 15 05 DC"
     assert bench.send("71 01 20 2C 00 00 00 00")[:23] == "41 01 20 2C 00 00 00 15"
-    assert keb(bench).store.eeprom_writes == 0
+    assert bench.device.store.eeprom_writes == 0
 
 
 def test_limits_and_ramps() -> None:
@@ -136,22 +125,21 @@ def test_k9_inputs_are_read_every_pd_in_cycle(cycle: int, presets: Mapping[str, 
 def test_k9_outputs_reach_the_inverter_only_when_they_change() -> None:
     bench = sim()
     bench.send(RUN, 500)
-    assert keb(bench).operator.output_telegrams == 1
+    assert bench.device.operator.output_telegrams == 1
     bench.send("00 05 05 DD", 500)
     bench.send(RUN, 500)
-    assert keb(bench).operator.output_telegrams == 3
+    assert bench.device.operator.output_telegrams == 3
     # what was written behind its back stays until the outputs change
-    keb(bench).store.write(next(p for p in keb(bench).store.table if p.name == "sy.50"), 0, ram_only=True)
+    bench.device.store.write(next(p for p in bench.device.store.table if p.name == "sy.50"), 0, ram_only=True)
     assert bench.send(RUN, 1500) == "00 01 00 00"
     assert bench.send("00 05 05 DD", 60)[:5] == "00 05"
 
 
-def _two_blocks(com_cycle: float = 0.0) -> DeviceBench:
+def _two_blocks(com_cycle: float = 0.0) -> KebBench:
     """The test map of docs/drives/keb-f5.md#second-block, active."""
-    telegram, config = "8+2/8+4 own-gsd", "A7 A1 97 93"
+    telegram = "8+2/8+4 own-gsd"
     options: Mapping[str, object] = {"Fb.09": 0, "com_cycle_us": com_cycle}
-    first = DRIVE.device(telegram, options)
-    assert isinstance(first, KebDevice)
+    first = device(telegram, options)
     requests = [
         (0x6000, [12, 0x202C, 1, 0, 0, 0, 0, 0, 0, 0x2033, 1, 0, 0, 0x2035, 1, 0, 0]),
         (0x6001, [10, 0x2F13, 1, 0, 0, 0, 0, 0, 0, 0x2032, 1, 0, 0, 0x2034, 1, 0, 0]),
@@ -165,9 +153,7 @@ def _two_blocks(com_cycle: float = 0.0) -> DeviceBench:
     for enable in (0x5FF8, 0x6002, 0x5FE1, 0x5FE3):
         with pytest.raises(Exception, match="8/0/0034"):
             first.operator.access(enable, 0, 0xFF)
-    device = DRIVE.device(telegram, options)
-    device.inherit(first)
-    return DeviceBench(device, config, MS)
+    return DeviceBench(again(first, telegram, options), "A7 A1 97 93", MS)
 
 
 OUTPUTS = "00 00 00 00 00 05 05 DC "  # cS.19, sy.50, sy.52; oP.10 is the last word
@@ -178,7 +164,7 @@ def test_k9_k12_two_blocks_take_two_telegrams_and_half_the_rate() -> None:
     bench = _two_blocks()
     inputs = bench.send(OUTPUTS + "15 E0", 1500)
     assert inputs == "00 00 00 15 00 15 05 DC 00 42 00 00"  # sy.44, sy.51, sy.53, ru.00, ru.39
-    assert keb(bench).operator.output_telegrams == 2
+    assert bench.device.operator.output_telegrams == 2
     bench.device.trip("E.OL")
     seen = [bench.send(OUTPUTS + "15 E0", 1) for _ in range(6)]
     first = next(n for n, text in enumerate(seen) if text[12:17] == "00 02")
@@ -189,9 +175,9 @@ def test_k9_k12_two_blocks_take_two_telegrams_and_half_the_rate() -> None:
     speeds = [bench.send(OUTPUTS + "15 E0", 1)[18:23] for _ in range(300)][10:]  # on the ramp: new in every ms
     changes = [n for n, (old, new) in enumerate(pairwise(speeds)) if old != new]
     assert {b - a for a, b in pairwise(changes)} == {2}
-    before = keb(bench).operator.output_telegrams
+    before = bench.device.operator.output_telegrams
     bench.send(OUTPUTS + "15 E1", 10)
-    assert keb(bench).operator.output_telegrams == before + 1  # only the block that changed
+    assert bench.device.operator.output_telegrams == before + 1  # only the block that changed
 
 
 @pytest.mark.parametrize(("com_cycle", "cycle"), [(1000, 2), (2000, 2), (5000, 5)])
@@ -199,7 +185,7 @@ def test_k9_the_cyclic_mode_has_a_grid(com_cycle: float, cycle: int) -> None:
     """At best 2 ms, with SelComCycle 1000 or 2000; both blocks go with every grid."""
     bench = _two_blocks(com_cycle)
     bench.send(OUTPUTS + "15 E0", 20)
-    before = keb(bench).operator.output_telegrams
+    before = bench.device.operator.output_telegrams
     changes: list[int] = []
     last = ""
     for _ in range(100):
@@ -208,7 +194,7 @@ def test_k9_the_cyclic_mode_has_a_grid(com_cycle: float, cycle: int) -> None:
             changes.append(bench.now // MS)
             last = now
     assert {b - a for a, b in pairwise(changes[1:])} == {cycle}
-    assert keb(bench).operator.output_telegrams - before == pytest.approx(2 * 100 / cycle, abs=2)
+    assert bench.device.operator.output_telegrams - before == pytest.approx(2 * 100 / cycle, abs=2)
 
 
 # -- docs/drives/keb-f5.md#watchdog-of-the-operator ------------------------------------------------------------------
@@ -217,31 +203,27 @@ def test_k9_the_cyclic_mode_has_a_grid(com_cycle: float, cycle: int) -> None:
 TRIPS: Mapping[str, object] = {"Pn.05": 0, "Pn.06": 0.1}
 
 
-def lose(bench: DeviceBench, ms: float) -> None:
-    """The master is gone; the bus's clock goes on."""
-    bench.device.leave(Leave.WATCHDOG, bench.now)
-    bench.now += round(ms * MS)
-    bench.device.advance(bench.now)
+def tripped(bench: KebBench) -> int:
+    return bench.device.fault
 
 
 def test_k10_as_delivered_it_goes_on_for_ever() -> None:
     bench = sim()
     bench.send(RUN, 1200)
-    lose(bench, 20_000)
+    bench.lose(20_000)
     assert bench.device.motor.on
     assert bench.device.motor.frequency == 1.0
-    assert not keb(bench).fault
+    assert not tripped(bench)
 
 
 def test_k10_pn06_is_the_time_to_the_trip() -> None:
     bench = sim(TRIPS)
     bench.send(RUN, 1200)
-    lose(bench, 99)
+    bench.lose(99)
     assert bench.device.motor.on
-    bench.now += 3 * MS
-    bench.device.advance(bench.now)
-    assert (keb(bench).fault, bench.device.motor.on) == (18, False)
-    bench.device.enter(bytes.fromhex("A3 93"), bench.now)
+    bench.pass_time(3)
+    assert (tripped(bench), bench.device.motor.on) == (18, False)
+    bench.device.enter(bench.config, bench.now)
     assert bench.send(RUN, 60)[:5] == "00 02"  # the trip stays when the bus is back
 
 
@@ -250,11 +232,10 @@ def test_k10_pn05_is_what_happens(how: int, fault: int, output: bool) -> None:
     """6 is the manual's: a digital output; 0 and 1 (after a quick stop) are readings."""
     bench = sim({"Pn.05": how, "Pn.06": 0.1})
     bench.send(RUN, 1200)
-    lose(bench, 150)
+    bench.lose(150)
     assert bench.device.motor.on == (how != 0)
-    bench.now += 500 * MS
-    bench.device.advance(bench.now)
-    assert (keb(bench).fault, keb(bench).digital_output) == (fault, output)
+    bench.pass_time(500)
+    assert (tripped(bench), bench.device.digital_output) == (fault, output)
     assert bench.device.motor.on == (how == 6)
 
 
@@ -263,19 +244,19 @@ def test_k10_outputs_alone_starve_it_when_they_do_not_change() -> None:
     bench = sim({**TRIPS, "Fb.40": 1})
     for turn in range(10):
         bench.send(f"00 05 05 D{turn % 2}", 90)
-    assert not keb(bench).fault
+    assert not tripped(bench)
     bench.send("00 05 05 D1", 110)
-    assert keb(bench).fault == 18
+    assert tripped(bench) == 18
 
 
 def test_k10_requests_keep_it_alive() -> None:
     """Fb40 = 2."""
-    bench = sim({**TRIPS, "Fb.40": 2}, "PCH+4/4", "B7 A3 93")
+    bench = sim({**TRIPS, "Fb.40": 2}, "PCH+4/4")
     for turn in range(10):
         bench.send(("71" if turn % 2 else "31") + " 01 20 33 00 00 00 00 " + RUN, 90)
-    assert not keb(bench).fault
+    assert not tripped(bench)
     bench.send("71 01 20 33 00 00 00 00 " + RUN, 110)
-    assert keb(bench).fault == 18
+    assert tripped(bench) == 18
 
 
 @pytest.mark.parametrize(
@@ -306,13 +287,13 @@ def test_k10_fb39_is_when_it_begins(activation: int, life: Life, begun: bool) ->
 def test_k10_sy09_supervises_the_inner_link() -> None:
     bench = sim({"sy.09": 0.2, "Pn.05": 0})
     bench.send(RUN, 1200)
-    keb(bench).link(False)
+    bench.device.link(False)
     frozen = bench.send(RUN, 150)
     assert frozen == "00 15 05 DC"  # nothing is read any more
-    assert not keb(bench).fault
+    assert not tripped(bench)
     bench.send(RUN, 60)
-    assert keb(bench).fault == 18
-    keb(bench).link(True)
+    assert tripped(bench) == 18
+    bench.device.link(True)
     assert bench.send(RUN, 60)[:5] == "00 02"
 
 
@@ -321,8 +302,7 @@ def test_clear_writes_zeros() -> None:
     bench = sim()
     bench.send(RUN, 1200)
     bench.device.clear(bench.now)
-    bench.now += 100 * MS
-    bench.device.advance(bench.now)
+    bench.pass_time(100)
     assert not bench.device.motor.on
     bench.device.operate(bench.now)
     assert bench.send(RUN, 60)[:5] == "00 05"
@@ -332,14 +312,11 @@ def test_clear_writes_zeros() -> None:
 
 
 def test_k11_the_address_and_what_power_on_keeps() -> None:
-    bench = sim(telegram="PCH+4/4", config="B7 A3 93")
-    zero = " 00 00 00 00"
-    assert bench.send("72 01 20 06 00 00 00 05" + zero)[:23] == "42 01 20 06 00 00 00 05"
-    assert bench.send("32 01 20 06 00 00 00 7F" + zero)[:23] == "82 01 20 06 08 00 00 30"
-    assert bench.send("72 01 20 32 00 00 00 05" + zero)[:23] == "42 01 20 32 00 00 00 05"
-    other = DRIVE.device()
-    other.inherit(bench.device)
-    assert isinstance(other, KebDevice)
-    assert other.store.value("sy.06") == 5
-    assert other.store.value("sy.50") == 0  # never stored
-    assert other.store.eeprom_writes == 1
+    bench = sim(telegram="PCH+4/4")
+    assert bench.send("72 01 20 06 00 00 00 05" + IDLE)[:23] == "42 01 20 06 00 00 00 05"
+    assert bench.send("32 01 20 06 00 00 00 7F" + IDLE)[:23] == "82 01 20 06 08 00 00 30"
+    assert bench.send("72 01 20 32 00 00 00 05" + IDLE)[:23] == "42 01 20 32 00 00 00 05"
+    store = again(bench.device).store
+    assert store.value("sy.06") == 5
+    assert store.value("sy.50") == 0  # never stored
+    assert store.eeprom_writes == 1

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from drive_bench import MS, DeviceBench, S
-from ls_kit import NONE, ZERO, pkw, running, sim
+from drive_bench import DeviceBench
+from ls_kit import NONE, ZERO, LsBench, pkw, running, sim
 
 from dpstack.errors import ConfigError
-from dpstack.profile import Leave
 from dpstack_drives.ls import DRIVE
-from dpstack_drives.ls.simulator import LsDevice
 
 # -- parameter channel ---------------------------------------------------------------------------------------------
 
@@ -50,7 +48,6 @@ def test_l6_l9_orders_and_replies(order: str, reply: str) -> None:
 
 def test_l6_a_write_acts_once_when_the_request_changes() -> None:
     bench = sim("PPO1")
-    assert isinstance(bench.device, LsDevice)
     bench.send("20 11 03 00 00 00 00 32 00 00 00 00", 500)
     assert bench.device.store.eeprom_writes == 1
     bench.send("20 11 03 00 00 00 00 33 00 00 00 00", 500)  # no zero between
@@ -74,12 +71,10 @@ def test_l2_l9_pnu_930(telegram: str, options: dict[str, object], value: str) ->
 
 def test_l2_the_telegram_decides_where_it_can() -> None:
     for telegram, kind in (("VENDOR 2/3", 0), ("ST1", 1)):
-        bench = sim(telegram, {"COM-11": 2})
-        assert isinstance(bench.device, LsDevice)
-        assert bench.device.kind == kind
+        assert sim(telegram, {"COM-11": 2}).device.kind == kind
 
 
-def trip(bench: DeviceBench, *numbers: int) -> None:
+def trip(bench: LsBench, *numbers: int) -> None:
     for number in numbers:
         bench.device.trip(str(number))
         bench.send(ZERO + "04 00 00 00", 10)
@@ -152,10 +147,7 @@ def test_l9_972_zeroes_944_947_and_953_when_it_rises() -> None:
 )
 def test_l11_lost_command(mode: int, ms: float, word: str) -> None:
     bench = running(sim(codes={"PRT-12": mode, "PRT-13": 1.0, "PRT-14": 30.0}))
-    bench.device.leave(Leave.WATCHDOG, bench.now)
-    bench.now += round(ms * MS)
-    bench.device.advance(bench.now)
-    assert isinstance(bench.device, LsDevice)
+    bench.lose(ms)
     tripped = word == "02 7E"
     assert bench.device.module.situations[0] == ([35] if tripped else [])
     speeds = {0: 1.0, 3: 1.0, 4: 1.0, 5: 0.5}
@@ -168,18 +160,14 @@ def test_l11_lost_command(mode: int, ms: float, word: str) -> None:
 
 def test_l11_data_that_return_in_time() -> None:
     bench = running(sim(codes={"PRT-12": 1}))
-    bench.device.leave(Leave.WATCHDOG, bench.now)
-    bench.now += 500 * MS
-    bench.device.enter(b"\x71", bench.now)
+    bench.away(500)
     assert bench.send("04 7F 40 00", 2000) == "03 37 40 00"
 
 
 def test_l11_the_ls_profile_holds_its_last_outputs() -> None:
     bench = sim(profile="ls")
     bench.until("60 02 17 70", "68 42 17 70", 3000)
-    bench.device.leave(Leave.WATCHDOG, bench.now)
-    bench.now += 3 * S
-    bench.device.enter(b"\x71", bench.now)
+    bench.away(3000)
     assert bench.send("60 02 17 70", 6) == "68 42 17 70"
 
 
@@ -189,16 +177,16 @@ def test_l11_the_ls_profile_holds_its_last_outputs() -> None:
 def test_unknown_trips_and_options_are_refused() -> None:
     with pytest.raises(ValueError, match="35 lost command"):
         DRIVE.device("PPO3").trip("E.OL")
-    with pytest.raises(ConfigError, match="'profidrive' or 'ls'"):
-        DRIVE.device("PPO3", {"profile": "canopen"})
-    with pytest.raises(ConfigError, match="ST1 is a telegram of PROFIdrive"):
-        DRIVE.device("ST1", {"profile": "ls"})
-    with pytest.raises(ConfigError, match="did you mean"):
-        DRIVE.device("PPO3", {"module_rset": 1})
-    with pytest.raises(ConfigError, match=r"para_control: 000A .* is read only"):
-        DRIVE.device("PPO4", {"para_control": "000A"})
-    with pytest.raises(ConfigError, match="no address"):
-        DRIVE.device("PPO4", {"para_status": "speed"})
+    refused: list[tuple[str, str, object, str]] = [
+        ("PPO3", "profile", "canopen", "'profidrive' or 'ls'"),
+        ("ST1", "profile", "ls", "ST1 is a telegram of PROFIdrive"),
+        ("PPO3", "module_rset", 1, "did you mean"),
+        ("PPO4", "para_control", "000A", "para_control: 000A .* is read only"),
+        ("PPO4", "para_status", "speed", "no address"),
+    ]
+    for telegram, option, value, says in refused:
+        with pytest.raises(ConfigError, match=says):
+            DRIVE.device(telegram, {option: value})
 
 
 def test_switched_off_and_on_it_has_what_was_written_and_com_11_counts() -> None:

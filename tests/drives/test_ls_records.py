@@ -3,12 +3,10 @@ module has none."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import pytest
 from acyclic_kit import octets, outcome
-from drive_bench import ALONE, MS, DeviceBench, PluginBench
-from ls_kit import NONE, ZERO, sim
+from drive_bench import ALONE, PluginBench
+from ls_kit import ZERO, LsBench, sim
 
 from dpstack.dpv1.master.plugin_queue import ServiceFailure
 from dpstack.dpv1.pdu.read_write import parse_request
@@ -20,13 +18,13 @@ from dpstack_drives.ls.simulator import LsDevice
 BUSY = "DE 80 B5 00"
 
 
-def drive(telegram: str = "PPO3", codes: Mapping[str, float] = NONE, **options: object) -> DeviceBench:
-    bench = sim(telegram, {"COM-07": 7, **codes}, **options)
+def drive() -> LsBench:
+    bench = sim("PPO3", {"COM-07": 7})
     bench.send("00 00 00 00")
     return bench
 
 
-def service(bench: DeviceBench, request: str) -> str:
+def service(bench: LsBench, request: str) -> str:
     """A DU of DP-V1 in octets, and the drive's at the time of its last scan."""
     function, slot, index, length, *_ = du = octets(request)
     server = bench.device.record47
@@ -40,13 +38,12 @@ def service(bench: DeviceBench, request: str) -> str:
     return f"DE 80 {data.code:02X} 00" if isinstance(data, Refused) else data.hex(" ").upper()
 
 
-def asked(bench: DeviceBench, request: str) -> str:
+def asked(bench: LsBench, request: str) -> str:
     """What comes of a request: written, read until it is ready."""
     length = len(octets(request))
     assert service(bench, f"5F 01 2F {length:02X} {request}") == f"5F 01 2F {length:02X}"
     while (answer := service(bench, "5E 01 2F F0")) == BUSY:
-        bench.now += MS
-        bench.device.advance(bench.now)
+        bench.pass_time(1)
     return answer
 
 
@@ -56,7 +53,7 @@ def test_l8_965_and_busy_while_it_is_carried_out() -> None:
     assert service(bench, "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00") == "5F 01 2F 0A"
     assert service(bench, "5F 01 2F 0A 02 01 01 01 10 00 03 C5 00 00") == "DF 80 B5 00"
     assert service(bench, "5E 01 2F F0") == BUSY
-    bench.device.advance(bench.now + 12 * MS)
+    bench.pass_time(12)
     assert service(bench, "5E 01 2F F0") == "01 01 01 01 06 01 03 28"
     assert service(bench, "5E 01 2F F0") == BUSY
 
@@ -98,7 +95,6 @@ def test_l8_requests_and_responses(request_: str, answer: str) -> None:
 def test_l8_a_change_acts() -> None:
     bench = drive()
     asked(bench, "04 02 01 01 10 00 11 03 00 00 06 01 00 32")
-    assert isinstance(bench.device, LsDevice)
     assert bench.device.store.value("dr-03") == 5.0
 
 
@@ -122,7 +118,7 @@ def test_l8_what_is_refused(request_: str, refused: str) -> None:
 def test_l8_a_short_read_does_not_lose_the_response() -> None:
     bench = drive()
     service(bench, "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00")
-    bench.device.advance(bench.now + 12 * MS)
+    bench.pass_time(12)
     assert service(bench, "5E 01 2F 07") == "DE 80 B7 00"
     assert service(bench, "5E 01 2F 08") == "01 01 01 01 06 01 03 28"
 
@@ -131,7 +127,7 @@ def test_l8_data_exchange_begins_anew_and_the_old_module_has_none() -> None:
     bench = drive()
     service(bench, "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00")
     bench.device.enter(b"\x71", bench.now)
-    bench.device.advance(bench.now + 12 * MS)
+    bench.pass_time(12)
     assert service(bench, "5E 01 2F F0") == BUSY
     assert sim("VENDOR 2/3", version="2.01").device.record47 is None
 
@@ -164,6 +160,12 @@ class Master:
         self.pending.outcome = outcome(data)
         self.bench.run()
 
+    def accepts(self, response: str | Refused | ServiceFailure) -> None:
+        """The request was written, and its first read has ``response``."""
+        self.answers("")
+        assert self.asks() == "5E 01 2F F0"
+        self.answers(response)
+
 
 ST1 = "00 00 00 00"
 
@@ -171,14 +173,10 @@ ST1 = "00 00 00 00"
 def read(master: Master, number: object, *, reference: str, address: str, answer: str) -> dict[str, object]:
     token = master.bench.order("read", number=number)
     assert master.asks() == f"5F 01 2F 0A {reference} 01 01 01 10 {address}"
-    master.answers("")
-    assert master.asks() == "5E 01 2F F0"
-    master.answers(Refused(0xB5))
+    master.accepts(Refused(0xB5))
     assert master.asks() == "5E 01 2F F0"
     master.answers(f"{reference} {answer}")
-    result = master.bench.result(token)
-    assert result is not None
-    return result
+    return master.bench.done(token)
 
 
 def test_l8_the_plugin_reads_965_as_the_manual_prints_it_and_addresses() -> None:
@@ -193,16 +191,12 @@ def test_l8_the_plugin_writes_and_reads_elements() -> None:
     master = Master("ST1", ST1)
     token = master.bench.order("write", number="dr-03", value=5.0)
     assert master.asks() == "5F 01 2F 0E 01 02 01 01 10 00 11 03 00 00 06 01 00 32"
-    master.answers("")
-    master.asks()
-    master.answers("01 02 01 01")
-    assert (master.bench.result(token) or {})["value"] == 5.0
+    master.accepts("01 02 01 01")
+    assert master.bench.value(token) == 5.0
     token = master.bench.order("read", number=964, index=6)
     assert master.asks() == "5F 01 2F 0A 02 01 01 01 10 01 03 C4 00 06"
-    master.answers("")
-    master.asks()
-    master.answers("02 01 01 01 06 01 0A 6C")
-    assert (master.bench.result(token) or {})["value"] == 0x0A6C
+    master.accepts("02 01 01 01 06 01 0A 6C")
+    assert master.bench.value(token) == 0x0A6C
 
 
 @pytest.mark.parametrize(
@@ -225,10 +219,8 @@ def test_l8_refusals_as_texts(answer: str | Refused | ServiceFailure, error: str
     master = Master("ST1", ST1)
     token = master.bench.order("read", number=965)
     assert master.asks() == "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00"
-    master.answers("")
-    master.asks()
-    master.answers(answer)
-    result = master.bench.result(token) or {}
+    master.accepts(answer)
+    result = master.bench.done(token)
     assert (result["ok"], result["error"], result["text"]) == (False, error, text)
 
 
@@ -238,13 +230,13 @@ def test_orders_queue_and_their_time_ends() -> None:
     second = master.bench.order("read", number=922)
     assert master.asks() == "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00"
     assert master.asks() == "5F 01 2F 0A 02 01 01 01 10 00 03 9A 00 00"
-    assert (master.bench.result(first) or {})["text"] == "PNU 965: the drive did not answer over record 47 in time"
+    assert master.bench.text(first) == "PNU 965: the drive did not answer over record 47 in time"
     master.answers("")
     master.asks()
     master.answers("01 01 01 01 06 01 03 28")  # the late answer to the first
     master.asks()
     master.answers("02 01 01 01 06 01 00 65")
-    assert (master.bench.result(second) or {})["value"] == 101
+    assert master.bench.value(second) == 101
 
 
 def test_a_drive_without_the_record_is_asked_by_pkw() -> None:
@@ -254,7 +246,7 @@ def test_a_drive_without_the_record_is_asked_by_pkw() -> None:
     master.answers(Refused(0xB0))
     assert master.bench.run(2)[:8] == octets("13 C5 00 00 00 00 00 00")
     master.bench.see("13 C5 00 00 00 00 03 28 00 40 00 00")
-    assert (master.bench.result(token) or {})["value"] == 0x0328
+    assert master.bench.value(token) == 0x0328
     master.bench.see(ZERO + "00 40 00 00")
     master.bench.order("read", number=922)
     assert master.bench.run(2)[:8] == octets("13 9A 00 00 00 00 00 00")
@@ -270,7 +262,7 @@ def test_without_either_the_reason_is_told() -> None:
     token = master.bench.order("read", number=965)
     master.asks()
     master.answers(Refused(0, "SAP 51 is closed"))
-    result = master.bench.result(token) or {}
+    result = master.bench.done(token)
     assert result["text"] == (
         "PNU 965: record 47 of slot 1: the drive refuses the request: SAP 51 is closed; "
         "a telegram with a parameter channel needs none"
@@ -282,13 +274,9 @@ def test_l8_trips_have_names_in_a_telegram_without_a_channel() -> None:
     master.bench.see("00 48 00 00")
     assert master.bench.core.faults() == ("not yet named",)
     assert master.asks() == "5F 01 2F 0A 01 01 01 01 10 01 03 B3 00 00"
-    master.answers("")
-    master.asks()
-    master.answers("01 01 01 01 06 01 00 22")
+    master.accepts("01 01 01 01 06 01 00 22")
     assert master.asks() == "5F 01 2F 0A 02 01 01 01 10 01 03 B3 00 01"
-    master.answers("")
-    master.asks()
-    master.answers("02 01 01 01 06 01 00 00")
+    master.accepts("02 01 01 01 06 01 00 00")
     assert master.bench.core.faults() == ("34 LV",)
 
 
@@ -303,10 +291,9 @@ def du(device: LsDevice, service: str) -> str:
 
 def test_l8_l10_as_the_slave_application_asks() -> None:
     bench = drive()
-    assert isinstance(bench.device, LsDevice)
     assert du(bench.device, "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00") == "5F 01 2F 0A"
     assert du(bench.device, "5E 01 2F F0") == "DE 80 B5 00"
-    bench.device.advance(bench.now + 12 * MS)
+    bench.pass_time(12)
     assert du(bench.device, "5E 01 2F F0") == "5E 01 2F 08 01 01 01 01 06 01 03 28"
     for slot in ("00", "01", "05"):
         assert du(bench.device, f"5F {slot} FF 04 08 00 FD E8") == f"5F {slot} FF 04"

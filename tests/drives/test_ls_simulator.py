@@ -7,7 +7,6 @@ from drive_bench import MS, S
 from ls_kit import NO_OPTIONS, ZERO, pkw, running, sim
 
 from dpstack_drives.ls import DRIVE
-from dpstack_drives.ls.simulator import LsDevice
 
 # -- PROFIdrive ----------------------------------------------------------------------------------------------------
 
@@ -186,7 +185,6 @@ def test_l4_jog_by_the_terminals() -> None:
     """Bit 9, at dr-11, while there is no command."""
     bench = sim(profile="ls", codes={"dr-11": 6})
     device = bench.device
-    assert isinstance(device, LsDevice)
     device.jog(-1)
     bench.until("60 00 17 70", "62 04 02 58", 1000)
     device.jog(1)
@@ -218,7 +216,6 @@ def test_l1_l7_vendor_words_as_delivered() -> None:
 
 def test_l1_a_differing_count_is_taken_over() -> None:
     bench = sim("VENDOR 1/4", para_status="000A 000E", para_control="dr-03 dr-04")
-    assert isinstance(bench.device, LsDevice)
     assert bench.send("00 32") == "00 00 60 01 00 00 00 00"
     assert bench.device.store.value("COM-30") == 4
     assert bench.device.store.value("COM-50") == 1

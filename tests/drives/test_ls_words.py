@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from drive_bench import as_mapping
-from ls_kit import S2, ZERO, plugin, text
+from ls_kit import S2, ZERO, plugin
 
 from dpstack.errors import ConfigError
 from dpstack_drives.ls import DRIVE
@@ -36,26 +35,26 @@ def test_l1_l7_vendor_words() -> None:
     assert "000F is 000C" in str(bench.core.status().fault)
     bench.order("acknowledge")
     assert bench.out() == "0B B8 00 08"
-    assert "written by start" in text(bench, bench.order("output", number="0x0006", value=2))
+    assert "written by start" in bench.misuse("output", number="0x0006", value=2)
 
 
 def test_l7_vendor_without_the_words_for_it() -> None:
     bench = plugin("00 00", "VENDOR 1/1", para_control="dr-03=1", para_status="0334")
-    assert "0006 (operation command) is not in para_control" in text(bench, bench.order("start"))
-    assert "0005 (frequency command)" in text(bench, bench.order("speed", value=0.5))
+    assert "0006 (operation command) is not in para_control" in bench.misuse("start")
+    assert "0005 (frequency command)" in bench.misuse("speed", value=0.5)
     bench = plugin("00 00", "VENDOR 1/1", para_control="0006", para_status="0334")
-    assert "000E (operating status) is not in para_status" in text(bench, bench.order("stop"))
+    assert "000E (operating status) is not in para_status" in bench.misuse("stop")
 
 
 def test_l7_mapped_values() -> None:
     bench = plugin(
         "02 35 00 00 00 14 01 00 00 07 00 00", "PPO4", para_status="dr-03 In-90 0x0700", para_control="dr-04=2"
     )
-    assert as_mapping(bench.result(bench.order("inputs")))["value"] == {"dr-03": 2.0, "In-90": 0x0100, "0700": 7}
+    assert bench.ok("inputs") == {"dr-03": 2.0, "In-90": 0x0100, "0700": 7}
     bench.order("output", number="dr-04", value=2.5)
     assert bench.out() == "04 7E 00 00 00 19 00 00 00 00 00 00"
-    assert "outside 0..600" in text(bench, bench.order("output", number="dr-04", value=601))
-    assert "not in para_control (1104)" in text(bench, bench.order("output", number="dr-03", value=1))
+    assert "outside 0..600" in bench.misuse("output", number="dr-04", value=601)
+    assert "not in para_control (1104)" in bench.misuse("output", number="dr-03", value=1)
 
 
 @pytest.mark.parametrize(
@@ -106,11 +105,11 @@ def test_l7_write_map_on_the_wire() -> None:
         "20 17 32 00 00 00 00 01",
         "20 17 5E 00 00 00 00 01",
     ]
-    assert as_mapping(bench.result(token))["value"] == {"inputs": "1103 155A", "outputs": ""}
-    assert "room for 4" in text(bench, bench.order("write_map", inputs="dr-03 " * 5))
-    assert "no address" in text(bench, bench.order("write_map", inputs="speed"))
+    assert bench.value(token) == {"inputs": "1103 155A", "outputs": ""}
+    assert "room for 4" in bench.misuse("write_map", inputs="dr-03 " * 5)
+    assert "no address" in bench.misuse("write_map", inputs="speed")
     bench = plugin()
-    assert "PPO3 has no parameter channel" in text(bench, bench.order("write_map", inputs="dr-03"))
+    assert "PPO3 has no parameter channel" in bench.misuse("write_map", inputs="dr-03")
 
 
 # -- parameters ----------------------------------------------------------------------------------------------------
@@ -135,7 +134,7 @@ def test_l6_reads(args: dict[str, object], order: str, reply: str, value: float)
     bench.run()
     assert bench.out() == f"{order} 04 7E 00 00"
     bench.see(f"{reply} {S2}", 2)
-    assert as_mapping(bench.result(token))["value"] == value
+    assert bench.value(token) == value
 
 
 def test_l6_writes_and_errors() -> None:
@@ -144,13 +143,13 @@ def test_l6_writes_and_errors() -> None:
     bench.run()
     assert bench.out().startswith("20 11 03 00 00 00 00 32")
     bench.see(f"70 11 03 00 00 00 00 11 {S2}", 2)
-    assert "not in this operating mode" in text(bench, token)
-    assert as_mapping(bench.result(token))["number"] == 0x11
+    assert "not in this operating mode" in bench.text(token)
+    assert bench.done(token)["number"] == 0x11
     bench.see(ZERO + S2, 2)
     token = bench.order("write", number="dr-03", value=5.0)
     bench.run(2)
     bench.see(f"80 11 03 00 00 00 00 00 {S2}", 2)
-    assert "no control over the parameters" in text(bench, token)
+    assert "no control over the parameters" in bench.text(token)
 
 
 @pytest.mark.parametrize(
@@ -168,4 +167,4 @@ def test_l6_writes_and_errors() -> None:
 )
 def test_misuse_of_parameters(op: str, args: dict[str, object], message: str) -> None:
     bench = plugin(ZERO + S2, "PPO1")
-    assert message in text(bench, bench.order(op, **args))
+    assert message in bench.misuse(op, **args)

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import pytest
-from demag_kit import NONE, ZERO, ppo1
+from demag_kit import NONE, START, ZERO, DemagBench, enable, ppo1
+from demag_kit import device as demag_device
 from demag_kit import pkw as demag_pkw
 from demag_kit import sim as demag
-from drive_bench import ALONE, MS, DeviceBench, PairBench, S
+from drive_bench import ALONE, MS, DeviceBench, PairBench
 from fuji_kit import device as fuji_device
 from fuji_kit import pkw as fuji_pkw
 from fuji_kit import sim as fuji
 from imo_kit import RUNS, Card
+from keb_kit import sim as keb
+from ls_kit import LsBench
 from ls_kit import pkw as ls_pkw
 from ls_kit import sim as ls
 from slave_alarm_kit import OctetMaster
@@ -21,10 +24,9 @@ from slave_kit import SLAVE, Bench
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.events import AddressChanged
 from dpstack.dpv1.slave.record_requests import RecordRequest
-from dpstack.profile import DriveDevice, Leave
+from dpstack.profile import DriveDevice
 from dpstack.units import NEVER
 from dpstack_drives.demag import DRIVE as DEMAG
-from dpstack_drives.demag.simulator import DemagDevice
 from dpstack_drives.fuji import DRIVE as FUJI
 from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
@@ -37,23 +39,15 @@ TRIPS: Mapping[str, object] = {"Pn.05": 0, "Pn.06": 0.1}
 RUN = "00 05 05 DC"
 
 
-def keb(presets: Mapping[str, object] = NONE, telegram: str = "4/4", config: str = "A3 93") -> DeviceBench:
-    return DeviceBench(KEB.device(telegram, presets), config)
-
-
 def test_keb_sees_a_master_that_was_away_when_the_next_one_begins() -> None:
     """Communication Supervision: Fb40 bit 2 keeps the watchdog alive in user data exchange only."""
     bench = keb(TRIPS)
     assert bench.send(RUN, 1200)[:5] == "00 15"  # ready, run, reached
-    bench.device.leave(Leave.WATCHDOG, bench.now)
-    bench.now += 5 * S  # nobody looks at the drive meanwhile
-    bench.device.enter(bytes.fromhex("A3 93"), bench.now)
+    bench.away(5000)
     assert bench.send("00 01 00 00", 40)[:5] == "00 02"  # fault: E.buS
     short = keb(TRIPS)
     short.send(RUN, 1200)
-    short.device.leave(Leave.WATCHDOG, short.now)
-    short.now += 50 * MS
-    short.device.enter(bytes.fromhex("A3 93"), short.now)
+    short.away(50)
     assert short.send(RUN, 40)[:5] == "00 15"
 
 
@@ -69,7 +63,7 @@ def test_keb_without_its_release_coasts_and_is_not_ready() -> None:
 
 
 def test_keb_link_and_busy_inverter_over_the_channel() -> None:
-    bench = keb({}, "PCH+4/4", "B7 A3 93")
+    bench = keb({}, "PCH+4/4")
     ask = [f"{bits}1 01 23 03 00 00 00 00 00 00 00 00" for bits in ("7", "3")]
     bench.device.link(False)
     assert bench.device.injected == ("link off",)
@@ -126,7 +120,7 @@ def test_demag_250_shows_the_contacts_of_the_control_word() -> None:
     assert bench.send(read + " 70 2D 00 00")[:23] == "10 FA 00 00 00 00 00 2C"  # bits 12 to 14 are no contacts
 
 
-def active_current(bench: DeviceBench, outputs: str, ms: float) -> int:
+def active_current(bench: DemagBench, outputs: str, ms: float) -> int:
     """PZD4 of PPO4 as a signed word."""
     word = int(bench.send(outputs + " 00 00" * 4, ms)[18:23].replace(" ", ""), 16)
     return (word ^ 0x8000) - 0x8000
@@ -136,8 +130,7 @@ def test_demag_active_current_is_positive_as_a_motor_in_both_directions() -> Non
     """11.2.3: positive currents are motor, negative ones generator operation."""
     for setpoint, back in (("20 00", "E0 00"), ("E0 00", "20 00")):
         bench = demag("PPO4", load=0)
-        for control in ("00 06", "00 07"):
-            bench.send(f"{control} 00 00" + " 00 00" * 4)
+        enable(bench, "00 00" + " 00 00" * 4, words=START[:2])
         # 1 per unit per second with an inertia of 0.1 s: a tenth of the rated torque, about 0666
         assert 0x0580 < active_current(bench, f"00 0F {setpoint}", 300) < 0x0680
         assert abs(active_current(bench, f"00 0F {setpoint}", 2000)) < 4
@@ -176,7 +169,7 @@ DEMAG_PRM = "80 01 01 0B 06 96 00" + " 00" * 16
 
 def test_demag_391_is_answered_and_accepted_with_the_reset_that_it_brings() -> None:
     """Chapter 6: after the setting a reset is triggered, by which the address is accepted."""
-    bench = on_the_bus(DEMAG.device("PPO1", {"412": 1}), DEMAG_PRM, "F3 71")
+    bench = on_the_bus(demag_device(), DEMAG_PRM, "F3 71")
     exchange(bench, ZERO + "00 00 00 00", 70)
     bench.app.take_events()
     assert exchange(bench, "21 87 00 00 00 00 00 09 00 00 00 00", 70)[:23] == "11 87 00 00 00 00 00 09"
@@ -192,7 +185,7 @@ def test_demag_391_is_answered_and_accepted_with_the_reset_that_it_brings() -> N
 
 def test_demag_wrong_configuration_is_f2065() -> None:
     """13.2; the fault stands when the right configuration comes."""
-    device = DEMAG.device("PPO3", {"412": 1})
+    device = demag_device("PPO3")
     bench = Bench(device, SlaveApp(device, address=SLAVE))
     bench.prm(bytes.fromhex(DEMAG_PRM))
     bench.cfg(bytes.fromhex("72"))
@@ -234,8 +227,7 @@ def test_demag_errors_of_its_state(error: str, order: str, reply: str, other: st
 def test_demag_module_with_24_volts_of_its_own_stays_on_the_bus() -> None:
     """4.1: the Profibus stays, communication with the inverter is not possible without its power."""
     bench = demag("PPO1", NONE, supply="24v")
-    for control in ("00 06", "00 07"):
-        bench.send(f"{ZERO}{control} 20 00")
+    enable(bench, head=ZERO, words=START[:2])
     assert bench.send(ZERO + "00 0F 20 00", 1500) == ZERO + "06 27 20 00"
     bench.send("81 E0 06 00 00 00 03 E8 00 0F 20 00")  # 480 in RAM only
     bench.device.mains(False)
@@ -254,13 +246,13 @@ def test_demag_module_that_was_off_under_a_live_inverter_is_f2061(supply: str, m
     before = demag("PPO3", NONE, supply=supply)
     before.device.mains(mains)
     before.send("60 00 00 00")
-    after = DEMAG.device("PPO3", {"412": 1, "supply": supply})
+    after = demag_device("PPO3", supply=supply)
     after.inherit(before.device)
     assert DeviceBench(after, "71").send("60 00 00 00") == inputs
 
 
 def test_demag_power_off_of_both_is_no_fault() -> None:
-    after = DEMAG.device("PPO3", {"412": 1})
+    after = demag_device("PPO3")
     after.inherit(demag("PPO3").device)
     assert DeviceBench(after, "71").send("60 00 00 00") == "62 40 00 00"
 
@@ -359,20 +351,18 @@ def test_ls_voltage_and_power_follow_the_motor() -> None:
     assert 14 <= power <= 15  # a fifth of the rated 75
 
 
-def leds(bench: DeviceBench, words: str = "04 7E 00 00") -> str:
+def leds(bench: LsBench, words: str = "04 7E 00 00") -> str:
     return bench.send("10 17 09 00 00 00 00 00 " + words, 20)[21:23]
 
 
 def test_ls_com_09_shows_the_leds() -> None:
     """Table 7 and 4.2.3: bit 0 CPU, bit 1 ERROR, bit 2 ONLINE."""
     bench = ls("PPO1", {"PRT-12": 3, "PRT-13": 1})
-    config = bytes.fromhex("F3 71")
     assert leds(bench) == "05"
     bench.device.trip("LV")
     assert leds(bench) == "07"
     assert bench.send("10 17 09 00 00 00 00 00 04 FE 00 00", 20)[21:23] == "05"
-    bench.device.leave(Leave.WATCHDOG, bench.now)
-    bench.device.enter(config, bench.now)
+    bench.away()
     module = bench.device.channel
     assert module is not None
     # the command is lost until outputs come again: nobody has sent any yet
@@ -380,7 +370,7 @@ def test_ls_com_09_shows_the_leds() -> None:
     assert leds(bench) == "05"
     assert bench.device.check_cfg(bytes.fromhex("99")) is not None
     assert leds(bench) == "07"  # CONFIG ERROR
-    assert bench.device.check_cfg(config) is None
+    assert bench.device.check_cfg(bench.config) is None
     assert leds(bench) == "05"
 
 
@@ -438,8 +428,7 @@ def test_ls_error_from_outside_over_record_47() -> None:
         now = bench.device.seen_until or 0
         assert server.write_record(1, 47, bytes.fromhex(request), now) is None
         while isinstance(data := server.read_record(1, 47, 240, now), RecordRequest) or not isinstance(data, bytes):
-            bench.now += MS
-            bench.device.advance(bench.now)
+            bench.pass_time(1)
             now = bench.device.seen_until or 0
         return data.hex(" ").upper()
 
@@ -468,5 +457,4 @@ def test_links_and_mains_that_are_none_are_refused() -> None:
     for drive in (KEB, LS):
         with pytest.raises(ValueError, match="power-off"):
             drive.device(drive.default_telegram, {}).mains(False)
-    assert isinstance(demag().device, DemagDevice)
     assert ppo1().core.drive == "demag-dedrive"

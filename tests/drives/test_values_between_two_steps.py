@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 from acyclic_kit import outcome
 from demag_kit import ZERO, ppo1
-from drive_bench import PluginBench, Times, as_mapping
+from drive_bench import Times
 from fuji_kit import IDLE
 from fuji_kit import plugin as fuji
 from imo_kit import RUNS, Card
+from keb_kit import plugin as keb
 from ls_kit import ZERO as LS_ZERO
 from ls_kit import plugin as ls
 
@@ -16,12 +17,6 @@ from dpstack.errors import ConfigError
 from dpstack.profile import CommandError, ParamKey, ParamSpec, ParamTable, count_of
 from dpstack.profile.record47 import AcyclicAccess, ParameterClient, RecordQueue, WriteReq, plain_places
 from dpstack_drives.demag import DRIVE as DEMAG
-from dpstack_drives.keb import DRIVE as KEB
-
-
-def keb() -> PluginBench:
-    return PluginBench(KEB.core("saw", "PCH+4/4", {"check_settings": False}), "00" * 12)
-
 
 REFUSED = [
     (lambda: fuji("PPO1", IDLE), "F26", 2.5, "the step is 1: give 2 or 3"),
@@ -43,9 +38,7 @@ def test_a_write_between_two_steps_is_refused_with_both_of_them(
     before = drive.out()
     token = drive.order("write", number=number, value=value)
     assert drive.out() == before, "an order went out"
-    result = as_mapping(drive.result(token))
-    assert result["error"] == "usage"
-    assert says in str(result["text"])
+    assert says in drive.text(token, "usage")
 
 
 def test_what_decimal_fractions_lose_as_floats_is_no_step() -> None:
@@ -143,7 +136,7 @@ def test_a_reply_is_read_as_the_type_that_it_says(number: int, data_set: int | N
     token = bench.order("read", number=number, data_set=data_set)
     bench.run(2)
     bench.see(reply + " 02 40 00 00")
-    assert as_mapping(bench.result(token))["value"] == value
+    assert bench.value(token) == value
 
 
 def test_the_reply_of_an_array_to_a_plain_order_is_an_error() -> None:
@@ -151,7 +144,7 @@ def test_the_reply_of_an_array_to_a_plain_order_is_an_error() -> None:
     token = bench.order("read", number=400)
     bench.run(2)
     bench.see("41 90 00 00 00 00 00 02 02 40 00 00")
-    assert "reply 4 does not answer order 1" in str(as_mapping(bench.result(token))["text"])
+    assert "reply 4 does not answer order 1" in bench.text(token)
 
 
 def test_imo_a_long_response_is_read_whole() -> None:
@@ -160,7 +153,7 @@ def test_imo_a_long_response_is_read_whole() -> None:
     state = "01 03 " + "00 00 " * 11
     bench.see("00 00 00 00 00 00 00 00 " + state, 2)
     bench.see("00 02 00 0A 00 01 00 64 " + state, 2)
-    assert as_mapping(bench.result(token))["value"] == 656.36
+    assert bench.value(token) == 656.36
 
 
 # -- Fuji: set point, busy -------------------------------------------------------------------------------------------
@@ -171,12 +164,10 @@ def test_imo_a_long_response_is_read_whole() -> None:
 def test_fuji_refuses_a_speed_beyond_4000h(speed: float, reverse: str) -> None:
     bench = fuji("PPO3", "02 31 00 00", reverse=reverse)
     token = bench.order("speed", value=speed)
-    result = as_mapping(bench.result(token))
-    assert result["error"] == "usage"
-    assert str(result["text"]) == f"speed {speed:g} is outside -1..1: 100 % is F03 (maximum frequency)"
+    assert bench.text(token, "usage") == f"speed {speed:g} is outside -1..1: 100 % is F03 (maximum frequency)"
     assert bench.out()[6:] == "00 00"
     token = bench.order("frequency", value=90)
-    assert "outside -1..1" in str(as_mapping(bench.result(token))["text"])
+    assert "outside -1..1" in bench.text(token)
     bench.order("speed", value=1.0)
     assert bench.out()[6:] == "40 00"
 
@@ -194,7 +185,7 @@ def test_fuji_asks_again_while_the_drive_is_busy() -> None:
         assert bench.result(token) is None
     bench.see(IDLE, 30)
     bench.see("11 04 1A 00 00 00 00 0F 02 40 00 00", 2)
-    assert as_mapping(bench.result(token))["value"] == 15
+    assert bench.value(token) == 15
 
 
 def test_fuji_that_stays_busy_tells_it_when_the_time_is_over() -> None:
@@ -203,6 +194,6 @@ def test_fuji_that_stays_busy_tells_it_when_the_time_is_over() -> None:
     for _ in range(20):
         bench.see(IDLE, 20)
         bench.see(BUSY, 2)
-    result = as_mapping(bench.result(token))
+    result = bench.done(token)
     assert (result["error"], result["number"]) == ("parameter", 104)
     assert "busy" in str(result["text"])

@@ -2,22 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from drive_bench import ALONE, DeviceBench, PluginBench
 
 from dpstack_drives.demag import DRIVE
+from dpstack_drives.demag.simulator import DemagDevice
 
+DemagBench = DeviceBench[DemagDevice]
 NONE: Mapping[str, Any] = {}
 ZERO = "00 00 00 00 00 00 00 00 "
+#: shutdown, switch on, enable operation
+START = ("00 06", "00 07", "00 0F")
 
 
-def sim(telegram: str = "PPO3", presets: Mapping[str, Any] = NONE, **options: Any) -> DeviceBench:
-    return DeviceBench(DRIVE.device(telegram, {"412": 1, **presets, **options}), DRIVE.telegram(telegram).config.hex())
+def device(telegram: str = "PPO1", **presets: Any) -> DemagDevice:
+    """Control by the bus (412 = 1) unless ``presets`` say otherwise."""
+    found = DRIVE.device(telegram, {"412": 1, **presets})
+    assert isinstance(found, DemagDevice)
+    return found
 
 
-def pkw(bench: DeviceBench, order: str) -> str:
+def sim(telegram: str = "PPO3", presets: Mapping[str, Any] = NONE, **options: Any) -> DemagBench:
+    return DeviceBench(device(telegram, **presets, **options), DRIVE.telegram(telegram).config.hex())
+
+
+def enable(bench: DemagBench, outputs: str = "20 00", *, head: str = "", words: Sequence[str] = START) -> None:
+    """The control words of a start one after the other, each in front of ``outputs``."""
+    for control in words:
+        bench.send(f"{head}{control} {outputs}")
+
+
+def pkw(bench: DeviceBench[Any], order: str) -> str:
     """One order with its handshake (docs/drives/demag.md#handshake-of-the-parameter-channel) in PPO1; the reply's eight
     octets."""
     assert bench.send(ZERO + "00 00 00 00")[:23] == ZERO.strip()

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
-from dpstack.profile import DriveCore, DriveDevice
+from dpstack.profile import DriveCore, DriveDevice, Leave
+
+D = TypeVar("D", bound=DriveDevice)
 
 MS = 1_000_000
 S = 1_000 * MS
@@ -66,20 +69,57 @@ class PluginBench:
                 return event
         return None
 
+    def done(self, token: int) -> dict[str, object]:
+        """The result of an order that has ended."""
+        result = self.result(token)
+        assert result is not None
+        return result
+
+    def value(self, token: int) -> object:
+        return self.done(token)["value"]
+
+    def text(self, token: int, error: str | None = None) -> str:
+        """The text of a result; ``error``: the kind that it must be of."""
+        result = self.done(token)
+        assert error in (None, result["error"])
+        return str(result["text"])
+
+    def do(self, op: str, **args: object) -> dict[str, object]:
+        """Give an order that ends at once; its result."""
+        return self.done(self.order(op, **args))
+
+    def ok(self, op: str, **args: object) -> object:
+        """Like :meth:`do`, for an order that must work; its value."""
+        result = self.do(op, **args)
+        assert result["ok"], result
+        return result["value"]
+
+    def refused(self, op: str, **args: object) -> tuple[str, str]:
+        """Like :meth:`do`, for an order that must fail: kind and text."""
+        result = self.do(op, **args)
+        assert not result["ok"], result
+        return str(result["error"]), str(result["text"])
+
+    def misuse(self, op: str, **args: object) -> str:
+        """Like :meth:`refused`, for an order that no drive gets to see; its text."""
+        kind, text = self.refused(op, **args)
+        assert kind == "usage"
+        return text
+
     def notices(self) -> list[str]:
         return [str(event["text"]) for event in self.events if event["type"] == "notice"]
 
 
-class DeviceBench:
+class DeviceBench(Generic[D]):
     """The simulated drive alone: outputs are what the test says, in hex."""
 
-    def __init__(self, device: DriveDevice, config: str, rotation: int = 2 * MS) -> None:
+    def __init__(self, device: D, config: str, rotation: int = 2 * MS) -> None:
         self.device = device
         self.now = START
         self.rotation = rotation
-        octets = bytes.fromhex(config)
-        assert device.check_cfg(octets) is None
-        device.enter(octets, self.now)
+        self.config = bytes.fromhex(config)
+        assert device.check_cfg(self.config) is None
+        device.enter(self.config, self.now)
         device.operate(self.now)
 
     def send(self, outputs: str, ms: float = 70) -> str:
@@ -105,6 +145,22 @@ class DeviceBench:
             if inputs == wanted:
                 return seen
         raise AssertionError(f"{wanted} did not come; seen {seen[-5:]}")
+
+    def pass_time(self, ms: float) -> None:
+        """Time of the bus without a telegram."""
+        self.now += round(ms * MS)
+        self.device.advance(self.now)
+
+    def lose(self, ms: float, reason: Leave = Leave.WATCHDOG) -> None:
+        """The master has left the drive, for some time already."""
+        self.device.leave(reason, self.now)
+        self.pass_time(ms)
+
+    def away(self, ms: float = 0, reason: Leave = Leave.WATCHDOG) -> None:
+        """The master leaves the drive and returns after some time; nobody looks at the drive meanwhile."""
+        self.device.leave(reason, self.now)
+        self.now += round(ms * MS)
+        self.device.enter(self.config, self.now)
 
 
 class PairBench(PluginBench):
@@ -137,18 +193,6 @@ class PairBench(PluginBench):
             assert self.now < end, f"{op} never ended"
             self.run()
         return result
-
-    def ok(self, op: str, **args: object) -> object:
-        """Like :meth:`do`, for an order that must work; its value."""
-        result = self.do(op, **args)
-        assert result["ok"], result
-        return result["value"]
-
-    def refused(self, op: str, **args: object) -> tuple[str, str]:
-        """Like :meth:`do`, for an order that must fail: kind and text."""
-        result = self.do(op, **args)
-        assert not result["ok"], result
-        return str(result["error"]), str(result["text"])
 
 
 def as_mapping(value: object) -> Mapping[str, object]:

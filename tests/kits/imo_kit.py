@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from drive_bench import ALONE, PluginBench, as_mapping
+from drive_bench import ALONE, PluginBench
 
 from dpstack_drives.imo import DRIVE
 
@@ -19,7 +19,6 @@ class Card(PluginBench):
     def __init__(self, p15: dict[int, int], sw: str = READY, pzd: str = NOTHING, **options: Any) -> None:
         self.p15 = p15
         self.seen: list[str] = []
-        self.mute = False
         super().__init__(DRIVE.core("pump", options={**ALONE, **options}), "00 " * 8 + sw + pzd)
         self.show(sw, pzd)
 
@@ -32,7 +31,7 @@ class Card(PluginBench):
             if not self.seen or self.seen[-1] != request:
                 self.seen.append(request)
             reply = bytes(8)
-            if not self.mute and out[1] in (1, 4):
+            if out[1] in (1, 4):
                 assert out[2] == 15
                 if out[1] == 4:
                     assert out[8] & 1, "CW bit 8"
@@ -41,11 +40,11 @@ class Card(PluginBench):
             self.inputs = reply + self._process
         return out[8:].hex(" ").upper()
 
-    def ask(self, op: str, **args: object) -> dict[str, object]:
+    def do(self, op: str, **args: object) -> dict[str, object]:
         """An order and its result."""
         token = self.order(op, **args)
         self.show(self._process[:2].hex(), self._process[2:].hex())
-        return dict(as_mapping(self.result(token)))
+        return self.done(token)
 
 
 RUNS = {2: 1, 13: 1, 14: 5, 15: 6, 16: 11}

@@ -216,4 +216,4 @@ def test_its_parameters_go_over_record_47_where_it_has_it(
         assert (asked.slot, asked.index) == (1, 47)
         pending.outcome = outcome(answer)
     bench.run()
-    assert (bench.result(token) or {})["value"] == 1
+    assert bench.value(token) == 1

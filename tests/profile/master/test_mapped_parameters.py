@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from drive_bench import ALONE, PairBench, PluginBench, as_mapping
+from drive_bench import ALONE, PairBench, PluginBench
 
 import dpstack
 from dpstack.errors import ConfigError
@@ -128,7 +128,7 @@ def test_a_map_on_the_wire_takes_what_the_drive_has() -> None:
         ("20 17 32 00 00 00 00 01", "00 19"),
         ("20 17 5E 00 00 00 00 01", "00 19"),
     ]
-    assert as_mapping(bench.result(token))["value"] == {"inputs": "000E", "outputs": "1104"}
+    assert bench.value(token) == {"inputs": "000E", "outputs": "1104"}
     assert bench.core.safe(bench.core.safe_outputs)[8:].hex(" ").upper() == "04 7E 00 00 00 19 00 00 00 00 00 00"
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import pytest
 from demag_kit import ZERO, pkw, sim
-from drive_bench import MS, DeviceBench, PairBench, PluginBench, S, as_mapping
+from drive_bench import MS, DeviceBench, PairBench, PluginBench, S
 
 from dpstack.profile import CommandError, DriveProfile, ParameterChannel, ParamKey, SettingsState, Steps
 from dpstack_drives.demag import DRIVE as DEMAG
@@ -336,7 +336,7 @@ def test_without_an_answer_it_starts_within_its_time_and_says_not_checked() -> N
     bench.run(2 * S // bench.rotation - bench.rotation // MS * 100)
     assert bench.out().endswith("04 7F 00 00")
     bench.see(ZERO + "02 37 00 00", 20)
-    assert as_mapping(bench.result(token))["value"] == "running"
+    assert bench.value(token) == "running"
     assert "settings not checked: the drive has not yet answered; the plugin relies on F03 = 60 Hz, y98 = 3" in (
         bench.notices()
     )
@@ -456,14 +456,12 @@ def test_reached_does_not_believe_the_bit_alone() -> None:
         bench.see(f"{word} 18 00", 2)
     token = bench.order("reached", timeout_s=1)
     bench.run(600)
-    result = as_mapping(bench.result(token))
-    assert result["error"] == "timeout"
-    assert str(result["text"]).startswith(
+    assert bench.text(token, "timeout").startswith(
         "50.0% not reached, at 37.5% (the drive itself reports its set point as reached; more than 2% of the reference "
     )
     token = bench.order("reached")
     bench.see("06 27 1E C0", 2)  # 48.0 %
-    assert as_mapping(bench.result(token))["ok"] is True
+    assert bench.done(token)["ok"] is True
 
 
 def test_reached_counts_the_additional_reference() -> None:
@@ -487,7 +485,7 @@ def test_a_refusal_of_the_channel_is_no_reason_to_fail() -> None:
     assert bench.out().endswith("00 06 00 00")
     for word in ("02 21 00 00", "02 23 00 00", "02 27 00 00"):
         bench.see(ZERO + word, 60)
-    assert as_mapping(bench.result(token))["value"] == "running"
+    assert bench.value(token) == "running"
     assert any("error 0, inadmissible parameter number" in text for text in bench.core.status().settings_texts)
 
 
