@@ -45,6 +45,8 @@ def _literal(text: str) -> bytes:
 
 _DATA: Final = tuple(bytes((n, 0x55, *range(10))) for n in range(4))
 _EXCHANGE: Final = "SD2 Data_Exchange, PPO1"
+#: what dpstack may take for the telegram of the cycle, in Python loops
+_GOALS: Final = {(_EXCHANGE, "encode"): 1.0, (_EXCHANGE, "decode"): 2.0}
 #: every kind of telegram that DP has; of the cyclic one those with both FCB and two contents
 SAMPLES: Final = (
     Sample("SD1 FDL status", _literal("10 03 02 49 4E 16"), 3, 2, 0x49),
@@ -183,7 +185,7 @@ def run(argv: Sequence[str]) -> Report:
     own = {(s.title, s.does): each for s, each in times.items() if s.who == "dpstack"}
     for subject, each in times.items():
         name = f"{subject.title}: {subject.does}, {subject.who}"
-        report.in_loops(name, each)
+        report.in_loops(name, each, _GOALS.get((subject.title, subject.does)) if subject.who == "dpstack" else None)
         mine = own.get((subject.title, subject.does))
         if subject.who != "dpstack" and mine is not None:
             ratios = [(a / loop) / (b / own_loop) for (a, loop), (b, own_loop) in zip(each, mine, strict=True)]

@@ -18,6 +18,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple
 
+from bench.calibration import calibrate_python
 from bench.losses import stolen_ns, story
 from bench.masters import CONFIG, DRIVERS, FIRST, IDENT, OCTETS
 from bench.records import Record
@@ -49,7 +50,8 @@ class NotAvailableError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """What a measurement of ``seconds`` gave. CPU times in ns; ``turns`` in ns, without and with the token between."""
+    """Result of one measurement of ``seconds``. ``cpu``: CPU time of the master in ns, ``python_loop``: the Python loop
+    beside it in ns. ``turns``: turn-arounds in ns, ``token_turns``: those with the token between."""
 
     seconds: float
     exchanges: int
@@ -59,6 +61,12 @@ class Taken:
     held: int
     turns: list[int]
     token_turns: list[int]
+    python_loop: float = 0.0
+
+    @property
+    def cpu_per_exchange(self) -> tuple[float, float]:
+        """CPU time per exchange and the Python loop beside it, both in ns."""
+        return self.cpu / max(self.exchanges, 1), self.python_loop
 
 
 class Processors(NamedTuple):
@@ -167,8 +175,12 @@ class Bench:
         self._folder = folder
 
     def measure(self, seconds: float) -> Taken:
-        """Leave both alone for a moment, then look on for ``seconds``, longer while there is too little."""
+        """Leave both alone for a moment, then measure for ``seconds``, longer while there are too few exchanges.
+
+        The Python loop runs directly before and after, on the master's processor.
+        """
         time.sleep(min(_SETTLE_S, seconds))
+        loop = calibrate_python()
         self._ask("begin")
         since, cpu, waited = time.monotonic_ns(), self._sum(_cpu_of), self._waited()
         time.sleep(seconds)
@@ -178,10 +190,11 @@ class Bench:
         cpu, until = self._sum(_cpu_of) - cpu, time.monotonic_ns()
         waited = self._waited() - waited
         data = self._data()
+        loop = (loop + calibrate_python()) / 2
         turns, token_turns = self._turns(since, until)
         records = [Record(*record) for record in data["records"]]
         took = until - since
-        return Taken(took / 1e9, data["exchanges"], cpu, waited / took, records, data["held"], turns, token_turns)
+        return Taken(took / 1e9, data["exchanges"], cpu, waited / took, records, data["held"], turns, token_turns, loop)
 
     def opened_at(self) -> int:
         """When the master's port was opened, in ns; only with a probe."""

@@ -147,7 +147,8 @@ def hold_against_the_truth(seed: int, rate: float, baud: int, bits: int) -> tupl
     wire = Wire(world)
     world.run_for(bits * 100_000_000 // baud)  # a tenth without noise: what is under way now is over then
     assert sum(s.retries + s.timeouts for s in bus.station.stats.stations.values()) == 0
-    ears = {MASTER: Ear(world, bus.station._decoder)} | {str(s.address): Ear(world, s.decoder) for s in bus.slaves}
+    ears = {MASTER: Ear(world, bus.station._decoder)}
+    ears |= {str(address): Ear(world, slave.decoder) for address, slave in bus.slaves.items()}
     begun = {name: ear.decoder.stats.octets for name, ear in ears.items()}
     done = sum(handler.exchanges for handler in bus.master.handlers.values())
     world.faults.noise(rate)

@@ -36,7 +36,8 @@ class AttachUser(Order, ABC):
 
 
 class DetachUser(Order):
-    """Remove the user with the order ``token``, if there is one. It gets no result of its current request."""
+    """Remove the user that was added with the order ``token``, if it is there. It gets no result of a request under
+    way."""
 
     ENDS = True
 

@@ -36,7 +36,7 @@ def test_all_addresses_but_the_own_one() -> None:
     everybody = [a for a in range(127) if a != 2]
     silent = [a for a in everybody if a not in (4, 126)]
     assert polls(bus) == everybody + silent  # what was silent is asked a second time
-    told = [(e.address, e.kind) for e in bus.told(StationFound) if isinstance(e, StationFound)]
+    told = [(e.address, e.kind) for e in bus.events_of(StationFound)]
     assert told == [(4, StationType.SLAVE), (126, StationType.SLAVE)]
 
 
@@ -112,7 +112,7 @@ def test_a_repeated_live_list_drops_stations_that_are_gone() -> None:
     bus.slaves.clear()
     bus.run(300 * NS_PER_MS)
     assert live.stations == {}
-    told = [(e.address, e.kind) for e in bus.told(StationFound) if isinstance(e, StationFound)]
+    told = [(e.address, e.kind) for e in bus.events_of(StationFound)]
     assert told == [(4, StationType.SLAVE), (4, None)]
     assert live.done
 

@@ -8,14 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from ms1_kit import MS, Ms1Bus, OctetMs1Slave
+from ms1_kit import MS, Ms1Bus, OctetMs1Slave, is_data_exchange
 from octet_slave import DL, RS, SC, sd1, sd2
 
 from dpstack.dp.master.events import SlaveRemark
 from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
-from dpstack.trace import Event
 
 DH = 0x0A
 #: every kind enabled
@@ -106,14 +105,12 @@ class AlarmSlave(OctetMs1Slave):
                     self.flag = bool(self.shown)
             found = super().__call__(octets, now)
             self.last = (control, octets, found)
-        if found is not None and not (octets[0] == 0x68 and octets[4] & 0x80) and control & 0x0F != 9:
+        if found is not None and is_data_exchange(octets):
             found = found[0], self.data_exchange(octets)
         return None if fate == "a" else found
 
-    def data_exchange(self, octets: bytes) -> bytes:
-        sa = octets[5] & 0x7F if octets[0] == 0x68 else octets[2] & 0x7F
-        body = bytes((sa, self.address, DH if self.flag else DL)) + self.inputs
-        return bytes((0x68, len(body), len(body), 0x68)) + body + bytes((sum(body) & 0xFF, 0x16))
+    def data_exchange(self, octets: bytes, control: int = DL) -> bytes:
+        return super().data_exchange(octets, DH if self.flag else control)
 
     def service(self, octets: bytes) -> bytes | None:
         match octets[7]:
@@ -169,7 +166,7 @@ class AlarmBus(Ms1Bus):
     """Station 2 with alarm slaves in data exchange."""
 
     dpv1: Dpv1 | None = field(default_factory=lambda: Dpv1(alarms=ALL, alarm_mode=0))
-    kind: type[OctetMs1Slave] = AlarmSlave
+    kind: type[OctetMs1Slave] = field(default=AlarmSlave, kw_only=True)
 
     @property
     def alarm_slave(self) -> AlarmSlave:
@@ -186,14 +183,10 @@ class AlarmBus(Ms1Bus):
         """One of them."""
         self.send(AcknowledgeAlarm(address, number))
 
-    def of(self, kind: type[Event]) -> list[Event]:
-        """All events of one kind."""
-        return [event for event in self.bus.events if isinstance(event, kind)]
-
     @property
     def raised(self) -> list[AlarmRaised]:
         """Alarms delivered."""
-        return [event for event in self.bus.events if isinstance(event, AlarmRaised)]
+        return self.events_of(AlarmRaised)
 
     @property
     def blocks(self) -> list[bytes]:
@@ -203,17 +196,16 @@ class AlarmBus(Ms1Bus):
     @property
     def ends(self) -> list[AlarmDone]:
         """Their ends."""
-        return [event for event in self.bus.events if isinstance(event, AlarmDone)]
+        return self.events_of(AlarmDone)
 
     @property
-    def told(self) -> list[StatusTold]:
-        """Statuses."""
-        return [event for event in self.bus.events if isinstance(event, StatusTold)]
+    def statuses(self) -> list[StatusTold]:
+        return self.events_of(StatusTold)
 
     @property
     def remarks(self) -> list[str]:
-        """Deviations."""
-        return [event.message for event in self.bus.events if isinstance(event, SlaveRemark)]
+        """The texts of deviations."""
+        return [event.message for event in self.events_of(SlaveRemark)]
 
     @property
     def counts(self) -> AlarmCounts:
@@ -225,17 +217,6 @@ class AlarmBus(Ms1Bus):
     def counts_of(self, address: int) -> AlarmCounts | None:
         """Of one slave."""
         return self.master.handlers[address].alarm_counts
-
-    def until(self, condition: Callable[[], bool], ms: int = 20_000) -> None:
-        """Run until it holds."""
-        limit = self.bus.now + ms * MS
-        while not condition():
-            assert self.bus.now < limit, "it never came to that"
-            self.bus.run(MS)
-
-    def run(self, ms: int) -> None:
-        """For so long."""
-        self.bus.run(ms * MS)
 
 
 def octets_of(event: AlarmRaised) -> bytes:

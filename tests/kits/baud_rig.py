@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from random import Random
 
+from octet_slave import frame, sd1
+
 from dpstack.fdl.baud_search import AutoBaud
 from dpstack.phy.uart import Receiver, waveform
 from dpstack.units import BITS_PER_CHAR, NS_PER_S, bits_to_ns
@@ -12,14 +14,6 @@ from dpstack.units import BITS_PER_CHAR, NS_PER_S, bits_to_ns
 #: (idle bit times before it, octets)
 Sent = tuple[int, bytes]
 Traffic = Callable[[Random], Iterator[Sent]]
-
-
-def sd1(da: int, sa: int, fc: int) -> bytes:
-    return bytes((0x10, da, sa, fc, (da + sa + fc) & 0xFF, 0x16))
-
-
-def sd2(body: bytes) -> bytes:
-    return bytes((0x68, len(body), len(body), 0x68)) + body + bytes((sum(body) & 0xFF, 0x16))
 
 
 def lone_token(rng: Random) -> Iterator[Sent]:
@@ -42,7 +36,7 @@ def absent(rng: Random) -> Iterator[Sent]:
     """A master that asks absent stations for their FDL status, or an absent slave for its diagnosis."""
     master, hsa = rng.randrange(126), rng.randrange(20, 127)
     slot = rng.choice((100, 200, 640, 1000))
-    diagnosis = sd2(bytes((0x80 | rng.randrange(126), 0x80 | master, 0x6D, 0x3C, 0x3E)))
+    diagnosis = frame(bytes((0x80 | rng.randrange(126), 0x80 | master, 0x6D, 0x3C, 0x3E)))
     diagnosing = rng.random() < 0.5
     while True:
         for address in range(hsa):
@@ -64,8 +58,8 @@ def exchange(rng: Random) -> Iterator[Sent]:
         if changing:
             sent, got = rng.randbytes(outputs), rng.randbytes(inputs)
         fc = 0x5D | (turn & 1) << 5
-        yield 37, sd2(bytes((slave, master, fc)) + sent) if sent else sd1(slave, master, fc)
-        yield rng.randrange(11, 60), sd2(bytes((master, slave, 8)) + got) if got else b"\xe5"
+        yield 37, frame(bytes((slave, master, fc)) + sent) if sent else sd1(slave, master, fc)
+        yield rng.randrange(11, 60), frame(bytes((master, slave, 8)) + got) if got else b"\xe5"
         if gap and turn % gap == 0:
             yield 37, sd1(turn % 126, master, 0x49)
             yield 100, bytes((0xDC, master, master))
@@ -80,8 +74,8 @@ def big_exchange(rng: Random) -> Iterator[Sent]:
     turn = 0
     while True:
         turn += 1
-        yield 37, sd2(bytes((slave, master, 0x5D | (turn & 1) << 5)) + out)
-        yield 30, sd2(bytes((master, slave, 8)) + back)
+        yield 37, frame(bytes((slave, master, 0x5D | (turn & 1) << 5)) + out)
+        yield 30, frame(bytes((master, slave, 8)) + back)
         yield 37, bytes((0xDC, master, master))
 
 
@@ -160,7 +154,7 @@ class Line:
 
     def _sent(self, search: AutoBaud, receiver: Receiver, start: int, levels: bytes, since: int) -> int:
         """One transmission, or the rest of it; returns when the listener changed its rate, -1 when it did not."""
-        for char in receiver.sample(start, levels, self.baud):
+        for char in receiver.hear(start, levels, self.baud):
             now = self._wakes(search, receiver, char.at_ns)
             if now >= 0:
                 return now

@@ -3,87 +3,36 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from bus_kit import IDENT, PPO1, mirror
-from support import MS, KeepsEvents, S, WorldFactory
+from bus_kit import SimBus, setup
+from support import MS, WorldFactory
 
-from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.master import Master
-from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.interface import LinkUser
 from dpstack.params import BusParams
-from dpstack.phy.patience import EXACT, Patience
-from dpstack.sim.world import World
-from dpstack.trace import Event, WireEntry
+from dpstack.trace import WireEntry
 
 P500 = BusParams.preset(500_000, address=2)
 
 
 def slave(address: int, **changes: Any) -> SlaveParams:
     """How the master parameterises a mirror slave with twelve octets each way."""
-    values: dict[str, Any] = {"address": address, "name": f"s{address}", "ident": IDENT, "config": PPO1}
-    return SlaveParams(**(values | changes))
+    return setup(address, **changes)
 
 
 @dataclass
-class CycleBus(KeepsEvents):
-    """A master with ``setups`` in Operate in ``world``; ``silent`` addresses have no slave. Everything is kept."""
+class CycleBus(SimBus):
+    """A bus whose master keeps every transmission; without acyclic services unless ``more`` has them."""
 
-    world: World
-    params: BusParams
-    setups: Sequence[SlaveParams]
-    cycle_ns: int
-    silent: Sequence[int] = ()
     more: Sequence[LinkUser] = ()
-    options: Mapping[str, Any] = field(default_factory=dict)
-    patience: Patience = EXACT
-    events: list[Event] = field(default_factory=list)
     wire: list[WireEntry] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.slaves = {s.address: mirror(s.address, self.params) for s in self.setups if s.address not in self.silent}
-        for station in self.slaves.values():
-            self.world.add(station)
-        watchdog_ms = max(200, 5 * self.cycle_ns // MS)
-        self.master = Master(
-            self.params,
-            self.setups,
-            MasterSettings(**{"cycle_ns": self.cycle_ns, "watchdog_ms": watchdog_ms, **self.options}),
-        )
-        users = [self.master, *self.more]
-        self.station = ActiveStation(
-            self.params, users, patience=self.patience, window=self.master.window, now=self.world.now
-        )
+        super().__post_init__()
         self.station.wire = self.wire.append
-        self.world.add(self.station, on_events=self.events.extend)
-        self.send(GoOnline())
-        self.send(SetMode(Mode.OPERATE))
-
-    def send(self, order: object) -> None:
-        """Give the master's station an order now."""
-        self.world.command(self.station, order)
-
-    def run(self, ns: int) -> None:
-        """Let ``ns`` pass."""
-        self.world.run_for(ns)
-
-    def state(self, address: int) -> SlaveState:
-        """The state of one slave."""
-        return self.master.handlers[address].state
-
-    def until_exchanging(self, within_ns: int = 5 * S) -> None:
-        """Run until all slaves that are there are in data exchange."""
-        end = self.world.now + within_ns
-        while not all(self.state(address) is SlaveState.DATA_EXCHANGE for address in self.slaves):
-            assert self.world.now < end, {a: h.state.value for a, h in self.master.handlers.items()}
-            self.run(MS)
 
     def quiet(self) -> None:
         """What was kept so far is forgotten; books too."""

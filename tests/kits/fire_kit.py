@@ -7,11 +7,9 @@
 
 from __future__ import annotations
 
-from bus_kit import mirror, setup
+from bus_kit import add_station, all_exchange, mirror, setup
 from support import WorldFactory
 
-from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.fdl.active.states import State
@@ -60,13 +58,8 @@ class FireRing:
         """Switch a new master on."""
         params = self.params.replace(address=address)
         if self.with_slaves:
-            users = (*users, self._plant(address, params))
-        station = ActiveStation(params, users, now=self.world.now)
-        self.masters[address] = station
-        self.world.add(station, on_events=self.events.extend)
-        self.world.command(station, GoOnline())
-        if self.with_slaves:
-            self.world.command(station, SetMode(Mode.OPERATE))
+            users = (self._plant(address, params), *users)
+        self.masters[address] = station = add_station(self.world, params, *users, on_events=self.events.extend)
         return station
 
     def _plant(self, address: int, params: BusParams) -> Master:
@@ -145,9 +138,7 @@ class FireRing:
     @property
     def exchanging(self) -> bool:
         """Every master's slave is in data exchange."""
-        return all(
-            handler.state is SlaveState.DATA_EXCHANGE for dp in self.dp.values() for handler in dp.handlers.values()
-        )
+        return all(map(all_exchange, self.dp.values()))
 
 
 def is_token(tx: Transmission) -> bool:

@@ -1,4 +1,4 @@
-"""A master with slaves of octets that have MS1, and what came of its services.
+"""A master with slaves of octets that have MS1, and the ends of its services.
 
 The slave knows telegrams as numbers only; nothing of the project is used to read or to make them.
 """
@@ -7,37 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
-from octet_slave import DL, RS, SC, OctetSlave, sd1, sd2
-from ring_bus import RingBus
+from bus_kit import all_exchange, setup
+from octet_slave import DL, RS, SC, OctetSlave, frame, sd1, sd2
+from order_bus import MS, OrderBus
 
-from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import RecordDone, RecordOrder
 from dpstack.dpv1.pdu.read_write import Function
-from dpstack.drivers.stack import acyclic_services
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
-from dpstack.params import BusParams
 
-MS = 1_000_000
 #: how a slave answers a request at MS1: its octets in, the answer's telegram out
 Ms1 = Callable[[bytes], bytes | None]
 
 
-def setup(address: int, dpv1: Dpv1 | None) -> SlaveParams:
-    """A slave with one octet of inputs and DPV1_Status in its parameters."""
-    return SlaveParams(
-        address=address,
-        name=f"s{address}",
-        ident=0x1234,
-        config=b"\x10",
-        user_prm=bytes(3),
-        watchdog_ms=0,
-        dpv1=dpv1,
-    )
+def is_data_exchange(octets: bytes) -> bool:
+    """Whether a request has no SAPs and is no FDL status request."""
+    return not octets[4] & 0x80 if octets[0] == 0x68 else octets[3] != 0x49
 
 
 @dataclass
@@ -54,15 +42,12 @@ class OctetMs1Slave(OctetSlave):
     def __call__(self, octets: bytes, now: int) -> tuple[int, bytes] | None:
         if self.mute:
             return None
-        if octets[0] == 0x68 and not octets[4] & 0x80:
-            body = bytes((octets[5] & 0x7F, self.address, DL)) + self.inputs
-            length = len(body)
-            return self.delay, bytes((0x68, length, length, 0x68)) + body + bytes((sum(body) & 0xFF, 0x16))
-        if octets[0] == 0x10 and octets[3] != 0x49:
-            body = bytes((octets[2] & 0x7F, self.address, DL)) + self.inputs
-            length = len(body)
-            return self.delay, bytes((0x68, length, length, 0x68)) + body + bytes((sum(body) & 0xFF, 0x16))
-        return super().__call__(octets, now)
+        return (self.delay, self.data_exchange(octets)) if is_data_exchange(octets) else super().__call__(octets, now)
+
+    def data_exchange(self, octets: bytes, control: int = DL) -> bytes:
+        """The answer to a Data_Exchange."""
+        sa = octets[5] if octets[0] == 0x68 else octets[2]
+        return frame(bytes((sa & 0x7F, self.address, control)) + self.inputs)
 
     def service(self, octets: bytes) -> bytes | None:
         match octets[7]:
@@ -103,74 +88,56 @@ def first_an_old_one(slave: OctetMs1Slave) -> list[str]:
 
 
 @dataclass
-class Ms1Bus:
-    """Station 2, its slaves at ``addresses`` in data exchange."""
+class Ms1Bus(OrderBus[OctetMs1Slave]):
+    """Station 2 with a DP master, its slaves at ``addresses`` in data exchange."""
 
     addresses: tuple[int, ...] = (4,)
-    mode: str = "whole"
     dpv1: Dpv1 | None = field(default_factory=Dpv1)
-    kind: type[OctetMs1Slave] = OctetMs1Slave
-    baud: int = 500_000
-    bus: RingBus = field(init=False)
-    tokens: int = 0
+    kind: type[OctetMs1Slave] = field(default=OctetMs1Slave, kw_only=True)
 
     def __post_init__(self) -> None:
-        self.bus = RingBus(self.baud, self.mode)
-        self.slaves = {address: self.kind(self.bus, address) for address in self.addresses}
-        params = BusParams.preset(self.baud, address=2, gap=0)
-        self.master = Master(params, [setup(address, self.dpv1) for address in self.addresses])
-        self.acyclic = acyclic_services(2, self.master)
-        self.station = ActiveStation(params, [self.master, self.acyclic])
-        self.bus.stations.append(self.station)
-        self.bus.command(self.station, GoOnline())
+        super().__post_init__()
         self.until_exchanging()
 
     def until_exchanging(self) -> None:
-        """All slaves in data exchange."""
-        for _ in range(3_000):
-            if all(handler.state is SlaveState.DATA_EXCHANGE for handler in self.master.handlers.values()):
-                return
-            self.bus.run(MS)
-        raise AssertionError("not all slaves in data exchange")
+        """Run until all slaves are in data exchange."""
+        self.until(lambda: all_exchange(self.master), 3_000)
+
+    def setups(self) -> list[SlaveParams]:
+        return [self.setup(address) for address in self.addresses]
+
+    def setup(self, address: int, **changes: Any) -> SlaveParams:
+        """A slave with one octet of inputs and DPV1_Status in its parameters."""
+        return setup(address, self.dpv1, **{"config": b"\x10", "user_prm": bytes(3), "watchdog_ms": 0, **changes})
 
     @property
-    def slave(self) -> OctetMs1Slave:
-        """The first."""
-        return self.slaves[self.addresses[0]]
-
-    def send(self, command: object) -> None:
-        """An order."""
-        self.bus.command(self.station, command)
+    def master(self) -> Master:
+        return self.masters[0]
 
     def read(self, slot: int = 1, index: int = 2, length: int = 240, *, address: int = 4) -> RecordDone:
         """The end of one Read."""
         return self.end(self.order_read(slot, index, length, address=address))
 
     def order_read(self, slot: int = 1, index: int = 2, length: int = 240, *, address: int = 4) -> int:
-        """Ordered only."""
-        self.tokens += 1
-        self.send(RecordOrder(self.tokens, Function.READ, slot, index, length, address=address))
-        return self.tokens
+        """Order a Read; its token."""
+        token = self.next_token()
+        self.send(RecordOrder(token, Function.READ, slot, index, length, address=address))
+        return token
 
     def write(self, slot: int, index: int, data: bytes, *, address: int = 4) -> RecordDone:
         """The end of one Write."""
-        self.tokens += 1
-        self.send(RecordOrder(self.tokens, Function.WRITE, slot, index, data=data, address=address))
-        return self.end(self.tokens)
+        token = self.next_token()
+        self.send(RecordOrder(token, Function.WRITE, slot, index, data=data, address=address))
+        return self.end(token)
 
-    def end(self, token: int, within_ns: int = 20_000 * MS) -> RecordDone:
-        """Run until the service has its end."""
-        limit = self.bus.now + within_ns
-        while not (found := [done for done in self.done if done.token == token]):
-            assert self.bus.now < limit, "no end"
-            self.bus.run(MS)
-        (one,) = found
-        return one
+    def end(self, token: int) -> RecordDone:
+        """Run until the service has ended."""
+        return self.end_of(token, RecordDone)
 
     @property
     def done(self) -> list[RecordDone]:
-        """All ends so far."""
-        return [event for event in self.bus.events if isinstance(event, RecordDone)]
+        """The ends of all services so far."""
+        return self.events_of(RecordDone)
 
 
-__all__ = ["DL", "RS", "SC", "Ms1Bus", "OctetMs1Slave", "answer", "status"]
+__all__ = ["DL", "MS", "RS", "SC", "Ms1Bus", "OctetMs1Slave", "answer", "status"]

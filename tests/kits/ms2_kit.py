@@ -8,10 +8,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 from octet_slave import DL, RS, SC, OctetSlave, sd1, sd2
-from ring_bus import RingBus, Sent
+from order_bus import MS, OrderBus
+from ring_bus import Sent
 
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.slave.application import SlaveApp
@@ -27,19 +28,12 @@ from dpstack.dpv1.master.orders import (
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
-from dpstack.drivers.stack import acyclic_services
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.active.use_token import Guard
-from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Resp, Telegram
 from dpstack.params import BusParams
 from dpstack.sim.world import World
-from dpstack.trace import Event
 
-MS = 1_000_000
-E = TypeVar("E", bound=Event)
 #: what a server SAP answers to a PDU: octets of its own, None for none yet
 Serve = Callable[[bytes], bytes | None]
 
@@ -195,86 +189,56 @@ class OctetMs2Slave(OctetSlave, Ms2Server):
 
 
 @dataclass
-class Ms2Bus:
+class Ms2Bus(OrderBus[OctetMs2Slave]):
     """Station 2 with nothing but class 2, its slaves at ``addresses``."""
 
     addresses: tuple[int, ...] = (4,)
-    guard: Guard | None = None
-    bus: RingBus = field(default_factory=RingBus)
-    tokens: int = 0
+    kind: type[OctetMs2Slave] = field(default=OctetMs2Slave, kw_only=True)
 
     def __post_init__(self) -> None:
-        self.slaves = {address: OctetMs2Slave(self.bus, address) for address in self.addresses}
-        self.acyclic = acyclic_services(2)
-        self.station = ActiveStation(BusParams.preset(500_000, address=2, gap=0), [self.acyclic], guard=self.guard)
-        self.bus.stations.append(self.station)
-        self.send(GoOnline())
-        self.bus.run(20 * MS)
-
-    @property
-    def slave(self) -> OctetMs2Slave:
-        """The first."""
-        return self.slaves[self.addresses[0]]
-
-    def send(self, command: object) -> None:
-        """An order."""
-        self.bus.command(self.station, command)
-
-    def token(self) -> int:
-        self.tokens += 1
-        return self.tokens
+        super().__post_init__()
+        self.run(20)
 
     def order_open(self, address: int = 4, send_timeout_ns: int = 200 * MS, **more: Any) -> int:
-        """Ordered only."""
-        token = self.token()
+        """Only give the order; its token."""
+        token = self.next_token()
         self.send(OpenConnection(token, address, InitiateReq(send_timeout_ns), **more))
         return token
 
     def open(self, address: int = 4, **more: Any) -> InitiateDone:
         """The end of one Initiate."""
-        return self.end(self.order_open(address, **more), InitiateDone)
+        return self.end_of(self.order_open(address, **more), InitiateDone)
 
     def order_read(self, connection: int, slot: int = 1, index: int = 2, length: int = 240, **more: Any) -> int:
-        """Ordered only."""
-        token = self.token()
+        """Only give the order; its token."""
+        token = self.next_token()
         self.send(RecordOrder(token, Function.READ, slot, index, length, connection=connection, **more))
         return token
 
     def read(self, connection: int, slot: int = 1, index: int = 2, length: int = 240, **more: Any) -> RecordDone:
         """The end of one Read."""
-        return self.end(self.order_read(connection, slot, index, length, **more), RecordDone)
+        return self.end_of(self.order_read(connection, slot, index, length, **more), RecordDone)
 
     def write(self, connection: int, slot: int, index: int, data: bytes) -> RecordDone:
         """The end of one Write."""
-        token = self.token()
+        token = self.next_token()
         self.send(RecordOrder(token, Function.WRITE, slot, index, data=data, connection=connection))
-        return self.end(token, RecordDone)
+        return self.end_of(token, RecordDone)
 
     def transport(self, connection: int, slot: int, index: int, data: bytes) -> RecordDone:
         """The end of one Data_Transport."""
-        token = self.token()
+        token = self.next_token()
         self.send(RecordOrder(token, Function.DATA_TRANSPORT, slot, index, data=data, connection=connection))
-        return self.end(token, RecordDone)
+        return self.end_of(token, RecordDone)
 
     def close(self, connection: int) -> ConnectionOver:
         """The end of a connection."""
         self.send(CloseConnection(connection))
         return self.over(connection)
 
-    def over(self, connection: int, within_ns: int = 20_000 * MS) -> ConnectionOver:
-        """Run until it is over."""
-        return self.until(lambda: [e for e in self.told(ConnectionOver) if e.connection == connection], within_ns)
-
-    def end(self, token: int, kind: type[E], within_ns: int = 20_000 * MS) -> E:
-        """Run until the service has its end."""
-        return self.until(lambda: [e for e in self.told(kind) if getattr(e, "token", None) == token], within_ns)
-
-    def until(self, find: Callable[[], list[E]], within_ns: int) -> E:
-        limit = self.bus.now + within_ns
-        while not (found := find()):
-            assert self.bus.now < limit, "no end"
-            self.bus.run(MS)
-        (one,) = found
+    def over(self, connection: int, ms: int = 20_000) -> ConnectionOver:
+        """Run until the connection is over."""
+        (one,) = self.until(lambda: [e for e in self.events_of(ConnectionOver) if e.connection == connection], ms)
         return one
 
     def lose_first(self, times: int, wanted: Callable[[Sent], bool]) -> list[Sent]:
@@ -295,15 +259,9 @@ class Ms2Bus:
         count = itertools.count()
         self.bus.drop = lambda sent: sent.octets[0] in (0x68, 0xE5) and next(count) in lost
 
-    def told(self, kind: type[E]) -> list[E]:
-        return [event for event in self.bus.events if isinstance(event, kind)]
-
-    def freed(self, within_ns: int = 20_000 * MS) -> None:
-        """Nothing is left, at either end."""
-        limit = self.bus.now + within_ns
-        while connections_of(self.acyclic) or self.acyclic.waiting:
-            assert self.bus.now < limit, "it keeps a connection"
-            self.bus.run(MS)
+    def freed(self) -> None:
+        """Run until nothing is left of connections, at either end."""
+        self.until(lambda: not connections_of(self.acyclic) and not self.acyclic.waiting)
         for slave in self.slaves.values():
             assert slave.mute or not slave.sessions, "the slave keeps a connection"
 

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from bus_kit import SimBus
+from bus_kit import SimBus, all_exchange
 from fire_kit import FireRing
 from support import MS, S
 
@@ -97,7 +97,7 @@ def _bus(world: World, baud: int, masters: int, slaves: int) -> tuple[list[Activ
 
 
 def _exchanging(users: list[Master]) -> bool:
-    return all(h.state is SlaveState.DATA_EXCHANGE for user in users for h in user.handlers.values())
+    return all(map(all_exchange, users))
 
 
 def _exchanges(users: list[Master]) -> int:

@@ -19,10 +19,14 @@ def sd1(da: int, sa: int, fc: int) -> bytes:
     return bytes((0x10, da, sa, fc, (da + sa + fc) & 0xFF, 0x16))
 
 
+def frame(body: bytes) -> bytes:
+    """An SD2 telegram of DA, SA, FC and data unit."""
+    return bytes((0x68, len(body), len(body), 0x68)) + body + bytes((sum(body) & 0xFF, 0x16))
+
+
 def sd2(da: int, sa: int, fc: int, dsap: int, ssap: int, data: bytes) -> bytes:
     """A telegram with both SAPs."""
-    body = bytes((da | 0x80, sa | 0x80, fc, dsap, ssap)) + data
-    return bytes((0x68, len(body), len(body), 0x68)) + body + bytes((sum(body) & 0xFF, 0x16))
+    return frame(bytes((da | 0x80, sa | 0x80, fc, dsap, ssap)) + data)
 
 
 #: what a test replaces an answer by: from the request's octets to those of the answer, None is silence

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from octet_slave import frame
+
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.machine import pump
 from dpstack.params import BusParams
@@ -41,7 +43,5 @@ class Wire:
 
 
 def framed(da: int, sa: int, fc: int, unit: str) -> str:
-    """An SD2 telegram, put together here by hand."""
-    body = bytes((da, sa, fc)) + bytes.fromhex(unit)
-    head = bytes((0x68, len(body), len(body), 0x68))
-    return (head + body + bytes((sum(body) & 0xFF, 0x16))).hex(" ")
+    """An SD2 telegram in hex; ``unit`` is the data unit with SAPs."""
+    return frame(bytes((da, sa, fc)) + bytes.fromhex(unit)).hex(" ")

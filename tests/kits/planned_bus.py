@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 
-from bus_kit import SimBus
+from bus_kit import SimBus, setup
 from support import S, WorldFactory
 
 from dpstack.dp.plan.rotation_time import Case, rotation
@@ -16,7 +16,6 @@ from dpstack.trace import WireEntry
 
 MASTER = 2
 FIRST = 3
-IDENT = 0x1234
 
 
 def identifiers(inputs: int, outputs: int) -> bytes:
@@ -31,10 +30,7 @@ def identifiers(inputs: int, outputs: int) -> bytes:
 
 def setups(configs: Sequence[bytes], min_tsdr: int = 11) -> list[SlaveParams]:
     """Slaves from address 3 on."""
-    return [
-        SlaveParams(address=FIRST + n, name=f"s{n}", ident=IDENT, config=config, min_tsdr=min_tsdr)
-        for n, config in enumerate(configs)
-    ]
+    return [setup(FIRST + n, name=f"s{n}", config=config, min_tsdr=min_tsdr) for n, config in enumerate(configs)]
 
 
 def kind(entry: WireEntry) -> str:
@@ -72,7 +68,7 @@ def undisturbed(
     Slow rounds all have a Global_Control: 13 characters and T_ID2, which are taken off.
     """
     w = world()
-    bus = SimBus(w, params, slaves, t_sdr, watchdog_ms=650_000)
+    bus = SimBus(w, params, slaves, t_sdr=t_sdr, watchdog_ms=650_000)
     turn = params.ns(rotation(params, slaves, Case.TYPICAL).bits)
     while not bus.exchanging:
         assert w.now < 3000 * S, "not all slaves in data exchange"

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 
+from support import KeepsEvents
+
 from dpstack.fdl.active.states import State
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.codec import decode
@@ -99,7 +101,7 @@ class ListUser:
 Answer = Callable[[bytes, int], tuple[int, bytes] | None]
 
 
-class RingBus:
+class RingBus(KeepsEvents):
     """The wire. ``mode`` is 'whole', 'octets' or 'chunk'; ``noise(sent)`` may garble a transmission."""
 
     def __init__(self, baud: int = 500_000, mode: str = "whole") -> None:
@@ -235,9 +237,6 @@ class RingBus:
 
     def octets(self) -> list[str]:
         return [sent.octets.hex(" ") for sent in self.log]
-
-    def told(self, kind: type[Event]) -> list[Event]:
-        return [event for event in self.events if isinstance(event, kind)]
 
 
 def fixed(request: str, answer: str, delay: int = 11) -> Answer:

@@ -64,7 +64,7 @@ def test_no_station_breaks_the_rules_under_noise(world: WorldFactory, per_bit: f
 
 def test_a_slave_switched_off_and_on_again(world: WorldFactory) -> None:
     bus = bring_up(world)
-    bus.world.remove(bus.slaves[0])
+    bus.world.remove(bus.slaves[5])
     bus.world.run_for(S)
     assert bus.master.handlers[5].state is not SlaveState.DATA_EXCHANGE
     assert bus.master.handlers[6].state is SlaveState.DATA_EXCHANGE
@@ -74,7 +74,7 @@ def test_a_slave_switched_off_and_on_again(world: WorldFactory) -> None:
 
 def test_a_slave_that_falls_silent_for_a_time(world: WorldFactory) -> None:
     bus = bring_up(world)
-    bus.world.silence(bus.slaves[1], S)
+    bus.world.silence(bus.slaves[6], S)
     bus.world.run_for(S // 2)
     assert bus.master.handlers[6].state is not SlaveState.DATA_EXCHANGE
     assert any("silenced" in entry.note for entry in bus.world.log)
@@ -84,7 +84,7 @@ def test_a_slave_that_falls_silent_for_a_time(world: WorldFactory) -> None:
 def test_a_slave_cut_off_in_the_middle_of_its_answer(world: WorldFactory) -> None:
     bus = bring_up(world)
     world_ = bus.world
-    slave = bus.slaves[0]
+    slave = bus.slaves[5]
     while not (len(world_.log) and list(world_.log)[-1].octets[:6] == bytes.fromhex("68 0F 0F 68 05 02")):
         world_.step()
     world_.run_for(bits_to_ns(11 + 5 * 11 + 3, 500_000))

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import pytest
-from bus_kit import SimBus
-from planned_bus import IDENT, identifiers
+from bus_kit import IDENT, SimBus, add_station
+from planned_bus import identifiers
 from slave_kit import make_slave
 from support import S, WorldFactory
 
-from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
@@ -18,8 +17,6 @@ from dpstack.dp.plan.cycle_check import token_wait_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, rotation
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.stats import Histogram
 from dpstack.units import ns_to_bits
@@ -53,7 +50,7 @@ def run(world: WorldFactory, counts: list[int], t_tr: int, t_sdr: int) -> list[S
     buses: list[SimBus] = []
     for number, slaves in enumerate(slaves_of(counts)):
         params = BusParams.preset(BAUD, address=2 + number, gap=10, hsa=2 + len(counts), t_tr=t_tr)
-        buses.append(SimBus(w, params, slaves, t_sdr, watchdog_ms=650_000))
+        buses.append(SimBus(w, params, slaves, t_sdr=t_sdr, watchdog_ms=650_000))
     w.run_for(3 * S)
     assert all(bus.exchanging for bus in buses)
     before = [(bus.master.rounds, bus.station.stats.tokens) for bus in buses]
@@ -138,10 +135,7 @@ def test_a_fixed_cycle_begins_no_later_than_the_plan_says(world: WorldFactory, c
         for setup in slaves:
             w.add(make_slave(setup.address, MirrorDevice(IDENT, setup.config), own, t_sdr=90))
         masters.append(Master(own, slaves, MasterSettings(watchdog_ms=650_000, cycle_ns=0 if number else cycle_ns)))
-        station = ActiveStation(own, [masters[-1]], window=masters[-1].window, now=w.now)
-        w.add(station)
-        w.command(station, GoOnline())
-        w.command(station, SetMode(Mode.OPERATE))
+        add_station(w, own, masters[-1])
     w.run_for(3 * S)
     book = masters[0].cycles
     book.late, book.left_out = Histogram(), 0

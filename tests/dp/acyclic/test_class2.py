@@ -198,7 +198,7 @@ def test_the_queue_is_bounded() -> None:
         kit.send(ReadService(99, 9, Service.DIAGNOSIS))
     kit.end(CAPACITY - 1)
     assert len(kit.done) == CAPACITY
-    assert kit.class2.waiting == 0
+    assert kit.acyclic.waiting == 0
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,7 @@ def test_addresses_that_cannot_be(address: int, text: str) -> None:
         kit.send(ReadService(1, address, Service.DIAGNOSIS))
     with pytest.raises(UsageError, match="does not read"):
         kit.send(ReadService(1, 5, Service.SET_ADDRESS))
-    assert kit.class2.waiting == 0
+    assert kit.acyclic.waiting == 0
 
 
 def test_the_port_vanishes_with_services_waiting_and_under_way() -> None:
@@ -315,9 +315,7 @@ def test_beside_another_class_1_master_that_notices_nothing(world: WorldFactory)
     assert [(s.retries, s.timeouts, s.late, s.wrong) for a, s in stats.stations.items() if a in (3, 4, 5)] == [
         (0, 0, 0, 0)
     ] * 3
-    for slave in bus.slaves:
-        app = slave.responder
-        assert isinstance(app, SlaveApp)
+    for app in bus.apps:
         assert (app.state, app.master, app.stats.watchdogs) == (SlaveAppState.DATA_EXCH, 2, 0)
 
 

@@ -59,7 +59,7 @@ def test_literal_octets() -> None:
         "10 7e 02 49 c9 16",
         "10 7e 02 49 c9 16",
     ]
-    assert [event.text for event in kit.bus.told(Notice)] == ["class 2: slave 126 has address 5 now"]
+    assert [event.text for event in kit.bus.events_of(Notice)] == ["class 2: slave 126 has address 5 now"]
 
 
 def test_the_rest_of_the_telegram() -> None:
@@ -68,7 +68,7 @@ def test_the_rest_of_the_telegram() -> None:
     assert kit.change(ChangeAddress(1, 7, 125, no_add_chg=True, rem_slave_data=b"\xca\xfe")).failure is None
     assert orders(slave) == ["7d 12 34 ff ca fe"]
     assert slave.locked
-    assert [event.text for event in kit.bus.told(Notice)] == ["class 2: slave 7 has address 125 now for good"]
+    assert [event.text for event in kit.bus.events_of(Notice)] == ["class 2: slave 7 has address 125 now for good"]
     outcome = kit.change(ChangeAddress(2, 125, 7))
     assert (outcome.failure, outcome.status) == (ServiceFailure.KEPT, "ignored")
     assert outcome.text.startswith("slave 125 acknowledged Set_Slave_Add and kept its address; its address was locked")
@@ -228,7 +228,7 @@ def test_impossible_orders_are_refused_at_once(order: ChangeAddress, text: str) 
     kit = Class2Bus()
     with pytest.raises(UsageError, match=text):
         kit.send(order)
-    assert kit.class2.waiting == 0
+    assert kit.acyclic.waiting == 0
 
 
 def test_a_read_only_bus_changes_nothing() -> None:
@@ -240,7 +240,7 @@ def test_a_read_only_bus_changes_nothing() -> None:
         "slave 126 was not sent Set_Slave_Add; this bus is read-only: leave read_only out where slaves shall be changed"
     )
     assert orders(slave) == []
-    assert [e.text for e in kit.bus.told(Notice)] == [
+    assert [e.text for e in kit.bus.events_of(Notice)] == [
         "fdl: Set_Slave_Add to station 126 was not sent: this bus is read-only; please report it, nothing may try"
     ]
 

@@ -89,10 +89,10 @@ def test_every_service_has_exactly_one_end(steps: list[tuple[str, object, object
         else:
             taken += 1
     end = kit.bus.now + 1_600 * MS
-    while kit.class2.waiting and kit.bus.now < end:
+    while kit.acyclic.waiting and kit.bus.now < end:
         kit.bus.run(10 * MS)
     assert sorted(done.token for done in kit.done) == list(range(taken))
-    assert kit.class2.waiting == 0
+    assert kit.acyclic.waiting == 0
     for done in kit.done:
         outcome = done.outcome
         assert (outcome.failure is None) or ("; " in outcome.text or "was cancelled" in outcome.text), outcome.text

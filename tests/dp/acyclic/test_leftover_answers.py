@@ -95,5 +95,5 @@ def test_an_idle_that_is_sent_again_is_not_taken_at_once() -> None:
 
     kit.slave.says[48] = say
     kit.bus.run(3_000 * MS)
-    assert kit.told(ConnectionOver) == []
+    assert kit.events_of(ConnectionOver) == []
     assert idles > 5

@@ -77,12 +77,6 @@ def test_a_silent_bus(world: WorldFactory, baud: int) -> None:
     assert {f.config for f in found.values()} == {PPO1}
 
 
-def apps(bus: SimBus) -> list[SlaveApp]:
-    found = [slave.responder for slave in bus.slaves]
-    assert all(isinstance(app, SlaveApp) for app in found)
-    return [app for app in found if isinstance(app, SlaveApp)]
-
-
 def test_beside_another_master_that_notices_nothing(world: WorldFactory) -> None:
     """The same plant with and without the scan: no slave lost, no retry, a rotation longer by one poll at most."""
     figures = []
@@ -110,7 +104,7 @@ def test_beside_another_master_that_notices_nothing(world: WorldFactory) -> None
             (0, 0, 0, 0)
         ] * 3
         assert stats.tokens_lost == 0
-        for app in apps(bus):
+        for app in bus.apps:
             assert app.state is SlaveAppState.DATA_EXCH
             assert app.master == 2
             assert app.stats.watchdogs == 0
@@ -139,7 +133,7 @@ def test_the_owners_watchdog_still_runs_while_others_ask(world: WorldFactory) ->
     assert states == [SlaveView.DATA_EXCHANGE]
     w.command(bus.station, SetMode(Mode.STOP))
     w.run_for(1 * S)
-    assert apps(bus)[0].stats.watchdogs == 1
+    assert bus.apps[0].stats.watchdogs == 1
     states = [e.found.state for e in scan.events if isinstance(e, StationSeen)]
     assert states == [SlaveView.DATA_EXCHANGE, SlaveView.WAIT_PRM]
 
@@ -277,7 +271,7 @@ def test_nothing_else_leaves_a_guarded_station() -> None:
     assert [request for request, outcome, _ in user.results if outcome is Failure.REFUSED] == WRITES
     assert [request.dsap for request, _ in user.starts] == [request.dsap for request in READS]
     assert station.stats.refused == len(WRITES)
-    told = [e for e in bus.told(Notice) if isinstance(e, Notice)]
+    told = bus.events_of(Notice)
     assert len(told) == 9  # each kind once: Data_Exchange with 0 and with 1 octet is the same
     assert told[0].message.startswith("Data_Exchange to station 3 was not sent: this bus is read-only")
 

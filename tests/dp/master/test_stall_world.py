@@ -66,7 +66,7 @@ def test_a_slave_says_that_its_watchdog_ran_out() -> None:
     bus.until_exchanging()
     world.remove(bus.station)
     told: list[Event] = []
-    world.remove(bus.slaves[0])
-    world.add(bus.slaves[0], on_events=told.extend)
+    world.remove(bus.slaves[3])
+    world.add(bus.slaves[3], on_events=told.extend)
     world.run_for(300 * MS)
     assert [type(event) for event in told if isinstance(event, WatchdogExpired)] == [WatchdogExpired]

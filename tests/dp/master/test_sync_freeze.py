@@ -7,21 +7,19 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-from bus_kit import IDENT
+from bus_kit import IDENT, add_station, all_exchange
 from scripted_link import MS, ScriptedLink, data, operating
 from scripted_link import setup as slave
 from slave_kit import make_slave
 from support import US, WorldFactory
 
 from dpstack.dp.master.commands import Mode, RemoveSlave, SendControl, SetMode, Shutdown
-from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken, SlaveState
+from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.device import Device
 from dpstack.errors import BusError, UsageError
-from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.codec import encode_sd2
-from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.telegram import Telegram
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
@@ -247,12 +245,9 @@ class Three:
             for a in (3, 4, 5)
         ]  # fmt: skip
         self.master = Master(PARAMS, setups)
-        self.station = ActiveStation(PARAMS, [self.master], now=self.world.now)
-        self.world.add(self.station, on_events=self.events.extend)
-        self.world.command(self.station, GoOnline())
-        self.world.command(self.station, SetMode(Mode.OPERATE))
+        self.station = add_station(self.world, PARAMS, self.master, on_events=self.events.extend)
         self.world.run_for(200 * MS)
-        assert all(h.state is SlaveState.DATA_EXCHANGE for h in self.master.handlers.values())
+        assert all_exchange(self.master)
 
     def order(self, **what: bool) -> ControlSent:
         """Give an order, run until it is carried out."""

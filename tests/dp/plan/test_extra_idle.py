@@ -44,7 +44,7 @@ def test_the_pause_is_kept_before_everything_that_is_sent(world: WorldFactory) -
     w.log.listener = entries.append
     bus.until_exchanging()
     w.run_for(300 * MS)
-    w.remove(bus.slaves[1])
+    w.remove(bus.slaves[4])
     w.run_for(300 * MS)
     assert bus.station.stats.station(4).retries
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from planned_bus import IDENT, identifiers
+from bus_kit import IDENT
+from planned_bus import identifiers
 
 from dpstack.dp.plan.cycle_check import Verdict, slowest_rates, token_wait_ns
 from dpstack.dp.plan.plan import Plan, make_plan

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
 from alarm_kit import ALL, AlarmBus, AlarmSlave, block
-from ms1_kit import setup
 
 from dpstack.dp.acyclic.class2 import ReadService, Service
 from dpstack.dp.acyclic.job import ServiceFailure
@@ -65,7 +62,7 @@ def test_malformed_device_blocks_are_reported_once_and_counted(octets: str) -> N
     kit.alarm_slave.changes(bytes.fromhex(octets))
     kit.run(50)
     assert not kit.raised
-    assert not kit.told
+    assert not kit.statuses
     assert kit.counts.malformed == 2
     assert len([text for text in kit.remarks if "neither alarm nor status" in text]) == 1
     assert kit.master.handlers[4].state is SlaveState.DATA_EXCHANGE
@@ -109,15 +106,16 @@ def test_statuses_are_told_when_they_are_new_and_never_acknowledged() -> None:
     kit.run(50)
     slave.changes(message)
     kit.run(50)
-    assert [told.status.type for told in kit.told] == [1, 2, 30, 31, 32, 1]
-    assert kit.told[1].status.modules == (
+    assert [told.status.type for told in kit.statuses] == [1, 2, 30, 31, 32, 1]
+    assert kit.statuses[1].status.modules == (
         ModuleState.INVALID,
         ModuleState.WRONG,
         ModuleState.OK,
         ModuleState.MISSING,
     )
-    assert kit.told[1].text == "slave 4 (s4): module status: slot 1 data invalid, slot 2 wrong module, slot 4 no module"
-    assert kit.told[0].text == "slave 4 (s4): status message, slot 2, appears, slot disturbed, data 55"
+    states = kit.statuses[1].text
+    assert states == "slave 4 (s4): module status: slot 1 data invalid, slot 2 wrong module, slot 4 no module"
+    assert kit.statuses[0].text == "slave 4 (s4): status message, slot 2, appears, slot disturbed, data 55"
     assert not slave.acks
     assert kit.counts.statuses == 6
 
@@ -336,7 +334,7 @@ def test_an_alarm_that_was_in_the_diagnosis_before_data_exchange() -> None:
     slave.rest = block(0x81, 2)
     kit.until(lambda: slave.taken == [PROCESS])
     assert kit.blocks == [PROCESS]
-    assert [told.status.type for told in kit.told] == [1]
+    assert [told.status.type for told in kit.statuses] == [1]
 
 
 def test_stop_and_other_parameters() -> None:
@@ -345,7 +343,7 @@ def test_stop_and_other_parameters() -> None:
     kit.hold()
     slave.raises(PROCESS)
     kit.until(lambda: bool(kit.raised))
-    kit.send(ReparameteriseSlave(dataclasses.replace(setup(4, Dpv1(alarms=ALL)), watchdog_ms=500)))
+    kit.send(ReparameteriseSlave(kit.setup(4, watchdog_ms=500)))
     assert kit.ends[0].outcome.failure is ServiceFailure.CLOSED
     slave.open.clear()
     slave.shown = b""

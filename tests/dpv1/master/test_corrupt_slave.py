@@ -246,7 +246,7 @@ def test_any_octets_from_a_slave(seed: int, evil: float, mode: int) -> None:
         assert event.outcome.failure is None or f"slave {event.address}" in event.outcome.text
         if event.token in attack.good:
             assert event.outcome.data == b"\1\2", event.text
-    left = [e for e in kit.of(SlaveStateChanged) if isinstance(e, SlaveStateChanged) and e.address == 5]
+    left = [e for e in kit.events_of(SlaveStateChanged) if e.address == 5]
     assert [event.state for event in left].count(SlaveState.DATA_EXCHANGE) == 1
     # and when the slave is well again, all is well
     attack.bad.evil = 0.0
@@ -257,5 +257,5 @@ def test_any_octets_from_a_slave(seed: int, evil: float, mode: int) -> None:
     kit.run(500)
     assert kit.read().outcome.data == b"\1\2"
     ended = {e.number for e in kit.ends}
-    assert ended == {e.number for e in kit.of(AlarmRaised) if isinstance(e, AlarmRaised)}
-    assert len(kit.of(AlarmDone)) == len(ended)
+    assert ended == {e.number for e in kit.events_of(AlarmRaised)}
+    assert len(kit.events_of(AlarmDone)) == len(ended)

@@ -9,7 +9,7 @@ from octet_slave import SC
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.commands import Mode, RemoveSlave, SetMode
-from dpstack.dpv1.master.orders import RecordOrder
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.machine import LineDown
 
@@ -20,7 +20,7 @@ def test_the_slave_leaves_data_exchange() -> None:
     kit.bus.run(20 * MS)
     kit.slave.mute = True
     for token in tokens:
-        outcome = kit.end(token, 500 * MS).outcome
+        outcome = kit.end_of(token, RecordDone, 500).outcome
         assert outcome.failure in (ServiceFailure.CLOSED, ServiceFailure.SILENT), outcome
     assert "was given up: the slave is not in data exchange but in " in kit.end(tokens[1]).outcome.text
     kit.slave.mute = False

@@ -3,25 +3,15 @@
 from __future__ import annotations
 
 import pytest
-from bus_kit import IDENT, PPO1
-from slave_kit import make_slave
+from bus_kit import IDENT, PPO1, SimBus, setup
 from support import MS, WorldFactory
 
-from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.master import Master
-from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
 from dpstack.dpv1.master.orders import RecordDone, RecordOrder
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_table import RecordTable
-from dpstack.drivers.stack import acyclic_services
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.interface import LinkUser
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.stats import Histogram
@@ -30,36 +20,23 @@ from dpstack.trace import Event
 COUNT, OCTETS = 8, 64
 
 
-class Loaded:
+class Loaded(SimBus):
     """A master with eight slaves; ``asking``: each is read again and again."""
 
     def __init__(self, world: World, baud: int, cycle_ns: int = 0, octets: int = OCTETS) -> None:
-        self.world = world
         self.octets = octets
         self.asking = False
         self.ends: list[RecordDone] = []
         self._token = 0
         params = BusParams.preset(baud, address=2, gap=0)
-        self.slaves = range(3, 3 + COUNT)
-        for address in self.slaves:
-            device = MirrorDevice(IDENT, PPO1)
+        devices = {address: MirrorDevice(IDENT, PPO1) for address in range(3, 3 + COUNT)}
+        for device in devices.values():
             device.records = RecordTable({(1, 2): bytes(octets)})
-            world.add(make_slave(address, device, params, t_sdr=60))
-        setups = [
-            SlaveParams(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=Dpv1())
-            for a in self.slaves
-        ]
-        self.master = Master(params, setups, MasterSettings(cycle_ns=cycle_ns))
-        users: list[LinkUser] = [self.master, acyclic_services(2, self.master)]
-        self.station = ActiveStation(params, users, now=world.now, window=self.master.window)
-        world.add(self.station, on_events=self._on_events)
-        world.command(self.station, GoOnline())
-        world.command(self.station, SetMode(Mode.OPERATE))
-        while any(h.state is not SlaveState.DATA_EXCHANGE for h in self.master.handlers.values()):
-            world.run_for(5 * MS)
+        super().__init__(world, params, [setup(a, Dpv1()) for a in devices], cycle_ns, t_sdr=60, devices=devices)
+        self.until_exchanging()
         world.run_for(20 * MS)
 
-    def _on_events(self, events: list[Event]) -> None:
+    def on_events(self, events: list[Event]) -> None:
         self.ends += [event for event in events if isinstance(event, RecordDone)]
 
     def rotation(self, for_ns: int) -> Histogram:

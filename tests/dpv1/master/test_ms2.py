@@ -161,7 +161,7 @@ def test_an_idle_that_is_lost_is_sent_again(answers: bool) -> None:
 
     kit.slave.says[48] = say
     kit.bus.run(4_000 * MS)
-    assert kit.told(ConnectionOver) == []
+    assert kit.events_of(ConnectionOver) == []
     assert idles in (range(18, 22) if answers else range(27, 31))  # after 200 ms, and 200 ms later again
     lost = 9
     assert kit.read(connection).outcome.failure is None
@@ -204,7 +204,7 @@ def test_a_service_that_is_given_up_leaves_the_connection() -> None:
         kit.bus.run(20 * MS)
         if not order:
             kit.send(CancelService(token))
-        failure = kit.end(token, RecordDone).outcome.failure
+        failure = kit.end_of(token, RecordDone).outcome.failure
         assert failure is (ServiceFailure.LATE if order else ServiceFailure.CANCELLED)
         done = kit.read(1, 3, 4)
         assert (done.outcome.data, done.stale) == (b"\3\4", 1)
@@ -229,8 +229,8 @@ def test_a_cancelled_service_that_was_never_sent_leaves_no_answer() -> None:
     kit = connected()
     first, second = kit.order_read(1), kit.order_read(1, 5, 6)
     kit.send(CancelService(second))
-    assert kit.end(second, RecordDone).outcome.failure is ServiceFailure.CANCELLED
-    assert kit.end(first, RecordDone).outcome.data == b"\1\2"
+    assert kit.end_of(second, RecordDone).outcome.failure is ServiceFailure.CANCELLED
+    assert kit.end_of(first, RecordDone).outcome.data == b"\1\2"
     assert kit.read(1, 7, 8).stale == 0
 
 
@@ -241,7 +241,7 @@ def test_a_cancelled_service_that_the_slave_did_not_take_leaves_no_answer() -> N
     token = kit.order_read(1)
     kit.bus.run(5 * MS)
     kit.send(CancelService(token))
-    assert kit.end(token, RecordDone).outcome.failure is ServiceFailure.CANCELLED
+    assert kit.end_of(token, RecordDone).outcome.failure is ServiceFailure.CANCELLED
     kit.slave.says.clear()
     done = kit.read(1, 7, 8)
     assert (done.outcome.data, done.stale) == (b"\7\x08", 0)
@@ -271,7 +271,7 @@ def test_several_to_several_slaves_and_to_one() -> None:
     assert [done.server_sap for done in opened] == [48, 48, 47, 47]
     tokens = [[kit.order_read(done.token, slot, done.token) for slot in range(8)] for done in opened]  # all at once
     for done, mine in zip(opened, tokens, strict=True):
-        ends = [kit.end(token, RecordDone) for token in mine]
+        ends = [kit.end_of(token, RecordDone) for token in mine]
         assert [(end.address, end.outcome.data) for end in ends] == [
             (done.address, bytes((slot, done.token))) for slot in range(8)
         ]
@@ -290,7 +290,7 @@ def test_a_slow_connection_holds_no_other_one_up() -> None:
     slow = kit.order_read(1, 1, 1)
     for _ in range(10):
         assert kit.read(2).outcome.data == b"\1\2"
-    assert not [done for done in kit.told(RecordDone) if done.token == slow]
+    assert not [done for done in kit.events_of(RecordDone) if done.token == slow]
 
 
 def test_one_request_a_token_hold() -> None:
@@ -346,9 +346,9 @@ def test_misuse_raises_at_once() -> None:
 def test_addresses_and_profile_go_out_as_they_are_given() -> None:
     kit = Ms2Bus()
     net = bytes.fromhex("05 06 01 02 03 04 05 06 07")
-    token = kit.token()
+    token = kit.next_token()
     profile: Any = {"profile_ident": 0x9700, "profile_features": 0x0102}
     request = InitiateReq(2_000 * MS, source=Address(7, 8), destination=Address(5, 6, net[2:]), **profile)
     kit.send(OpenConnection(token, 4, request))
-    kit.end(token, InitiateDone)
+    kit.end_of(token, InitiateDone)
     assert kit.slave.heard[0][1] == bytes.fromhex("57 000000 00C8 0100 0102 9700 00 02 01 09 07 08") + net

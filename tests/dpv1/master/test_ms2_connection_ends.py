@@ -46,12 +46,12 @@ def test_the_slave_aborts(abort: str, text: str) -> None:
     octets = b"\x58" + bytes.fromhex(abort)
     kit.slave.serve = lambda pdu: octets
     first, second = kit.order_read(1), kit.order_read(1)
-    done = kit.end(first, RecordDone)
+    done = kit.end_of(first, RecordDone)
     codes = (octets[1], octets[2] >> 4 & 3, octets[2] & 15)
     assert (done.outcome.failure, done.outcome.codes) == (ServiceFailure.ABORTED, codes)
     assert text in done.text
     assert "Read of slot 1, index 2 has no answer, the class 2 connection is over: the slave aborted it: " in done.text
-    assert kit.end(second, RecordDone).outcome == done.outcome
+    assert kit.end_of(second, RecordDone).outcome == done.outcome
     over = kit.over(1)
     assert (over.abort, over.ordered) == (codes, False)
     assert text in over.text
@@ -146,12 +146,12 @@ def test_a_write_without_an_answer_may_have_been_carried_out() -> None:
     assert kit.transport(ref, 1, 2, b"\1").text.endswith("(ABT_SE); it may have been carried out")
     ref = kit.open().token
     kit.slave.serve = lambda pdu: None
-    tokens = [kit.token(), kit.token()]
+    tokens = [kit.next_token(), kit.next_token()]
     for token in tokens:
         kit.send(RecordOrder(token, Function.WRITE, 1, 2, data=b"\1", connection=ref))
     kit.bus.run(5 * MS)
     kit.send(CloseConnection(ref))
-    under_way, waiting = (kit.end(token, RecordDone).text for token in tokens)
+    under_way, waiting = (kit.end_of(token, RecordDone).text for token in tokens)
     assert under_way.endswith("is over: it was closed here; it may have been carried out")
     assert waiting.endswith("is over: it was closed here")  # it was never sent
     kit.freed()
@@ -188,7 +188,7 @@ def test_closed_with_services_waiting() -> None:
     kit.bus.run(10 * MS)
     kit.send(CloseConnection(1))
     for token in tokens:
-        outcome = kit.end(token, RecordDone).outcome
+        outcome = kit.end_of(token, RecordDone).outcome
         assert (outcome.failure, outcome.codes) == (ServiceFailure.ABORTED, (0, 2, 0))
         assert outcome.text.endswith("the class 2 connection is over: it was closed here")
     kit.over(1)
@@ -209,7 +209,7 @@ def test_an_abort_that_is_lost_is_sent_again() -> None:
 def test_close_all_connections() -> None:
     kit = Ms2Bus((4, 5))
     kit.send(CloseConnections())
-    assert len(kit.told(ConnectionsClosed)) == 1  # there were none
+    assert len(kit.events_of(ConnectionsClosed)) == 1  # there were none
     for address in (4, 5, 4):
         kit.open(address)
     kit.order_open(5)
@@ -217,9 +217,9 @@ def test_close_all_connections() -> None:
     with pytest.raises(UsageError, match="the bus is being closed"):
         kit.order_open()
     kit.bus.run(50 * MS)
-    assert len(kit.told(ConnectionsClosed)) == 2
+    assert len(kit.events_of(ConnectionsClosed)) == 2
     kit.freed()
-    assert {over.reason for over in kit.told(ConnectionOver)} == {"the bus was closed here"}
+    assert {over.reason for over in kit.events_of(ConnectionOver)} == {"the bus was closed here"}
 
 
 def test_the_port_vanishes_and_comes_back() -> None:
@@ -229,8 +229,8 @@ def test_the_port_vanishes_and_comes_back() -> None:
     opening = kit.order_open()
     kit.bus.run(2 * MS)
     kit.send(LineDown("unplugged"))
-    assert kit.end(token, RecordDone).outcome.failure is ServiceFailure.LINE
-    assert kit.end(opening, InitiateDone).outcome.failure is ServiceFailure.LINE
+    assert kit.end_of(token, RecordDone).outcome.failure is ServiceFailure.LINE
+    assert kit.end_of(opening, InitiateDone).outcome.failure is ServiceFailure.LINE
     kit.bus.run(100 * MS)
     kit.send(LineUp())
     assert "the port vanished (unplugged)" in kit.over(1).reason
@@ -249,7 +249,7 @@ def test_the_station_leaves_the_ring() -> None:
     kit = connected()
     token = kit.order_read(1)
     kit.send(GoOffline())
-    done = kit.end(token, RecordDone)
+    done = kit.end_of(token, RecordDone)
     assert "nothing was heard of the slave" in done.text
     kit.bus.run(300 * MS)
     kit.send(GoOnline())

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+from bus_kit import add_station, all_exchange, setup
 from ms2_kit import Ms2Server, ms2_in
 from support import MS, WorldFactory
 
-from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
-from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
 from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordDone, RecordOrder
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.drivers.stack import acyclic_services
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import DoesNotFit
 from dpstack.params import BusParams
 from dpstack.sim.world import World
@@ -40,15 +36,11 @@ class Loaded:
         params = BusParams.preset(baud, address=2, gap=0)
         for address in SLAVES:
             long_records(ms2_in(world, address, baud=baud), octets)
-        setups = [SlaveParams(address=a, name=f"s{a}", ident=0x1234, config=bytes.fromhex("20 10")) for a in SLAVES]
+        setups = [setup(address, config=bytes.fromhex("20 10")) for address in SLAVES]
         self.master = Master(params, setups, MasterSettings(cycle_ns=cycle_ns))
-        self.station = ActiveStation(
-            params, [self.master, acyclic_services(2, self.master)], now=world.now, window=self.master.window
-        )
-        world.add(self.station, on_events=self.events.extend)
-        world.command(self.station, GoOnline())
-        world.command(self.station, SetMode(Mode.OPERATE))
-        while any(h.state is not SlaveState.DATA_EXCHANGE for h in self.master.handlers.values()):
+        acyclic = acyclic_services(2, self.master)
+        self.station = add_station(world, params, self.master, acyclic, on_events=self.events.extend)
+        while not all_exchange(self.master):
             world.run_for(5 * MS)
         for address in SLAVES:
             world.command(self.station, OpenConnection(address, address))

@@ -17,7 +17,7 @@ def failed(kit: Ms2Bus, **more: int) -> InitiateDone:
     """An Initiate that leaves nothing."""
     done = kit.open(**more)
     kit.freed()
-    assert not kit.told(ConnectionOver)
+    assert not kit.events_of(ConnectionOver)
     assert done.outcome.failure is not None
     return done
 
@@ -233,12 +233,12 @@ def test_initiate_cancelled_or_closed_at_every_step(step: int) -> None:
         kit.bus.run(step * MS // 4)
         kit.send(order(1))
         kit.bus.run(100 * MS)
-        done = kit.end(1, InitiateDone)
+        done = kit.end_of(1, InitiateDone)
         if done.outcome.failure is None and order is CancelService:
             kit.close(1)  # it was too late to cancel it
         kit.freed()
         assert kit.slave.free == [48, 47]
-        assert len(kit.told(ConnectionOver)) == (done.outcome.failure is None)
+        assert len(kit.events_of(ConnectionOver)) == (done.outcome.failure is None)
 
 
 def test_initiate_closed_at_every_moment() -> None:
@@ -249,12 +249,12 @@ def test_initiate_closed_at_every_moment() -> None:
         kit = Ms2Bus()
         kit.order_open()
         kit.bus.run(step * 1_000)
-        was_open = bool(kit.told(InitiateDone))
+        was_open = bool(kit.events_of(InitiateDone))
         kit.send(CloseConnection(1))
-        done = kit.end(1, InitiateDone)
+        done = kit.end_of(1, InitiateDone)
         assert done.outcome.failure is (None if was_open else ServiceFailure.ABORTED)
         kit.freed()
-        assert len(kit.told(ConnectionOver)) == was_open
+        assert len(kit.events_of(ConnectionOver)) == was_open
         opened += was_open
     assert 0 < opened < 100
 
@@ -263,7 +263,7 @@ def test_initiate_times_out() -> None:
     kit = Ms2Bus()
     kit.slave.polls = 1 << 20
     token = kit.order_open(timeout_ns=50 * MS)
-    done = kit.end(token, InitiateDone)
+    done = kit.end_of(token, InitiateDone)
     assert done.outcome.failure is ServiceFailure.LATE
     kit.freed()
 
@@ -288,7 +288,7 @@ def test_the_resource_manager_is_asked_for_one_connection_at_a_time() -> None:
     kit = Ms2Bus()
     kit.slave.free = [48, 47, 46]
     tokens = [kit.order_open() for _ in range(3)]
-    assert sorted(kit.end(token, InitiateDone).server_sap for token in tokens) == [46, 47, 48]
+    assert sorted(kit.end_of(token, InitiateDone).server_sap for token in tokens) == [46, 47, 48]
     assert at_the_manager(kit) == "InInIn"
 
 
@@ -300,8 +300,8 @@ def test_the_next_initiate_waits_until_one_that_was_given_up_is_given_back(step:
     tokens = [kit.order_open() for _ in range(3)]
     kit.bus.run(step * MS // 4)
     kit.send(CancelService(tokens[0]))
-    kit.end(tokens[0], InitiateDone)
-    done = [kit.end(token, InitiateDone) for token in tokens[1:]]
+    kit.end_of(tokens[0], InitiateDone)
+    done = [kit.end_of(token, InitiateDone) for token in tokens[1:]]
     assert [end.outcome.failure for end in done] == [None, None], [end.text for end in done]
     assert all(kit.read(token).outcome.data == b"\1\2" for token in tokens[1:])
     assert "II" not in at_the_manager(kit)
@@ -315,6 +315,6 @@ def test_a_server_sap_in_use_is_not_given_back_for_one_that_was_given_up() -> No
     kit.bus.run(3 * MS)
     kit.slave.says[49] = lambda octets: sd2(2, 4, DL, 50, 49, b"\x56\x30\x00\x0a")
     kit.send(CancelService(token))
-    kit.end(token, InitiateDone)
+    kit.end_of(token, InitiateDone)
     kit.bus.run(100 * MS)
     assert kit.read(1).outcome.data == b"\1\2"

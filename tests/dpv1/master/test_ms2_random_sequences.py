@@ -105,7 +105,7 @@ def test_slaves_that_answer_anything(answers: list[bytes | None], steps: list[st
         ordered[token] += 1
 
     for step in steps:
-        token = kit.token()
+        token = kit.next_token()
         ref = opened[token % len(opened)] if opened else 0
         match step:
             case "o":
@@ -148,7 +148,7 @@ def test_slaves_that_answer_anything(answers: list[bytes | None], steps: list[st
     done = [event for event in kit.bus.events if isinstance(event, (InitiateDone, RecordDone))]
     assert Counter(event.token for event in done) == ordered
     were_open = [e.token for e in done if isinstance(e, InitiateDone) and e.outcome.failure is None]
-    assert Counter(event.connection for event in kit.told(ConnectionOver)) == Counter(were_open)
+    assert Counter(event.connection for event in kit.events_of(ConnectionOver)) == Counter(were_open)
     for event in done:
         outcome = event.outcome
         assert (outcome.failure is None) or "slave 4" in outcome.text

@@ -228,7 +228,7 @@ def test_answers_with_le_3_count_as_empty_and_are_reported_once() -> None:
     bus, user, _ = bus_with(slave, DX, DX, DX)
     bus.run(20 * NS_PER_MS)
     assert [o.data for o in user.outcomes if isinstance(o, Telegram)] == [b"", b"", b""]
-    (told,) = [e for e in bus.told(Notice) if "LE = 3" in e.text]
+    (told,) = [e for e in bus.events_of(Notice) if "LE = 3" in e.text]
     assert "station 3 " in told.text
 
 
@@ -263,7 +263,7 @@ def asked_often(answer: bytes, *requests: Request, delay: int = 11, times: int =
 
 
 def notices(bus: RingBus) -> list[str]:
-    return [notice.message for notice in bus.told(Notice) if isinstance(notice, Notice)]
+    return [notice.message for notice in bus.events_of(Notice)]
 
 
 @pytest.mark.parametrize("answer", [DX_ANSWER, b"\xe5"])

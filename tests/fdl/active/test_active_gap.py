@@ -36,7 +36,7 @@ def test_gap_finds_a_slave_and_loses_it() -> None:
     bus.slaves.clear()
     bus.run(300 * NS_PER_MS)
     assert station.stations == {}
-    told = [(e.address, e.kind) for e in bus.told(StationFound) if isinstance(e, StationFound)]
+    told = [(e.address, e.kind) for e in bus.events_of(StationFound)]
     assert told == [(4, StationType.SLAVE), (4, None)]
     polls = [s.octets[1] for s in bus.log if s.octets[0] == 0x10 and s.sender == 2]
     assert polls[:6] == [3, 4, 5, 6, 0, 1]
@@ -67,7 +67,7 @@ def test_an_unreadable_gap_answer_proves_nothing() -> None:
     bus.drop = lambda sent: sent.sender == 4
     bus.run(500 * NS_PER_MS)
     assert station.stations == {4: StationType.SLAVE}
-    assert len(bus.told(StationFound)) == 1
+    assert len(bus.events_of(StationFound)) == 1
 
 
 @pytest.mark.parametrize(

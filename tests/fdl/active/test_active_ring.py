@@ -70,7 +70,7 @@ def test_two_masters_find_each_other(mode: str) -> None:
     bus.master(5)
     bus.run(200 * NS_PER_MS)
     assert members(bus) == [{2, 5}, {2, 5}]
-    joined = [e for e in bus.told(RingJoined) if isinstance(e, RingJoined)]
+    joined = bus.events_of(RingJoined)
     assert [(e.address, e.claimed, e.masters) for e in joined] == [(2, True, (2,)), (5, False, (2, 5))]
     assert not any(sent.garbled for sent in bus.log)
     # exactly one holder at any time: tokens alternate
@@ -122,14 +122,14 @@ def test_a_newcomer_does_not_say_that_a_master_joined_which_was_there_before() -
     second = bus.master(5, hsa=6)
     bus.run(300 * NS_PER_MS)
     assert second.in_ring
-    assert sorted(e.text for e in bus.told(MasterSeen)) == [
+    assert sorted(e.text for e in bus.events_of(MasterSeen)) == [
         "master 2 is in the token ring",  # told by station 5
         "master 5 joined the token ring",  # told by station 2
     ]
     bus.master(4, hsa=6)
     bus.events.clear()
     bus.run(300 * NS_PER_MS)
-    texts = [e.text for e in bus.told(MasterSeen)]
+    texts = [e.text for e in bus.events_of(MasterSeen)]
     assert texts.count("master 4 joined the token ring") == 2
 
 
@@ -144,8 +144,8 @@ def test_leaving_hands_the_token_on() -> None:
     assert a.state is State.OFFLINE
     assert b.stats.tokens_lost == 0
     assert b.las == {5}
-    assert [e.text for e in bus.told(RingLeft)] == ["station 2 left the token ring: ordered"]
-    assert MasterSeen(t_ns=0, address=2, present=False).text in [e.text for e in bus.told(MasterSeen)]
+    assert [e.text for e in bus.events_of(RingLeft)] == ["station 2 left the token ring: ordered"]
+    assert MasterSeen(t_ns=0, address=2, present=False).text in [e.text for e in bus.events_of(MasterSeen)]
     bus.command(a, GoOnline())
     bus.run(500 * NS_PER_MS)
     assert healed(bus)
@@ -176,7 +176,7 @@ def test_the_lowest_address_claims() -> None:
     claim = next(s for s in bus.log if s.start > start)
     assert claim.octets == b"\xdc\x05\x05"
     assert claim.start - quiet == bus.ns((6 + 2 * 5) * 200)
-    assert [e.address for e in bus.told(TokenLost) if isinstance(e, TokenLost)] == [5]
+    assert [e.address for e in bus.events_of(TokenLost)] == [5]
     assert healed(bus)
 
 
@@ -261,7 +261,7 @@ def test_a_master_passed_over_listens_again() -> None:
     bus.deaf.clear()
     bus.run(1 * NS_PER_MS)
     assert b.state is State.LISTEN_TOKEN
-    assert len(bus.told(RingLeft)) == 1
+    assert len(bus.events_of(RingLeft)) == 1
     bus.run(500 * NS_PER_MS)
     assert healed(bus)
 
@@ -274,7 +274,7 @@ def test_a_second_station_with_the_address_stays_out() -> None:
     bus.run(3000 * NS_PER_MS)
     assert first.in_ring
     assert second.state is State.LISTEN_TOKEN
-    assert [e.address for e in bus.told(AddressCollision) if isinstance(e, AddressCollision)] == [3]
+    assert [e.address for e in bus.events_of(AddressCollision)] == [3]
     assert all(not s.garbled for s in bus.log)
     bus.kill(first)
     bus.run(200 * NS_PER_MS)
@@ -290,7 +290,7 @@ def test_a_collision_in_the_ring_is_reported_and_backed_off() -> None:
     bus._say(bytes.fromhex("10 03 05 49 51 16"), 99)
     bus.run_bits(80)
     assert b.state is State.LISTEN_TOKEN
-    assert len(bus.told(AddressCollision)) == 1
+    assert len(bus.events_of(AddressCollision)) == 1
     bus.run(200 * NS_PER_MS)
     assert b.in_ring
 
@@ -303,7 +303,7 @@ def test_one_damaged_token_is_no_collision() -> None:
     bus.until(b, State.ACTIVE_IDLE)
     b.telegram(token(2, 5), bus.now)
     bus.run(20 * NS_PER_MS)
-    assert bus.told(AddressCollision) == []
+    assert bus.events_of(AddressCollision) == []
     assert healed(bus)
 
 
@@ -367,7 +367,7 @@ def test_commands_ticks_and_events_of_users() -> None:
     first.events.append(StationFound(t_ns=1, address=1, kind=None))
     bus.run(10 * NS_PER_MS)
     assert second.ticks == [7 * NS_PER_MS]
-    assert len(bus.told(StationFound)) == 1
+    assert len(bus.events_of(StationFound)) == 1
     assert first.tokens == second.tokens
 
 
