@@ -12,6 +12,7 @@ from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import Fault, SlaveFaulted, SlaveRemark, SlaveState, SlaveStateChanged
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
+from dpstack.dp.process_image import SlaveImage
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SHORT_ACK, UNANSWERED, Kind, Telegram
@@ -23,6 +24,11 @@ MS = 1_000_000
 #: Slave_Diag of an unparameterised device with ident 0696, and of the same one ready for master 2 (octets by hand)
 DIAG_FREE = bytes.fromhex("02 05 00 FF 06 96")
 DIAG_READY = bytes.fromhex("00 0C 00 02 06 96")
+#: of that device while it is not ready, with Stat_Diag, with Prm_Fault, and owned by master 7
+DIAG_NOT_READY = bytes.fromhex("02 0C 00 02 06 96")
+DIAG_STATIC = bytes.fromhex("00 0E 00 02 06 96")
+DIAG_PRM_FAULT = bytes.fromhex("42 05 00 FF 06 96")
+DIAG_LOCKED = bytes.fromhex("00 0C 00 07 06 96")
 
 #: outputs of a drive: a safe word (OFF1) and a run
 SAFE = b"\x04\x7e\x00\x00"
@@ -40,6 +46,26 @@ Answer = Callable[[Request], Telegram | Failure]
 def data(request: Request, octets: bytes, fc: int = 0x08) -> Telegram:
     """A data answer (DL unless ``fc`` says otherwise) with the SAPs crosswise."""
     return Telegram(Kind.SD2, 2, request.da, fc, request.ssap, request.dsap, octets)
+
+
+def says(octets: bytes) -> Callable[[Request], Telegram]:
+    """Answers with these data."""
+    return lambda request: data(request, octets)
+
+
+def refuses(status: int) -> Callable[[Request], Telegram]:
+    """Answers RS, UE, RR ... without data."""
+    return lambda request: Telegram(Kind.SD1, 2, request.da, status)
+
+
+def high(request: Request) -> Telegram:
+    """Four zeros with high priority (DH): there is a diagnosis to be read."""
+    return data(request, bytes(4), fc=0x0A)
+
+
+def silent(request: Request) -> Failure:
+    """No answer."""
+    return Failure.NO_ANSWER
 
 
 @dataclass
@@ -82,6 +108,16 @@ class ScriptedLink(KeepsEvents):
     requests: list[Request] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
 
+    @property
+    def slave(self) -> ScriptedSlave:
+        """Slave 3."""
+        return self.slaves[3]
+
+    @property
+    def image(self) -> SlaveImage:
+        """The process image of slave 3."""
+        return self.master.images[3]
+
     def hold(self) -> list[Request]:
         """One token hold; the requests made in it."""
         self.now += self.period
@@ -96,6 +132,12 @@ class ScriptedLink(KeepsEvents):
         self.requests += made
         self.events += self.master.take_events()
         return made
+
+    def high_answer(self) -> None:
+        """One hold in which slave 3 answers Data_Exchange with high priority."""
+        self.slave.answers[None] = high
+        self.hold()
+        del self.slave.answers[None]
 
     def _answer(self, request: Request) -> Telegram | Failure:
         if request.function in UNANSWERED:
@@ -127,6 +169,11 @@ class ScriptedLink(KeepsEvents):
         assert fault is not None
         return fault
 
+    def only_fault(self) -> Fault:
+        """The one fault that was reported, of any slave."""
+        (event,) = self.events_of(SlaveFaulted)
+        return event.fault
+
     def faults(self, address: int) -> list[str]:
         """The kinds of all reported faults of one slave."""
         return [e.fault.kind.value for e in self.events_of(SlaveFaulted) if e.address == address]
@@ -147,6 +194,11 @@ def link(*setups: SlaveParams, slaves: dict[int, ScriptedSlave] | None = None, *
     master = Master(BusParams.preset(500_000, address=2), setups, MasterSettings(**options))
     given = {s.address: ScriptedSlave() for s in setups} if slaves is None else slaves
     return ScriptedLink(master, given)
+
+
+def link_to(**slave: Any) -> ScriptedLink:
+    """A master at the start with slave 3, a :class:`ScriptedSlave` with these fields."""
+    return link(setup(), slaves={3: ScriptedSlave(**slave)})
 
 
 def exchanging(*setups: SlaveParams, **options: Any) -> ScriptedLink:

@@ -48,7 +48,7 @@ def test_outputs_are_zero_in_clear_and_the_image_in_operate() -> None:
     assert [r.data for r in bus.hold() if r.dsap is None] == [bytes(4)]
     bus.send(SetMode(Mode.OPERATE))
     assert [r.data for r in bus.hold() if r.dsap is None] == [bytes([1, 2, 3, 4])]
-    bus.master.images[3].outputs = b"\x09\x08\x07\x06"
+    bus.image.outputs = b"\x09\x08\x07\x06"
     assert [r.data for r in bus.hold() if r.dsap is None] == [b"\x09\x08\x07\x06"]
 
 
@@ -67,9 +67,9 @@ def test_exchange_runs_every_round_whether_the_application_calls_or_not() -> Non
 
 def test_inputs_reach_the_image() -> None:
     bus = exchanging(setup())
-    bus.slaves[3].inputs = b"\x11\x22\x33\x44"
+    bus.slave.inputs = b"\x11\x22\x33\x44"
     bus.hold()
-    image = bus.master.images[3]
+    image = bus.image
     assert (image.inputs, image.valid) == (b"\x11\x22\x33\x44", True)
 
 
@@ -89,7 +89,7 @@ def test_inputs_only_slave_is_asked_without_data_and_outputs_only_answers_sc() -
     told.answers[None] = lambda _r: SHORT_ACK
     made = [(r.da, r.data) for r in bus.hold() if r.dsap is None]
     assert made == [(3, b""), (4, b"\x00")]
-    assert bus.master.images[3].inputs == b"\x07"
+    assert bus.image.inputs == b"\x07"
     before = bus.master.handlers[4].exchanges
     bus.hold()
     assert bus.master.handlers[4].exchanges == before + 1
@@ -132,7 +132,7 @@ def test_line_down_tells_every_slave_lost() -> None:
     bus.events += bus.master.take_events()
     assert bus.faults(3) == ["lost"]
     assert bus.faults(4) == ["lost"]
-    assert not bus.master.images[3].valid
+    assert not bus.image.valid
 
 
 def test_rotation_is_from_first_exchange_to_first_exchange() -> None:

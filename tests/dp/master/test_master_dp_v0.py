@@ -8,15 +8,18 @@ import pytest
 from scripted_link import (
     CHK_CFG,
     DIAG,
+    DIAG_LOCKED,
     DIAG_READY,
+    DIAG_STATIC,
     MS,
     RUN,
     SET_PRM,
     Entry,
     ScriptedLink,
-    data,
+    high,
     link,
     operating,
+    says,
     setup,
     squeezed,
     wire,
@@ -30,7 +33,7 @@ from dpstack.gsd.model import Device, Diagnosis, DiagText
 
 
 def inputs_valid(bus: ScriptedLink) -> bool:
-    return bus.master.images[3].valid
+    return bus.image.valid
 
 
 _GET: Entry = (59, "")
@@ -62,9 +65,9 @@ TRANSCRIPTS: dict[str, tuple[str, list[Entry], str, str]] = {
 def test_transcript_of_the_bring_up_for_each_bit(name: str) -> None:
     octets, expected, state, kind = TRANSCRIPTS[name]
     bus = link(setup())
-    slave = bus.slaves[3]
+    slave = bus.slave
     slave.ready = bytes.fromhex(octets)
-    slave.answers[59] = lambda r: data(r, b"\xf1")
+    slave.answers[59] = says(b"\xf1")
     bus.run(900 * MS)
     made = wire(bus)
     if state == "wait_ready":  # asked again and again
@@ -90,13 +93,11 @@ def test_each_bit_in_data_exchange(flag: Any) -> None:
     bus = operating(setup())
     octets = bytearray.fromhex("00 0C 00 02 06 96")
     octets[flag.octet - 1] |= flag.mask
-    bus.slaves[3].ready = bytes(octets)
-    bus.slaves[3].answers[None] = lambda r: data(r, bytes(4), fc=0x0A)
-    bus.hold()
-    bus.slaves[3].answers.clear()
+    bus.slave.ready = bytes(octets)
+    bus.high_answer()
     made = bus.hold()
     assert [r.dsap for r in made if r.da == 3] == [None, 60]  # at once
-    state, valid = bus.state(3), bus.master.images[3].valid
+    state, valid = bus.state(3), bus.image.valid
     wanted: tuple[SlaveState, bool] = {
         Does.TELLS: (SlaveState.DATA_EXCHANGE, True),
         Does.WAITS: (SlaveState.DATA_EXCHANGE, False),
@@ -111,16 +112,14 @@ def test_each_bit_in_data_exchange(flag: Any) -> None:
 
 def test_stat_diag_is_polled_until_it_is_gone_and_outputs_go_on() -> None:
     bus = operating(setup(initial=RUN))
-    bus.slaves[3].ready = bytes.fromhex("00 0E 00 02 06 96")
-    bus.slaves[3].answers[None] = lambda r: data(r, bytes(4), fc=0x0A)
-    bus.hold()
-    bus.slaves[3].answers.clear()
+    bus.slave.ready = DIAG_STATIC
+    bus.high_answer()
     bus.requests.clear()
     bus.run(1_000 * MS)
     assert 9 <= sum(dsap == 60 for dsap, _ in wire(bus)) <= 12
     assert not inputs_valid(bus)
     assert {octets for dsap, octets in wire(bus) if dsap is None} == {RUN.hex(" ").upper()}
-    bus.slaves[3].ready = DIAG_READY
+    bus.slave.ready = DIAG_READY
     bus.run(200 * MS)
     bus.requests.clear()
     bus.run(500 * MS)
@@ -130,7 +129,7 @@ def test_stat_diag_is_polled_until_it_is_gone_and_outputs_go_on() -> None:
 
 def test_a_slave_that_always_has_a_diagnosis_takes_every_other_turn_at_most() -> None:
     bus = operating(setup(3), setup(4))
-    bus.slaves[3].answers[None] = lambda r: data(r, bytes(4), fc=0x0A)
+    bus.slave.answers[None] = high
     bus.slaves[4].configured = False
     bus.run(1_500 * MS)
     assert bus.state(4) is SlaveState.DATA_EXCHANGE
@@ -175,12 +174,12 @@ def test_extended_diagnosis_is_told_in_words() -> None:
 
 def test_lengths_that_lie_are_a_finding_and_nothing_more() -> None:
     bus = link(setup())
-    bus.slaves[3].ready = bytes.fromhex("08 0C 00 02 06 96 C7 48 05")
+    bus.slave.ready = bytes.fromhex("08 0C 00 02 06 96 C7 48 05")
     bus.run(20 * MS)
     handler = bus.master.handlers[3]
     assert handler.state is SlaveState.DATA_EXCHANGE
     assert any("octet 8 announces a block of 8 octets, 2 are left" in text for text in bus.remarks(3))
-    bus.slaves[3].ready = bytes.fromhex("08 0C 00 02 06 96 C7 40 05")
+    bus.slave.ready = bytes.fromhex("08 0C 00 02 06 96 C7 40 05")
     assert handler.diagnosis is not None
     assert handler.diagnosis.ext == b"\xc7\x48\x05"
 
@@ -191,7 +190,7 @@ def test_lengths_that_lie_are_a_finding_and_nothing_more() -> None:
 def test_the_bits_a_master_sets() -> None:
     bus = link(setup(3), setup(4), setup(5), setup(6))
     del bus.slaves[3]
-    bus.slaves[4].free = bytes.fromhex("00 0C 00 07 06 96")
+    bus.slaves[4].free = DIAG_LOCKED
     bus.slaves[5].inputs = b"\x01"
     bus.run(1_000 * MS)
     bus.send(DeactivateSlave(6))

@@ -67,8 +67,8 @@ def test_deactivate_and_activate() -> None:
     assert bus.state(3) is SlaveState.DEACTIVATED
     bus.run(2_000 * MS)
     assert squeezed(wire(bus)) == [(None, "04 7E 00 00"), (61, "40 01 01 0B 06 96 00")]
-    assert not bus.master.images[3].valid
-    bus.slaves[3].configured = False
+    assert not bus.image.valid
+    bus.slave.configured = False
     bus.requests.clear()
     bus.send(ActivateSlave(3))
     bus.run(20 * MS)
@@ -78,8 +78,8 @@ def test_deactivate_and_activate() -> None:
 
 def test_parameterised_anew_while_the_bus_runs() -> None:
     bus = operating(setup(3, safe=SAFE, initial=RUN), setup(4))
-    image = bus.master.images[3]
-    slave = bus.slaves[3]
+    image = bus.image
+    slave = bus.slave
 
     def unlocked(request: Request) -> Telegram:
         slave.configured = False
@@ -99,14 +99,14 @@ def test_parameterised_anew_while_the_bus_runs() -> None:
         DIAG,
         (None, "04 7F 40 00"),
     ]
-    assert bus.master.images[3] is image
+    assert bus.image is image
     assert bus.master.handlers[4].exchanges - others > 100  # nobody else noticed
 
 
 def test_other_lengths_make_a_new_image() -> None:
     bus = operating(setup(3))
     bus.send(ReparameteriseSlave(setup(3, config=b"\x20\x10")))
-    image = bus.master.images[3]
+    image = bus.image
     assert (image.inputs, image.outputs) == (b"\x00", b"\x00")
 
 
@@ -118,5 +118,5 @@ def test_an_answer_to_the_old_parameters_is_nobodys() -> None:
     assert request is not None
     bus.send(DeactivateSlave(3))
     bus.master.result(request, data(request, b"\xff" * 4), bus.now)
-    assert not bus.master.images[3].valid
-    assert bus.master.images[3].inputs == bytes(4)
+    assert not bus.image.valid
+    assert bus.image.inputs == bytes(4)

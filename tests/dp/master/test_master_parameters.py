@@ -35,14 +35,14 @@ def test_data_of_every_length_each_way(config: str, inputs: int, outputs: int) -
     assert (slave.input_len, slave.output_len) == (inputs, outputs)
     bus = link(slave)
     down = bytes(range(244, 0, -1))[:inputs]
-    bus.slaves[3].inputs = down
-    bus.slaves[3].answers[None] = lambda r: data(r, down) if inputs else SHORT_ACK
+    bus.slave.inputs = down
+    bus.slave.answers[None] = lambda r: data(r, down) if inputs else SHORT_ACK
     bus.run(20 * MS)
     bus.send(SetMode(Mode.OPERATE))
     bus.run(5 * MS)
     (request,) = [r for r in bus.hold() if r.dsap is None]
     assert (request.data, request.ssap) == (up, None)
-    image = bus.master.images[3]
+    image = bus.image
     assert (image.inputs, image.valid) == (down, True)
     assert bus.master.handlers[3].exchanges > 10
 
@@ -60,7 +60,7 @@ def test_a_wrong_length_is_given_up_with_safe_values_at_once(wrong: bytes) -> No
     def answer(request: Request) -> Telegram:
         return data(request, wrong)
 
-    bus.slaves[3].answers[None] = answer
+    bus.slave.answers[None] = answer
     bus.run(200 * MS)
     handler = bus.master.handlers[3]
     assert handler.state is SlaveState.FAULT

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from scripted_link import DIAG_FREE, DIAG_READY, MS, ScriptedSlave, data, exchanging, link, setup
+from scripted_link import (
+    DIAG_FREE,
+    DIAG_LOCKED,
+    DIAG_NOT_READY,
+    DIAG_PRM_FAULT,
+    DIAG_READY,
+    DIAG_STATIC,
+    MS,
+    ScriptedSlave,
+    exchanging,
+    high,
+    link,
+    link_to,
+    refuses,
+    says,
+    setup,
+    silent,
+)
 
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.slave_states import TABLE
-from dpstack.fdl.interface import Failure, Request
-from dpstack.fdl.telegram import Kind, Telegram
 
 
 def test_states_of_the_table_are_reachable_and_named() -> None:
@@ -32,17 +46,8 @@ class _Recorder(dict[Any, Any]):
         return super().get(key, default)
 
 
-def _diag(text: str) -> Callable[[Request], Telegram]:
-    return lambda request: data(request, bytes.fromhex(text))
-
-
-def _rs(request: Request) -> Telegram:
-    return Telegram(Kind.SD1, 2, request.da, 0x03)
-
-
-#: answers in the state reached (by SAP), to reach each row of the table from a slave that behaves up to there
-_OTHER, _LOCKED = "02 05 00 FF 12 34", "00 0C 00 07 06 96"
-_WANTS, _BAD_PRM, _STATIC, _WAITS = "02 05 00 FF 06 96", "42 05 00 02 06 96", "00 0E 00 02 06 96", "02 0C 00 02 06 96"
+_RS = refuses(0x03)
+_OTHER = bytes.fromhex("02 05 00 FF 12 34")
 
 
 def test_every_row_of_the_table_is_exercised(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -50,53 +55,51 @@ def test_every_row_of_the_table_is_exercised(monkeypatch: pytest.MonkeyPatch) ->
 
     table = _Recorder()
     monkeypatch.setattr(slave_handler, "TABLE", table)
-    before: list[dict[int | None, Callable[[Request], Telegram | Failure]]] = [
-        {},
-        {60: _rs},
-        {60: _diag(_OTHER)},
-        {60: _diag(_LOCKED)},
-        {61: lambda _r: Failure.NO_ANSWER},
-        {61: _rs},
-        {62: lambda _r: Failure.NO_ANSWER},
-        {62: _rs},
-    ]
-    for answers in before:
-        link(setup(), slaves={3: ScriptedSlave(answers=dict(answers))}).run(3_000 * MS)
+    # one service of the bring-up has another answer
+    link_to().run(3_000 * MS)
+    for sap, answer in (
+        (60, _RS),
+        (60, says(_OTHER)),
+        (60, says(DIAG_LOCKED)),
+        (61, silent),
+        (61, _RS),
+        (62, silent),
+        (62, _RS),
+    ):
+        link_to(answers={sap: answer}).run(3_000 * MS)
     link(setup(), slaves={}).run(500 * MS)
-    for ready in (_WANTS, _BAD_PRM, _WAITS, _LOCKED, _OTHER):
-        long = 12_000 if ready == _WAITS else 3_000  # it is waited for the longest
-        link(setup(), slaves={3: ScriptedSlave(ready=bytes.fromhex(ready))}).run(long * MS)
-    half = link(setup(), slaves={3: ScriptedSlave(answers={61: lambda _r: Failure.NO_ANSWER}, free=DIAG_FREE)})
+    for ready in (DIAG_FREE, DIAG_PRM_FAULT, DIAG_LOCKED, _OTHER):
+        link_to(ready=ready).run(3_000 * MS)
+    link_to(ready=DIAG_NOT_READY).run(12_000 * MS)
+    half = link_to(answers={61: silent})
     half.hold()
     half.hold()
-    half.slaves[3].free = bytes.fromhex(_WAITS)
+    half.slave.free = DIAG_NOT_READY
     half.run(5 * MS)
     # in WAIT_READY: silence and refusals of Slave_Diag
-    for answer in (lambda _r: Failure.NO_ANSWER, _rs):
+    for answer in (silent, _RS):
         bus = link(setup())
         while bus.state(3) is not SlaveState.WAIT_READY:
             bus.hold()
-        bus.slaves[3].answers[60] = answer
+        bus.slave.answers[60] = answer
         bus.run(500 * MS)
     # in data exchange: every kind of trouble, then trouble with the diagnosis that follows
-    for trouble in (_rs, lambda r: Telegram(Kind.SD1, 2, r.da, 0x02), lambda r: data(r, b"\x01")):
-        for later in ({}, {60: _rs}, {60: _diag(_LOCKED)}, {60: _diag(_OTHER)}, {60: lambda _r: Failure.NO_ANSWER}):
+    for trouble in (_RS, refuses(0x02), says(b"\x01")):
+        for later in ({}, {60: _RS}, {60: says(DIAG_LOCKED)}, {60: says(_OTHER)}, {60: silent}):
             bus = exchanging(setup())
             bus.run(1_100 * MS)
-            bus.slaves[3].configured = False
-            bus.slaves[3].answers |= {None: trouble} | later
+            bus.slave.configured = False
+            bus.slave.answers |= {None: trouble} | later
             bus.run(2_500 * MS)
-    for diagnosis in (_STATIC, _WANTS, _BAD_PRM, _LOCKED, _OTHER, DIAG_READY.hex()):
+    for ready in (DIAG_STATIC, DIAG_FREE, DIAG_PRM_FAULT, DIAG_LOCKED, _OTHER, DIAG_READY):
         bus = exchanging(setup())
-        bus.slaves[3].answers = {None: lambda r: data(r, bytes(4), fc=0x0A), 60: _diag(diagnosis)}
+        bus.slave.answers = {None: high, 60: says(ready)}
         bus.run(1_500 * MS)
     gone = exchanging(setup())
     gone.slaves.clear()
     gone.run(500 * MS)
     # out of service from every state, and back
-    refusing = ScriptedSlave(ready=bytes.fromhex(_BAD_PRM))
-    leaving = ScriptedSlave(answers={None: _rs})
-    for slave in (ScriptedSlave(), refusing, leaving):
+    for slave in (ScriptedSlave(), ScriptedSlave(ready=DIAG_PRM_FAULT), ScriptedSlave(answers={None: _RS})):
         for state in {state for state, _ in TABLE} - {SlaveState.DEACTIVATED}:
             bus = link(setup(), slaves={3: slave})
             handler = bus.master.handlers[3]

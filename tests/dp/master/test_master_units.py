@@ -41,7 +41,7 @@ class Unit:
 def test_unit_runs_in_operate_only_and_its_defect_stays_its_own() -> None:
     bus = exchanging(setup(3, safe=b"\x00\x00\x00\x01"), setup(4))
     unit = Unit()
-    bus.master.images[3].plugin = unit
+    bus.image.plugin = unit
     assert bus.hold()[0].data == bytes(4)
     bus.send(SetMode(Mode.OPERATE))
     assert bus.hold()[0].data == unit.outputs
@@ -64,7 +64,7 @@ def test_unit_of_the_wrong_length_is_a_defect_of_the_unit() -> None:
     bus = exchanging(setup(3))
     unit = Unit()
     unit.outputs = b"\x01"
-    bus.master.images[3].plugin = unit
+    bus.image.plugin = unit
     bus.send(SetMode(Mode.OPERATE))
     assert bus.hold()[0].data == bytes(4)
     assert bus.faults(3) == ["plugin"]
@@ -73,7 +73,7 @@ def test_unit_of_the_wrong_length_is_a_defect_of_the_unit() -> None:
 def test_unit_is_told_when_the_slave_is_lost() -> None:
     bus = exchanging(setup(3))
     unit = Unit()
-    bus.master.images[3].plugin = unit
+    bus.image.plugin = unit
     bus.slaves.clear()
     bus.hold()
     assert unit.losses == 1
@@ -81,7 +81,7 @@ def test_unit_is_told_when_the_slave_is_lost() -> None:
 
 def test_a_plugin_is_told_and_nothing_is_half_applied() -> None:
     bus = operating(setup(3))
-    unit = bus.master.images[3].plugin = Unit()
+    unit = bus.image.plugin = Unit()
     before = bus.master.handlers[3]
     with pytest.raises(UsageError, match="its drive plugin is made for 4 octets of inputs"):
         bus.send(ReparameteriseSlave(setup(3, config=b"\x10")))
@@ -93,4 +93,4 @@ def test_a_plugin_is_told_and_nothing_is_half_applied() -> None:
     assert unit.losses == 0
     bus.send(ReparameteriseSlave(setup(3, groups=(1,))))
     assert unit.losses == 1
-    assert bus.master.images[3].plugin is unit
+    assert bus.image.plugin is unit

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from scripted_link import MS, RUN, SAFE, ScriptedLink, ScriptedSlave, data, operating, setup
+from scripted_link import DIAG_LOCKED, MS, RUN, SAFE, ScriptedLink, ScriptedSlave, data, high, operating, refuses, setup
 
 from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.master.events import MasterStopped, ModeChanged, SlaveState, SlaveStateChanged
 from dpstack.dp.master.master import Master
 from dpstack.fdl.interface import Failure
-from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 
@@ -83,10 +82,10 @@ def test_stop_makes_inputs_invalid_and_is_no_rotation() -> None:
     bus = operating(setup())
     bus.send(SetMode(Mode.STOP))
     bus.run(1_000 * MS)
-    stopped = bus.master.images[3].valid
+    stopped = bus.image.valid
     bus.send(SetMode(Mode.CLEAR))
     bus.run(5 * MS)
-    assert (stopped, bus.master.images[3].valid) == (False, True)
+    assert (stopped, bus.image.valid) == (False, True)
     assert bus.master.rotation.max_ns < 100 * MS
 
 
@@ -191,11 +190,11 @@ def test_shutdown_during_bring_up_parameterises_nobody_any_more() -> None:
 def test_parameters_follow_a_fresh_diagnosis_after_a_pause() -> None:
     """A slave that left after a short stay is parameterised later: by then another master may have taken it."""
     bus = operating(setup(3))
-    slave = bus.slaves[3]
-    slave.answers[None] = lambda r: Telegram(Kind.SD1, 2, r.da, 0x03)
+    slave = bus.slave
+    slave.answers[None] = refuses(0x03)
     slave.configured = False
     bus.run(500 * MS)
-    slave.free = bytes.fromhex("00 0C 00 07 06 96")  # master 7
+    slave.free = DIAG_LOCKED  # master 7
     bus.requests.clear()
     bus.run(30_000 * MS)
     assert not any(r.dsap in (61, 62) for r in bus.requests)
@@ -204,7 +203,7 @@ def test_parameters_follow_a_fresh_diagnosis_after_a_pause() -> None:
 
 def test_wrong_length_after_a_short_stay_is_retried_after_one_second() -> None:
     bus = operating(setup(3))
-    bus.slaves[3].inputs = b"\x01"
+    bus.slave.inputs = b"\x01"
     bus.run(10 * MS)
     assert bus.state(3) is SlaveState.FAULT
     faulted = next(e.t_ns for e in bus.events_of(SlaveStateChanged) if e.state is SlaveState.FAULT)
@@ -219,8 +218,8 @@ def test_wrong_length_after_a_short_stay_is_retried_after_one_second() -> None:
 
 def test_a_device_put_in_place_of_one_whose_ident_was_asked_is_named() -> None:
     bus = operating(setup(3, ident=None))
-    bus.slaves[3].free = bytes.fromhex("02 05 00 FF 12 34")
-    bus.slaves[3].configured = False
+    bus.slave.free = bytes.fromhex("02 05 00 FF 12 34")
+    bus.slave.configured = False
     bus.run(3_000 * MS)
     fault = bus.fault(3)
     assert "0x1234 instead of 0x0696" in fault.message
@@ -242,9 +241,9 @@ def test_a_failed_plugin_stays_the_fault_of_its_slave_after_a_re_entry() -> None
             return []
 
     bus = operating(setup(3, safe=SAFE, initial=RUN))
-    bus.master.images[3].plugin = Broken()
+    bus.image.plugin = Broken()
     bus.run(1_500 * MS)
-    bus.slaves[3].configured = False
+    bus.slave.configured = False
     bus.requests.clear()
     bus.run(50 * MS)
     handler = bus.master.handlers[3]
@@ -279,25 +278,25 @@ def test_the_first_inputs_after_a_re_entry_are_never_the_old_ones() -> None:
             return []
 
     bus = operating(setup(3))
-    bus.slaves[3].inputs = b"\x11\x22\x33\x44"
+    bus.slave.inputs = b"\x11\x22\x33\x44"
     seen = Seen()
-    bus.master.images[3].plugin = seen
+    bus.image.plugin = seen
     bus.run(1_500 * MS)
-    bus.slaves[3].configured = False
+    bus.slave.configured = False
     while seen.inputs:
         bus.hold()
-    bus.slaves[3].answers[None] = lambda r: Telegram(Kind.SD1, 2, r.da, 0x02)  # RR: no resources yet
+    bus.slave.answers[None] = refuses(0x02)  # RR: no resources yet
     while len(seen.inputs) < 3:
         bus.hold()
-    bus.slaves[3].answers.clear()
-    bus.slaves[3].inputs = b"\x55\x66\x77\x88"
+    bus.slave.answers.clear()
+    bus.slave.inputs = b"\x55\x66\x77\x88"
     bus.run(5 * MS)
     assert set(seen.inputs) == {b"", b"\x55\x66\x77\x88"}
 
 
 def test_global_control_is_not_repeated_after_every_diagnosis() -> None:
     bus = operating(setup(3))
-    bus.slaves[3].answers[None] = lambda r: data(r, bytes(4), fc=0x0A)  # always DH
+    bus.slave.answers[None] = high  # always DH
     bus.run(1_000 * MS)
     assert sum(r.dsap == 60 for r in bus.requests) > 100
     assert len(controls(bus)) <= 7

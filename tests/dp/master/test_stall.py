@@ -5,7 +5,22 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from scripted_link import DIAG_FREE, MS, RUN, SAFE, ScriptedLink, link, mode_of, operating, setup, squeezed, wire
+from scripted_link import (
+    DIAG_FREE,
+    DIAG_NOT_READY,
+    DIAG_READY,
+    MS,
+    RUN,
+    SAFE,
+    ScriptedLink,
+    link,
+    mode_of,
+    operating,
+    refuses,
+    setup,
+    squeezed,
+    wire,
+)
 
 from dpstack.dp.master.commands import Alive, DeactivateSlave, Mode, RemoveSlave, SetMode
 from dpstack.dp.master.events import (
@@ -18,7 +33,6 @@ from dpstack.dp.master.events import (
     Stalled,
 )
 from dpstack.fdl.interface import Request
-from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.machine import HeldUp, LineDown, LineUp
 
 ZEROS = "00 00 00 00"
@@ -109,7 +123,7 @@ def test_a_slave_without_a_watchdog_gets_no_old_outputs_either() -> None:
 
 def test_a_restart_of_one_slave_changes_nothing() -> None:
     bus = running(3, 4)
-    bus.slaves[3].configured = False
+    bus.slave.configured = False
     bus.run(3_000 * MS)
     assert bus.states(3)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.OPERATE
@@ -124,7 +138,7 @@ def test_a_restart_of_one_slave_changes_nothing() -> None:
 
 def test_the_only_slave_may_restart() -> None:
     bus = running(3)
-    bus.slaves[3].configured = False
+    bus.slave.configured = False
     bus.run(3_000 * MS)
     assert bus.states(3)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.OPERATE
@@ -133,7 +147,7 @@ def test_the_only_slave_may_restart() -> None:
 def test_all_slaves_want_parameters_at_once() -> None:
     """The clock shows no gap, but the watchdogs of all slaves ran out: the computer's clocks stood still."""
     bus = running(3, 4)
-    bus.slaves[3].configured = bus.slaves[4].configured = False
+    bus.slave.configured = bus.slaves[4].configured = False
     bus.run(3_000 * MS)
     assert bus.states(3)[-1] == bus.states(4)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.CLEAR
@@ -155,8 +169,8 @@ def test_slaves_that_leave_one_after_the_other_are_no_stall() -> None:
 def test_one_refuses_for_another_reason() -> None:
     """Slave 4 refuses data at the same time, but does not want parameters."""
     bus = running(3, 4)
-    bus.slaves[3].configured = False
-    bus.slaves[4].answers[None] = lambda request: Telegram(Kind.SD1, 2, request.da, 0x03)
+    bus.slave.configured = False
+    bus.slaves[4].answers[None] = refuses(0x03)
     bus.run(100 * MS)
     assert mode_of(bus) is Mode.OPERATE
 
@@ -254,7 +268,7 @@ def test_operate_after_stop_begins_anew() -> None:
     bus = running(3)
     bus.send(SetMode(Mode.STOP))
     bus.run(1_000 * MS)
-    bus.slaves[3].configured = False
+    bus.slave.configured = False
     bus.send(SetMode(Mode.OPERATE))
     bus.run(300 * MS)
     assert bus.states(3)[-1] == "data_exchange"
@@ -264,9 +278,9 @@ def test_operate_after_stop_begins_anew() -> None:
 def test_a_slow_bring_up_is_no_stall() -> None:
     bus = link(setup(3, initial=RUN))
     bus.send(SetMode(Mode.OPERATE))
-    bus.slaves[3].ready = bytes.fromhex("02 0C 00 02 06 96")  # Station_Not_Ready
+    bus.slave.ready = DIAG_NOT_READY  # Station_Not_Ready
     bus.run(1_000 * MS)
-    bus.slaves[3].ready = bytes.fromhex("00 0C 00 02 06 96")
+    bus.slave.ready = DIAG_READY
     bus.run(2_000 * MS)
     assert bus.states(3)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.OPERATE
@@ -433,7 +447,7 @@ def test_requests_of_services_are_asked_before_nothing() -> None:
     """Only outputs can be too old: a diagnosis is repeated as always."""
     bus = running(3)
     seen: list[Request] = []
-    bus.slaves[3].configured = False
+    bus.slave.configured = False
     bus.run(5 * MS)
     seen = [r for r in bus.requests if r.dsap is not None]
     assert seen

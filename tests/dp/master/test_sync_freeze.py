@@ -99,7 +99,7 @@ def test_a_picture_is_of_exchanges_after_the_freeze() -> None:
     bus.send(SendControl(1, (1,), freeze=True, picture=True))
     while not controls(bus):
         bus.hold()
-    bus.slaves[3].inputs, bus.slaves[4].inputs = b"\x0a\x0b\x0c\x0d", b"\x01\x02\x03\x04"
+    bus.slave.inputs, bus.slaves[4].inputs = b"\x0a\x0b\x0c\x0d", b"\x01\x02\x03\x04"
     bus.run(5 * MS)
     picture = outcomes(bus)[-1]
     assert isinstance(picture, PictureTaken)
