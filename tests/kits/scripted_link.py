@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import Any
 
 from support import KeepsEvents
@@ -96,6 +98,34 @@ class ScriptedSlave:
                 return Telegram(Kind.SD1, 2, request.da, 0x03)
 
 
+class ScriptedPlugin:
+    """A drive plugin under the test's control: constant ``outputs``, or an ``error`` in each cycle."""
+
+    def __init__(self) -> None:
+        self.outputs = b"\x05\x06\x07\x08"
+        self.error: Exception | None = None
+        self.losses = 0
+        self.events: list[dict[str, object]] = []
+
+    def cyclic(self, inputs: bytes, now: int) -> bytes:
+        if self.error is not None:
+            raise self.error
+        return self.outputs
+
+    def lost(self, now: int) -> None:
+        self.losses += 1
+
+    def safe(self, configured: bytes) -> bytes:
+        return configured
+
+    def command(self, op: str, args: object, token: int, now: int) -> None:
+        self.events.append({"type": "result", "token": token, "ok": True, "value": op})
+
+    def take_events(self) -> list[dict[str, object]]:
+        events, self.events = self.events, []
+        return events
+
+
 @dataclass
 class ScriptedLink(KeepsEvents):
     """Grants holds every ``period`` ns; every request takes ``step`` ns."""
@@ -118,6 +148,14 @@ class ScriptedLink(KeepsEvents):
         """The process image of slave 3."""
         return self.master.images[3]
 
+    def next_request(self) -> Request:
+        """The first request of a token hold, which the test carries on itself."""
+        self.now += self.period
+        self.master.token_received(self.now)
+        request = self.master.next_request(self.now, False)
+        assert request is not None
+        return request
+
     def hold(self) -> list[Request]:
         """One token hold; the requests made in it."""
         self.now += self.period
@@ -132,6 +170,14 @@ class ScriptedLink(KeepsEvents):
         self.requests += made
         self.events += self.master.take_events()
         return made
+
+    @contextmanager
+    def without(self, address: int) -> Iterator[None]:
+        """One slave is switched off for a while, and comes back unparameterised."""
+        slave = self.slaves.pop(address)
+        yield
+        slave.configured = False
+        self.slaves[address] = slave
 
     def high_answer(self) -> None:
         """One hold in which slave 3 answers Data_Exchange with high priority."""
@@ -230,6 +276,12 @@ def wire(bus: ScriptedLink, address: int = 3) -> list[Entry]:
     return [(r.dsap, r.data.hex(" ").upper()) for r in bus.requests if r.da == address]
 
 
+def outputs(bus: ScriptedLink, address: int = 3) -> list[bytes]:
+    """The outputs that were sent to one slave, without repetitions."""
+    sent = [r.data for r in bus.requests if r.da == address and r.dsap is None]
+    return [octets for octets, _ in groupby(sent)]
+
+
 def squeezed(entries: list[Entry]) -> list[Entry]:
     """Without repetitions."""
-    return [entry for at, entry in enumerate(entries) if not at or entry != entries[at - 1]]
+    return [entry for entry, _ in groupby(entries)]

@@ -314,13 +314,11 @@ def test_prm_fault_names_the_octets_that_were_sent_and_the_other_reading() -> No
 
 def test_slave_dies_and_comes_back_with_a_fresh_start() -> None:
     bus = exchanging(setup(3), setup(4))
-    gone = bus.slaves.pop(3)
-    bus.run(300 * MS)
+    with bus.without(3):
+        bus.run(300 * MS)
     assert bus.faults(3) == ["lost"]
     assert bus.state(4) is SlaveState.DATA_EXCHANGE
     assert not bus.image.valid
-    gone.configured = False
-    bus.slaves[3] = gone
     bus.requests.clear()
     bus.run(1500 * MS)
     first = next(r for r in bus.requests if r.da == 3)

@@ -3,44 +3,16 @@
 from __future__ import annotations
 
 import pytest
-from scripted_link import MS, exchanging, operating, setup
+from scripted_link import MS, ScriptedPlugin, exchanging, operating, setup
 
 from dpstack.dp.master.commands import DriveCommand, Mode, ReparameteriseSlave, SetMode
 from dpstack.dp.master.events import DriveEvent, SlaveState
 from dpstack.errors import UsageError
 
 
-class Unit:
-    """A drive plugin under the test's control."""
-
-    def __init__(self) -> None:
-        self.outputs = b"\x05\x06\x07\x08"
-        self.error: Exception | None = None
-        self.losses = 0
-        self.events: list[dict[str, object]] = []
-
-    def cyclic(self, inputs: bytes, now: int) -> bytes:
-        if self.error is not None:
-            raise self.error
-        return self.outputs
-
-    def lost(self, now: int) -> None:
-        self.losses += 1
-
-    def safe(self, configured: bytes) -> bytes:
-        return configured
-
-    def command(self, op: str, args: object, token: int, now: int) -> None:
-        self.events.append({"type": "result", "token": token, "ok": True, "value": op})
-
-    def take_events(self) -> list[dict[str, object]]:
-        events, self.events = self.events, []
-        return events
-
-
 def test_unit_runs_in_operate_only_and_its_defect_stays_its_own() -> None:
     bus = exchanging(setup(3, safe=b"\x00\x00\x00\x01"), setup(4))
-    unit = Unit()
+    unit = ScriptedPlugin()
     bus.image.plugin = unit
     assert bus.hold()[0].data == bytes(4)
     bus.send(SetMode(Mode.OPERATE))
@@ -62,7 +34,7 @@ def test_unit_runs_in_operate_only_and_its_defect_stays_its_own() -> None:
 
 def test_unit_of_the_wrong_length_is_a_defect_of_the_unit() -> None:
     bus = exchanging(setup(3))
-    unit = Unit()
+    unit = ScriptedPlugin()
     unit.outputs = b"\x01"
     bus.image.plugin = unit
     bus.send(SetMode(Mode.OPERATE))
@@ -72,7 +44,7 @@ def test_unit_of_the_wrong_length_is_a_defect_of_the_unit() -> None:
 
 def test_unit_is_told_when_the_slave_is_lost() -> None:
     bus = exchanging(setup(3))
-    unit = Unit()
+    unit = ScriptedPlugin()
     bus.image.plugin = unit
     bus.slaves.clear()
     bus.hold()
@@ -81,7 +53,7 @@ def test_unit_is_told_when_the_slave_is_lost() -> None:
 
 def test_a_plugin_is_told_and_nothing_is_half_applied() -> None:
     bus = operating(setup(3))
-    unit = bus.image.plugin = Unit()
+    unit = bus.image.plugin = ScriptedPlugin()
     before = bus.master.handlers[3]
     with pytest.raises(UsageError, match="its drive plugin is made for 4 octets of inputs"):
         bus.send(ReparameteriseSlave(setup(3, config=b"\x10")))

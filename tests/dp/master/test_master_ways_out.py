@@ -3,7 +3,21 @@
 from __future__ import annotations
 
 import pytest
-from scripted_link import DIAG_LOCKED, MS, RUN, SAFE, ScriptedLink, ScriptedSlave, data, high, operating, refuses, setup
+from scripted_link import (
+    DIAG_LOCKED,
+    MS,
+    RUN,
+    SAFE,
+    ScriptedLink,
+    ScriptedPlugin,
+    ScriptedSlave,
+    data,
+    high,
+    operating,
+    outputs,
+    refuses,
+    setup,
+)
 
 from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.master.events import MasterStopped, ModeChanged, SlaveState, SlaveStateChanged
@@ -13,12 +27,6 @@ from dpstack.machine import LineDown
 from dpstack.params import BusParams
 
 CLEAR_GC = b"\x02\x00"
-
-
-def outputs(bus: ScriptedLink, address: int = 3) -> list[bytes]:
-    """The different outputs in the order sent."""
-    sent = [r.data for r in bus.requests if r.da == address and r.dsap is None]
-    return [octets for at, octets in enumerate(sent) if not at or octets != sent[at - 1]]
 
 
 def controls(bus: ScriptedLink) -> list[bytes]:
@@ -94,12 +102,9 @@ def test_nothing_goes_to_a_slave_removed_in_the_middle_of_a_round() -> None:
     bus.slaves.pop(5)  # is looked for by service requests
     bus.run(300 * MS)
     master = bus.master
-    bus.now += bus.period
-    master.token_received(bus.now)
-    first = master.next_request(bus.now, False)
-    assert first is not None
-    master.command(RemoveSlave(4), bus.now)
-    master.command(RemoveSlave(5), bus.now)
+    first = bus.next_request()
+    bus.send(RemoveSlave(4))
+    bus.send(RemoveSlave(5))
     master.result(first, data(first, bytes(4)), bus.now)
     bus.now += 2_000 * MS
     while (request := master.next_request(bus.now, False)) is not None:
@@ -109,10 +114,7 @@ def test_nothing_goes_to_a_slave_removed_in_the_middle_of_a_round() -> None:
 
 def test_the_answer_to_a_removed_slave_is_nobodys() -> None:
     bus = operating(setup(3))
-    bus.now += bus.period
-    bus.master.token_received(bus.now)
-    request = bus.master.next_request(bus.now, False)
-    assert request is not None
+    request = bus.next_request()
     bus.send(RemoveSlave(3))
     bus.send(AddSlave(setup(3)))
     bus.master.take_events()
@@ -206,13 +208,10 @@ def test_wrong_length_after_a_short_stay_is_retried_after_one_second() -> None:
     bus.slave.inputs = b"\x01"
     bus.run(10 * MS)
     assert bus.state(3) is SlaveState.FAULT
-    faulted = next(e.t_ns for e in bus.events_of(SlaveStateChanged) if e.state is SlaveState.FAULT)
+    faulted = bus.events_of(SlaveStateChanged)[-1].t_ns
+    bus.events.clear()
     bus.run(1_500 * MS)
-    again = next(
-        e.t_ns
-        for e in bus.events
-        if isinstance(e, SlaveStateChanged) and e.state is SlaveState.SET_PRM and e.t_ns > faulted
-    )
+    again = next(e.t_ns for e in bus.events_of(SlaveStateChanged) if e.state is SlaveState.SET_PRM)
     assert 1_000 * MS <= again - faulted < 1_010 * MS
 
 
@@ -221,46 +220,29 @@ def test_a_device_put_in_place_of_one_whose_ident_was_asked_is_named() -> None:
     bus.slave.free = bytes.fromhex("02 05 00 FF 12 34")
     bus.slave.configured = False
     bus.run(3_000 * MS)
-    fault = bus.fault(3)
-    assert "0x1234 instead of 0x0696" in fault.message
+    assert "0x1234 instead of 0x0696" in bus.fault(3).message
 
 
 def test_a_failed_plugin_stays_the_fault_of_its_slave_after_a_re_entry() -> None:
-    class Broken:
-        def cyclic(self, inputs: bytes, now: int) -> bytes:
-            raise ZeroDivisionError("by the test")
-
-        def lost(self, now: int) -> None: ...
-
-        def safe(self, configured: bytes) -> bytes:
-            return configured
-
-        def command(self, op: str, args: object, token: int, now: int) -> None: ...
-
-        def take_events(self) -> list[dict[str, object]]:
-            return []
-
     bus = operating(setup(3, safe=SAFE, initial=RUN))
-    bus.image.plugin = Broken()
+    bus.image.plugin = plugin = ScriptedPlugin()
+    plugin.error = ZeroDivisionError("by the test")
     bus.run(1_500 * MS)
     bus.slave.configured = False
     bus.requests.clear()
     bus.run(50 * MS)
-    handler = bus.master.handlers[3]
-    assert handler.state is SlaveState.DATA_EXCHANGE
-    assert handler.fault is not None
-    assert handler.fault.kind.value == "plugin"
+    assert bus.state(3) is SlaveState.DATA_EXCHANGE
+    assert bus.fault(3).kind.value == "plugin"
     assert outputs(bus) == [SAFE]
 
 
 def test_the_first_inputs_after_a_re_entry_are_never_the_old_ones() -> None:
     """The plugin sees inputs of this stay in data exchange only, also when the first answers carry none."""
 
-    class Seen:
-        inputs: list[bytes]
-
+    class Seen(ScriptedPlugin):
         def __init__(self) -> None:
-            self.inputs = []
+            super().__init__()
+            self.inputs: list[bytes] = []
 
         def cyclic(self, inputs: bytes, now: int) -> bytes:
             self.inputs.append(inputs)
@@ -268,14 +250,6 @@ def test_the_first_inputs_after_a_re_entry_are_never_the_old_ones() -> None:
 
         def lost(self, now: int) -> None:
             self.inputs.clear()
-
-        def safe(self, configured: bytes) -> bytes:
-            return configured
-
-        def command(self, op: str, args: object, token: int, now: int) -> None: ...
-
-        def take_events(self) -> list[dict[str, object]]:
-            return []
 
     bus = operating(setup(3))
     bus.slave.inputs = b"\x11\x22\x33\x44"
@@ -330,5 +304,4 @@ def test_a_slave_that_wants_parameters_again_and_again_never_left_data_exchange(
     bus.send(AddSlave(setup(4)))
     bus.run(500 * MS)
     assert bus.faults(4) == ["not_ready"]
-    fault = bus.fault(4)
-    assert "wants parameters again" in fault.message
+    assert "wants parameters again" in bus.fault(4).message

@@ -49,10 +49,8 @@ def short(bus: ScriptedLink) -> None:
 
 
 def restart(bus: ScriptedLink) -> None:
-    gone = bus.slaves.pop(3)
-    bus.run(GAP)
-    gone.configured = False
-    bus.slaves[3] = gone
+    with bus.without(3):
+        bus.run(GAP)
 
 
 def no_watchdog(bus: ScriptedLink) -> None:
