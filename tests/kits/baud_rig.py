@@ -1,4 +1,4 @@
-"""A line with traffic of any kind in literal octets, and a listener behind a UART whose rate it changes itself."""
+"""Searches of the baud rate: traffic in literal octets for a listener behind a UART, and a machine under octets."""
 
 from __future__ import annotations
 
@@ -8,8 +8,38 @@ from random import Random
 from octet_slave import frame, sd1
 
 from dpstack.fdl.baud_search import AutoBaud
+from dpstack.machine import Machine, pump
 from dpstack.phy.uart import Receiver, waveform
-from dpstack.units import BITS_PER_CHAR, NS_PER_S, bits_to_ns
+from dpstack.units import BITS_PER_CHAR, NS_PER_MS, NS_PER_S, bits_to_ns
+
+#: of master 2: a token, FDL status of 5 and 7; their answers
+TOKEN = bytes.fromhex("DC 02 02")
+STATUS = {5: bytes.fromhex("10 05 02 49 50 16"), 7: bytes.fromhex("10 07 02 49 52 16")}
+ANSWER = {5: bytes.fromhex("10 02 05 00 07 16"), 7: bytes.fromhex("10 02 07 00 09 16")}
+
+
+class OctetLine:
+    """``machine`` under literal octets; ``sent``: its transmissions."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        self.sent: list[bytes] = []
+        self.now = 0
+        self.deadline = 0
+
+    def hear(self, octets: bytes, after_ns: int = NS_PER_MS) -> None:
+        """``octets`` after a time in which the machine may answer those before."""
+        until = self.now + after_ns
+        while self.deadline <= until:
+            self.now = max(self.now, self.deadline)
+            self.deadline = pump(self.machine, b"", self.now, self._transmit)
+        self.now = until
+        self.deadline = pump(self.machine, octets, self.now, self._transmit)
+
+    def _transmit(self, octets: bytes, now: int) -> int:
+        self.sent.append(octets)
+        return now
+
 
 #: (idle bit times before it, octets)
 Sent = tuple[int, bytes]

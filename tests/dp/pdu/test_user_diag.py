@@ -33,6 +33,14 @@ def slave(**more: Any) -> DpSlave:
     return DpSlave(description, lambda outputs, elapsed: outputs)
 
 
+def saying(diag: UserDiag, **more: Any) -> tuple[DpSlave, Bench]:
+    """A slave in data exchange whose application sets ``diag`` then."""
+    device = slave(**more)
+    bench = Bench(device).up()
+    device.diag = diag
+    return device, bench
+
+
 # --- blocks (docs/protocol.md#diagnosis-blocks) ---------------------------------------------------------------------
 
 
@@ -128,9 +136,7 @@ def test_any_blocks_come_back_and_are_cut_between_blocks(blocks: list[Block], ro
     ],
 )
 def test_the_diagnosis_set_is_the_diagnosis_read(diag: UserDiag, octets: str) -> None:
-    device = slave()
-    bench = Bench(device).up()
-    device.diag = diag
+    _, bench = saying(diag)
     assert bench.diag() == bytes.fromhex(octets)
     assert bench.app.diagnosis(0).build() == bytes.fromhex(octets)
 
@@ -148,9 +154,7 @@ def test_every_change_is_fetched(diag: UserDiag) -> None:
 
 
 def test_a_diagnosis_taken_back_before_the_master_read_it_is_not_fetched() -> None:
-    device = slave()
-    bench = Bench(device).up()
-    device.diag = UserDiag.of(stat=True)
+    device, bench = saying(UserDiag.of(stat=True))
     assert bench.dx().status is Resp.DH
     device.diag = NO_DIAG
     assert bench.dx().status is Resp.DL
@@ -159,9 +163,8 @@ def test_a_diagnosis_taken_back_before_the_master_read_it_is_not_fetched() -> No
 @pytest.mark.parametrize(("room", "octets"), [(6, ""), (7, ""), (8, "02 01"), (10, "02 01"), (11, "02 01 81 40 06")])
 def test_more_than_max_diag_data_len_overflows_between_blocks(room: int, octets: str) -> None:
     """What is left out is whole blocks: a block cut short would lie about its length."""
-    device = slave(max_diag_len=room)
-    device.diag = UserDiag.of(device_block(b"\x01"), channel_block(1, 0, 6, input=True), revision_block(3))
-    bench = Bench(device).up()
+    blocks = (device_block(b"\x01"), channel_block(1, 0, 6, input=True), revision_block(3))
+    _, bench = saying(UserDiag.of(*blocks), max_diag_len=room)
     assert bench.diag() == bytes.fromhex("08 0C 80 02 0A 35" + octets)
 
 
@@ -179,35 +182,30 @@ def test_diag_is_set_as_a_whole_or_not_at_all() -> None:
 # --- lost answers -------------------------------------------------------------------------------------------------
 
 
-def request(bench: Bench, fc: int, dsap: int | None, data: bytes = b"") -> Resp:
-    reply = bench.app.serve(Telegram(Kind.SD2, SLAVE, MASTER, fc, dsap, None if dsap is None else 62, data), 0)
-    assert reply is not None
-    return reply.status
-
-
-def test_a_master_that_goes_on_has_read_it() -> None:
-    device = slave()
-    bench = Bench(device).up()
-    device.diag = UserDiag.of(device_block(b"\x01"))
-    assert request(bench, 0x5D, None, b"\1") is Resp.DH
-    request(bench, 0x7D, 60)
-    assert request(bench, 0x5D, None, b"\1") is Resp.DL
-
-
-@pytest.mark.parametrize("between", [None, 59])
-def test_a_master_that_takes_the_station_up_afresh_has_not(between: int | None) -> None:
-    """FCV 0, FCB 1 after the diagnosis: every attempt to get it failed (docs/protocol.md#frame-count-bit)."""
-    device = slave()
-    bench = Bench(device).up()
-    device.diag = UserDiag.of(device_block(b"\x01"))
-    request(bench, 0x7D, 60)
-    if between is not None:
-        request(bench, 0x6D, between)
-        assert request(bench, 0x5D, None, b"\1") is Resp.DH
-    else:
-        assert request(bench, 0x6D, None, b"\1") is Resp.DH
-    request(bench, 0x7D, 60)
-    assert request(bench, 0x5D, None, b"\1") is Resp.DL
+#: requests as (function code, DSAP): Data_Exchange, Slave_Diag, Get_Cfg; each answer of Data_Exchange tells whether the
+#: master has still to read the diagnosis. FCV 0, FCB 1 after Slave_Diag: every attempt to get it failed
+#: (docs/protocol.md#frame-count-bit).
+@pytest.mark.parametrize(
+    "requests",
+    [
+        pytest.param([(0x5D, None, Resp.DH), (0x7D, 60, None), (0x5D, None, Resp.DL)], id="goes on: has read it"),
+        pytest.param(
+            [(0x7D, 60, None), (0x6D, None, Resp.DH), (0x7D, 60, None), (0x5D, None, Resp.DL)],
+            id="takes the station up afresh: has not",
+        ),
+        pytest.param(
+            [(0x7D, 60, None), (0x6D, 59, None), (0x5D, None, Resp.DH), (0x7D, 60, None), (0x5D, None, Resp.DL)],
+            id="takes the station up afresh with another service: has not",
+        ),
+    ],
+)
+def test_whether_the_master_has_read_it(requests: list[tuple[int, int | None, Resp | None]]) -> None:
+    _, bench = saying(UserDiag.of(device_block(b"\x01")))
+    for fc, dsap, status in requests:
+        data, ssap = (b"\1", None) if dsap is None else (b"", 62)
+        reply = bench.app.serve(Telegram(Kind.SD2, SLAVE, MASTER, fc, dsap, ssap, data), 0)
+        assert reply is not None
+        assert status in (None, reply.status)
 
 
 def test_a_repeated_request_gets_the_same_diagnosis_again_on_the_wire() -> None:
@@ -230,9 +228,7 @@ def test_a_repeated_request_gets_the_same_diagnosis_again_on_the_wire() -> None:
 
 
 def test_a_new_owner_reads_the_diagnosis_too() -> None:
-    device = slave()
-    device.diag = UserDiag.of(device_block(b"\x01"))
-    bench = Bench(device).up()
+    _, bench = saying(UserDiag.of(device_block(b"\x01")))
     assert bench.dx().status is Resp.DH
     bench.diag()
     assert bench.dx().status is Resp.DL

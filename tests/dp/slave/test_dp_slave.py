@@ -31,10 +31,6 @@ class Log:
         self.elapsed.append(elapsed)
         return outputs
 
-    def take(self) -> list[str]:
-        calls, self.calls = self.calls, []
-        return calls
-
 
 def describe(**more: Any) -> SlaveDescription:
     keys: dict[str, Any] = {"ident": IDENT, "configs": (CFG,), "name": "own"}
@@ -85,42 +81,32 @@ def test_safe_outputs_come_at_once_on_every_way_out(safe: bytes | None) -> None:
         bench = served(log, safe=safe).up()
         bench.dx(b"\x11")
         go(bench)
-        assert log.take() == ["11", "00" if safe is None else "0f"], way
+        assert log.calls == ["11", "00" if safe is None else "0f"], way
 
 
-def test_an_empty_frame_gives_a_fail_safe_slave_its_safe_outputs() -> None:
+CONTROLS = {"CLEAR": CLEAR, "OPERATE": OPERATE, "SYNC": SYNC, "UNSYNC": UNSYNC, "FREEZE": FREEZE}
+
+
+@pytest.mark.parametrize(
+    ("steps", "outputs"),
+    [
+        pytest.param("11 empty 22", "11 0f 0f 22", id="an empty frame gives the safe outputs"),
+        pytest.param("CLEAR 11 OPERATE 22", "0f 0f 22", id="Clear holds until Operate"),
+        pytest.param("11 SYNC 22 SYNC 33 UNSYNC", "11 11 11 22 22 33", id="outputs of the last SYNC"),
+        # a FREEZE before the first exchange has no real ones either; in Operate they wait for the next SYNC
+        pytest.param("FREEZE SYNC 11 CLEAR OPERATE 22 SYNC", "0f 0f 0f 0f 0f 22", id="safe ones until the next SYNC"),
+    ],
+)
+def test_the_outputs_that_the_function_gets(steps: str, outputs: str) -> None:
     log = Log()
     bench = served(log, fail_safe=True, safe=b"\x0f").up()
-    bench.dx(b"\x11")
-    assert bench.dx(b"").data == b"\x0f"
-    bench.dx(b"\x22")
-    assert log.take() == ["11", "0f", "0f", "22"]
-
-
-def test_clear_holds_until_operate() -> None:
-    log = Log()
-    bench = served(log, safe=b"\x0f").up()
-    bench.control(CLEAR)
-    bench.dx(b"\x11")
-    bench.control(OPERATE)
-    bench.dx(b"\x22")
-    assert log.take() == ["0f", "0f", "22"]
-
-
-def test_safe_outputs_stay_until_real_ones_are_passed_on() -> None:
-    """Back in Operate outputs wait for the next SYNC; a FREEZE before the first exchange has no real ones either."""
-    log = Log()
-    bench = served(log, safe=b"\x0f").up()
-    bench.control(FREEZE)
-    assert bench.ask(57).data == b"\x0f"
-    bench.control(SYNC)
-    bench.dx(b"\x11")
-    bench.control(CLEAR)
-    bench.control(OPERATE)
-    bench.dx(b"\x22")
-    assert set(log.take()) == {"0f"}
-    bench.control(SYNC)
-    assert log.take() == ["22"]
+    for step in steps.split():
+        if step in CONTROLS:
+            bench.control(CONTROLS[step])
+        else:
+            assert bench.dx(bytes.fromhex(step.removeprefix("empty"))).data.hex() == log.calls[-1]
+        assert bench.ask(57).data.hex() == log.calls[-1]
+    assert " ".join(log.calls) == outputs
 
 
 def test_safe_outputs_that_do_not_fit_are_the_device_s_failure() -> None:
@@ -129,18 +115,6 @@ def test_safe_outputs_that_do_not_fit_are_the_device_s_failure() -> None:
     bench = Bench(device).up()
     assert bench.app.failure == "ValueError: 2 safe octets, the configuration has 1 output octets"
     assert bench.dx() == RS_REPLY
-
-
-def test_in_sync_the_function_keeps_the_outputs_of_the_last_sync() -> None:
-    log = Log()
-    bench = served(log).up()
-    bench.dx(b"\x11")
-    bench.control(SYNC)
-    bench.dx(b"\x22")
-    bench.control(SYNC)
-    bench.dx(b"\x33")
-    bench.control(UNSYNC)
-    assert log.take() == ["11", "11", "11", "22", "22", "33"]
 
 
 def test_a_function_that_raises_gets_safe_outputs_and_the_slave_says_so() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from baud_rig import ANSWER, STATUS, TOKEN, OctetLine
 from support import MS, S
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
@@ -12,15 +13,11 @@ from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.baud_search import Missing
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.passive.station import PassiveStation
-from dpstack.machine import LineDown, LineUp, Machine, RateRefused, pump
+from dpstack.machine import LineDown, LineUp, RateRefused
 from dpstack.params import BusParams
-from dpstack.units import NS_PER_MS
 
-# master 2, by hand: FDL status of 5 and 7 with the answers, a token, Set_Prm and Chk_Cfg of slave 5 (ident 1234h)
-STATUS = {5: bytes.fromhex("10 05 02 49 50 16"), 7: bytes.fromhex("10 07 02 49 52 16")}
-ANSWER = {5: bytes.fromhex("10 02 05 00 07 16"), 7: bytes.fromhex("10 02 07 00 09 16")}
-TOKEN = bytes.fromhex("DC 02 02")
-# station status 88h = lock, watchdog on (80h: off); WD_Fact 1 and 10 (100 ms); min T_SDR 55; ident; group 0
+# Set_Prm of slave 5 (ident 1234h) by master 2: station status 88h is lock and watchdog on (80h: off); WD_Fact 1 and 10
+# (100 ms); min T_SDR 55; ident; group 0
 SET_PRM = bytes.fromhex("68 0C 0C 68 85 82 7D 3D 3E 88 01 0A 37 12 34 00 0F 16")
 SET_PRM_OFF = bytes.fromhex("68 0C 0C 68 85 82 7D 3D 3E 80 00 00 37 12 34 00 FC 16")
 SC = b"\xe5"
@@ -28,36 +25,21 @@ SC = b"\xe5"
 SILENCE = 266 * 400_000  # (6 + 2 x 130) T_SL of 200 bits at 500 kbit/s, in ns
 
 
-class Rig:
-    """Slaves 5 and 7 on one port, a clock, and what they send."""
+class Rig(OctetLine):
+    """Slaves 5 and 7 on one port; ``lost``: the times at which they lost the rate."""
 
     def __init__(self, *, rates: tuple[int, ...] = (500_000,), slack_ns: int = 0) -> None:
         params = BusParams.preset(9_600)
         self.apps = [SlaveApp(MirrorDevice(0x1234, b"\x10"), address=address) for address in (5, 7)]
         stations = [PassiveStation(address, app, params) for address, app in zip((5, 7), self.apps, strict=True)]
         self.line = Multidrop(stations, params)
-        self.port = SearchingPort(self.line, self.watched, rates=rates, slack_ns=slack_ns)
-        machine: Machine = self.port  # the contract holds
-        assert machine.baud == max(rates)
-        self.sent: list[bytes] = []
-        self.now = 0
-        self.deadline = 0
+        self.lost: list[int] = []
+        self.port = SearchingPort(self.line, self.watched, rates=rates, slack_ns=slack_ns, lost=self.lost.append)
+        assert self.port.baud == max(rates)
+        super().__init__(self.port)
 
     def watched(self) -> bool:
         return any(app.watchdog.time_ns for app in self.apps)
-
-    def hear(self, octets: bytes, after_ns: int = NS_PER_MS) -> None:
-        """``octets`` after a time in which the slaves may answer; what they said before is in ``sent``."""
-        until = self.now + after_ns
-        while self.deadline <= until:
-            self.now = max(self.now, self.deadline)
-            self.deadline = pump(self.port, b"", self.now, self._transmit)
-        self.now = until
-        self.deadline = pump(self.port, octets, self.now, self._transmit)
-
-    def _transmit(self, octets: bytes, now: int) -> int:
-        self.sent.append(octets)
-        return now
 
     def changes(self) -> list[tuple[BaudState, int | None]]:
         found = [event for event in self.port.take_events() if isinstance(event, PortBaudChanged)]
@@ -88,9 +70,9 @@ def test_silence_leads_back_to_the_search_and_to_another_rate() -> None:
     rig = Rig(rates=(500_000, 187_500))
     rig.find()
     rig.hear(b"", SILENCE - MS)
-    assert rig.changes() == [(BaudState.CONTROL, 500_000)]
+    assert (rig.changes(), rig.lost) == ([(BaudState.CONTROL, 500_000)], [])
     rig.hear(b"", 2 * MS)
-    assert rig.changes() == [(BaudState.SEARCH, None)]
+    assert (rig.changes(), len(rig.lost)) == ([(BaudState.SEARCH, None)], 1)
     assert rig.port.in_vain(rig.now) is not None
     while rig.port.baud != 187_500:
         rig.hear(b"", MS)
@@ -175,14 +157,3 @@ def test_why_nothing_is_found() -> None:
     why = rig.port.in_vain(rig.now)
     assert why is not None
     assert why.why is Missing.NOISE
-
-
-def test_the_slaves_are_told_that_the_rate_is_lost() -> None:
-    rig = Rig()
-    lost: list[int] = []
-    rig.port = SearchingPort(rig.line, rig.watched, rates=(500_000,), lost=lost.append)
-    rig.find()
-    rig.hear(b"", SILENCE - MS)
-    assert lost == []
-    rig.hear(b"", 2 * MS)
-    assert len(lost) == 1

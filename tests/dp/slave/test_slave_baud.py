@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import pytest
+from baud_rig import ANSWER, STATUS, TOKEN, OctetLine
 from bus_kit import IDENT, PPO1, setup
 from support import MS, S, WorldFactory
 
@@ -21,15 +22,11 @@ from dpstack.errors import UsageError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.passive.station import PassiveStation
-from dpstack.machine import LineUp, pump
+from dpstack.machine import LineUp
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES
-
-TOKEN = bytes.fromhex("DC 02 02")
-STATUS = bytes.fromhex("10 05 02 49 50 16")
-ANSWER = bytes.fromhex("10 02 05 00 07 16")
 
 
 def slave(address: int, rates: Sequence[int] = BAUD_RATES) -> SearchingSlave:
@@ -38,7 +35,7 @@ def slave(address: int, rates: Sequence[int] = BAUD_RATES) -> SearchingSlave:
 
 
 def state_of(station: SearchingSlave) -> BaudState:
-    return station.state
+    return station.state  # a call: mypy takes the state for constant otherwise
 
 
 def master_at(world: World, baud: int, *addresses: int, watchdog_ms: int = 500) -> tuple[ActiveStation, Master]:
@@ -123,45 +120,23 @@ def test_a_slave_that_is_not_asked_keeps_the_rate_as_long_as_others_talk(world: 
     assert searching.baud == 500_000
 
 
-class Wire:
-    """The slave under literal octets: what it sends is kept."""
-
-    def __init__(self, station: SearchingSlave) -> None:
-        self.station = station
-        self.sent: list[bytes] = []
-        self.now = 0
-        self.deadline = 0
-
-    def hear(self, octets: bytes, after_ns: int = 100_000) -> None:
-        until = self.now + after_ns
-        while self.deadline <= until:
-            self.now = max(self.now, self.deadline)
-            self.deadline = pump(self.station, b"", self.now, self._transmit)
-        self.now = until
-        self.deadline = pump(self.station, octets, self.now, self._transmit)
-
-    def _transmit(self, octets: bytes, now: int) -> int:
-        self.sent.append(octets)
-        return now
-
-
 def test_deaf_and_mute_until_the_rate_is_found() -> None:
     station = slave(5, rates=(500_000,))
-    wire = Wire(station)
-    wire.hear(STATUS)
+    wire = OctetLine(station)
+    wire.hear(STATUS[5])
     wire.hear(b"")
     assert wire.sent == []
-    wire.hear(STATUS)
+    wire.hear(STATUS[5])
     assert state_of(station) is BaudState.CONTROL
-    wire.hear(STATUS)  # the first one it is asked
+    wire.hear(STATUS[5])  # the first one it is asked
     wire.hear(b"")
-    assert wire.sent == [ANSWER]
+    assert wire.sent == [ANSWER[5]]
     assert [type(event).__name__ for event in station.take_events()] == ["BaudStateChanged"]
 
 
 def test_octets_that_are_no_telegrams_do_not_keep_the_rate() -> None:
     station = slave(5, rates=(500_000,))
-    wire = Wire(station)
+    wire = OctetLine(station)
     for _ in range(3):
         wire.hear(TOKEN)
     assert state_of(station) is BaudState.CONTROL
@@ -176,7 +151,7 @@ def test_octets_that_are_no_telegrams_do_not_keep_the_rate() -> None:
 
 def test_a_port_that_returns_begins_the_search_anew() -> None:
     station = slave(5, rates=(500_000, 9_600))
-    wire = Wire(station)
+    wire = OctetLine(station)
     wire.hear(b"", 30 * MS)
     assert station.baud == 9_600
     station.command(LineUp(), wire.now)
@@ -190,7 +165,7 @@ def test_a_simulated_drive_finds_those_rates_that_its_device_knows() -> None:
     station = SimulatedSlave(config, BusParams.preset(500_000), searching=True).on_bus
     assert isinstance(station, SearchingSlave)
     heard_at: set[int] = set()
-    wire = Wire(station)
+    wire = OctetLine(station)
     for _ in range(5000):
         wire.hear(b"", MS)
         heard_at.add(station.baud)

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import pytest
 from faulty_slaves import (
-    Dies,
-    NeverReady,
-    RefusesParameters,
     SilentRefusal,
     WrongLength,
-    locked_by,
-    refuses_config,
-    wrong_ident,
 )
 from octet_wire import BIT, PARAMS, Wire, framed
 from slave_kit import CFG, MS, PRM, Bench, make_slave
@@ -19,8 +13,7 @@ from slave_kit import CFG, MS, PRM, Bench, make_slave
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.events import SlaveAppStateChanged
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
-from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
-from dpstack.fdl.telegram import Resp
+from dpstack.fdl.interface import SC_REPLY
 
 
 def test_the_telegrams_of_real_logs() -> None:
@@ -86,32 +79,11 @@ def test_a_slave_without_inputs_and_one_without_outputs() -> None:
     assert wire.ask("10 08 02 7D 87 16") == "68 04 04 68 02 08 08 00 12 16"  # inputs only: an SD1 request
 
 
-# --- the faulty ones that tests of masters use ------------------------------------------------------------------
+# --- faulty slaves for tests of masters; the others: test_slave_with_master -----------------------------------------
 
 
 def bench_of(app: SlaveApp) -> Bench:
     return Bench(app.device, app)
-
-
-def test_wrong_ident() -> None:
-    bench = bench_of(wrong_ident(MirrorDevice(0x0A35, CFG)))
-    assert bench.diag()[4:] == b"\xde\xad"
-    bench.prm()
-    assert bench.diag()[0] == 0x42
-
-
-def test_refuses_config() -> None:
-    bench = bench_of(refuses_config(0x0A35, b"\x11"))
-    bench.prm()
-    assert bench.cfg() == SC_REPLY
-    assert bench.diag()[0] == 0x06
-    assert bench.ask(59).data == b"\x11"
-
-
-def test_refuses_parameters() -> None:
-    bench = bench_of(SlaveApp(RefusesParameters(0x0A35, CFG)))
-    bench.prm(PRM + b"\x01")
-    assert bench.diag()[0] == 0x42
 
 
 @pytest.mark.parametrize(("extra", "length"), [(1, 2), (-5, 1), (3, 4)])
@@ -120,32 +92,8 @@ def test_wrong_length(extra: int, length: int) -> None:
     assert len(bench.dx().data) == length
 
 
-def test_dies_and_is_revived() -> None:
-    app = Dies(MirrorDevice(0x0A35, CFG), 2)
-    bench = bench_of(app).up()
-    assert [bench.dx(), bench.dx()] == [Reply(Resp.DL, b"\x55")] * 2
-    with pytest.raises(AssertionError):
-        bench.dx()
-    with pytest.raises(AssertionError):
-        bench.ask(60)
-    app.revive(0)
-    assert bench.diag()[:2] == b"\x02\x05"
-
-
-def test_a_slave_that_never_gets_ready() -> None:
-    bench = bench_of(NeverReady(MirrorDevice(0x0A35, CFG))).up()
-    assert bench.diag()[:2] == b"\x02\x0c"
-    assert bench.dx() == RS_REPLY
-
-
 def test_silent_refusal() -> None:
     bench = bench_of(SilentRefusal(MirrorDevice(0x0A35, CFG)))
     with pytest.raises(AssertionError):
         bench.prm(PRM[:6])
     assert bench.prm() == SC_REPLY
-
-
-def test_locked_by_another() -> None:
-    bench = bench_of(locked_by(MirrorDevice(0x0A35, CFG), 9))
-    bench.prm()
-    assert bench.diag() == bytes.fromhex("00 04 00 09 0A 35")

@@ -9,36 +9,104 @@ from dpstack.dp.slave.application import SlaveAppState
 from dpstack.fdl.interface import RS_REPLY
 from dpstack.fdl.telegram import Kind, Telegram
 
+#: a step in each line: outputs of a Data_Exchange, or a Global_Control | the calls of the device | its outputs after
+#: that | the modes after that
+STEPS = {
+    "Clear and Operate": """
+        11      | operate, exchange 11 | 11 |
+        CLEAR   | clear                | 00 | clear
+        22      | exchange 00          | 00 | clear
+        CLEAR   |                      | 00 | clear
+        OPERATE | operate              | 00 |
+        33      | exchange 33          | 33 |
+        OPERATE |                      | 33 |
+    """,
+    "Operate is called once after entry, also by Global_Control": """
+        OPERATE | operate              | 00 |
+        55      | exchange 55          | 55 |
+        55      | exchange 55          | 55 |
+    """,
+    "Clear before the first exchange": """
+        CLEAR   | clear                | 00 | clear
+        11      | exchange 00          | 00 | clear
+        OPERATE | operate              | 00 |
+        11      | exchange 11          | 11 |
+    """,
+    # docs/protocol.md#clear: a full frame ends it unless Global_Control said Clear
+    "an empty frame is Clear for a Fail_Safe slave": """
+        11      | operate, exchange 11 | 11 |
+        empty   | clear, exchange 00   | 00 | clear
+        empty   | exchange 00          | 00 | clear
+        22      | operate, exchange 22 | 22 |
+        CLEAR   | clear                | 00 | clear
+        empty   | exchange 00          | 00 | clear
+        33      | exchange 00          | 00 | clear
+        OPERATE | operate              | 00 |
+        44      | exchange 44          | 44 |
+    """,
+    "SYNC holds the outputs, and every further one passes on those received last": """
+        11      | operate, exchange 11 | 11 |
+        SYNC    | exchange 11          | 11 | sync
+        22      | exchange 11          | 11 | sync
+        33      | exchange 11          | 11 | sync
+        SYNC    | exchange 33          | 33 | sync
+        44      | exchange 33          | 33 | sync
+        UNSYNC  | exchange 44          | 44 |
+        55      | exchange 55          | 55 |
+        UNSYNC  |                      | 55 |
+    """,
+    "SYNC after many exchanges, and Operate after UNSYNC": """
+        11      | operate, exchange 11 | 11 |
+        22      | exchange 22          | 22 |
+        33      | exchange 33          | 33 |
+        SYNC    | exchange 33          | 33 | sync
+        UNSYNC  | exchange 33          | 33 |
+        44      | exchange 44          | 44 |
+        OPERATE |                      | 44 |
+    """,
+    # docs/protocol.md#slave-states: Clear empties the outputs, held or not; after it they wait for the next SYNC
+    "Clear goes through SYNC": """
+        11      | operate, exchange 11 | 11 |
+        SYNC    | exchange 11          | 11 | sync
+        CLEAR   | clear                | 00 | clear sync
+        22      | exchange 00          | 00 | clear sync
+        OPERATE | operate              | 00 | sync
+        33      | exchange 00          | 00 | sync
+        SYNC    | exchange 33          | 33 | sync
+    """,
+    "the un ones win": """
+        11      | operate, exchange 11 | 11 |
+        ALL     |                      | 11 |
+        SYNC    | exchange 11          | 11 | sync
+        FREEZE  | exchange 11          | 11 | sync freeze
+        ALL     | exchange 11          | 11 |
+    """,
+}
+CONTROLS = {
+    "CLEAR": CLEAR,
+    "OPERATE": OPERATE,
+    "SYNC": SYNC,
+    "UNSYNC": UNSYNC,
+    "FREEZE": FREEZE,
+    "ALL": b"\x3c\x00",  # sync, unsync, freeze, unfreeze
+}
 
-def test_clear_and_operate() -> None:
-    bench = Bench().up()
-    bench.dx(b"\x11")
-    bench.control(CLEAR)
-    assert (bench.app.outputs, bench.app.clear) == (b"\x00", True)
-    bench.dx(b"\x22")  # whatever the master sends is void
-    bench.control(CLEAR)  # repeated cyclically: told once
-    bench.control(OPERATE)
-    assert not bench.app.clear
-    bench.dx(b"\x33")
-    bench.control(OPERATE)
-    assert bench.recorder.take() == ["operate", "exchange 11", "clear", "exchange 00", "operate", "exchange 33"]
 
-
-def test_operate_is_called_once_after_entry_also_by_global_control() -> None:
-    bench = Bench().up()
-    bench.control(OPERATE)
-    bench.dx()
-    bench.dx()
-    assert bench.recorder.take() == ["operate", "exchange 55", "exchange 55"]
-
-
-def test_clear_before_the_first_exchange() -> None:
-    bench = Bench().up()
-    bench.control(CLEAR)
-    bench.dx(b"\x11")
-    bench.control(OPERATE)
-    bench.dx(b"\x11")
-    assert bench.recorder.take() == ["clear", "exchange 00", "operate", "exchange 11"]
+@pytest.mark.parametrize("name", STEPS)
+def test_the_calls_of_the_device_step_by_step(name: str) -> None:
+    device = Recorder()
+    device.fail_safe = True
+    bench = Bench(device).up()
+    for line in STEPS[name].strip().splitlines():
+        step, calls, outputs, modes = map(str.strip, line.split("|"))
+        if step in CONTROLS:
+            bench.control(CONTROLS[step])
+        else:
+            assert bench.dx(bytes.fromhex(step.removeprefix("empty"))).data == bytes((device.count,))
+        status2 = bench.diag()[1]
+        found = {"clear": bench.app.clear, "sync": status2 & 0x20, "freeze": status2 & 0x10}
+        assert ", ".join(bench.recorder.take()) == calls, line
+        assert (bench.app.outputs.hex(), " ".join(mode for mode in found if found[mode])) == (outputs, modes), line
 
 
 def test_leaving_forgets_clear() -> None:
@@ -48,63 +116,6 @@ def test_leaving_forgets_clear() -> None:
     assert not bench.app.clear
     bench.dx(b"\x11")
     assert bench.app.outputs == b"\x11"
-
-
-def test_an_empty_frame_is_clear_for_a_fail_safe_slave() -> None:
-    """docs/protocol.md#clear: a Fail_Safe slave is sent empty frames in Clear; a full one ends it unless Global_Control
-    said Clear."""
-    device = Recorder()
-    device.fail_safe = True
-    bench = Bench(device).up()
-    bench.dx(b"\x11")
-    assert bench.dx(b"").data == b"\x02"
-    assert bench.app.clear
-    bench.dx(b"")
-    bench.dx(b"\x22")
-    assert bench.recorder.take() == [
-        "operate", "exchange 11", "clear", "exchange 00", "exchange 00", "operate", "exchange 22",
-    ]  # fmt: skip
-    bench.control(CLEAR)
-    bench.dx(b"")
-    bench.dx(b"\x33")
-    bench.control(OPERATE)
-    bench.dx(b"\x44")
-    assert bench.recorder.take() == ["clear", "exchange 00", "exchange 00", "operate", "exchange 44"]
-
-
-def test_sync_holds_outputs_and_every_further_one_passes_on() -> None:
-    bench = Bench().up()
-    bench.dx(b"\x11")
-    bench.control(SYNC)  # passes on what came last
-    assert bench.recorder.take() == ["operate", "exchange 11", "exchange 11"]
-    bench.dx(b"\x22")
-    bench.dx(b"\x33")
-    assert bench.app.outputs == b"\x11"
-    assert bench.diag()[1] == 0x2C  # Sync_Mode
-    bench.control(SYNC)
-    assert bench.app.outputs == b"\x33"
-    assert bench.recorder.take() == ["exchange 11", "exchange 11", "exchange 33"]
-    bench.dx(b"\x44")
-    bench.control(UNSYNC)
-    assert bench.app.outputs == b"\x44"
-    assert bench.diag()[1] == 0x0C
-    bench.dx(b"\x55")
-    assert bench.app.outputs == b"\x55"
-    bench.control(UNSYNC)  # nothing to end
-    assert bench.recorder.take() == ["exchange 33", "exchange 44", "exchange 55"]
-
-
-def test_sync_holds_what_came_last_also_after_many_exchanges() -> None:
-    bench = Bench().up()
-    for octets in (b"\x11", b"\x22", b"\x33"):
-        bench.dx(octets)
-    bench.control(SYNC)
-    assert bench.app.outputs == b"\x33"
-    bench.control(UNSYNC)
-    bench.dx(b"\x44")
-    bench.control(OPERATE)
-    assert bench.app.outputs == b"\x44"
-    assert bench.recorder.take()[-1] == "exchange 44"
 
 
 def test_inputs_go_on_during_sync() -> None:
@@ -136,33 +147,6 @@ def test_sync_and_freeze_at_once_take_one_sample() -> None:
     assert bench.recorder.take() == ["operate", "exchange 11", "exchange 11"]
     assert bench.dx(b"\x22").data == b"\x02"
     assert bench.app.outputs == b"\x11"
-
-
-def test_the_un_ones_win() -> None:
-    bench = Bench().up()
-    bench.dx()
-    bench.control(b"\x3c\x00")  # sync, unsync, freeze, unfreeze
-    assert bench.diag()[1] == 0x0C
-    bench.control(SYNC)
-    bench.control(FREEZE)
-    bench.control(b"\x3c\x00")
-    assert bench.diag()[1] == 0x0C
-
-
-def test_clear_goes_through_sync() -> None:
-    """docs/protocol.md#slave-states: Clear empties the outputs, held or not; back in Operate they wait for the next
-    SYNC."""
-    bench = Bench().up()
-    bench.dx(b"\x11")
-    bench.control(SYNC)
-    bench.control(b"\x02\x00")
-    assert bench.app.outputs == b"\x00"
-    bench.dx(b"\x22")
-    bench.control(OPERATE)
-    bench.dx(b"\x33")
-    assert bench.app.outputs == b"\x00"
-    bench.control(SYNC)
-    assert bench.app.outputs == b"\x33"
 
 
 @pytest.mark.parametrize("mode", [SYNC, FREEZE])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 
 import pytest
 from hypothesis import given
@@ -80,9 +81,8 @@ def test_blocks(pdu: Alarm | Status, octets: str, text: str) -> None:
     ],
 )
 def test_invalid_blocks(octets: str, what: str) -> None:
-    with pytest.raises(PduError) as caught:
+    with pytest.raises(PduError, match=re.escape(what)):
         parse_block(bytes.fromhex(octets))
-    assert what in str(caught.value)
 
 
 def test_a_module_status_counts_slots_from_one() -> None:
@@ -104,9 +104,8 @@ def test_the_acknowledgement_repeats_slot_type_and_specifier() -> None:
         ("5E 03 01 00", "octet 1 is 0x5E"),
         ("5C 03 01 00 00", "octet 4 is the last one"),
     ):
-        with pytest.raises(PduError) as caught:
+        with pytest.raises(PduError, match=re.escape(what)):
             AlarmAck.parse(bytes.fromhex(octets))
-        assert what in str(caught.value)
 
 
 def test_values_that_do_not_fit() -> None:
@@ -117,9 +116,8 @@ def test_values_that_do_not_fit() -> None:
         (Alarm(1, 1, data=bytes(60)), "60 octets"),
         (Status(1, 255), "slot 255"),
     ):
-        with pytest.raises(PduError) as caught:
+        with pytest.raises(PduError, match=re.escape(what)):
             pdu.build()
-        assert what in str(caught.value)
 
 
 def test_names_of_every_type() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 
 import pytest
 from hypothesis import given
@@ -84,9 +85,8 @@ def test_idle() -> None:
     ],
 )
 def test_invalid_pdus(kind: type[Pdu], octets: str, what: str) -> None:
-    with pytest.raises(PduError) as caught:
+    with pytest.raises(PduError, match=re.escape(what)):
         kind.parse(bytes.fromhex(octets))
-    assert what in str(caught.value)
 
 
 def test_an_abort_may_have_reserved_octets_behind_it() -> None:
@@ -113,9 +113,8 @@ def test_values_that_do_not_fit() -> None:
         (DataTransport(0, 0, bytes(241)), "241 octets"),
         (Abort(16), "reason"),
     ):
-        with pytest.raises(PduError) as caught:
+        with pytest.raises(PduError, match=re.escape(what)):
             pdu.build()
-        assert what in str(caught.value)
     assert InitiateReq(11 * NS_PER_MS).build()[4:6] == b"\x00\x02", "rounded up"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 
 import pytest
 from hypothesis import given
@@ -92,9 +93,8 @@ def test_invalid_requests(octets: str, answer: str, what: str) -> None:
     ],
 )
 def test_invalid_responses(octets: str, what: str) -> None:
-    with pytest.raises(PduError) as raised:
+    with pytest.raises(PduError, match=re.escape(what)):
         parse_response(bytes.fromhex(octets))
-    assert what in str(raised.value)
 
 
 @pytest.mark.parametrize("pdu", [ReadReq(255, 0), ReadReq(0, 256), ReadReq(0, 0, 241), WriteReq(0, 0, bytes(241))])
