@@ -80,7 +80,7 @@ def absent(address: int, baud: int, why: Failure = Failure.NO_ANSWER) -> Fault:
 
 
 def lost(during: str, why: Failure) -> Fault:
-    """Stopped answering after it had answered; ``why``: how the last request ended, with all its attempts."""
+    """Stopped answering after it had answered; ``why``: how the last request ended."""
     if why is not Failure.NO_ANSWER:
         return Fault(
             FaultKind.LOST,

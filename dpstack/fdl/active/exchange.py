@@ -159,6 +159,8 @@ class Exchange(Awaiting):
             outdated = request.still is not None and not request.still(now)
             if not outdated:
                 self._tries_left -= 1
+                if not self._repeats:
+                    self.garbled = False  # a slave that loses its power may have begun to answer; then it is silent
                 self._repeats += 1
                 asked.retries += 1
                 self.line.queue(self._frame)

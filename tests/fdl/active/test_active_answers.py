@@ -69,6 +69,17 @@ def test_a_garbled_answer_ends_as_garbled() -> None:
         assert station.stats.garbled == 1
 
 
+def test_a_slave_that_loses_its_power_in_the_middle_of_its_answer_gives_none() -> None:
+    """The repetition meets silence: this is no noise."""
+    slave = Slave()
+    slave.plan = [DX_ANSWER, DX_ANSWER[:6], None]
+    bus, user, station = bus_with(slave, DX, DX, mode="octets")
+    bus.run(20 * NS_PER_MS)
+    assert slave.plan == []
+    assert user.outcomes[1:] == [Failure.NO_ANSWER]
+    assert station.stats.garbled == 0
+
+
 @pytest.mark.parametrize("octet", [b"\xe5", b"\x00", b"\xdc"])
 def test_a_lone_octet_too_early_is_no_answer(octet: bytes) -> None:
     slave = Slave()
