@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpstack.api.config.toml import quoted
-from dpstack.api.streams import SlaveFlapping, hand_to
+from dpstack.api.streams import SlaveFlapping, call_on_event
 from dpstack.dp.master.events import DriveEvent, SlaveRemark
 from dpstack.drivers.runtime import PortLost
 from dpstack.errors import ConfigError, DriveTimeout, NoInputs, PortError, SlaveFault
@@ -120,7 +120,7 @@ async def test_what_an_event_handler_raises_is_logged_printable(caplog: pytest.L
     def handler(event: Event) -> None:
         raise ConfigError(EVIL)
 
-    hand_to(handler, Notice(t_ns=0, source="x", message=EVIL))
+    call_on_event(handler, Notice(t_ns=0, source="x", message=EVIL))
     assert r"on_event raised at 'x: \\x1b]0;owned\\x07" in caplog.text
     assert_printable(caplog.text)
 

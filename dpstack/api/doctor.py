@@ -1,4 +1,4 @@
-"""Is this computer fit for a bus: adapters, permissions, latency, rates, real-time rights; what to do about each."""
+"""Checks of this computer: adapters, permissions, latency, rates, real-time rights, and advice on each."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text
 
 __all__ = ["AdapterInfo", "Check", "Computer", "Level", "examine", "list_adapters"]
 
-#: rates at which buses with several masters are seen
+#: usual rates of buses with several masters
 _USUAL_RATES: Final = (187_500, 500_000)
 
 
@@ -34,7 +34,7 @@ class Level(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing looked at: ``topic`` is the port's path or the computer's part, ``todo`` what to do about it."""
+    """The result of one check. ``topic``: the port's path or the part of the computer; ``todo``: advice."""
 
     topic: str
     level: Level
@@ -48,7 +48,7 @@ class Check:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Computer:
-    """What the checks look at; tests put another one in its place."""
+    """The system functions that the checks call; tests replace them."""
 
     platform: str = sys.platform
     adapters: Callable[[], list[AdapterInfo]] = list_adapters
@@ -61,7 +61,7 @@ class Computer:
 
 
 def examine(port: str | None = None, computer: Computer | None = None) -> list[Check]:
-    """Look at the computer and at ``port``, or at every adapter. Nothing is sent, a held port is not touched."""
+    """Check the computer and ``port`` (None: every adapter). Sends nothing, and opens no port that a program holds."""
     return list(_examine(port, computer or Computer()))
 
 
@@ -132,7 +132,7 @@ def _port(path: str, here: Computer) -> Iterator[Check]:
 
 
 def _neighbours(path: str) -> Iterator[Check]:
-    """The T_SL that other masters on its bus would need, while nobody has measured how late it is."""
+    """The T_SL that other masters need beside this port, as long as no run has measured its delay."""
     from dpstack.ports.tty import is_pty_path
 
     if is_pty_path(path) or not os.path.exists(path):

@@ -1,4 +1,4 @@
-"""Ordinary files: read with a limit, written whole or not at all and never over a file of somebody else."""
+"""Files: read up to a size limit, written atomically, never over somebody else's file."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _KINDS: Final = (
 
 
 def read_file(path: str | Path, most: int) -> bytes:
-    """The octets of an ordinary file, ``most`` + 1 of them at the most: so the caller sees that there are more.
+    """The octets of an ordinary file, at most ``most`` + 1 of them, so that the caller can tell a longer file.
 
-    Raises OSError, also for a directory, and for a pipe, a socket or a device, which is not opened; ValueError for a
-    path that cannot be.
+    Raises OSError, also for a directory, a pipe, a socket or a device, which it does not open; ValueError for an
+    impossible path.
     """
     _check_ordinary(os.stat(path), path)
-    # what the name leads to may change meanwhile: opening it must not wait either
+    # the name may lead to a pipe by now: O_NONBLOCK keeps open() from waiting for its other end
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
     with open(os.open(path, flags), "rb") as file:
         _check_ordinary(os.fstat(file.fileno()), path)
@@ -46,15 +46,14 @@ def _kind(found: os.stat_result) -> str:
     return next((name for check, name in _KINDS if check(found.st_mode)), "something else")
 
 
-class FileToBe:
-    """A file that is made aside and takes its name at the end, so that no half of it is ever there under that name.
+class AtomicFile:
+    """Writes a temporary file and renames it at the end, so that the name never leads to half a file.
 
-    A link stays, what it leads to is written; a device or a pipe is refused, whose name would be taken away from it.
-    A file that is there is replaced where it is empty or ``is_earlier`` says that it is an earlier one of the same:
-    ``what`` names that for people. Nothing else is.
+    Of a symbolic link the target is written. Devices and pipes are refused. An existing file is replaced only if it is
+    empty or ``is_earlier`` accepts it as an earlier file of the same kind; ``what`` names that kind in messages.
 
-    Entering raises UsageError where it cannot be written: before any work is done. Left without :meth:`keep` there
-    is no file, and what stood under the name stays.
+    Entering raises UsageError where the file cannot be written, before the caller does any work. Leaving without
+    :meth:`keep` writes no file and keeps an existing one.
     """
 
     def __init__(
@@ -64,35 +63,32 @@ class FileToBe:
         self._is_earlier = is_earlier
         self._what = what
         self._real = Path(os.path.realpath(self.path)) if os.path.islink(self.path) else self.path
-        #: where a list that was cut short is kept
+        #: path of an incomplete list
         self.part = self._real.parent / f"{self._real.name}.part"
         self._new = self._real.parent / f".{secrets.token_hex(8)}.tmp"
         self._file: BinaryIO | None = None
 
-    def __enter__(self) -> FileToBe:
+    def __enter__(self) -> AtomicFile:
         self._check(self._real, self.path)
         if self._is_earlier is not None:
             self._check(self.part, self.part)
-        self._writing(b"")
+        self._write(b"")
         return self
 
     def __exit__(self, *_: object) -> None:
         self._remove()
 
     def keep(self, octets: bytes, *, complete: bool = True) -> Path:
-        """Write it; one that is not complete under :attr:`part`, beside an older one that was. Where it is now.
-
-        Raises UsageError.
-        """
+        """Write the file; if not ``complete``, to :attr:`part` instead. Returns the path. Raises UsageError."""
         target, path = (self._real, self.path) if complete else (self.part, self.part)
-        self._check(target, path)  # time has passed
-        self._writing(octets)
+        self._check(target, path)  # again: the file may be another one by now
+        self._write(octets)
         try:
             with contextlib.suppress(OSError):
                 os.chmod(self._new, stat.S_IMODE(os.stat(target).st_mode))
             os.replace(self._new, target)
         except OSError as error:
-            raise _unwritten(path, error) from None
+            raise _write_error(path, error) from None
         return path
 
     def _check(self, target: Path, path: Path) -> None:
@@ -103,8 +99,8 @@ class FileToBe:
             return
         except ValueError as error:  # a path with a zero octet
             raise UsageError(f"{path}: {error}; name a file") from None
-        except OSError as error:  # links that lead to each other, for instance: their names would be taken away
-            raise _unwritten(path, error) from None
+        except OSError as error:  # links in a circle, for instance: a rename would replace one of them
+            raise _write_error(path, error) from None
         if stat.S_ISDIR(found.st_mode):
             raise UsageError(f"{path}: is a directory; name a file")
         if not stat.S_ISREG(found.st_mode):
@@ -116,7 +112,7 @@ class FileToBe:
                 f"{path}: there is a file of that name, and it is no {self._what}; move it away, or name another file"
             )
 
-    def _writing(self, octets: bytes) -> None:
+    def _write(self, octets: bytes) -> None:
         try:
             if self._file is None:
                 self._file = self._new.open("xb")
@@ -127,7 +123,7 @@ class FileToBe:
                 self._file.close()
         except OSError as error:
             self._remove()
-            raise _unwritten(self.path, error) from None
+            raise _write_error(self.path, error) from None
 
     def _remove(self) -> None:
         if self._file is not None:
@@ -138,7 +134,7 @@ class FileToBe:
             self._file = None
 
 
-def _unwritten(path: Path, error: OSError) -> UsageError:
+def _write_error(path: Path, error: OSError) -> UsageError:
     full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     todo = "make room there, or name a file elsewhere" if full else "name a file in a directory of yours"
     return UsageError(f"{path}: cannot be written ({error.strerror or error}); {todo}")

@@ -1,4 +1,4 @@
-"""GSD files from disk, and what they say as plain data."""
+"""GSD files from disk, and their contents as plain data."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Final
 
-from dpstack.api.files import FileToBe, read_file
+from dpstack.api.files import AtomicFile, read_file
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
 from dpstack.gsd.identifiers import io_lengths
@@ -22,16 +22,16 @@ from dpstack.sim import io_station
 
 
 def bundled() -> dict[str, str]:
-    """Devices whose GSD file is here (written by its authors, not the vendor's): name -> ``package:file``.
+    """The GSD files that come with dpstack (its own, not the vendors'): name of the device -> ``package:file``.
 
-    Drives that bring one, and the simulated I/O station.
+    Those of drive plugins, and that of the simulated I/O station.
     """
     drives = {name: drive.gsd for name, drive in registry.known().items() if drive.gsd is not None}
     return drives | {io_station.NAME: io_station.GSD}
 
 
 def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
-    """The octets of a file in ``folder``, not many more than a GSD file can have; or of a drive's own by its name.
+    """The octets of the file ``path`` in ``folder``, or of a bundled GSD file by the name of its device.
 
     Raises ConfigError where it cannot be read.
     """
@@ -60,22 +60,22 @@ def read_gsd(path: str | Path, folder: Path = Path()) -> GsdFile:
 
 
 def copy_gsd(drive: str, target: str | Path) -> None:
-    """Write the GSD file that the package of ``drive`` brings to ``target``, a new file, whole or not at all.
+    """Write the bundled GSD file of ``drive`` to the new file ``target``.
 
     Raises ConfigError, UsageError where it cannot be written.
     """
     if drive not in bundled():
         raise ConfigError(f"no GSD file was written for {drive!r}; there is one for {', '.join(bundled()) or 'none'}")
-    with FileToBe(target) as file:
+    with AtomicFile(target) as file:
         file.keep(_bundled_octets(drive))
 
 
 def check_gsd(path: str | Path) -> tuple[Diagnostic, ...]:
-    """Everything that is to be said about a file. Raises ConfigError where it cannot be read."""
+    """All diagnostics of a GSD file. Raises ConfigError where it cannot be read."""
     return check(parse_gsd(read_octets(path), str(path)))
 
 
-#: how GSD files of all languages end: .gsd, .gse, .gsg, .gsf, .gsi, .gsp, .gss
+#: file endings of GSD files in all languages: .gsd, .gse, .gsg, .gsf, .gsi, .gsp, .gss
 _ENDINGS: Final = frozenset(f".gs{language}" for language in "degfips")
 
 
@@ -176,7 +176,7 @@ def module_lengths(module: Module) -> tuple[int | None, int | None]:
 def module_prm(file: GsdFile, module: Module) -> bytes:
     """The module's part of the user parameters with its defaults, in no slot; empty where they fit no Set_Prm."""
     try:
-        # without the device's own parameters, which every module would go through
+        # without the device's own parameters: UserPrm would compute them again for every module
         return UserPrm(Device(parameters=file.device.parameters), (module,), in_slots=False).octets()
     except ConfigError:
         return b""

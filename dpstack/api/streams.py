@@ -1,4 +1,4 @@
-"""Handing events to the application without ever letting a slow reader hold up the bus."""
+"""Event streams, waiters and ``on_event`` of the application: a slow reader never holds up the bus."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ _FLAP_REPORT_S: Final = 1.0
 
 
 class Stream(AsyncIterator[T]):
-    """An async iterator over items that others :meth:`put`. Beyond ``depth`` (None: any number) it drops the oldest
-    ones and counts them in ``dropped``; with a depth of 1 the latest item wins.
+    """An async iterator over items. It keeps up to ``depth`` of them (None: any number), drops the oldest ones beyond
+    and counts them in ``dropped``; with a depth of 1 the latest item wins.
     """
 
     def __init__(self, depth: int | None, backlog: Iterable[T] = ()) -> None:
@@ -46,7 +46,7 @@ class Stream(AsyncIterator[T]):
         self._more.set()
 
     def end(self) -> None:
-        """No more will come; what is there can still be read."""
+        """End the iteration after the items that are still kept."""
         self._ended = True
         self._more.set()
 
@@ -83,13 +83,13 @@ class EventStream(Stream[Event]):
         self._forget = forget
 
     def close(self) -> None:
-        """The reader has had enough. May be repeated."""
+        """Stop receiving events. May be repeated."""
         self._forget(self)
         self.end()
 
 
-def hand_to(on_event: OnEvent | None, event: Event) -> None:
-    """``event`` to the application. What that raises is its own: no other event may be lost by it, no bus stopped."""
+def call_on_event(on_event: OnEvent | None, event: Event) -> None:
+    """Call ``on_event(event)``. The event loop reports an exception of it, and the bus goes on."""
     if on_event is not None:
         try:
             on_event(event)
@@ -99,9 +99,9 @@ def hand_to(on_event: OnEvent | None, event: Event) -> None:
 
 
 class SlaveFlapping(SlaveEvent):
-    """The state or the diagnosis of a slave changes too often: ``count`` changes were left out.
+    """The state or the diagnosis of a slave changes too often: ``count`` events about changes were left out.
 
-    The newest state, fault and diagnosis among them follow this event. ``drive``: the changes are those of the drive.
+    The newest state, fault and diagnosis among them follow this event. ``drive``: the events were those of the drive.
     """
 
     count: int
@@ -120,7 +120,7 @@ class SlaveFlapping(SlaveEvent):
 
 
 class Flapping:
-    """Holds back the changes of one slave that come too often, and reports them once a second."""
+    """Limits the events about changes of one slave: holds back those above the rate and reports them once a second."""
 
     def __init__(self, pass_on: Callable[[Event], None]) -> None:
         self._pass_on = pass_on
@@ -130,8 +130,8 @@ class Flapping:
         self._count = 0
         self._report: asyncio.TimerHandle | None = None
 
-    def tell(self, event: SlaveEvent) -> None:
-        """Pass ``event`` on, or keep it for the report."""
+    def publish(self, event: SlaveEvent) -> None:
+        """Pass ``event`` on, or hold it back for the report."""
         self._allowed = min(_BURST, self._allowed + _PER_S * ns_to_s(event.t_ns - self._at_ns))
         self._at_ns = event.t_ns
         if self._report is None and self._allowed >= 1:
@@ -145,7 +145,7 @@ class Flapping:
             self._report = asyncio.get_running_loop().call_later(_FLAP_REPORT_S, self.report)
 
     def report(self) -> None:
-        """Report what was held back, if anything was."""
+        """Report the events that were held back."""
         if self._report is None:
             return
         self._report.cancel()
@@ -161,8 +161,8 @@ class Flapping:
 
 
 class Events:
-    """What happened, for everybody who wants to know: streams, and ``on_event`` at once. A stream begins with what
-    happened before it, as far as it was kept."""
+    """Distributes the events of a bus to streams and ``on_event``. A new stream begins with the last ``DEPTH`` events
+    before it."""
 
     def __init__(self, on_event: OnEvent | None) -> None:
         self._on_event = on_event
@@ -171,13 +171,13 @@ class Events:
         self._ended = False
         self._flapping: dict[int, Flapping] = {}
 
-    def tell(self, event: Event) -> None:
-        """To all of them; of a slave whose state flaps not each change, but the newest once a second."""
+    def publish(self, event: Event) -> None:
+        """Distribute ``event``; of a slave that changes too often only the newest events, once a second."""
         if isinstance(event, (SlaveStateChanged, SlaveFaulted, SlaveDiagnosis)):
             flapping = self._flapping.get(event.address)
             if flapping is None:
                 flapping = self._flapping[event.address] = Flapping(self._pass_on)
-            flapping.tell(event)
+            flapping.publish(event)
         else:
             self._pass_on(event)
 
@@ -185,7 +185,7 @@ class Events:
         self._history.append(event)
         for stream in self._streams:
             stream.put(event)
-        hand_to(self._on_event, event)
+        call_on_event(self._on_event, event)
 
     def stream(self) -> EventStream:
         stream = EventStream(self._history, self._streams.discard)
@@ -195,7 +195,7 @@ class Events:
         return stream
 
     def end(self) -> None:
-        """No stream has more to come."""
+        """End all streams."""
         for flapping in self._flapping.values():
             flapping.report()
         self._ended = True
@@ -204,13 +204,13 @@ class Events:
 
 
 class Waiters:
-    """Futures that wait for a condition, judged whenever :meth:`check` is called."""
+    """Futures that wait for a condition; :meth:`check` evaluates it."""
 
     def __init__(self) -> None:
         self._waiting: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
 
     def check(self) -> None:
-        """Something changed: wake whose condition holds, or has raised."""
+        """Wake every caller whose condition holds, or has raised."""
         for condition, future in tuple(self._waiting):
             if future.done():
                 continue
@@ -235,7 +235,7 @@ class Waiters:
 
 
 class Rounds:
-    """Calls back at the end of every round with data exchange; while nobody wants it, it costs the bus nothing."""
+    """Callbacks at the end of every round with data exchange; without watchers the bus makes no calls."""
 
     def __init__(self, view: View) -> None:
         self._view = view

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from dpstack.api.config.config import load_config
-from dpstack.api.files import FileToBe, read_file
+from dpstack.api.files import AtomicFile, read_file
 from dpstack.api.gsd_info import copy_gsd, read_gsd
 from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.api.lists.record_list import RecordList
@@ -142,7 +142,7 @@ def test_a_copy_on_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytes
 
 def test_a_file_that_comes_meanwhile_stays(tmp_path: Path) -> None:
     path = tmp_path / "file"
-    with FileToBe(path) as file:
+    with AtomicFile(path) as file:
         path.write_text("mine")
         with pytest.raises(UsageError, match="there is a file of that name"):
             file.keep(b"ours")
@@ -153,7 +153,7 @@ def test_a_file_that_comes_meanwhile_stays(tmp_path: Path) -> None:
 def test_a_list_under_a_name_of_no_file(tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to("loop")
     for name in (".", "/", "..", "x" * 300, "a\0b", tmp_path / "loop", tmp_path / "loop" / "x"):
-        with pytest.raises(UsageError), FileToBe(name, lambda _: True):
+        with pytest.raises(UsageError), AtomicFile(name, lambda _: True):
             pass
     assert (tmp_path / "loop").is_symlink()
 
@@ -161,7 +161,7 @@ def test_a_list_under_a_name_of_no_file(tmp_path: Path) -> None:
 def test_an_empty_file_holds_nothing_to_lose(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.touch()
-    with FileToBe(path, lambda _: False) as file:
+    with AtomicFile(path, lambda _: False) as file:
         file.keep(b"ours")
     assert path.read_bytes() == b"ours"
 
@@ -170,7 +170,7 @@ def test_a_file_that_is_replaced_keeps_its_mode(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.touch()
     path.chmod(0o600)
-    with FileToBe(path, lambda _: True) as file:
+    with AtomicFile(path, lambda _: True) as file:
         file.keep(b"ours")
     assert path.read_bytes() == b"ours"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
@@ -180,7 +180,7 @@ def test_a_link_laid_beforehand_is_not_followed(tmp_path: Path) -> None:
     """Aside the file has a name that nobody can guess, and is made anew."""
     names = set()
     for _ in range(2):
-        with FileToBe(tmp_path / "file"):
+        with AtomicFile(tmp_path / "file"):
             names |= {one.name for one in tmp_path.iterdir()}
     assert len(names) == 2
 

@@ -5,14 +5,14 @@
 - ``cycles``: ``bus.cycles()``: consistent inputs of all slaves, once a round of data exchange
 - ``driver_choice``: The choice of the driver: asyncio, process or virtual
 - ``events_json``: Events of a bus for applications, their severity and their JSON
-- ``find_baud``: Search for the baud rate of a bus: listens at one rate after the other and sends nothing
-- ``live_list``: The live list of a port, asked by a temporary master; a configuration skeleton made from it
+- ``find_baud``: Search for the baud rate of a bus: listens at one rate after the other and never sends
+- ``live_list``: The live list of a port, read by a temporary master, and a configuration skeleton made from it
 - ``parts``: Base class of ``Bus``: the objects behind a bus (created once the baud rate is known), slaves, commands,
   waiting
-- ``plan_checks``: Inputs of the plan from the configuration, and plans that are refused
+- ``plan_checks``: Inputs of the plan from the configuration, and the refusal of impossible cycles
 - ``ring_entry``: Joining the token ring of other masters: time limit, failure texts, notices
 - ``shutdown``: The ordered end of a bus: cancellation, signals, finaliser, fork
 - ``statistics``: Counters and rotation times of a bus
-- ``sync_freeze``: SYNC and FREEZE of groups of slaves
+- ``sync_freeze``: SYNC and FREEZE: one Global_Control, groups of slaves
 - ``virtual``: Programs on simulated buses in virtual time
 """

@@ -12,10 +12,10 @@ from typing import Literal
 
 from dpstack.api.bus.compose import compose
 from dpstack.api.bus.cycles import Cycle, Cycles
-from dpstack.api.bus.find_baud import need_wire, rate_of
+from dpstack.api.bus.find_baud import rate_of, require_wire
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.bus.plan_checks import new_plan_texts
-from dpstack.api.bus.ring_entry import OtherMasterNotices, heard_before_joining, join
+from dpstack.api.bus.ring_entry import OtherMasterNotices, join, listening_report
 from dpstack.api.bus.shutdown import OrderedEnd
 from dpstack.api.bus.statistics import BusStats, collect
 from dpstack.api.bus.sync_freeze import Group, Groups, send_control
@@ -51,7 +51,7 @@ from dpstack.units import ns_to_s
 
 
 class BusFailed(Notice):
-    """The failure that ends the bus. Every pending and later call on the bus raises it as well."""
+    """The failure that ended the bus. Every pending and later call on the bus raises it as well."""
 
 
 SlaveTable = Mapping[str, object] | SlaveConfig
@@ -81,11 +81,11 @@ class Bus(Sealed, BusBase):
         if not self.searching:
             self._build(config)
         elif world is None:
-            need_wire(config.port)
+            require_wire(config.port)
         self._seal(Bus)
 
     def _build(self, config: Config) -> None:
-        """Make the parts, now that the rate is in ``config``. Raises ConfigError."""
+        """Make the objects behind the bus; ``config`` has a baud rate. Raises ConfigError."""
         self._parts = compose(
             config, self._on_events, self._on_failure, self._on_refused, world=self._given_world, watched=self._watched
         )
@@ -144,9 +144,9 @@ class Bus(Sealed, BusBase):
     async def close(self) -> None:
         """The ordered end: safe values for one cycle, Clear twice, out of the ring, port released. May be repeated.
 
-        It takes a few rotations, and never longer than :attr:`end_limit_s`. It goes through any number of
-        cancellations; the cancellation is raised when it is over. It may be called in another event loop than the
-        one that opened the bus. In a process that was forked from the one that opened the bus it does nothing.
+        The end takes a few rotations, at most :attr:`end_limit_s`. Cancellations do not shorten it; they are raised
+        when it is over. The caller may be in another event loop than the one that opened the bus. In a process forked
+        from the one that opened the bus this does nothing.
         """
         if self.is_left or await self._ordered_end.elsewhere():
             return
@@ -156,9 +156,8 @@ class Bus(Sealed, BusBase):
             ending.result()
 
     def hurry(self) -> None:
-        """End now, and leave out what is not needed to make outputs safe: within a second safe values and Clear are
-        sent, as far as the bus still can, and the port is released. To be called in the bus's event loop; ``close()``
-        waits for it.
+        """End within a second, without the steps that do not make outputs safe: safe values and Clear as far as the
+        bus can still send them, then the port is released. Call it in the bus's event loop; ``close()`` waits for it.
         """
         self._ordered_end.hurry()
         if self.is_open:
@@ -167,7 +166,7 @@ class Bus(Sealed, BusBase):
     @property
     def end_failed(self) -> bool:
         """True after an end in which slaves that had outputs got neither safe values nor Clear (dead port, no token,
-        a bus process that hangs). An event tells it, and what the slaves do."""
+        a bus process that hangs). An event reports it, with the watchdog times of the slaves."""
         return self._ordered_end.failed
 
     def _begin_end(self) -> asyncio.Task[None]:
@@ -194,7 +193,7 @@ class Bus(Sealed, BusBase):
     async def operate(self) -> None:
         """Outputs go out from the next rotation on; with ``auto_clear`` once all slaves are in data exchange.
 
-        It ends a Clear that the master went to by itself (:attr:`forced_clear`), and arms the application watchdog.
+        This ends a Clear that the master went to by itself (:attr:`forced_clear`), and arms the application watchdog.
         """
         self._raise_refused()
         await self.order(SetMode(Mode.OPERATE))
@@ -202,28 +201,28 @@ class Bus(Sealed, BusBase):
     def alive(self) -> None:
         """The application is alive: call it more often than ``application_watchdog_ms`` while the bus is in Operate.
 
-        When it is not called for so long the master goes to Clear until :meth:`operate`. It changes nothing while the
-        application watchdog is off, not armed, or has run out. Raises UsageError when the bus is not open.
+        Without a call for so long the master goes to Clear until :meth:`operate`. No effect while the application
+        watchdog is off, not armed, or has run out. Raises UsageError when the bus is not open.
         """
         self.check_open()
         if self.config.bus.application_watchdog_ms:
             self.command(Alive())
 
     async def clear(self) -> None:
-        """Inputs are read, outputs are zero (empty for Fail_Safe slaves)."""
+        """Clear: the master reads inputs and sends zero outputs (empty ones to Fail_Safe slaves)."""
         await self.order(SetMode(Mode.CLEAR))
         self._raise_refused()
 
     async def stop(self) -> None:
-        """Nothing more is sent to slaves (their watchdogs will expire); the master stays in the ring."""
+        """Stop: the master sends slaves no more telegrams (their watchdogs will expire), and stays in the ring."""
         await self.order(SetMode(Mode.STOP))
         self._raise_refused()
 
     async def outputs_taken(self) -> None:
-        """Wait until the master has the outputs that were set up to now; in Operate they go out in its next round.
+        """Wait until the master has the outputs that the program has set; in Operate its next round sends them.
 
-        Raises OrderDropped where a bus process did not take them within 1 s: they will not go out, and
-        ``Slave.outputs`` are those from before. Raises UsageError when the bus is not open, BusError when it is over.
+        Raises OrderDropped where a bus process did not take them within 1 s: they will not be sent, and
+        ``Slave.outputs`` are the earlier ones. Raises UsageError when the bus is not open, BusError when it is over.
         """
         self.check_open()
         with self._reason_of_the_end():
@@ -240,11 +239,12 @@ class Bus(Sealed, BusBase):
             await slave.ready(None if end is None else max(0.0, end - loop.time()))
 
     async def sync(self, groups: Groups = (), *, settle: bool = False) -> ControlSent:
-        """SYNC to ``groups`` (0 or nothing: all slaves): what they were sent last goes to their outputs, all at once,
-        and further outputs wait for the next SYNC. Returns when it has been sent, to the last bit.
+        """SYNC to ``groups`` (0 or nothing: all slaves): the slaves apply their last received outputs at one moment,
+        and later ones with the next SYNC. Returns when the last bit of the telegram has left the line.
 
-        ``settle``: first one whole Data_Exchange with each, so that outputs set just now are passed on. Never sent
-        twice. Raises UsageError in Stop or for slaves without ``sync``, SlaveFault, BusError (no token).
+        ``settle``: first one whole Data_Exchange with each slave, so that it has the outputs set just now. The master
+        never repeats the telegram. Raises UsageError in Stop or for slaves without ``sync``, SlaveFault, BusError (no
+        token).
         """
         return await send_control(self, groups, sync=True, settle=settle)
 
@@ -253,7 +253,7 @@ class Bus(Sealed, BusBase):
         return await send_control(self, groups, unsync=True)
 
     async def freeze(self, groups: Groups = ()) -> ControlSent:
-        """FREEZE: inputs of this moment are kept until the next FREEZE. Everything else as :meth:`sync`."""
+        """FREEZE: the slaves keep the inputs of this moment until the next FREEZE. Otherwise as :meth:`sync`."""
         return await send_control(self, groups, freeze=True)
 
     async def unfreeze(self, groups: Groups = ()) -> ControlSent:
@@ -261,14 +261,14 @@ class Bus(Sealed, BusBase):
         return await send_control(self, groups, unfreeze=True)
 
     def group(self, groups: Groups = ()) -> Group:
-        """Slaves to be written at one moment and read at one moment, see
+        """A group of slaves that change outputs, and sample inputs, at one moment, see
         :class:`~dpstack.api.bus.sync_freeze.Group`."""
         return Group(self, groups)
 
     async def add_slave(self, table: SlaveTable) -> Slave:
-        """Take up one more slave while the bus runs: ``table`` has the keys of a [[slave]] table. Raises ConfigError.
+        """Add a slave while the bus runs: ``table`` has the keys of a [[slave]] table. Raises ConfigError.
 
-        With ``port="virtual"`` it is simulated like the others. What the plan has to say about it comes as notices.
+        With ``port="virtual"`` it is simulated like the others. Findings of the plan about it come as notices.
         """
         config = table if isinstance(table, SlaveConfig) else slave_config(table)
         others = list(self.view.setups.values())
@@ -292,9 +292,10 @@ class Bus(Sealed, BusBase):
         return self._register(config, plugin)
 
     async def remove(self, slave: Slave | str | int) -> None:
-        """Give a slave up: safe outputs for 50 ms, Unlock, then forget it.
+        """Remove a slave: safe outputs for 50 ms, then Unlock.
 
-        Returns when it has been ordered; the bus does not end before, and a slave added at its address waits.
+        Returns when the master has the order. The bus does not end before the removal is over, and a slave added at
+        the same address waits for it.
         """
         address = slave.address if isinstance(slave, Slave) else self.slave(slave).address
         await whole(self._remove(address))
@@ -308,15 +309,15 @@ class Bus(Sealed, BusBase):
         if drive is not None:
             drive.end(UsageError(f"drive {drive.name} was removed from the bus"))
 
-    # --- what there is ------------------------------------------------------------------------------------------
+    # --- stations, events, cycles, statistics ------------------------------------------------------------------------------------------
 
     async def scan(
         self, *, configs: bool = False, addresses: Iterable[int] = ALL_ADDRESSES, quick: bool | None = None
     ) -> tuple[Found, ...]:
-        """The live list 0..126 without this station, with ident, state and owner of each slave; it changes nothing.
+        """The live list 0..126 without this station, with ident, state and owner of each slave. Slaves do not change.
 
-        ``configs``: ask for the identifier octets too. ``quick``: silent addresses without regard to the port's share
-        for them (default: while no slave of this bus is in data exchange).
+        ``configs``: ask for the identifier octets too. ``quick``: ask silent addresses one after the other, without
+        the pauses that data exchange needs on a slow port (default: while no slave of this bus is in data exchange).
         """
         if quick is None:
             quick = not any(slave.ready_now for slave in self.slaves if not self.view.read_only)
@@ -330,21 +331,21 @@ class Bus(Sealed, BusBase):
             with contextlib.suppress(DpError):  # the bus may have ended meanwhile
                 self.command(DetachUser(token))
         self.unreadable = frozenset(result.unreadable)
-        return tuple(_with_own_knowledge(found, mine.get(found.address), own) for found in result.found)
+        return tuple(_with_state_of(found, mine.get(found.address), own) for found in result.found)
 
     def events(self) -> EventStream:
-        """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
+        """The events since the start of the bus, an async iterator. It keeps 1000; ``dropped`` counts the lost ones."""
         return self._events.stream()
 
-    def tell(self, event: Event) -> None:
-        """Hand ``event`` to everybody who reads :meth:`events`, and to ``on_event``."""
-        self._events.tell(event)
+    def publish(self, event: Event) -> None:
+        """Hand ``event`` to all readers of :meth:`events`, and to ``on_event``."""
+        self._events.publish(event)
 
     def cycles(self) -> AsyncIterator[Cycle]:
-        """One :class:`~dpstack.api.bus.cycles.Cycle` for each round of data exchange, with or without a fixed cycle.
+        """A :class:`~dpstack.api.bus.cycles.Cycle` for each round of data exchange, with or without a fixed cycle.
 
-        Latest wins, ``cycle.skipped`` says how many were missed. Outputs set in the body before the next cycle begins
-        go out in that one, all together. Ends with the bus.
+        A slow reader gets the latest one; ``cycle.skipped`` counts the missed ones. The next cycle sends all outputs
+        that the body has set before it begins. Ends with the bus.
         """
         return self._cycles.read()
 
@@ -355,18 +356,18 @@ class Bus(Sealed, BusBase):
 
     @property
     def seconds_in_ring(self) -> float:
-        """Bus time since this master was given, or claimed, its first token in seconds; 0 before that."""
+        """Bus time in seconds since this master received, or claimed, its first token; 0 before that."""
         return ns_to_s(self.runtime.now() - self._joined_ns) if self._joined_ns else 0.0
 
     async def rotated(self, rotations: int | None, timeout: float | None = None) -> None:
-        """Wait until there were so many rotations in all (None: for ever). Raises TimeoutError."""
+        """Wait until the bus has had ``rotations`` rotations in all (None: for ever). Raises TimeoutError."""
         if rotations is None:
             await self.until(lambda: False, timeout)
             return
         with self.rounds.watched(self._waiters.check):
             await self.until(lambda: self.view.rotations >= rotations, timeout)
 
-    # --- from the machine ---------------------------------------------------------------------------------------
+    # --- events and failures of the machine ---------------------------------------------------------------------------------------
 
     def _on_events(self, events: list[Event]) -> None:
         for event in events:
@@ -388,13 +389,13 @@ class Bus(Sealed, BusBase):
                     self.forced_clear = None
                 case OperateWaits():
                     self.forced_clear = None
-            self._events.tell(event)
+            self._events.publish(event)
             for notice in self._other_masters.notices(event):
-                self._events.tell(notice)
+                self._events.publish(notice)
             if isinstance(event, RingJoined) and not self._joined_ns:
                 self._joined_ns = event.t_ns
-                text, severity = heard_before_joining(self.params.address, self.view)
-                self._events.tell(Notice(t_ns=event.t_ns, source="bus", message=text, severity=severity))
+                text, severity = listening_report(self.params.address, self.view)
+                self._events.publish(Notice(t_ns=event.t_ns, source="bus", message=text, severity=severity))
         self._waiters.check()
 
     def _on_refused(self, order: object, error: DpError) -> None:
@@ -409,14 +410,14 @@ class Bus(Sealed, BusBase):
                 self._refused = error
 
     def _on_failure(self, error: Exception) -> None:
-        """The bus no longer runs: pending calls raise ``error``. Anything but a BusError is a defect of dpstack."""
+        """The bus has stopped: pending calls raise ``error``, as a BusError (any other kind is a defect of dpstack)."""
         failure = error
         if not isinstance(failure, BusError):
             text = f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error}); please report it"
             failure = BusError(text)
             failure.__cause__ = error
         now = self.runtime.now()
-        self._events.tell(BusFailed(t_ns=now, source="bus", message=str(failure), severity=Severity.ERROR))
+        self._events.publish(BusFailed(t_ns=now, source="bus", message=str(failure), severity=Severity.ERROR))
         self._fail_all_calls(failure)
 
     def _fail_all_calls(self, error: DpError) -> None:
@@ -432,9 +433,9 @@ class Bus(Sealed, BusBase):
         self._waiters.check()
 
 
-def _with_own_knowledge(found: Found, slave: Slave | None, own: int) -> Found:
-    """``found`` with the state that the master itself has of ``slave``. (A diagnosis request of the scan would take a
-    new diagnosis away from the master.)"""
+def _with_state_of(found: Found, slave: Slave | None, own: int) -> Found:
+    """``found`` with the master's own state of ``slave``. (The scan sends it no diagnosis request: the answer would
+    reset the diagnosis flag, and the master would miss a new diagnosis.)"""
     if slave is None or found.kind is not StationType.SLAVE:
         return found
     exchanging = slave.state is SlaveState.DATA_EXCHANGE

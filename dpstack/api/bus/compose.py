@@ -75,7 +75,7 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
 
 
 def patience_for(config: Config, port: Port) -> Patience:
-    """Waiting times on ``port``: from ``host_slack_ms``, or by the kind of port."""
+    """The waiting times on ``port``: of ``host_slack_ms``, or of the kind of port."""
     if config.bus.host_slack_ms is not None:
         return slack(round(config.bus.host_slack_ms * NS_PER_MS), patience_of(port))
     return patience_of(port)
@@ -111,10 +111,10 @@ def compose(
 ) -> Parts:
     """Build the parts of ``config``, with simulated slaves in a world of its own when its port is "virtual".
 
-    ``on_failure`` is called when a machine raised (a defect of dpstack) or the bus process ended, ``on_refused`` when
-    the bus process refuses an order that no caller awaits. ``world``: the master joins this simulated bus, without
-    slaves of its own. A read-only bus filters every request that could write; ``watched``: it shows the state of its
-    stations. Raises ConfigError, PortError.
+    The runtime calls ``on_failure`` when a machine has raised (a defect of dpstack) or the bus process has ended, and
+    ``on_refused`` when the bus process refuses an order that no caller awaits. ``world``: the master joins this
+    simulated bus, and none of its slaves are simulated. ``watched``: a read-only bus, which sends no request that could
+    write, asks its slaves for their state. Raises ConfigError, PortError.
     """
     plan = plan_bus(config)
     refuse_misfit(config, plan, config.slave_params)
@@ -140,14 +140,14 @@ def compose(
         watched=watched,
     )
     driver = driver_for(config, port)
-    # on a pty the waiting times allow for a stalled computer; host_slack_ms of the user is never tuned
+    # not on a pty, whose waiting times allow for a stalled computer; nor where the user gives host_slack_ms
     tune = port is not None and port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None
     bench = None
     view: View
     runtime: Runtime
     if driver == PROCESS:
         from dpstack.drivers.process.client import ProcessRuntime
-        from dpstack.drivers.process.messages import SetUp  # imports msgspec, which only the process driver needs
+        from dpstack.drivers.process.messages import SetUp  # needs msgspec, as only the process driver does
 
         orders = [(slave, order) for slave in config.slaves if (order := plugin_of(slave)) is not None]
         setup = SetUp(
@@ -185,7 +185,7 @@ def compose(
             runtime = stack.line = VirtualRuntime(world, station, on_events, on_failure=on_failure)
         attach = partial(attach_core, stack.master, simulated=bench is not None)
         plugins = {s.address: plugin for s in config.slaves if (plugin := attach(s)) is not None}
-        attach_new = partial(_at_once, attach)
+        attach_new = partial(_attach_async, attach)
     return Parts(
         plan=plan,
         view=view,
@@ -199,7 +199,7 @@ def compose(
     )
 
 
-async def _at_once(attach: Callable[[SlaveConfig], DrivePlugin | None], slave: SlaveConfig) -> DrivePlugin | None:
+async def _attach_async(attach: Callable[[SlaveConfig], DrivePlugin | None], slave: SlaveConfig) -> DrivePlugin | None:
     return attach(slave)
 
 
@@ -251,7 +251,7 @@ def plugin_of(slave: SlaveConfig) -> AttachPlugin | None:
 
 
 def remote_plugin(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin:
-    """The drive plugin of ``slave`` in the bus process. A copy in this process knows ranges and references."""
+    """The drive plugin of ``slave`` in the bus process. A copy here checks ranges and converts references."""
     core = core_of(slave)
     assert core is not None
 

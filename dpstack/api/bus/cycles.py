@@ -1,4 +1,4 @@
-"""``bus.cycles()``: consistent inputs of all slaves, once a round of data exchange; a slow reader gets the latest."""
+"""``bus.cycles()``: consistent inputs of all slaves, once a round of data exchange. A slow reader gets the latest."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ from dpstack.units import NS_PER_MS, ns_to_s
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cycle:
-    """One round of data exchange. Made by the bus, see ``Bus.cycles``.
+    """A round of data exchange. Made by the bus, see ``Bus.cycles``.
 
-    ``number`` counts fixed cycles by their due times (those left out count too), free running the rounds. ``t_ns`` is
-    the machine's time of its first bit, ``late_ns`` how much later that was than due (0 free running). ``inputs`` are
-    the octets of every slave in data exchange by name, all as they stood at the end of this round, never some of this
-    and some of the next; ``fresh`` names the slaves that answered in it, :attr:`stale` the others. A slave is left out
-    where the round was older than ``Slave.inputs_limit`` when the reader got it; all slaves are while the bus does not
-    run. ``skipped``: rounds that this reader missed since its last one. ``missed``: deadline misses since the start of
-    the bus.
+    ``number`` counts the due times of fixed cycles (also of cycles left out), free running the rounds. ``t_ns``: the
+    machine's time of its first bit; ``late_ns``: its delay behind the due time (0 free running). ``inputs``: by name
+    the octets of every slave in data exchange, all of the end of this round. ``fresh`` names the slaves that answered
+    in this round, :attr:`stale` the others. ``inputs`` leaves out a slave if the round is older than its
+    ``Slave.inputs_limit`` when the reader gets it, and all slaves while the bus does not run. ``skipped``: rounds that
+    this reader missed since its last one. ``missed``: deadline misses since the start of the bus.
     """
 
     number: int
@@ -45,7 +44,7 @@ class Cycle:
 
     @property
     def age(self) -> float:
-        """Time since its first bit in seconds, at this moment."""
+        """Time since its first bit up to now in seconds."""
         return ns_to_s(max(0, self._now() - self.t_ns))
 
     @property
@@ -54,7 +53,7 @@ class Cycle:
         return frozenset(self.inputs) - self.fresh
 
     def get(self, name: str) -> dict[str, Value] | None:
-        """The named inputs of one slave; None while there are none, because it is not in data exchange.
+        """The named inputs of one slave; None while it is not in data exchange.
 
         Raises UsageError for a name that no slave of the bus has.
         """

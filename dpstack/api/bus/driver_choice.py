@@ -1,4 +1,4 @@
-"""The choice of the driver: asyncio, process or virtual; for "auto" by measurements (docs/drivers.md)."""
+"""The choice of the driver: asyncio, process or virtual. The rule of "auto" is by measurements (docs/drivers.md)."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ def _process_pays(port: Port) -> bool:
 
 
 def _why_no_process(port: Port | None) -> tuple[str, str] | None:
-    """Why the bus of ``port`` cannot run in a process of its own, and what to do; None where it can."""
+    """The reason why the bus of ``port`` cannot run in a process of its own, and advice; None where it can."""
     take_asyncio = 'take driver = "asyncio"'
     if port is None:
         return "a simulated bus lives in the program's own process", "leave driver out"
     if sys.platform != "linux":
         return f"the bus process needs Linux, this is {sys.platform}", take_asyncio
-    if not sys.executable or getattr(sys, "frozen", False):  # its executable starts the program, not an interpreter
+    if not sys.executable or getattr(sys, "frozen", False):  # sys.executable is the program, no interpreter
         return "this program is one file without a Python beside it", take_asyncio
     if type(port).open_now is Port.open_now:
         return f"the port {port.name} is of a kind that needs asyncio", take_asyncio

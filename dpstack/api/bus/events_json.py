@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 
-#: their JSON has no ``text``
+#: events whose JSON has no ``text``
 _WITHOUT_TEXT = (SlaveStateChanged, SlaveDiagnosis, DriveEvent, ModeChanged, MasterStopped)
 _RING = (RingJoined, RingLeft, MasterSeen, TokenLost, AddressCollision)
 
@@ -87,7 +87,7 @@ def _message_json(message: Alarm | Status) -> dict[str, object]:
 
 
 def event_json(event: Event, t: float) -> dict[str, object] | None:
-    """The JSON line of ``event`` at ``t`` seconds; None for answers to orders."""
+    """The JSON line of ``event`` at ``t`` seconds; None for events that answer an order."""
     if isinstance(event, Injected):
         return event.as_dict(t)
     found = _kind_and_fields(event)

@@ -1,4 +1,4 @@
-"""Search for the baud rate of a bus: listens at one rate after the other and sends nothing."""
+"""Search for the baud rate of a bus: listens at one rate after the other, and never sends."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from dpstack.units import BAUD_RATES, NEVER, ns_to_s, s_to_ns
 SILENCE_S: Final = 5.0
 #: time of noise (s), octets without a telegram, that ends the search
 _NOISE_S: Final = 20.0
-#: advice after noise, after silence
-_GIVE: Final = (
+#: advice after noise, and after silence
+_ADVICE: Final = (
     "or give the rate, for instance baud = 500000",
     "a master that is alone on its bus must give the rate, for instance baud = 500000",
 )
@@ -39,8 +39,8 @@ _GIVE: Final = (
 class BaudReport:
     """Result of a search. ``baud`` in bit/s, None when no telegram was recognised; ``seconds`` of listening.
 
-    ``telegrams``: heard in a row, with no octet left over between. ``confidence``: "checked" (telegrams with check
-    sum) or "token" (the same token three times). ``missing``: "silence" or "noise". ``text``: the same for people.
+    ``telegrams``: received in a row, without odd octets between them. ``confidence``: "checked" (telegrams with check
+    sum) or "token" (the same token three times). ``missing``: "silence" or "noise". ``text``: the result for people.
     """
 
     baud: int | None
@@ -59,18 +59,18 @@ class BaudReport:
 
 
 async def find_baud(port: str, *, timeout: float | None = SILENCE_S, silence: float | None = None) -> BaudReport:
-    """Listen at ``port`` (nothing is sent) for at most ``timeout`` seconds, or ``silence`` seconds of silence.
+    """Listen at ``port``, without sending, for at most ``timeout`` seconds, or until ``silence`` seconds of silence.
 
-    None is no limit. Raises ConfigError for a port that has no wire; PortError.
+    None: no limit. Raises ConfigError for a port that has no wire; PortError.
     """
-    need_wire(port)
+    require_wire(port)
     # every adapter supports the slowest rate: a port that does not open at it does not exist
     line = open_port(port, BAUD_RATES[0])
     return _report(await search_baud(line, limit_ns=_limit(timeout), silence_ns=_limit(silence)))
 
 
-def need_wire(port: str) -> None:
-    """Raises ConfigError for a port that this process makes: no master can be on it."""
+def require_wire(port: str) -> None:
+    """Raises ConfigError for a port that this process makes itself: no other master can be on it."""
     if port in (VIRTUAL, "pty"):
         raise ConfigError(f'port "{port}": nobody else is on it who could be listened to; give the rate')
 
@@ -95,10 +95,10 @@ def _limit(seconds: float | None) -> int:
 async def search_baud(
     port: Port, *, silence_ns: int = NEVER, limit_ns: int = NEVER, rates: Sequence[int] = BAUD_RATES
 ) -> BaudFound | BaudNotFound:
-    """Open ``port``, listen until its rate is found or given up (see :class:`AutoBaud`), and close it.
+    """Open ``port``, listen until the search (:class:`AutoBaud`) has a result, and close it.
 
-    Nothing is sent. Rates that the port cannot do are left out. Raises PortError where it cannot be opened, vanishes,
-    or is of a kind whose rate cannot be changed; ConfigError where it can do none of ``rates``.
+    It skips rates that the port cannot do. Raises PortError where the port cannot be opened, vanishes, or is of a kind
+    whose rate cannot be changed; ConfigError where it can do none of ``rates``.
     """
     search = AutoBaud(
         monotonic_ns(),
@@ -108,11 +108,11 @@ async def search_baud(
         slack_ns=patience_of(port).known_ns,
         settle_ns=settle_ns_of(port),
     )
-    return await _result(port.name, partial(AsyncioRuntime, port, search, echo=Echo.OFF))
+    return await _run_search(port.name, partial(AsyncioRuntime, port, search, echo=Echo.OFF))
 
 
-async def _result(where: str, make_runtime: Callable[..., Runtime]) -> BaudFound | BaudNotFound:
-    """Run a search until it has a result. Raises PortError, and what the machine raised."""
+async def _run_search(where: str, make_runtime: Callable[..., Runtime]) -> BaudFound | BaudNotFound:
+    """Run a search until it has a result. Raises PortError, and any exception of the machine."""
     result: asyncio.Future[BaudFound | BaudNotFound] = asyncio.get_running_loop().create_future()
 
     def on_events(events: list[Event]) -> None:
@@ -138,9 +138,9 @@ async def _result(where: str, make_runtime: Callable[..., Runtime]) -> BaudFound
 
 
 async def rate_of(config: Config, world: World | None = None) -> BaudReport:
-    """The rate of the bus that ``config`` leaves to be found ("auto"), on its port or in a simulated ``world``.
+    """Search the baud rate for ``config``, on its port or in a simulated ``world``.
 
-    Raises BusError when none is recognised; ConfigError, PortError.
+    Raises BusError when no rate is recognised; ConfigError, PortError.
     """
     if world is None:
         where = config.port
@@ -148,7 +148,7 @@ async def rate_of(config: Config, world: World | None = None) -> BaudReport:
     else:
         where = "the simulated bus"
         search = AutoBaud(world.now, limit_ns=s_to_ns(_NOISE_S), silence_ns=s_to_ns(SILENCE_S))
-        report = _report(await _result(where, partial(VirtualRuntime, world, search)))
+        report = _report(await _run_search(where, partial(VirtualRuntime, world, search)))
     if report.baud is None:
-        raise BusError(f"{where}: the baud rate was not found: {report.text}; {_GIVE[report.missing == 'silence']}")
+        raise BusError(f"{where}: the baud rate was not found: {report.text}; {_ADVICE[report.missing == 'silence']}")
     return report

@@ -1,4 +1,4 @@
-"""The live list of a port, asked by a temporary master at a free address; a configuration skeleton made from it."""
+"""The live list of a port, read by a temporary master, and a configuration skeleton made from it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dpstack.params import MAX_STATION
 from dpstack.profile import DriveProfile, registry
 
 _FIRST_MASTER: Final = 2
-#: occupied addresses that are tried before the user has to name one
+#: occupied addresses after which the user has to name a free one
 _TRIES: Final = 8
 
 #: Makes a bus at a station address that is not open yet.
@@ -26,9 +26,9 @@ MakeBus = Callable[[int], Bus]
 
 @contextlib.asynccontextmanager
 async def joined(make_bus: MakeBus, address: int | None = None, *, avoid: Collection[int] = ()) -> AsyncIterator[Bus]:
-    """A bus in the ring, closed in order at the end.
+    """A bus in the ring, for the duration of a block.
 
-    ``address`` None: the lowest address at which no station sends and that is not in ``avoid`` (0 is kept for tools).
+    ``address`` None: the lowest address at which no station sends and that is not in ``avoid``.
     Raises PortError, BusError.
     """
     candidates = [own for own in range(MAX_STATION + 1) if own not in avoid] if address is None else [address]
@@ -69,16 +69,16 @@ class LiveListResult:
 
 
 async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: bool = False) -> LiveListResult:
-    """Join the bus, ask all addresses, leave the ring. On a silent bus then ask the own address from another one.
+    """Join the bus, ask all addresses, leave the ring. On a bus without other masters, join it again at another address
+    and ask the first one: a slave may have it.
 
-    ``make_bus`` makes read-only buses; ``address`` as in :func:`joined`.
-    Raises PortError, BusError.
+    ``make_bus`` makes read-only buses; ``address`` as in :func:`joined`. Raises PortError, BusError.
     """
     async with joined(make_bus, address) as bus:
         own = bus.params.address
         stations = await bus.scan(configs=configs)
     notes = list(_notes(stations, bus.unreadable))
-    if bus.snapshot.claimed:  # otherwise another master polled the own address and got one answer
+    if bus.snapshot.claimed:  # no other master has polled this address
         taken = {own, *(found.address for found in stations)}
         other = next(free for free in range(MAX_STATION + 1) if free not in taken)
         try:
@@ -137,15 +137,15 @@ def _free_address(result: LiveListResult) -> int:
 
 
 def _slave(found: Found) -> list[str]:
-    why = _unusable(found)
+    why = _why_unusable(found)
     table = list(_table(found))
     if why is None:
         return table
     return [f"# {why}", *(f"# {line}" for line in table)]
 
 
-def _unusable(found: Found) -> str | None:
-    """Why the answers of a slave are not enough to configure it."""
+def _why_unusable(found: Found) -> str | None:
+    """The reason why the answers of a slave are not enough to configure it; None where they are."""
     if found.address > MAX_STATION:
         return f"station {found.address} is a slave as delivered: give it an address of its own first"
     if found.ident is None or found.config is None:

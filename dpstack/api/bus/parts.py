@@ -35,7 +35,7 @@ SEARCHING: Final = "searching for the baud rate"
 
 
 class BusBase:
-    """With the baud rate "auto" every part raises UsageError until the rate has been found."""
+    """With the baud rate "auto" all properties of the objects behind the bus raise UsageError until it is found."""
 
     def __init__(self, config: Config, on_event: OnEvent | None) -> None:
         self.config = config
@@ -81,7 +81,8 @@ class BusBase:
         return self.parts.plan.params
 
     def fitting(self, slave: SlaveConfig) -> SlaveParams:
-        """``slave`` for the master, beside all others. Raises ConfigError where the cycle has no room for it."""
+        """The parameters of ``slave`` for the master. Raises ConfigError where the cycle has no time for it beside the
+        others."""
         others = [other for address, other in self.view.setups.items() if address != slave.address]
         refuse_misfit(self.config, self.plan, [*others, slave.params])
         self._round_ns = None
@@ -155,7 +156,7 @@ class BusBase:
         return tuple(self._drives[address] for address in sorted(self._drives))
 
     def slave(self, which: str | int) -> Slave:
-        """A slave by name or address. Raises UsageError naming those there are."""
+        """A slave by name or address. Raises UsageError, which lists the slaves."""
         for slave in self._slaves.values():
             if which in (slave.name, slave.address):
                 return slave
@@ -163,7 +164,7 @@ class BusBase:
         raise UsageError(f"no slave {which!r} on this bus; there are: {known}")
 
     def drive(self, which: str | int) -> Drive:
-        """A drive by name or address. Raises UsageError naming those there are."""
+        """A drive by name or address. Raises UsageError, which lists the drives."""
         for drive in self._drives.values():
             if which in (drive.name, drive.slave.address):
                 return drive
@@ -180,8 +181,8 @@ class BusBase:
     def command(self, command: object) -> None:
         """Hand an order to the machine. Raises UsageError when the bus is not open.
 
-        A refusal by the bus process comes as a notice, and is raised by the next ``operate()``, ``clear()``,
-        ``stop()`` or ``outputs_taken()``.
+        If the bus process refuses the order, a notice reports it, and the next ``operate()``, ``clear()``, ``stop()``
+        or ``outputs_taken()`` raises the refusal.
         """
         self.check_open()
         with self._reason_of_the_end():
@@ -218,12 +219,12 @@ class BusBase:
     async def until(self, condition: Callable[[], bool], timeout: float | None = None) -> None:
         """Wait until ``condition()``, evaluated after every event, is true; it may raise. Raises TimeoutError."""
 
-        def judged() -> bool:
+        def condition_or_end() -> bool:
             if self._over is not None:
                 raise self._over
             return condition()
 
-        await self._waiters.until(judged, timeout)
+        await self._waiters.until(condition_or_end, timeout)
 
     @property
     def seconds(self) -> float:
@@ -231,8 +232,8 @@ class BusBase:
         return ns_to_s(self.runtime.now() - self.started_ns)
 
     def notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None:
-        """Tell ``message`` as an event."""
-        self._events.tell(Notice(t_ns=self.runtime.now(), source=source, message=message, severity=severity))
+        """Publish ``message`` as an event."""
+        self._events.publish(Notice(t_ns=self.runtime.now(), source=source, message=message, severity=severity))
 
     # --- the end ------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""Inputs of the plan from the configuration (other masters, T_TR, adapter), and plans that are refused."""
+"""Inputs of the plan from the configuration (other masters, T_TR, adapter), and the refusal of impossible cycles."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _ADAPTER_TOKEN: Final = NS_PER_MS
 
 
 def other_masters(config: Config, baud: int) -> OtherMasters:
-    """``other_masters`` at ``baud``. Their times in ms apply to the bus's own rate: in bit times they are the same at
-    every rate.
+    """``other_masters`` of the configuration at ``baud``. Its times in ms are for the bus's own rate; at another rate
+    the other masters need as many bit times.
     """
     given = config.bus.other_masters
     if isinstance(given, int):
@@ -33,7 +33,7 @@ def other_masters(config: Config, baud: int) -> OtherMasters:
 
 
 def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveParams]) -> BusParams:
-    """``params`` with T_TR enough for the longest normal round of all masters, unless the configuration fixes it."""
+    """``params`` with T_TR long enough for a normal round of all masters, or with T_TR of the configuration."""
     if config.bus.t_tr is not None:
         return params
     return params.replace(t_tr=Figures(params, setups, other_masters(config, params.baud)).t_tr_preset)
@@ -45,7 +45,7 @@ def data_control_ns(config: Config) -> int:
 
 
 def new_plan_texts(config: Config, plan: Plan, setups: Sequence[SlaveParams], added: SlaveParams) -> list[str]:
-    """Findings and notes of the running bus of ``plan`` that are new because ``added`` joins ``setups``."""
+    """New findings and notes of the plan for a running bus when ``added`` joins ``setups``."""
 
     def texts(slaves: Sequence[SlaveParams]) -> tuple[str, ...]:
         now = make_plan(
@@ -64,7 +64,7 @@ def new_plan_texts(config: Config, plan: Plan, setups: Sequence[SlaveParams], ad
 
 
 def cycle_rates(config: Config, cycle_ns: int) -> dict[Verdict, int | None]:
-    """The slowest baud rate, of those that all slaves know, at which ``cycle_ns`` is judged so or better."""
+    """For each verdict the slowest baud rate that all slaves know and at which ``cycle_ns`` gets it, or a better one."""
     return slowest_rates(_at_rates(config), cycle_ns)
 
 
@@ -80,7 +80,7 @@ def _at_rates(config: Config) -> Iterable[Figures]:
 
 
 def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveParams]) -> list[str]:
-    """A note where the fixed cycle is too short for the delay of a USB adapter; known before the port is opened."""
+    """A note where the fixed cycle is shorter than a round over a USB adapter usually takes."""
     slaves = len(rotation(params, setups, Case.SHORTEST).together)
     round_ns = slaves * _ADAPTER_EXCHANGE + _ADAPTER_TOKEN
     if not config.bus.cycle_ns or round_ns <= config.bus.cycle_ns:

@@ -1,4 +1,4 @@
-"""Joining the token ring of other masters: time limit, failure texts, and notices for the user."""
+"""Joining the token ring of other masters: time limit, failure texts, notices."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from dpstack.units import NS_PER_S, ns_to_s
 
 #: shortest time limit (s): masters of other makers may be slower
 _LEAST_LIMIT_S: Final = 30.0
-#: number of passes to wait for: the first poll may come before this station knows the ring, or its answer may be
-#: damaged
+#: number of passes over the GAP to wait for: this station may not know the ring yet at the first poll, or its answer
+#: may be damaged
 _PASSES: Final = 2
 
 
 def pass_ns(params: BusParams, patience: Patience) -> int:
-    """Longest wait in ns of a new station for the GAP poll of a master with ``params``: the pause between two passes
-    and one pass over every address up to HSA. (Only the slot time of each poll counts.)"""
+    """The longest time in ns that a new station waits for the GAP poll of a master with ``params``: the pause between
+    two passes and one pass over every address up to HSA. (Only the slot time of each poll counts.)"""
     cost_ns = patience.silent_ns(params)
     polls = params.hsa + 1
     return params.gap * params.ns(params.t_tr) + polls * cost_ns * max(1, patience.gap_divisor(polls, cost_ns))
@@ -36,9 +36,9 @@ def join_limit_s(params: BusParams, patience: Patience) -> float:
 
 
 class OtherMasterNotices:
-    """Notices about other masters: how long joining takes, and the settings they need beside this port.
+    """Notices about other masters: the time that joining takes, and the settings that they need beside this port.
 
-    A notice has the figures of the moment. It comes again if they have changed when another master appears.
+    A notice has the figures of the moment. When another master appears and they have changed, it comes again.
     """
 
     def __init__(self, params: BusParams, snapshot: Callable[[], BusSnapshot]) -> None:
@@ -84,7 +84,7 @@ async def join(bus: BusBase, timeout: float | None) -> None:
 
 
 def why_not_joined(own: int, view: View, after_s: float) -> str:
-    """One line: the telegrams received so far, and advice."""
+    """One line for people: the telegrams received up to now, and advice."""
     counters = view.counters()
     late = f"station {own} is not in the token ring after {after_s:g} s"
     others = sorted(view.bus().las - {own})
@@ -106,8 +106,8 @@ def why_not_joined(own: int, view: View, after_s: float) -> str:
     return f"{late}: nothing is heard and nothing could be sent; check port and cable"
 
 
-def heard_before_joining(own: int, view: View) -> tuple[str, Severity]:
-    """One line about the telegrams that station ``own`` received before it joined the ring, and its severity."""
+def listening_report(own: int, view: View) -> tuple[str, Severity]:
+    """A line about the telegrams that station ``own`` received before it joined the ring, and its severity."""
     counters, las = view.counters(), view.bus().las
     heard, bad = counters.link.heard, counters.decoder.bad
     others = sorted(las - {own})

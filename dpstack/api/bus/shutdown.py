@@ -1,4 +1,4 @@
-"""The ordered end of a bus: through cancellations and Ctrl-C, by a finaliser after the event loop, none in a fork.
+"""The ordered end of a bus: despite cancellations and Ctrl-C, by a finaliser without event loop, not in a fork.
 
 The steps are :class:`dpstack.drivers.line.shutdown.EndSteps`; docs/ends.md lists every way out.
 """
@@ -34,7 +34,7 @@ from dpstack.units import NS_PER_MS, ns_to_s
 
 _log: Final = logging.getLogger("dpstack")
 
-#: ends of the open buses of this process, for :func:`hurry_all` and the child of a fork
+#: the :class:`OrderedEnd` of every open bus of this process
 _open: weakref.WeakSet[OrderedEnd] = weakref.WeakSet()
 #: delay of a timer (ns) above which the event loop counts as blocked
 _HELD_UP_NS: Final = 10 * NS_PER_MS
@@ -42,12 +42,12 @@ _HELD_UP_NS: Final = 10 * NS_PER_MS
 _ENDING_SIGNALS: Final = tuple(
     number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None
 )
-#: Ctrl-C within this time (s) of the beginning of the end is the one that began it
+#: Ctrl-C within this time (s) after the beginning of the end counts as the one that began it
 SAME_SIGNAL_S: Final = 1.0
 
 
 def hurry_all() -> None:
-    """Hurry the end of every open bus of this process (see ``Bus.hurry``). To be called in their event loop."""
+    """Hurry the end of every open bus of this process (see ``Bus.hurry``). Call it in their event loop."""
     for end in list(_open):
         end.hurry_bus()
 
@@ -73,16 +73,16 @@ class OrderedEnd:
         self._wake_fd = -1
         self._held: _HeldByLoop | None = None
         self._pid = os.getpid()
-        #: slaves had outputs, and got neither safe values nor Clear
+        #: see ``Bus.end_failed``
         self.failed = False
 
-    # --- the bus opens and closes -------------------------------------------------------------------------------
+    # --- opening and closing -------------------------------------------------------------------------------
 
     async def watch(self) -> None:
-        """The bus has been opened: register everything that ends it when its task, its loop or the program ends.
+        """The bus is open: register the objects that end it when its task, its loop or the program ends.
 
-        An asynchronous generator has asyncio.run() end a bus that nobody closed; a finaliser is there for a loop that
-        is closed or never runs again.
+        Through an asynchronous generator asyncio.run() ends a bus that the program has not closed. A finaliser ends it
+        if the loop is closed or never runs again.
         """
         self._loop = loop = asyncio.get_running_loop()
         self._pid = os.getpid()
@@ -99,7 +99,7 @@ class OrderedEnd:
                 os.close(fd)
         if self._bus.driver == "virtual":  # simulated slaves need no safe values
             return
-        if self._wake_fd < 0:  # without the descriptor only the end of the interpreter is noticed
+        if self._wake_fd < 0:  # without the descriptor only the end of the interpreter runs the finaliser
             self._held = held
         self._finalizer = weakref.finalize(held, self._without_loop)
         self._finalizer.atexit = False  # see _at_exit
@@ -113,11 +113,11 @@ class OrderedEnd:
                 await self._close()
 
     async def unwatch(self) -> None:
-        """The bus is closed: undo :meth:`watch`."""
+        """The bus is closed: remove all that :meth:`watch` has registered."""
         self._forget()
         keeper, self._keeper = self._keeper, None
         if keeper is not None:
-            with contextlib.suppress(RuntimeError):  # asyncio.run() is closing it and waits for this end
+            with contextlib.suppress(RuntimeError):  # asyncio.run() is closing the generator and waits for this end
                 await keeper.aclose()
 
     def _forget(self) -> None:
@@ -131,7 +131,7 @@ class OrderedEnd:
                 self._loop.remove_reader(fd)
             os.close(fd)
 
-    # --- in the loop --------------------------------------------------------------------------------------------
+    # --- the end in the event loop --------------------------------------------------------------------------------------------
 
     def on_event(self, event: Event) -> None:
         if self._steps is not None:
@@ -140,22 +140,22 @@ class OrderedEnd:
                 self._wake()
 
     def hurry(self) -> None:
-        """Skip what is not needed to make outputs safe, see :class:`EndSteps`."""
+        """Skip the steps that do not make outputs safe, see :class:`EndSteps`."""
         self._hurried = True
         if self._steps is not None:
             self._steps.hurry(self._bus.runtime.now())
             self._wake()
 
     def is_over(self) -> None:
-        """The bus can send no more telegrams: do not wait for further steps."""
+        """The bus can send no more telegrams: end the steps."""
         if self._steps is not None:
             self._steps.done = True
             self._wake()
 
     async def carry_out(self) -> None:
-        """All steps that the bus still can carry out, within :func:`~dpstack.drivers.line.shutdown.end_limit_ns`.
+        """Carry out the steps, as far as the bus still can, in :func:`~dpstack.drivers.line.shutdown.end_limit_ns`.
 
-        A cancellation of the task that runs this (asyncio.run() cancels all) has no effect.
+        Cancellations of the calling task have no effect: asyncio.run() cancels all tasks.
         """
         bus = self._bus
         steps = self._steps = EndSteps(bus.params, lambda: bus.snapshot.in_ring)
@@ -176,20 +176,20 @@ class OrderedEnd:
                         paused = bus.runtime.now()
                         await self._pause(ns_to_s(left))
                         if not held_up and bus.runtime.now() - paused - left > _HELD_UP_NS:
-                            held_up = True  # by another task that blocked the loop, and with it the bus
+                            held_up = True  # another task blocked the loop, and with it the bus
                             begun = bus.runtime.now()
             now = bus.runtime.now()
-            # no event: no port tells when the last bit is on the wire, only time does
+            # wait for the last bit by time: no port reports when it has left the line
             self._steps = None
             await self._pause(ns_to_s(steps.over_at(now) - now))
         self.failed = bool(exchanging) and not steps.cleared
-        # the process driver itself reports a bus process that has ended
+        # the process driver itself reports the death of its bus process
         if self.failed and not (steps.cleared is None and bus.driver == "process"):
             text = f"the end could not be sent: the slaves got neither safe values nor Clear. {at_slaves(exchanging)}"
             bus.notice("bus", text, Severity.ERROR)
 
     def _exchanging(self) -> dict[str, int]:
-        """The watchdogs in ns of the slaves that have outputs of this master, by name."""
+        """By name the watchdog times (ns) of the slaves that have outputs of this master."""
         if self._bus.snapshot.mode is not Mode.OPERATE:
             return {}
         view = self._bus.view
@@ -212,10 +212,10 @@ class OrderedEnd:
             _set(self._step)
 
     def _interrupts_deferred(self) -> contextlib.AbstractContextManager[object]:
-        """Defer a Ctrl-C that would raise KeyboardInterrupt in the middle of the end until after it.
+        """Defer KeyboardInterrupt by Ctrl-C until the end is over.
 
-        One that comes later than :data:`SAME_SIGNAL_S` after the beginning hurries the end. Handlers of signals that
-        the program itself has set stay as they are.
+        A Ctrl-C later than :data:`SAME_SIGNAL_S` after the beginning hurries the end. Signal handlers of the program
+        itself stay as they are.
         """
         loop = asyncio.get_running_loop()
         before = signal.getsignal(signal.SIGINT) if threading.current_thread() is threading.main_thread() else None
@@ -227,21 +227,21 @@ class OrderedEnd:
             raise_again=lambda number: loop.call_soon(before, number, None),
         )
 
-    # --- without a loop -----------------------------------------------------------------------------------------
+    # --- the end without an event loop -----------------------------------------------------------------------------------------
 
     def at_exit(self) -> None:
-        """The interpreter ends: run the finaliser now, if the bus has one."""
+        """The interpreter ends: run the finaliser of the bus, if it has one."""
         if self._finalizer is not None and self._finalizer.detach():
             self._without_loop()
 
     def _without_loop(self) -> None:
-        """The finaliser: the loop was closed, or the interpreter ends, and nobody has closed the bus."""
+        """The finaliser: the loop or the interpreter ends, and the program has not closed the bus."""
         bus, loop = self._bus, self._loop
         if os.getpid() != self._pid or bus.is_left:
             return
         where = f"the bus on {printable(bus.runtime.port_name)}"
         with _DeferredSignals(_ENDING_SIGNALS, late=self._hurry_in_thread):
-            if loop is not None and loop.is_running():  # in another thread, which ends with the interpreter
+            if loop is not None and loop.is_running():  # in a daemon thread
                 with contextlib.suppress(Exception):
                     asyncio.run_coroutine_threadsafe(self._close(), loop).result(bus.end_limit_s)
                     _log.warning("%s was still open as the program ended and was closed then", where)
@@ -254,7 +254,7 @@ class OrderedEnd:
             loop.call_soon_threadsafe(self.hurry_bus)
 
     def _end_now(self, how: str) -> None:
-        """The end in this thread, without the loop. ``how`` the bus was left, for the log."""
+        """The end in this thread, without the loop. ``how``: the way in which the program left the bus, for the log."""
         bus = self._bus
         exchanging = self._exchanging()
         why = bus.runtime.end_without_loop()
@@ -270,9 +270,9 @@ class OrderedEnd:
     async def elsewhere(self) -> bool:
         """Close the bus for a caller outside of the bus's event loop; False where the caller is in that loop.
 
-        A loop that runs in another thread makes the end itself. For a loop that does not run the end is made here, as
-        the finaliser would make it. Without any running loop (Python throws a coroutine away) it is left to the
-        finaliser. Raises BusError where the loop in the other thread is blocked.
+        If that loop runs in another thread, it carries out the end. If it does not run, the end is carried out here as
+        by the finaliser. Without any running loop (Python discards a coroutine) the finaliser does it later. Raises
+        BusError where the loop in the other thread is blocked.
         """
         loop = self._loop
         try:
@@ -302,12 +302,12 @@ class OrderedEnd:
             with contextlib.suppress(StopIteration, StopAsyncIteration, RuntimeError):
                 keeper.aclose().send(None)
 
-    # --- in a forked child --------------------------------------------------------------------------------------
+    # --- the child of a fork --------------------------------------------------------------------------------------
 
     def forsake(self) -> None:
         """In the child of a fork: forget the bus without effect on the parent."""
         bus = self._bus
-        _separate(self._wake_fd)
+        _replace_epoll(self._wake_fd)
         bus.runtime.forsake()
         text = "this process was forked from the one that runs the bus, which goes on there: open a bus of its own"
         bus.leave(UsageError(text))
@@ -316,7 +316,7 @@ class OrderedEnd:
 
 
 class _HeldByLoop:
-    """An object that only the event loop refers to, so that Python finalises it when the loop is closed."""
+    """An object to which only the event loop refers, so that Python finalises it when the loop is closed."""
 
     def never(self) -> None:
         """Its descriptor never becomes readable."""
@@ -328,7 +328,7 @@ def _set(future: asyncio.Future[None]) -> None:
 
 
 def _raises(handler: object) -> bool:
-    """Whether a signal handler raises KeyboardInterrupt wherever the program is: Python's own and asyncio.run()'s."""
+    """Whether a signal handler raises KeyboardInterrupt at any place: that of Python, and that of asyncio.run()."""
     if handler is signal.default_int_handler:
         return True
     func = handler.func if isinstance(handler, functools.partial) else handler
@@ -336,11 +336,10 @@ def _raises(handler: object) -> bool:
 
 
 class _DeferredSignals:
-    """Keeps signals of ``numbers`` inside the block, whichever thread receives them; afterwards ``raise_again`` is
-    called with each of them once.
+    """Holds back the signals ``numbers`` during the block; afterwards calls ``raise_again`` once with each of them.
 
-    Nothing is changed in threads other than the main one, where no handler runs, and for ignored signals.
-    ``late`` is called by one that comes more than :data:`SAME_SIGNAL_S` after the beginning.
+    A signal more than :data:`SAME_SIGNAL_S` after the beginning calls ``late``. No effect in threads other than the
+    main one, where no handler runs, and on ignored signals.
     """
 
     def __init__(
@@ -367,7 +366,7 @@ class _DeferredSignals:
         while before not in (None, signal.SIG_IGN) and number not in self._before:
             try:
                 signal.signal(number, self._keep)
-            except BaseException as error:  # it came before: Python runs its handler before it takes another one
+            except BaseException as error:  # the signal came just before: Python still runs its old handler
                 self._caught.append(signal.SIGINT if isinstance(error, KeyboardInterrupt) else signal.SIGTERM)
             else:
                 self._before[number] = before
@@ -385,12 +384,12 @@ class _DeferredSignals:
             self._raise_again(number)
 
 
-def _separate(watched_fd: int) -> None:
-    """In the child of a fork: an event loop's epoll that watches ``watched_fd`` becomes one of the child's own.
+def _replace_epoll(watched_fd: int) -> None:
+    """In the child of a fork: replace the epoll object that watches ``watched_fd`` by a new one.
 
-    The copy of a loop has the parent's epoll. Closing the loop in the child, as asyncio.run() does, would take
-    descriptors out of the parent's loop, among them the one by which threads and signals wake it up. Linux
-    tells which epoll it is, so other loops (uvloop) work, too.
+    The child's copy of an event loop has the parent's epoll object. Closing the loop in the child, as asyncio.run()
+    does, would remove descriptors from the parent's loop, among them the one by which threads and signals wake it.
+    Linux lists the descriptors that an epoll object watches, so this works for other loops (uvloop), too.
     """
     if sys.platform != "linux" or watched_fd < 0:
         return
@@ -408,7 +407,7 @@ def _in_child() -> None:
 
 
 def _at_exit() -> None:
-    """End all open buses; a signal that comes meanwhile ends the program afterwards."""
+    """End all open buses. A signal during that takes effect afterwards."""
     with _DeferredSignals(_ENDING_SIGNALS):
         for end in list(_open):
             end.at_exit()

@@ -41,14 +41,14 @@ class SlaveStats:
     inputs_valid: bool
     inputs_age: float | None
     outputs: bytes
-    #: different from ``outputs`` outside data exchange and in Clear
+    #: the outputs on the wire; not ``outputs`` outside data exchange and in Clear
     outputs_sent: bytes
     #: the effective watchdog, 0 when off
     watchdog_ms: int
     link: StationStats
     master: int | None = None
     fields: Mapping[str, object] = field(default_factory=dict)
-    #: of its alarms, None for a slave without DP-V1
+    #: counters of its alarms, None for a slave without DP-V1
     alarms: AlarmCounts | None = None
     #: flags and texts of its last diagnosis; empty before the first
     diagnosis: Mapping[str, object] = field(default_factory=dict)
@@ -103,16 +103,16 @@ def _link_dict(link: StationStats) -> dict[str, object]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusStats:
-    """The whole bus. Rotation times in whole microseconds: ``min``, ``p50``, ``p99``, ``p999``, ``max``.
+    """Counters of the whole bus. Rotation times in whole microseconds: ``min``, ``p50``, ``p99``, ``p999``, ``max``.
 
-    ``rotation_us`` is first Data_Exchange of a round to that of the next, ``token_us`` token receipt to token receipt.
-    ``paced`` is false on a port without octet times (pty): the figures are the host's. ``bad`` counts octets and
-    telegrams that could not be read, by cause (names of DecoderStats); ``uart_...`` are octets that the adapter or its
-    driver found damaged. ``stations`` are the link layer's counters of every station that was asked anything, ``link``
-    those of this station; ``retries``, ``timeouts`` are their sums.
+    ``rotation_us``: from the first Data_Exchange of a round to that of the next; ``token_us``: from token receipt to
+    token receipt. ``paced``: False on a port without octet times (pty), where the figures are the computer's. ``bad``:
+    unreadable octets and telegrams by cause (names of DecoderStats); ``uart_...``: octets that the adapter or its
+    driver found damaged. ``stations``: the link layer's counters of every station that it has sent a request;
+    ``link``: those of this station; ``retries`` and ``timeouts``: sums over the stations.
 
-    ``age`` is how old the counters are in seconds: 0 where the bus runs in this process, some 0.1 s with a bus process.
-    ``stale``: the bus does not run, or they are older than 1 s.
+    ``age``: of the counters in seconds, 0 if the bus runs in this process, some 0.1 s with a bus process. ``stale``:
+    the bus does not run, or the counters are older than 1 s.
     """
 
     seconds: float
@@ -128,16 +128,16 @@ class BusStats:
     link: LinkStats
     #: statistics of the fixed cycles; None free running
     cycles: CycleStats | None
-    #: requests that did not fit between two cycles: delayed, and sent all the same
+    #: requests that did not fit between two cycles and were delayed; ``forced``: those sent in spite of that
     held_back: int
     forced: int
-    #: how late answers are delivered, as ``rotation_us``: host, adapter and T_SDR; None before the first measurement
+    #: delay of answers by computer, adapter and T_SDR, as ``rotation_us``; None before the first measurement
     host_us: dict[str, int] | None
     #: waiting time beyond the slot time for a known station, in ms
     host_slack_ms: float
     age: float = 0.0
     stale: bool = False
-    #: how far the time of a simulated bus has fallen behind real time, in s
+    #: lag of a simulated bus behind real time in s
     behind: float = 0.0
 
     @property

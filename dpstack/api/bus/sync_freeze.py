@@ -1,4 +1,4 @@
-"""SYNC and FREEZE of groups of slaves; the calls return when the Global_Control has been sent."""
+"""SYNC and FREEZE: one Global_Control, and groups of slaves that change and sample at one moment."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ T = TypeVar("T", ControlSent, PictureTaken)
 
 
 async def send_control(bus: BusBase, groups: Groups, **what: bool) -> ControlSent:
-    """One Global_Control; returns when its last bit has left the line.
+    """Send one Global_Control. Returns when its last bit has left the line.
 
-    Raises UsageError where it cannot be sent in this mode or to these slaves, SlaveFault for a slave that is not in
-    data exchange where each is needed, BusError when it can no longer be sent.
+    Raises UsageError where this mode or these slaves do not allow it, SlaveFault if a slave is not in data exchange and
+    all have to be, BusError if the bus can no longer send it.
     """
-    sent = await _answer(bus, ControlSent, groups, **what)
+    sent = await _order_control(bus, ControlSent, groups, **what)
     ahead = sent.t_ns - bus.runtime.now()
     if ahead > 0:
         await asyncio.sleep(ns_to_s(ahead + NS_PER_US))  # the rounding of the float must not make it early
     return sent
 
 
-async def _answer(bus: BusBase, kind: type[T], groups: Groups, **what: bool) -> T:
-    """Order a Global_Control and wait for an event of ``kind``."""
+async def _order_control(bus: BusBase, kind: type[T], groups: Groups, **what: bool) -> T:
+    """Order a Global_Control. Returns the event of ``kind`` that answers it."""
     token = bus.services.token()
-    event = await bus.services.answer_to(SendControl(token, numbers(groups), **what), kind, ControlFailed)
+    event = await bus.services.answer_to(SendControl(token, group_numbers(groups), **what), kind, ControlFailed)
     if isinstance(event, kind):
         return event
     assert isinstance(event, ControlFailed)
@@ -45,14 +45,14 @@ async def _answer(bus: BusBase, kind: type[T], groups: Groups, **what: bool) -> 
     raise BusError(f"SYNC or FREEZE was not sent: {event.reason}")
 
 
-def numbers(groups: Groups) -> tuple[int, ...]:
-    """Group numbers; empty for all slaves."""
+def group_numbers(groups: Groups) -> tuple[int, ...]:
+    """Group group_numbers; empty for all slaves."""
     given = (groups,) if isinstance(groups, int) else tuple(groups)
     return () if given == (0,) else given
 
 
 class Group(Sealed):
-    """The slaves of some groups (none: all slaves) acted on together. Made by ``Bus.group``.
+    """The slaves of some groups (none: all slaves), for common outputs and inputs. Made by ``Bus.group``.
 
     ::
 
@@ -60,12 +60,12 @@ class Group(Sealed):
             await valves.write({"north": b"\\x01", "south": b"\\x01"})    # all change within one telegram
             picture = await valves.read()                               # inputs of one moment, by name
 
-    Leaving the block ends SYNC and FREEZE. However the bus is left, safe values reach the outputs all the same.
+    Leaving the block ends SYNC and FREEZE. At the end of the bus the slaves apply safe values in spite of SYNC.
     """
 
     def __init__(self, bus: BusBase, groups: Groups) -> None:
         self._bus = bus
-        self._groups = numbers(groups)
+        self._groups = group_numbers(groups)
         if not self.members:
             known = ", ".join(str(g) for g in sorted({g for s in bus.slaves for g in s.setup.groups})) or "none"
             raise UsageError(f"no slave is in group {', '.join(map(str, self._groups))}; groups of this bus: {known}")
@@ -79,10 +79,11 @@ class Group(Sealed):
         return tuple(slave for slave in in_service if not wanted or wanted & set(slave.setup.groups))
 
     async def write(self, outputs: Mapping[str | int, bytes]) -> None:
-        """New outputs (by name or address) that all take effect within one telegram; the others keep theirs.
+        """New outputs, by name or address; all slaves apply them with one telegram. The others keep their outputs.
 
-        SYNC (when not in it already), the outputs, one whole Data_Exchange with every slave of the group, SYNC.
-        Nothing is changed when anything is wrong. Raises UsageError, SlaveFault, BusError as ``Bus.sync`` does.
+        The order on the wire: SYNC (unless it is on), the outputs in one whole Data_Exchange with every slave of the
+        group, SYNC. It changes nothing if any of ``outputs`` is wrong. Raises UsageError, SlaveFault, BusError as
+        ``Bus.sync`` does.
         """
         members = self.members
         wanted = {self._member(which, members): octets for which, octets in outputs.items()}
@@ -95,8 +96,8 @@ class Group(Sealed):
         await send_control(self._bus, self._groups, sync=True, settle=True)
 
     async def read(self) -> dict[str, bytes]:
-        """The inputs of all its slaves at one moment, by name: FREEZE, then one whole Data_Exchange with each."""
-        taken = await _answer(self._bus, PictureTaken, self._groups, freeze=True, picture=True)
+        """The inputs of all slaves of the group at one moment, by name: FREEZE, then one Data_Exchange with each."""
+        taken = await _order_control(self._bus, PictureTaken, self._groups, freeze=True, picture=True)
         return {self._bus.slave(address).name: octets for address, octets in taken.inputs.items()}
 
     async def exchange(self, outputs: Mapping[str | int, bytes]) -> dict[str, bytes]:

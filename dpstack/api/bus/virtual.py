@@ -20,8 +20,8 @@ T = TypeVar("T")
 
 
 def run_virtual(program: Coroutine[object, object, T], *, paced: bool = False) -> T:
-    """As ``asyncio.run``, in virtual time: exact, deterministic, and as fast as this computer can (a bus needs
-    ``port="virtual"``). ``paced`` holds it back to real time.
+    """Like ``asyncio.run``, but in virtual time: exact, deterministic, and as fast as this computer can. Buses need
+    ``port="virtual"``. ``paced``: not faster than real time.
     """
     return loop.run(program, paced=paced)
 
@@ -29,9 +29,9 @@ def run_virtual(program: Coroutine[object, object, T], *, paced: bool = False) -
 def simulate(world: World, slaves: Iterable[SlaveTable], *, baud: int | Literal["auto"] = AUTO) -> VirtualBench:
     """Put simulated ``slaves`` (mappings with the keys of a [[slave]] table) on the bus of ``world``.
 
-    ``baud`` in bit/s, or "auto": they search the rate, and again in silence.
-    Buses that share the world are opened with ``open_bus(world=world, ...)``. The bench switches the slaves off and
-    on, and silences them. Raises ConfigError.
+    ``baud`` in bit/s, or "auto": the slaves search the rate, and search again when the bus falls silent. Open a master
+    on the same bus by ``open_bus(world=world, ...)``. The returned bench switches the slaves off and on, and silences
+    them. Raises ConfigError.
     """
     bench = VirtualBench(world, None if baud == AUTO else BusParams.preset(baud))
     for slave in slaves:

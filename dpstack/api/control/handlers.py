@@ -19,7 +19,7 @@ from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.api.server.virtual_bench import Bench, Injected, silence_text
 from dpstack.api.slave.slave import Slave
-from dpstack.api.streams import OnEvent, hand_to
+from dpstack.api.streams import OnEvent, call_on_event
 from dpstack.dp.process_data import as_json
 from dpstack.errors import UsageError
 from dpstack.profile.simulator.device import DriveDevice
@@ -68,7 +68,7 @@ def control_segment(segment: Segment, on_event: OnEvent | None = None) -> Contro
     def reported(command: str, act: Callable[[list[str]], None]) -> Handler:
         def carry_out(args: list[str]) -> None:
             act(args)
-            hand_to(on_event, Injected(t_ns=monotonic_ns(), command=command, args=tuple(args)))
+            call_on_event(on_event, Injected(t_ns=monotonic_ns(), command=command, args=tuple(args)))
 
         return carry_out
 
@@ -236,7 +236,7 @@ def slave_handlers(bench: Bench, program: Bus | Simulation | None = None) -> dic
             result = act(bench, address, args[1:])
             if program is not None:
                 now, name = program.runtime.now(), bench.names()[address]
-                program.tell(Injected(t_ns=now, command=command, args=tuple(args), address=address, name=name))
+                program.publish(Injected(t_ns=now, command=command, args=tuple(args), address=address, name=name))
             return result
 
         return carry_out

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final, Generic, NoReturn, Protocol, Self, TypeVar
 
 from dpstack.api.config.toml import MAX_OCTETS, TomlError, quoted, read_toml
-from dpstack.api.files import FileToBe, read_file
+from dpstack.api.files import AtomicFile, read_file
 from dpstack.errors import ConfigError
 
 _FORMAT: Final = "format = 1"
@@ -186,7 +186,7 @@ class SavedList(abc.ABC, Generic[E]):
         return f"make the file by `{cls.PROGRAM} ... dump`"
 
     @classmethod
-    def file(cls, path: str | Path, *who: str) -> FileToBe:
+    def file(cls, path: str | Path, *who: str) -> AtomicFile:
         """The file for a list of :attr:`who`: only an earlier list of the same owner is replaced."""
 
         def is_earlier(there: Path) -> bool:
@@ -195,9 +195,9 @@ class SavedList(abc.ABC, Generic[E]):
             except ConfigError:
                 return False
 
-        return FileToBe(path, is_earlier, f"earlier dump of {who[-1]}")
+        return AtomicFile(path, is_earlier, f"earlier dump of {who[-1]}")
 
-    def keep(self, file: FileToBe) -> Path:
+    def keep(self, file: AtomicFile) -> Path:
         """Write it. Returns the path. Raises UsageError."""
         return file.keep(self.text().encode(), complete=self.complete)
 

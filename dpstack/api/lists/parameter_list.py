@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import ClassVar, Final, Protocol
 
-from dpstack.api.files import FileToBe
+from dpstack.api.files import AtomicFile
 from dpstack.api.lists.list_file import Difference, ListComparison, ListEntry, SavedList, is_same, pairs_of, time_now
 from dpstack.errors import ConfigError, DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import ListedParam, count_of
@@ -253,7 +253,7 @@ class Readable(Listing, Protocol):
         return ListComparison.of(pairs, skipped)
 
 
-def _kept(file: FileToBe, part: ParameterList) -> str:
+def _kept(file: AtomicFile, part: ParameterList) -> str:
     """A note about the file with the ``part`` of a list; if it cannot be written, the note says so."""
     read = f"cut short: the {len(part.parameters)} parameters read so far are"
     try:

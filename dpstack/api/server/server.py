@@ -10,7 +10,7 @@ from typing import Unpack
 
 from dpstack.api.gsd_info import read_gsd
 from dpstack.api.server.async_device import AsyncRecords
-from dpstack.api.streams import OnEvent, Waiters, hand_to
+from dpstack.api.streams import OnEvent, Waiters, call_on_event
 from dpstack.argcheck import Sealed, octets, whole
 from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Specifier, Status, module_status
 from dpstack.dp.pdu.diagnosis import Diagnosis
@@ -369,7 +369,7 @@ class SlaveServer(Sealed):
     def _on_events(self, events: list[Event]) -> None:
         self._waiters.check()
         for event in events:
-            hand_to(self.on_event, event)
+            call_on_event(self.on_event, event)
 
     def _make_safe(self, why: BusError) -> None:
         for slave in self.slaves:

@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 from dpstack.api.config.config import AUTO, ECHO, Config, port_of, rate_findings
 from dpstack.api.server.virtual_bench import Bench, Injected, SimulatedSlave, rates_of, set_rate
-from dpstack.api.streams import OnEvent, hand_to
+from dpstack.api.streams import OnEvent, call_on_event
 from dpstack.dp.slave.auto_baud import BaudState, PortBaudChanged, SearchingPort
 from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
@@ -162,8 +162,8 @@ class Simulation(Bench):
         else:
             self._line.remove(address)
 
-    def tell(self, event: Event) -> None:
-        hand_to(self.on_event, event)
+    def publish(self, event: Event) -> None:
+        call_on_event(self.on_event, event)
 
     async def failed(self, seconds: float | None = None) -> None:
         """Wait for ``seconds`` (None: for ever). Raises BusError when the simulation fails meanwhile."""
@@ -182,7 +182,7 @@ class Simulation(Bench):
     def _on_events(self, events: list[Event]) -> None:
         self._was_found = self._was_found or any(isinstance(event, PortBaudChanged) for event in events)
         for event in events:
-            self.tell(event)
+            self.publish(event)
 
     def _watched(self) -> bool:
         """Whether the watchdog of any slave runs."""

@@ -156,7 +156,7 @@ class Reporter:
                     return  # the state of its slave is reported anyway
                 if address not in self._flapping:
                     self._flapping[address] = Flapping(self._line)
-                self._flapping[address].tell(event)
+                self._flapping[address].publish(event)
             case _:
                 self._line(event)
 

@@ -349,7 +349,7 @@ async def test_a_reader_that_does_not_read_loses_the_oldest() -> None:
     async with bus_of(RAW) as bus:
         stream = bus.events()
         for n in range(2000):
-            bus._events.tell(Notice(t_ns=n, source="test", message=str(n)))
+            bus._events.publish(Notice(t_ns=n, source="test", message=str(n)))
         assert stream.dropped >= 1000
         stream.close()
         rest = [event async for event in stream]

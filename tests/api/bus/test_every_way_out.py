@@ -181,7 +181,7 @@ def test_the_child_of_a_fork_gets_an_epoll_of_its_own_whatever_loop_has_it() -> 
         pid = os.fork()
         if not pid:
             try:
-                shutdown._separate(fd)
+                shutdown._replace_epoll(fd)
                 of_loop.unregister(fd)
             finally:
                 os._exit(0)

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dpstack
-from dpstack.api.files import FileToBe
+from dpstack.api.files import AtomicFile
 from dpstack.api.lists.list_file import ListComparison
 from dpstack.api.lists.parameter_list import ParameterList, SavedParam
 from dpstack.errors import ConfigError, UsageError
@@ -255,7 +255,7 @@ async def test_a_telegram_without_a_channel_is_refused_at_once(tmp_path: Path) -
     assert list(tmp_path.iterdir()) == []
 
 
-def no_room(file: FileToBe, octets: bytes) -> None:
+def no_room(file: AtomicFile, octets: bytes) -> None:
     if octets:
         raise UsageError(f"{file.path}: is full")
 
@@ -290,7 +290,7 @@ def test_cut_short_it_keeps_what_was_read(tmp_path: Path, monkeypatch: pytest.Mo
             # there is no room for them: still what cut it short is what is raised, and nothing is said to be there
             (tmp_path / "it.toml.part").unlink()
             with monkeypatch.context() as patch:
-                patch.setattr(FileToBe, "_writing", no_room)
+                patch.setattr(AtomicFile, "_write", no_room)
                 assert await cut_short() == [f"cut short: the 5 parameters read so far are lost: {path}: is full"]
             assert list(tmp_path.iterdir()) == [path]
             # the drive falls silent: not 39 time-outs, and the reason

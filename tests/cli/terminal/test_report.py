@@ -158,7 +158,7 @@ def test_a_slave_in_data_exchange_that_is_not_ready_gets_a_line(capsys: Out) -> 
         for octets in ("020C00021234", "020C00021234", "000C00021234"):
             diagnosis = Diagnosis.parse(bytes.fromhex(octets))
             assert diagnosis is not None
-            bus.tell(SlaveDiagnosis(t_ns=bus.runtime.now(), address=9, name="raw", diagnosis=diagnosis))
+            bus.publish(SlaveDiagnosis(t_ns=bus.runtime.now(), address=9, name="raw", diagnosis=diagnosis))
 
     lines, _, _ = told_of(story, RAW, capsys=capsys)
     assert lines == [
