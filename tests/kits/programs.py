@@ -10,10 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from control_kit import socket_of
 from far_ends import HANG_S
 
 from dpstack.api.control.client import connect
-from dpstack.api.control.socket_path import socket_path
 
 #: a slave is lost when it does not answer within 8 times 50 ms: programs may have to wait for a busy computer
 PLANT = """
@@ -44,7 +44,7 @@ config = "20 10"
 
 def wait_for_socket(port: Path) -> None:
     """Until the program on ``port`` holds it and can be talked to."""
-    path = socket_path(str(port))
+    path = socket_of(str(port))
     end = time.monotonic() + HANG_S
     while not path.exists():
         assert time.monotonic() < end, f"nobody answers for {port}"

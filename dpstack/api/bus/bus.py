@@ -309,7 +309,7 @@ class Bus(Sealed, BusBase):
         if drive is not None:
             drive.end(UsageError(f"drive {drive.name} was removed from the bus"))
 
-    # --- stations, events, cycles, statistics ------------------------------------------------------------------------------------------
+    # --- stations, events, cycles, statistics ---------------------------------------------------------------------
 
     async def scan(
         self, *, configs: bool = False, addresses: Iterable[int] = ALL_ADDRESSES, quick: bool | None = None
@@ -367,7 +367,7 @@ class Bus(Sealed, BusBase):
         with self.rounds.watched(self._waiters.check):
             await self.until(lambda: self.view.rotations >= rotations, timeout)
 
-    # --- events and failures of the machine ---------------------------------------------------------------------------------------
+    # --- events and failures of the machine -----------------------------------------------------------------------
 
     def _on_events(self, events: list[Event]) -> None:
         for event in events:

@@ -64,7 +64,7 @@ def new_plan_texts(config: Config, plan: Plan, setups: Sequence[SlaveParams], ad
 
 
 def cycle_rates(config: Config, cycle_ns: int) -> dict[Verdict, int | None]:
-    """For each verdict the slowest baud rate that all slaves know and at which ``cycle_ns`` gets it, or a better one."""
+    """For each verdict the slowest baud rate, known by all slaves, at which ``cycle_ns`` gets it or a better one."""
     return slowest_rates(_at_rates(config), cycle_ns)
 
 

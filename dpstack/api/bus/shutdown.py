@@ -131,7 +131,7 @@ class OrderedEnd:
                 self._loop.remove_reader(fd)
             os.close(fd)
 
-    # --- the end in the event loop --------------------------------------------------------------------------------------------
+    # --- the end in the event loop --------------------------------------------------------------------------------
 
     def on_event(self, event: Event) -> None:
         if self._steps is not None:
@@ -227,7 +227,7 @@ class OrderedEnd:
             raise_again=lambda number: loop.call_soon(before, number, None),
         )
 
-    # --- the end without an event loop -----------------------------------------------------------------------------------------
+    # --- the end without an event loop ----------------------------------------------------------------------------
 
     def at_exit(self) -> None:
         """The interpreter ends: run the finaliser of the bus, if it has one."""

@@ -29,8 +29,8 @@ def time_ns(text: str) -> int:
 
 
 def within(text: str, read: Callable[[str], _N | None], low: float, high: float, what: str) -> _N:
-    """``text`` as ``read`` understands it (else None or ValueError), from ``low`` to ``high``. ``what``: the kind of
-    number in the message of the UsageError.
+    """``text`` parsed by ``read`` (None or ValueError: no number), from ``low`` to ``high``. ``what``: the kind of
+    number for the message of the UsageError.
     """
     with contextlib.suppress(ValueError):
         value = read(text)
@@ -84,8 +84,8 @@ def octets(text: str) -> tuple[str, bytes]:
     raise UsageError(f"{text!r} is not SLAVE=HEX; write it as 9=00FF")
 
 
-def whole(text: str, what: str = "whole number; write for instance 1") -> int:
-    """A whole number from 0 (slots, channels)."""
+def whole_number(text: str, what: str = "whole_number number; write for instance 1") -> int:
+    """A whole_number number from 0 (slots, channels)."""
     return within(text, decimal, 0, math.inf, what)
 
 

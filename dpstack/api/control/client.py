@@ -55,12 +55,12 @@ class Item(TypedDict, total=False):
 
 
 def checked(value: object, kind: type[T], port: str, command: str) -> T:
-    """The fields of ``kind`` in ``value``, the answer of the program on ``port`` to ``command``. Raises PortError.
+    """Check that ``value``, the answer of the program on ``port`` to ``command``, has the fields of ``kind``.
 
-    The program may be another version of dpstack, or something else. Further fields are allowed: a newer program may
-    have more of them.
+    Returns them. Raises PortError: the program may be another version of dpstack, or something else. More fields are
+    allowed, as a newer version may have them.
     """
-    import msgspec  # most answers of `dpstack ctl` are not checked
+    import msgspec  # here, as most commands of `dpstack ctl` do not need it
 
     try:
         return msgspec.convert(value, kind)
@@ -71,15 +71,15 @@ def checked(value: object, kind: type[T], port: str, command: str) -> T:
 
 
 class ControlClient:
-    """A connection to the program that holds ``port``, made by :func:`connect`; use it as a context manager."""
+    """A connection to the program that holds ``port``, made by :func:`connect`. A context manager."""
 
     def __init__(self, port: str, connection: socket.socket) -> None:
         self.port = port
-        #: process of the program, once :meth:`help` was called
+        #: process number of the program; 0 before :meth:`help`
         self.pid = 0
         self._socket = connection
         self._rest = bytearray()
-        self._searched = 0  # octets of it without a line end
+        self._searched = 0  # octets of _rest that have no line end
 
     def __enter__(self) -> ControlClient:
         return self
@@ -88,7 +88,7 @@ class ControlClient:
         self.close()
 
     def close(self) -> None:
-        """Close the connection; a call that waits in another thread raises."""
+        """Close the connection. A call that waits in another thread raises PortError."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
@@ -100,11 +100,11 @@ class ControlClient:
         kind: type | None = None,
         progress: Callable[[str, int, int], None] | None = None,
     ) -> Any:
-        """The result of ``command``, checked for the fields of ``kind``; it includes the parameters of earlier items.
+        """The result of ``command``, checked for the fields of ``kind``, with the parameters of earlier items.
 
-        ``progress`` is called with the progress of a long command. Raises the error of the program: UsageError or
-        ConfigError where the request is wrong, any other where it failed (a BusError for a defect); PortError where
-        nobody answers, or another program.
+        A long command calls ``progress``. Raises the error of the program: UsageError or ConfigError for a wrong
+        request, any other error for a failure (BusError for a defect); PortError where no program or another one
+        answers.
         """
         result: Any = None
         found: list[object] = []
@@ -130,10 +130,10 @@ class ControlClient:
 
     def _answers(self, command: str, args: tuple[str, ...]) -> Iterator[Mapping[str, Any]]:
         limit_s = self._socket.gettimeout() or TIMEOUT_S
-        until = monotonic_ns() + s_to_ns(limit_s)  # after this the program must not carry it out
+        until = monotonic_ns() + s_to_ns(limit_s)  # later the program must not carry out the request
         request = json.dumps({"command": command, "args": list(args), "until_ns": until}).encode() + b"\n"
         try:
-            # where the program has closed the connection already, its last line has the reason
+            # a program that has closed the connection has sent the reason as its last line
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):
                 self._socket.sendall(request)
             while True:
@@ -143,7 +143,7 @@ class ControlClient:
                 yield answer
                 if "ok" in answer:
                     return
-        except DpError:  # some are OSErrors, too
+        except DpError:  # some of them are OSErrors, too
             raise
         except TimeoutError:
             raise PortError(f"{self.port}: the program does not answer; is it stopped or busy?") from None
@@ -173,56 +173,56 @@ class ControlClient:
 
 
 def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
-    """The program that holds ``port``; ``timeout`` in seconds for each answer, None for no limit. "virtual" is the
-    only run on it; of several runs each has its own name, ``virtual:PID``.
+    """Connect to the program that holds ``port``; ``timeout`` in seconds for each answer, None for no limit. "virtual"
+    stands for the only run on it; if there are several, each has a name of its own, ``virtual:PID``.
 
     Raises PortError when there is none, UsageError when there are several; the message lists the programs.
     """
     posix.check("a control socket")
-    with _opened() as sockets:
+    with _open_directory() as sockets:
         name = port
         if sockets is not None and port == VIRTUAL:
             names = sockets.virtual_names()
             if len(names) > 1:
-                there = _listed(_asked(sockets, map(socket_name, names)))
+                there = _programs_text(_help_of(sockets, map(socket_name, names)))
                 raise UsageError(
                     f'there are {len(names)} runs on "{VIRTUAL}": {there}; name the one that is meant, for instance '
                     f"`dpstack ctl {names[0]}`"
                 )
             name = names[0] if names else port
-        client = None if sockets is None else _reach(sockets, port, names_of(name), timeout)
+        client = None if sockets is None else _connect_first(sockets, port, names_of(name), timeout)
     if client is not None:
         return client
     others = running()
-    there = f"there is: {_listed(others)}" if others else "no run, sim or segment of yours is running"
+    there = f"there is: {_programs_text(others)}" if others else "no run, sim or segment of yours is running"
     raise PortError(f"nobody answers for {port}; {there}")
 
 
 def find_run(port: str, config: Path | None, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
-    """The run on ``port`` that has the configuration file ``config``; None where no run answers for that port.
+    """Connect to the run on ``port`` with the configuration file ``config``; None where no run answers for that port.
 
-    Port and file must both agree. Raises UsageError where the run, or each run on "virtual", has another file, or
-    where several have this one; PortError where a run cannot be reached.
+    Raises UsageError where the run, or each run on "virtual", has another file, or where several runs have this one;
+    PortError where the program cannot connect to a run.
     """
-    with _opened() as sockets:
+    with _open_directory() as sockets:
         if sockets is None:
             return None
         if port == VIRTUAL:
-            found = [_reach(sockets, port, (name,), timeout) for name in sockets.virtual_names()]
+            found = [_connect_first(sockets, port, (name,), timeout) for name in sockets.virtual_names()]
         else:
-            found = [_reach(sockets, port, [own_name("run", name) for name in names_of(port)], timeout)]
+            found = [_connect_first(sockets, port, [own_name("run", name) for name in names_of(port)], timeout)]
     clients = [client for client in found if client is not None]
-    return _chosen(clients, port, config) if clients else None
+    return _client_with_file(clients, port, config) if clients else None
 
 
 def running() -> list[dict[str, Any]]:
     """The ``help`` of every running program: kind, port, name, pid, config, commands. Removes stale sockets."""
-    with _opened() as sockets:
-        return [] if sockets is None else _asked(sockets, sockets.names())
+    with _open_directory() as sockets:
+        return [] if sockets is None else _help_of(sockets, sockets.names())
 
 
 @contextlib.contextmanager
-def _opened() -> Iterator[Sockets | None]:
+def _open_directory() -> Iterator[Sockets | None]:
     """The directory of the sockets; None where no program has created it. Raises PortError."""
     sockets = None
     with os_errors(f"control sockets in {directory()} cannot be looked at"), contextlib.suppress(FileNotFoundError):
@@ -231,8 +231,8 @@ def _opened() -> Iterator[Sockets | None]:
         yield sockets
 
 
-def _reach(sockets: Sockets, port: str, names: Iterable[str], timeout: float | None) -> ControlClient | None:
-    """A connection to the first of ``names`` that exists. Raises PortError where its program cannot be reached."""
+def _connect_first(sockets: Sockets, port: str, names: Iterable[str], timeout: float | None) -> ControlClient | None:
+    """Connect to the first of ``names`` that exists, else None. Raises PortError if its program is silent."""
     for name in map(socket_name, names):
         with (
             os_errors(f"{port}: its program cannot be reached"),
@@ -242,7 +242,7 @@ def _reach(sockets: Sockets, port: str, names: Iterable[str], timeout: float | N
     return None
 
 
-def _asked(sockets: Sockets, names: Iterable[str]) -> list[dict[str, Any]]:
+def _help_of(sockets: Sockets, names: Iterable[str]) -> list[dict[str, Any]]:
     """The ``help`` of the programs behind the sockets ``names``, each once."""
     found = []
     for name in names:
@@ -257,14 +257,14 @@ def _asked(sockets: Sockets, names: Iterable[str]) -> list[dict[str, Any]]:
     return found
 
 
-def _chosen(clients: list[ControlClient], port: str, config: Path | None) -> ControlClient:
+def _client_with_file(clients: list[ControlClient], port: str, config: Path | None) -> ControlClient:
     """The client of the run with the configuration file ``config``; closes the others. Raises as :func:`find_run`."""
     chosen = None
     try:
         runs = [(client, client.help()) for client in clients]
         fitting = [client for client, one in runs if _is_file(one.get("config"), config)]
         if len(fitting) != 1:
-            raise UsageError(_not_one([one for _, one in runs], len(fitting), port, config))
+            raise UsageError(_mismatch_text([one for _, one in runs], len(fitting), port, config))
         chosen = fitting[0]
         return chosen
     finally:
@@ -273,18 +273,18 @@ def _chosen(clients: list[ControlClient], port: str, config: Path | None) -> Con
                 client.close()
 
 
-def _not_one(runs: list[dict[str, Any]], fitting: int, port: str, config: Path | None) -> str:
+def _mismatch_text(runs: list[dict[str, Any]], fitting: int, port: str, config: Path | None) -> str:
     """The message when not exactly one of ``runs`` has ``config``."""
     mine = config or "a program without a configuration file"
     if fitting:
         return (
-            f'{fitting} runs on "{port}" have the configuration {mine}; there is: {_listed(runs)}; give the '
+            f'{fitting} runs on "{port}" have the configuration {mine}; there is: {_programs_text(runs)}; give the '
             f"order to the one that is meant by its name: `dpstack ctl {runs[0].get('name')} drive NAME ORDER`"
         )
     if port == VIRTUAL:
         return (
-            f'no run on "{port}" has the configuration {mine}; there is: {_listed(runs)}; give the configuration of '
-            f"the run that is meant, or start one with `dpstack run {mine}`"
+            f'no run on "{port}" has the configuration {mine}; there is: {_programs_text(runs)}; give the '
+            f"configuration of the run that is meant, or start one with `dpstack run {mine}`"
         )
     theirs = runs[0].get("config") or "none from a file"
     return (
@@ -294,7 +294,7 @@ def _not_one(runs: list[dict[str, Any]], fitting: int, port: str, config: Path |
 
 
 def _levels(answer: object) -> int:
-    """Nesting of objects and lists, counted up to one more than the limit."""
+    """The number of nested levels of objects and lists, counted up to the limit plus one."""
     count, level = 0, [answer]
     while level and count <= _MOST_LEVELS:
         below: list[object] = []
@@ -316,8 +316,8 @@ def _is_file(path: object, config: Path | None) -> bool:
         return False
 
 
-def _listed(programs: Iterable[Mapping[str, Any]]) -> str:
-    """Programs by the names for commands, with their configuration files."""
+def _programs_text(programs: Iterable[Mapping[str, Any]]) -> str:
+    """Programs for people: kind, name and configuration file."""
     texts = []
     for one in programs:
         config = one.get("config")
@@ -326,7 +326,7 @@ def _listed(programs: Iterable[Mapping[str, Any]]) -> str:
 
 
 def _open(sockets: Sockets, name: str, timeout: float | None) -> socket.socket:
-    """Connect; a stale socket is removed. Raises OSError."""
+    """Connect to a socket. Removes it if it is stale. Raises OSError."""
     try:
         return sockets.connect(name, timeout)
     except ConnectionRefusedError:

@@ -14,10 +14,10 @@ Arguments = Mapping[str, tuple[str, Callable[[str], object]]]
 
 
 class Order(NamedTuple):
-    """One word for a drive or for the records of a slave.
+    """A parsed order to a drive or to the records of a slave.
 
-    ``texts``: its arguments as the control socket has them; ``values``: the keyword arguments of the method that
-    carries it out.
+    ``texts``: its arguments for the control socket; ``values``: the keyword arguments of the method that carries it
+    out.
     """
 
     word: str
@@ -27,7 +27,7 @@ class Order(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Spec:
-    """One command. ``usage`` names its arguments: ``NAME``, ``[NAME]`` may be left out, ``NAME...`` one or more."""
+    """A command. ``usage`` names its arguments: ``NAME``, ``[NAME]`` is optional, ``NAME...`` one or more."""
 
     name: str
     usage: str
@@ -97,12 +97,12 @@ RUN: Final = (
     Spec("stats", "", "counters and rotation times up to now", ""),
 )
 
-#: by kind of program; a ``run`` whose port is "virtual" knows those of its simulated slaves too
+#: commands by kind of program; a ``run`` on the port "virtual" also has SLAVES
 KINDS: Final = {"run": COMMON + RUN, "sim": COMMON + SLAVES, "segment": COMMON + SEGMENT}
 
 
 def find_word(word: str, known: Sequence[Spec], who: str = "a drive") -> Spec:
-    """The word called ``word``. Raises UsageError with the nearest word that ``who`` knows, or with all of them."""
+    """The order ``word`` of ``known``. Raises UsageError with the most similar word, or all; ``who``: its subject."""
     names = [spec.name for spec in known]
     if word in names:
         return known[names.index(word)]
@@ -112,7 +112,7 @@ def find_word(word: str, known: Sequence[Spec], who: str = "a drive") -> Spec:
 
 
 def find(kind: str, specs: Iterable[Spec], name: str) -> Spec:
-    """The command ``name``. Raises UsageError with the nearest command or the program that has it."""
+    """The command ``name``. Raises UsageError with the most similar command, or the kind of program that has it."""
     known = {spec.name: spec for spec in specs}
     if name in known:
         return known[name]

@@ -19,12 +19,12 @@ from dpstack.errors import BusError, ParameterError, UsageError
 from dpstack.text import number_or_name, shortened
 
 START: Final = "start"
-#: for programs: people get a file instead
+#: for programs; people use dump, which writes a file
 PARAMETERS: Final = "parameters"
 READ_MANY: Final = "read_many"
-#: after these the motor is off
+#: orders that switch the motor off
 HALTS: Final = frozenset({"stop", "quick_stop", "coast"})
-#: they set something that lasts as long as a master keeps it
+#: orders whose effect lasts only as long as a master sends it
 LASTING: Final = frozenset({START, "speed", "frequency"})
 
 WORDS: Final = (
@@ -42,9 +42,9 @@ WORDS: Final = (
     Spec(PARAMETERS, "", "the parameters that its plugin declares", ""),
     Spec(READ_MANY, "JSON", "several parameters, with data_set and index", '[{"number":964,"index":6}]'),
 )
-#: methods of a drive, too
+#: orders with the name of a method of a drive
 _MOTIONS: Final = frozenset({*HALTS, START, "reached", "acknowledge"})
-#: which words an option is for
+#: the orders that take an option
 OPTIONS: Final[Mapping[str, frozenset[str]]] = {
     "data_set": frozenset({"read", "write"}),
     "index": frozenset({"read", "write"}),
@@ -54,9 +54,8 @@ OPTIONS: Final[Mapping[str, frozenset[str]]] = {
 
 
 def parse_order(word: str, texts: Sequence[str]) -> Order:
-    """One of :data:`WORDS` with its arguments; among them ``data_set=3``, ``index=1``, ``ram=true``, ``timeout=20``.
-
-    Raises UsageError.
+    """Parse an order of :data:`WORDS` and its arguments, such as ``data_set=3``, ``index=1``, ``ram=true``,
+    ``timeout=20``. Raises UsageError.
     """
     spec = find_word(word, WORDS)
     options: dict[str, object] = {}
@@ -71,7 +70,7 @@ def parse_order(word: str, texts: Sequence[str]) -> Order:
 
 
 def drive_order(bus: Bus, args: list[str]) -> LongCommand:
-    """``NAME ORDER [ARG]...`` at the drive of a run. A client that hangs up ends the order: nothing starts then."""
+    """``NAME ORDER [ARG]...`` to a drive of a run. A client that closes the connection cancels the order."""
     if bus.searching:
         raise BusError(f"{SEARCHING}: the drives are known once it is found")
     if bus.config.bus.read_only:
@@ -83,7 +82,7 @@ def drive_order(bus: Bus, args: list[str]) -> LongCommand:
 
 
 async def carry_out(drive: Drive, order: Order) -> dict[str, Any]:
-    """Carry out ``order``. Returns the answer as plain data. Raises what the methods of the drive raise."""
+    """Carry out ``order``. Returns the answer as plain data. Raises the errors of the methods of the drive."""
     word, values = order.word, order.values
     answer: dict[str, Any] = {"order": word, "drive": drive.name, "address": drive.address, "type": drive.kind}
     match word:

@@ -1,7 +1,7 @@
 """Errors over the control socket: an error in the program raises the same error in its client.
 
-An answer has ``kind``, the name of a class of :mod:`dpstack.errors`, and the arguments of its constructor beside the
-text: each of these is an attribute of the same name, too.
+Beside the text an answer has ``kind``, the name of a class of :mod:`dpstack.errors`, and the arguments of its
+constructor, which are attributes of the error under the same names.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Final
 from dpstack import errors
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
 
-#: the text is the answer's ``error``
+#: the parameter for the text, which is ``error`` in an answer
 _TEXT: Final = "message"
 
 
@@ -21,7 +21,7 @@ def _subclasses(kind: type[DpError]) -> list[type[DpError]]:
     return [kind, *(deeper for below in kind.__subclasses__() for deeper in _subclasses(below))]
 
 
-#: the public classes by name; a peer can name no others
+#: the public error classes by name, the only ones that a peer can raise here
 KINDS: Final = {kind.__name__: kind for kind in _subclasses(DpError) if kind.__module__ == errors.__name__}
 
 

@@ -1,4 +1,4 @@
-"""The control servers of run, sim and segment, with a handler for each command."""
+"""The control servers of run, sim and segment, and the handlers of their commands."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from dpstack.units import ns_to_s
 
 #: a pty that the program makes itself
 PTY: Final = "pty"
-#: a command on the simulated slave of a bench at an address, with its further arguments
+#: carries out a command: bench, address of the simulated slave, further arguments
 _Act = Callable[[Bench, int, list[str]], object]
 
 
 def control_run(bus: Bus, port: str) -> ControlServer:
-    """Talks to a master on ``port``; on a pty of its own :meth:`ControlServer.move_to` the path once it is known."""
+    """The control server of a master on ``port``; of one with a pty :meth:`ControlServer.move_to` its path."""
     specs = KINDS["run"]
     handlers: dict[str, Handler] = {
         "status": lambda _: run_status(bus),
@@ -56,14 +56,14 @@ def control_run(bus: Bus, port: str) -> ControlServer:
 
 
 def control_sim(simulation: Simulation, port: str) -> ControlServer:
-    """Talks to simulated slaves on ``port``; of a pty made here the path of it, too."""
+    """The control server of simulated slaves on ``port``, or on the pty that they have made."""
     handlers = {"status": lambda _: simulation.status(), **slave_handlers(simulation, simulation)}
     own, also = (simulation.port_name, PTY) if port == PTY else (port, None)
     return ControlServer("sim", own, KINDS["sim"], handlers, also=also, config=simulation.config.file)
 
 
 def control_segment(segment: Segment, on_event: OnEvent | None = None) -> ControlServer:
-    """Talks to a segment, found by its directory. ``on_event`` is called for each fault that is set."""
+    """The control server of a segment; its port is the directory. It calls ``on_event`` for each injected fault."""
 
     def reported(command: str, act: Callable[[list[str]], None]) -> Handler:
         def carry_out(args: list[str]) -> None:
@@ -92,9 +92,7 @@ def control_segment(segment: Segment, on_event: OnEvent | None = None) -> Contro
 
 
 def segment_status(segment: Segment) -> dict[str, object]:
-    """The segment at this moment: ``error_rate``, ``baud``, ``ports``; ``injected``: what was done to it from outside
-    and is not over.
-    """
+    """State of the segment: ``error_rate``, ``baud``, ``ports``; ``injected``: the faults that act at this moment."""
     status: dict[str, object] = {"error_rate": segment.error_rate, "baud": segment.baud, "ports": segment.paths}
     injected = [f"noise {segment.error_rate:g}"] if segment.error_rate else []
     for number, left_ns in segment.silenced().items():
@@ -103,7 +101,7 @@ def segment_status(segment: Segment) -> dict[str, object]:
 
 
 def clear_since(bus: Bus) -> dict[str, object]:
-    """Of a master that went to Clear by itself: ``since`` (seconds since the start) and ``because``; else empty."""
+    """``since`` (in s after the start) and ``because`` of a Clear that the master went to by itself; else empty."""
     event = bus.forced_clear
     if event is None:
         return {}
@@ -111,10 +109,10 @@ def clear_since(bus: Bus) -> dict[str, object]:
 
 
 def run_status(bus: Bus) -> dict[str, object]:
-    """The master at this moment: ``seconds``, ``mode``, ``baud``, ``in_ring``, ``masters``, and each slave; ``clear``
-    (:func:`clear_since`) while it is in Clear by itself.
+    """State of the master: ``seconds``, ``mode``, ``baud``, ``in_ring``, ``masters``, ``slaves``; ``clear``
+    (:func:`clear_since`) after it went to Clear by itself.
 
-    While the baud rate is searched only that: ``baud`` None and a ``text``.
+    While it searches its baud rate: only ``baud`` None and a ``text``.
     """
     if bus.searching:
         return {"baud": None, "text": SEARCHING}
@@ -151,9 +149,9 @@ def run_status(bus: Bus) -> dict[str, object]:
 
 
 def _outputs_of(slave: Slave) -> dict[str, object]:
-    """``outputs``: what the slave is sent now, "" for nothing; ``held``: what the application has set if it differs.
+    """``outputs``: the octets that the master sends now, "" for none; ``held``: the application's if they differ.
 
-    So with ``fields``, the named inputs and outputs, and ``held_fields``.
+    Likewise ``fields``, the named inputs and outputs, and ``held_fields``.
     """
     sent, held = slave.outputs_sent, slave.outputs_held
     named = as_json(slave.output_values)
@@ -172,12 +170,12 @@ def _outputs_of(slave: Slave) -> dict[str, object]:
 
 
 async def _outputs(bus: Bus, args: list[str]) -> None:
-    """All or nothing: every argument is understood before the first one takes effect."""
+    """Set output octets. Parses all arguments before the first one takes effect."""
     await _put_out(bus, {_slave_of(bus, where): octets for where, octets in map(arguments.octets, args)})
 
 
 async def _set(bus: Bus, args: list[str]) -> None:
-    """Named outputs; all or nothing as well, those of one slave in one image."""
+    """Set named outputs. Parses all arguments before the first one takes effect."""
     wanted: dict[Slave, bytes] = {}
     for text in args:
         where, name, value = arguments.field_value(text)
@@ -191,7 +189,7 @@ async def _set(bus: Bus, args: list[str]) -> None:
 
 
 async def _put_out(bus: Bus, wanted: dict[Slave, bytes]) -> None:
-    """Returns when the master has them. Raises OrderDropped where it does not take them in time."""
+    """Set outputs, and wait until the master has them. Raises OrderDropped where it does not take them in time."""
     for slave, octets in wanted.items():
         if any(drive.slave is slave for drive in bus.drives):
             raise UsageError(f"{slave.who}: its drive plugin makes the outputs")
@@ -208,7 +206,7 @@ def _slave_of(bus: Bus, where: str) -> Slave:
 
 
 def _station(text: str) -> int:
-    return arguments.whole(text, "station of the segment; they are numbered from 0")
+    return arguments.whole_number(text, "station of the segment; they are numbered from 0")
 
 
 def _time_ns(args: list[str]) -> int | None:
@@ -224,11 +222,11 @@ def address_of(text: str, names: Mapping[int, str]) -> int:
     raise UsageError(f"no slave {text!r} here; there are: {known}")
 
 
-# --- simulated slaves: of a sim, and of a run whose slaves are simulated in it ----------------------------------------
+# --- commands to simulated slaves of a sim, or of a run on "virtual" ----------------------------------------
 
 
 def slave_handlers(bench: Bench, program: Bus | Simulation | None = None) -> dict[str, Handler]:
-    """The handlers of :data:`~dpstack.api.control.commands.SLAVES`; ``program`` gets an event for each command."""
+    """The handlers of :data:`~dpstack.api.control.commands.SLAVES`; ``program`` publishes an event for each command."""
 
     def handler(command: str, act: _Act) -> Handler:
         def carry_out(args: list[str]) -> object:
@@ -245,7 +243,7 @@ def slave_handlers(bench: Bench, program: Bus | Simulation | None = None) -> dic
 
 
 def _of_drive(act: Callable[..., None]) -> _Act:
-    """``act`` is called with the drive and the arguments."""
+    """A handler that calls ``act`` with the drive and the arguments."""
 
     def carry_out(bench: Bench, address: int, args: list[str]) -> None:
         device = bench.device(address)
@@ -258,20 +256,20 @@ def _of_drive(act: Callable[..., None]) -> _Act:
 
 
 def _of_station(act: Callable[[IoStation, int, list[str]], str | None]) -> _Act:
-    """``act`` is called with the I/O station, the slot and the arguments behind it."""
+    """A handler that calls ``act`` with the I/O station, the slot and the arguments after it."""
 
     def carry_out(bench: Bench, address: int, args: list[str]) -> str | None:
         device = bench.device(address)
         if not isinstance(device, IoStation):
             raise UsageError(f'slave {address} ({device.name}) is no I/O station; one has gsd = "io-station"')
-        left_out = act(device, arguments.whole(args[0]), args[1:])
+        left_out = act(device, arguments.whole_number(args[0]), args[1:])
         return None if left_out is None else f"done, without an alarm: {left_out}"
 
     return carry_out
 
 
 def _refuse(drive: DriveDevice, error: str, times: str = "1") -> None:
-    count = arguments.whole(times)
+    count = arguments.whole_number(times)
     if not count:
         raise UsageError("0 times: write 1 or more")
     drive.refuse(error, count)
@@ -290,7 +288,7 @@ _ACTS: Final[dict[str, _Act]] = {
         lambda io, slot, args: io.set_input(slot, arguments.hex_octets(args[0], "write for instance 01"))
     ),
     "wire-break": _of_station(
-        lambda io, slot, args: io.wire_break(slot, arguments.whole(args[0]), arguments.switch(args[1]))
+        lambda io, slot, args: io.wire_break(slot, arguments.whole_number(args[0]), arguments.switch(args[1]))
     ),
     "pull": _of_station(lambda io, slot, args: io.pull(slot)),
     "plug": _of_station(lambda io, slot, args: io.plug(slot, args[0] if args else "")),

@@ -30,30 +30,30 @@ WORDS: Final = (
     ),
     Spec("im", "[SLOT]", "I&M0, and those of I&M1 to 4 that it says there are", ""),
 )
-#: `dpstack acyclic` carries them out by PARAMETERS: a run writes no files
+#: orders of `dpstack acyclic` only, by means of PARAMETERS: a run writes no files
 DUMP, COMPARE = "dump", "compare"
 TRANSPORT: Final = Spec("transport", "SLOT INDEX [HEX]", "Data_Transport (class 2): to the slave and back", "0 1 00FF")
 #: the commands of a run, by class of master
 COMMANDS: Final = {1: "acyclic", 2: "class2"}
-#: parameters in one line of an answer: it stays well below what the server keeps for a slow reader
+#: parameters in one line of an answer, far fewer octets than the server keeps for a slow reader
 _IN_A_LINE: Final = 100
 
-#: called with the name of the step, the number done, the number of all
+#: called with the name of the step, the number done, the total number
 OnProgress = Callable[[str, int, int], None]
 
 
 def parse_order(word: str, args: Sequence[str], *, class2: bool = False, who: str = "dpstack acyclic") -> Order:
-    """One of :data:`WORDS`, or :data:`TRANSPORT` with ``class2``. Raises UsageError; ``who`` is its subject."""
+    """Parse one of :data:`WORDS`, or :data:`TRANSPORT` with ``class2``. Raises UsageError; ``who``: its subject."""
     if word == TRANSPORT.name and not class2:
         raise UsageError("Data_Transport is a service of class 2 connections: add --class 2 (`ctl`: class2)")
     return find_word(word, (*WORDS, TRANSPORT) if class2 else WORDS, who).order(args, _ARGUMENTS)
 
 
 def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> LongCommand:
-    """``SLAVE ORDER [ARG]...`` at a slave of a run, with ``class2`` over a connection of its own, which is closed
-    afterwards. A client that hangs up ends the order.
+    """``SLAVE ORDER [ARG]...`` to a slave of a run; with ``class2`` over a new connection, which is closed afterwards.
+    A client that closes its socket cancels the order.
 
-    Items tell its ``state`` and, where it takes its time, ``progress``; a long list comes in items before its result.
+    Items have the ``state`` of the slave and ``progress``; a long list comes in items before the result.
     """
     if bus.searching:
         raise BusError(f"{SEARCHING}: the slaves are known once it is found")
@@ -92,10 +92,10 @@ def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> LongCom
 
 
 async def carry_out(slave: Slave | Connection, order: Order, progress: OnProgress | None = None) -> dict[str, Any]:
-    """Carry out ``order``. Returns the answer as plain data. Raises what :meth:`Slave.read` raises.
+    """Carry out ``order``. Returns the answer as plain data. Raises the errors of :meth:`Slave.read`.
 
-    ``parameters`` also raises what :class:`~dpstack.api.slave.record_parameters.RecordParameters` raises, and calls
-    ``progress``.
+    The order ``parameters`` also raises those of :class:`~dpstack.api.slave.record_parameters.RecordParameters`, and
+    calls ``progress``.
     """
     word, values = order.word, order.values
     head: dict[str, Any] = {"order": word, "slave": slave.name, "address": slave.address}
@@ -144,7 +144,7 @@ async def _all_im(slave: Slave | Connection, slot: int) -> dict[str, dict[str, o
         if isinstance(im0, Im0) and im0.supported & (1 << number):
             try:
                 found[str(number)] = _plain(await slave.im(number, slot=slot))
-            except (AcyclicError, SlaveFault) as error:  # though I&M0 says that it is there
+            except (AcyclicError, SlaveFault) as error:  # although I&M0 announces it
                 found[str(number)] = {"error": str(error)}
     return found
 

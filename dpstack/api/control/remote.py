@@ -1,4 +1,4 @@
-"""Orders to the ``run`` that holds the port, over its control socket: to a drive, or to the records of a slave."""
+"""Orders to the ``run`` that holds the port: to a drive, or to the records of a slave."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Hex = Annotated[str, msgspec.Meta(pattern=r"^(?:[0-9a-fA-F]{2})*$")]
 
 
 class Status(TypedDict):
-    """A drive at one moment, as ``DriveStatus.as_dict`` writes it."""
+    """The JSON of ``DriveStatus.as_dict``."""
 
     state: str
     running: bool
@@ -51,7 +51,7 @@ class _OfDrive(TypedDict):
 
 
 class StatusAnswer(_OfDrive):
-    """The answer to all orders to a drive but those of :data:`_ANSWERS`: the status afterwards."""
+    """The answer to orders to a drive except those in :data:`_ANSWERS`: the status afterwards."""
 
     status: Status
 
@@ -77,7 +77,7 @@ class ParametersAnswer(_OfDrive):
 
 
 class ReadManyAnswer(_OfDrive):
-    """``read_many`` of a drive: each entry a ``ParameterValue``, or an error as it stands in an answer."""
+    """``read_many`` of a drive: each entry is a ``ParameterValue``, or the fields of an error answer."""
 
     parameters: list[dict[str, Any]]
 
@@ -102,7 +102,7 @@ class RecordAnswer(WriteAnswer):
 
 
 class ListAnswer(_OfSlave):
-    """``parameters`` of a slave; the entries come in items before."""
+    """``parameters`` of a slave; its entries come in earlier items."""
 
     object: int
     ident: int
@@ -122,7 +122,7 @@ _OF_RECORDS: Final[dict[str, type]] = {
     "parameters": ListAnswer,
     "im": ImAnswer,
 }
-#: by the command of the run and the order
+#: the type of an answer by command of the run and order
 _ANSWERS: Final[dict[str, dict[str, type]]] = {
     "drive": {
         "read": ParameterAnswer,
@@ -138,7 +138,7 @@ _ANSWERS: Final[dict[str, dict[str, type]]] = {
 async def _carry_out(
     client: ControlClient, command: str, name: str, order: Order, progress: OnProgress | None = None
 ) -> dict[str, Any]:
-    """The answer of the run to ``order``. Cancelled, the connection is closed, and so the order ends there."""
+    """The answer of the run to ``order``. A cancellation closes the connection, and thereby cancels the order."""
     kind = _ANSWERS[command].get(order.word, StatusAnswer if command == "drive" else None)
     try:
         answer = await asyncio.to_thread(
@@ -153,11 +153,11 @@ async def _carry_out(
 async def through_run(
     config: Config, slave: int, order: Order, progress: OnProgress | None = None, *, master: int = 1
 ) -> dict[str, Any] | None:
-    """As :func:`~dpstack.api.control.record_orders.carry_out`, by the run that has the port and the file of
-    ``config``; None where no run answers for the port. ``master``: class 1 or 2.
+    """Have the run with the port and the file of ``config`` do :func:`~dpstack.api.control.record_orders.carry_out`;
+    None where no run answers for the port. ``master``: class 1 or 2.
 
-    Raises what it raises there, UsageError where the run has another configuration file or no such slave, PortError.
-    ``progress`` is called by another thread.
+    Raises the errors of ``carry_out``, UsageError where the run has another configuration file or no such slave,
+    PortError. Another thread calls ``progress``.
     """
     client = await asyncio.to_thread(find_run, config.port, config.file)
     if client is None:
@@ -175,7 +175,7 @@ class RemoteDrive(Readable):
     name: str
     kind: str
     address: int
-    #: of a drive made by :meth:`listed`; ``per_request``: how many of them one request to the drive carries
+    #: empty before :meth:`listed`; ``per_request``: number of parameters in one request to the drive
     parameters: tuple[ListedParam, ...] = ()
     per_request: int = 1
 
@@ -186,7 +186,7 @@ class RemoteDrive(Readable):
         return dataclasses.replace(self, parameters=tuple(answer["parameters"]), per_request=answer["per_request"])
 
     async def carry_out(self, order: Order) -> dict[str, Any]:
-        """As :func:`dpstack.api.control.drive_orders.carry_out`, by the run."""
+        """Have the run do :func:`dpstack.api.control.drive_orders.carry_out`."""
         return await _carry_out(self.client, "drive", self.name, order)
 
     async def read_many(
@@ -211,11 +211,11 @@ class RemoteDrive(Readable):
 
 
 async def find_drive(config: Config, name: str) -> RemoteDrive | None:
-    """The drive called ``name`` of the run that has the port and the file of ``config``; None where no run answers for
-    the port.
+    """The drive ``name`` of the run that has the port and the file of ``config``; None where no run answers for the
+    port.
 
-    Raises UsageError where the run there has another configuration file or no such drive, BusError where the run cannot
-    give it orders now, PortError where it cannot be reached.
+    Raises UsageError where that run has another configuration file or no such drive, BusError where it can give no
+    orders now, PortError where it does not answer.
     """
     client = await asyncio.to_thread(find_run, config.port, config.file)
     if client is None:

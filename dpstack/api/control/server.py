@@ -1,6 +1,6 @@
 """The server's end of the control socket of a run, sim or segment. No client can disturb the bus.
 
-During a long command the client gets signs of life; a client that closes the connection ends its command.
+During a long command the client receives items as signs of life. A client that closes the connection cancels it.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ _MOST_CLIENTS: Final = 16
 _BACKLOG: Final = 64
 #: pause of accepting when no descriptor is free
 _PAUSE_S: Final = 1.0
-#: a client without a request is dropped after this time
+#: time limit for the next request of a client
 _IDLE_S: Final = 60.0
-#: a client with so many unread octets, or fewer for so long, is dropped
+#: limits of unread octets, and of the time in which a client reads its answer; beyond them it is disconnected
 _UNREAD: Final = 1 << 18
 _PATIENCE_S: Final = 5.0
 
 
-class _GoneError(Exception):
+class _ClientGoneError(Exception):
     """The client closed the connection or does not read."""
 
 
@@ -78,7 +78,7 @@ class _Client:
         return self.writer is None or self.writer.transport.is_closing()
 
     def hang_up(self, why: str | None = None) -> None:
-        """Close at once, also where the client does not read; ``why`` is its last answer."""
+        """Close the connection at once, also if the client does not read. ``why``: text of the last answer."""
         if self.writer is None:
             with contextlib.suppress(OSError):
                 if why is not None:
@@ -96,11 +96,11 @@ class _Client:
 
 
 class ControlServer:
-    """Answers for one program while it is entered (``async with``).
+    """The control server of a program, a context manager (``async with``).
 
     ``kind``: run, sim or segment. Clients find the program by ``port``, and by ``also`` unless another program has it.
     ``handlers``: one for each of ``specs`` except ``help``. ``config``: the configuration file, by which clients check
-    that this is the right program. Entering raises PortError where no socket can be made, PortBusyError where another
+    that this is the right program. Entering raises PortError where it can make no socket, PortBusyError where another
     program answers for the port already.
     """
 
@@ -123,16 +123,16 @@ class ControlServer:
         #: time of creation
         self.started = datetime.now(UTC)
         self._also = also
-        #: why `dpstack ctl` does not find it by its port alone
+        #: the reason why `dpstack ctl` does not find the program by its port alone; None where it does
         self.remark: str | None = None
-        #: a client that reads nothing is dropped after this time
+        #: time limit (s) for a client that does not read its answers
         self.patience_s = _PATIENCE_S
-        #: a client that sends no request is dropped after this time
+        #: time limit (s) for a client that sends no request
         self.idle_s = _IDLE_S
         self._specs = tuple(specs)
         self._handlers = {"help": self._help, **handlers}
         self._sockets: Sockets | None = None
-        self._names: list[str] = []  # the socket, then links to it
+        self._names: list[str] = []  # file names: the socket, then links to it
         self._listening: socket.socket | None = None
         self._pause: asyncio.TimerHandle | None = None
         self._clients: dict[asyncio.Task[None], _Client] = {}
@@ -140,7 +140,7 @@ class ControlServer:
     async def __aenter__(self) -> ControlServer:
         try:
             with os_errors(f"no control socket in {directory()}", ": is it writable?"):
-                self._listening = self._take_names()
+                self._listening = self._bind_names()
         except BaseException:
             self._release()
             raise
@@ -156,7 +156,7 @@ class ControlServer:
         self.port = self.name = port
 
     async def __aexit__(self, *_exc: object) -> None:
-        self._release()  # while it listens no other program can take its names
+        self._release()  # before it stops to listen: until then no other program takes its names
         self._stop_listening()
         clients = list(self._clients)
         for task in clients:
@@ -164,7 +164,7 @@ class ControlServer:
         if clients:
             await asyncio.wait(clients)
 
-    # --- the socket ---------------------------------------------------------------------------------------------------
+    # --- the socket -----------------------------------------------------------------------------------------------
 
     def _release(self) -> None:
         """Remove the socket and its links."""
@@ -175,25 +175,25 @@ class ControlServer:
                 for name in names:
                     sockets.remove(name)
 
-    def _take_names(self) -> socket.socket:
-        """Bind under the first name; the others are links to it."""
+    def _bind_names(self) -> socket.socket:
+        """Bind a socket under the first name of the port, and make links under the others. Returns the socket."""
         sockets = self._sockets = Sockets(make=True)
         with sockets.locked():
-            own, shared = self._own(self.port), list(map(socket_name, names_of(self.port)))
+            own, shared = self._own_names(self.port), list(map(socket_name, names_of(self.port)))
             if self.port == VIRTUAL:
                 own, shared = [self._name_on_virtual(sockets)], []
             elif not own:
                 own, shared = shared, []
             for name in own:
-                self._clear(sockets, name)
+                self._remove_stale(sockets, name)
             listening = socket.socket(socket.AF_UNIX)
             try:
                 sockets.bind(listening, own[0])
                 self._names.append(own[0])
                 listening.listen(_BACKLOG)
-                self._claim(sockets, own[1:])
+                self._link_all(sockets, own[1:])
                 try:
-                    self._claim(sockets, shared)
+                    self._link_all(sockets, shared)
                 except PortBusyError as busy:
                     self.remark = str(busy)
             except BaseException:
@@ -203,7 +203,7 @@ class ControlServer:
         return listening
 
     def _name_on_virtual(self, sockets: Sockets) -> str:
-        """Each run on "virtual" has its own name, so that a command never goes to another run."""
+        """The socket of a name for this run on "virtual", so that a command never goes to another run."""
         others = sockets.virtual_names()
         self.name = next(name for name in map(virtual_name, itertools.count(1)) if name not in others)
         if others:
@@ -213,39 +213,39 @@ class ControlServer:
         return socket_name(self.name)
 
     def _link(self, port: str) -> None:
-        """Add the names of ``port``. Raises PortError, PortBusyError."""
+        """Make links under the names of ``port``. Raises PortError, PortBusyError."""
         sockets = self._sockets
         if sockets is None:  # the server is not entered
             return
         names = [name for name in map(socket_name, names_of(port)) if name not in self._names]
-        own = [name for name in self._own(port) if name not in self._names]
+        own = [name for name in self._own_names(port) if name not in self._names]
         with os_errors(f"not to be found by {port}"), sockets.locked():
             with contextlib.suppress(PortBusyError):
-                self._claim(sockets, own)
-            self._claim(sockets, names)
+                self._link_all(sockets, own)
+            self._link_all(sockets, names)
 
-    def _own(self, port: str) -> list[str]:
-        """The names of a run as such: a sim behind the pty that it made has the plain name of the same path."""
+    def _own_names(self, port: str) -> list[str]:
+        """The names for the run only: a sim on the other end of a pty has the plain name of the same path."""
         return [socket_name(own_name(self.kind, name)) for name in names_of(port)] if self.kind in OWN_NAMES else []
 
-    def _claim(self, sockets: Sockets, names: Sequence[str]) -> None:
-        """Make ``names`` links to the socket. Raises PortBusyError, and makes none, when another program has one."""
+    def _link_all(self, sockets: Sockets, names: Sequence[str]) -> None:
+        """Make links ``names`` to the socket. Raises PortBusyError, and makes none, when another program has one."""
         for name in names:
-            self._clear(sockets, name)
+            self._remove_stale(sockets, name)
         for name in names:
             sockets.link(name, self._names[0])
             self._names.append(name)
 
-    def _clear(self, sockets: Sockets, name: str) -> None:
-        """Remove the socket or link of a killed program. Raises PortBusyError when another program has the name.
+    def _remove_stale(self, sockets: Sockets, name: str) -> None:
+        """Remove the socket or link ``name`` of a killed program. Raises PortBusyError when another program has it.
 
-        Such a link may lead to a socket that this program has bound meanwhile.
+        (A link of a killed program may lead to the socket that this program has just bound.)
         """
         if sockets.link_target(name) not in self._names and sockets.answers(name):
             raise PortBusyError(f"another program answers `dpstack ctl {self.port}` already; this one will not")
         sockets.remove(name)
 
-    # --- one client ---------------------------------------------------------------------------------------------------
+    # --- clients ---------------------------------------------------------------------------------------------------
 
     def _listen(self) -> None:
         self._pause = None
@@ -261,7 +261,7 @@ class ControlServer:
             listening.close()
 
     def _accept(self) -> None:
-        """Accept one connection; asyncio's server (3.11) loses a connection that comes while it is closed."""
+        """Accept a connection. (asyncio's server of 3.11 loses a connection that comes while it is closed.)"""
         listening = self._listening
         if listening is None:
             return
@@ -275,7 +275,7 @@ class ControlServer:
             self._pause = loop.call_later(_PAUSE_S, self._listen)
             return
         client = _Client(connection)
-        why = self._refused(client)
+        why = self._why_refused(client)
         if why is not None:
             client.hang_up(why)
             return
@@ -287,8 +287,8 @@ class ControlServer:
         self._clients.pop(task, None)
         client.hang_up()
 
-    def _refused(self, client: _Client) -> str | None:
-        """Why the new client is not served, else None; among too many the one idle longest is dropped."""
+    def _why_refused(self, client: _Client) -> str | None:
+        """The reason to refuse the new client, else None. If there are too many, disconnect the one idle longest."""
         try:
             uid = peer_uid(client.connection)
         except OSError as exc:
@@ -305,13 +305,13 @@ class ControlServer:
         return None
 
     async def _serve(self, client: _Client) -> None:
-        # gone, does not read, or the program ends
-        with contextlib.suppress(_GoneError, OSError, asyncio.CancelledError):
+        # the client has gone or does not read, or the program ends
+        with contextlib.suppress(_ClientGoneError, OSError, asyncio.CancelledError):
             reader, client.writer = await asyncio.open_unix_connection(sock=client.connection, limit=_LONGEST)
             client.idle_since = asyncio.get_running_loop().time()
-            await self._talk(reader, client)
+            await self._answer_requests(reader, client)
 
-    async def _talk(self, reader: asyncio.StreamReader, client: _Client) -> None:
+    async def _answer_requests(self, reader: asyncio.StreamReader, client: _Client) -> None:
         while True:
             try:
                 async with asyncio.timeout(self.idle_s):
@@ -319,7 +319,7 @@ class ControlServer:
             except TimeoutError:
                 client.hang_up(f"closed: no request came for {self.idle_s:g} s; connect again")
                 return
-            except ValueError:  # longer than the limit: the beginning of the next one is unknown
+            except ValueError:  # too long: the beginning of the next request is unknown
                 client.hang_up(f"a request has at most {_LONGEST} octets")
                 return
             if not line or client.writer is None or client.gone:
@@ -331,23 +331,23 @@ class ControlServer:
 
     async def _answer(self, line: bytes, writer: asyncio.StreamWriter) -> None:
         try:
-            spec, args = self._understand(line)
+            spec, args = self._parse_request(line)
             result = self._handlers[spec.name](args)
             if callable(result):
                 result = result(lambda item: self._send(writer, {"item": item}))
             if inspect.isawaitable(result):
                 result = await result
             answer: dict[str, object] = {"ok": True, "result": result}
-        except _GoneError:
+        except _ClientGoneError:
             raise
-        except (DpError, ValueError) as error:  # a ValueError: of an argument
+        except (DpError, ValueError) as error:  # ValueError: a wrong argument
             answer = {**_error(str(error)), **error_fields(error)}
         except Exception as error:  # a defect of a command must not end the bus
             answer = _error(f"failed by a defect, please report it: {type(error).__name__}: {error}")
         await self._send(writer, answer)
 
-    def _understand(self, line: bytes) -> tuple[Spec, list[str]]:
-        """Raises UsageError, and OrderDropped for a request that was read after its time limit."""
+    def _parse_request(self, line: bytes) -> tuple[Spec, list[str]]:
+        """The command and its arguments. Raises UsageError, and OrderDropped for a request after its time limit."""
         try:
             request = json.loads(line)
             name, args, until = request["command"], request.get("args", []), request.get("until_ns", NEVER)
@@ -364,15 +364,15 @@ class ControlServer:
         return spec, args
 
     async def _send(self, writer: asyncio.StreamWriter, answer: Mapping[str, object]) -> None:
-        """Raises _GoneError when the client has gone or does not read."""
+        """Raises _ClientGoneError when the client has gone or does not read."""
         writer.write(_line(answer))
         if writer.transport.get_write_buffer_size() > _UNREAD:
-            raise _GoneError
+            raise _ClientGoneError
         try:
             async with asyncio.timeout(self.patience_s):  # wait_for loses a cancellation on 3.11: the end would hang
                 await writer.drain()
         except (OSError, TimeoutError):
-            raise _GoneError from None
+            raise _ClientGoneError from None
 
     def _help(self, _args: list[str]) -> object:
         commands = [spec.as_dict() for spec in self._specs]
@@ -395,12 +395,12 @@ def _error(text: str) -> dict[str, object]:
     return {"ok": False, "error": " ".join(text.split())}
 
 
-#: interval in s of the signs of life during a long command: without them its client would give up
+#: interval in s of the signs of life; without them the client of a long command would give up
 _SIGN_OF_LIFE_S: Final = 0.5
 
 
 async def kept_alive(work: Coroutine[Any, Any, _T], sign: Callable[[], object], send: Send) -> _T:
-    """The result of ``work``. Until then ``sign()`` is sent as an item again and again; cancelled, ``work`` is, too."""
+    """The result of ``work``. Until then send ``sign()`` as an item repeatedly. A cancellation cancels ``work``."""
     order = asyncio.ensure_future(work)
     try:
         while not (await asyncio.wait({order}, timeout=_SIGN_OF_LIFE_S))[0]:

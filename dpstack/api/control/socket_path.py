@@ -1,8 +1,7 @@
-"""Control sockets as files: names, directory, and the user at the other end of a connection.
+"""Control sockets as files: names, directory, owner of the peer process.
 
-The directory is the one that :func:`~dpstack.ports.runtime_dir.open_own` has checked; each socket in it has to belong
-to this user, and so has the process behind it. Root is trusted too, at both ends: it can read and change everything
-anyway.
+:func:`~dpstack.ports.runtime_dir.open_own` checks the directory. Each socket in it, and the process behind it, has to
+belong to this user or to root, who can read and change everything anyway.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from dpstack.ports.posix import fcntl
 from dpstack.ports.runtime_dir import open_own, runtime_path, user_name
 
 SUFFIX: Final = ".sock"
-#: kinds of programs with a name of their own beside that of the port
+#: kinds of programs with a second name beside that of the port
 OWN_NAMES: Final = frozenset({"run"})
 #: names of the runs on the port "virtual", which any number of programs may have: the process, its second bus ...
 _VIRTUAL_NAME: Final = re.compile(rf"{VIRTUAL}:(\d{{1,10}}(?:\.\d{{1,6}})?)")
@@ -51,7 +50,7 @@ def directory() -> Path:
 
 @contextlib.contextmanager
 def os_errors(what: str, advice: str = "") -> Iterator[None]:
-    """Within, an OSError is raised as PortError with its reason behind ``what``."""
+    """Context manager: raise an OSError as PortError, with its reason after ``what``."""
     try:
         yield
     except PortError:
@@ -78,18 +77,13 @@ def virtual_name(number: int) -> str:
 
 
 def socket_name(name: str) -> str:
-    """The file of one name. Names of runs on "virtual" can be read in it; others are hashed, as a port is a path."""
+    """The file name of the socket ``name``: readable for runs on "virtual"; others are hashed, as a port is a path."""
     found = _VIRTUAL_NAME.fullmatch(name)
     return (f"{VIRTUAL}-{found[1]}" if found else hashlib.sha256(os.fsencode(name)).hexdigest()[:16]) + SUFFIX
 
 
-def socket_path(name: str) -> Path:
-    """The socket of one name."""
-    return directory() / socket_name(name)
-
-
 def peer_uid(connection: socket.socket) -> int | None:
-    """The user whose process is at the other end of a Unix socket; None where the system does not say."""
+    """The user of the process at the other end of a Unix socket; None where the system does not tell it."""
     if _PEERCRED is not None:
         return int(_UCRED.unpack(connection.getsockopt(socket.SOL_SOCKET, _PEERCRED, _UCRED.size))[1])
     getpeereid = getattr(_libc(), "getpeereid", None)
@@ -106,15 +100,15 @@ def _libc() -> Any:
 
 
 def is_trusted(uid: int | None) -> bool:
-    """Whether a process of this user is trusted: our own user and root. None: the directories alone decide."""
+    """Whether to trust processes of user ``uid``: our own user, root, and None (the system does not tell it)."""
     return uid is None or uid in (os.geteuid(), 0)
 
 
 class Sockets:
-    """The directory of the control sockets, opened once: later changes of its path have no effect.
+    """The directory of the control sockets, by an open descriptor: later changes of its path have no effect.
 
-    ``make``: create it where it is missing, else FileNotFoundError is raised. Raises PortError where another user
-    could put a socket into it, OSError. Use it as a context manager, or :meth:`close` it. Names are those of files.
+    ``make``: create a missing directory; otherwise FileNotFoundError. Raises PortError where another user could put a
+    socket into it, OSError. A context manager. All names here are file names.
     """
 
     def __init__(self, *, make: bool = False) -> None:
@@ -135,11 +129,11 @@ class Sockets:
             os.close(fd)
 
     def names(self) -> list[str]:
-        """All sockets, and links to sockets."""
+        """The names of all sockets, and of links to sockets."""
         return sorted(name for name in os.listdir(self._fd) if name.endswith(SUFFIX))
 
     def virtual_names(self) -> list[str]:
-        """The names of all live runs on :data:`VIRTUAL`; removes the sockets of killed ones."""
+        """The names of all running runs on :data:`VIRTUAL`. Removes the sockets of killed ones."""
         found = [match[1] for match in map(_VIRTUAL_SOCKET.fullmatch, self.names()) if match]
         names = [f"{VIRTUAL}:{one}" for one in found]
         for name in names:
@@ -148,7 +142,7 @@ class Sockets:
         return [name for name in names if socket_name(name) in left]
 
     def link_target(self, name: str) -> str | None:
-        """The name that the link ``name`` leads to; None where it is no link, or not there."""
+        """The target of the link ``name``; None where it is no link, or missing."""
         try:
             return os.readlink(name, dir_fd=self._fd)
         except OSError:
@@ -195,8 +189,8 @@ class Sockets:
         return connection
 
     def _join_queue(self, connection: socket.socket, name: str) -> None:
-        """Connect. Where the queue of the program is full, wait a little for a place: the system does not wait for a
-        socket that has a time-out. Raises OSError.
+        """Connect. While the queue of the program is full, try again for a short time: the system itself does not wait
+        if a socket has a time-out. Raises OSError.
         """
         for _ in range(_QUEUE_TRIES):
             with contextlib.suppress(BlockingIOError):
@@ -206,30 +200,31 @@ class Sockets:
         raise TimeoutError(errno.ETIMEDOUT, "too many clients wait for it; is it stopped or busy?")
 
     def answers(self, name: str) -> bool:
-        """Whether a program lives behind the socket ``name``. Raises PortError as :meth:`connect` does."""
+        """Whether a program listens at the socket ``name``. Raises PortError as :meth:`connect` does."""
         try:
             self.connect(name, 1.0).close()
         except (ConnectionRefusedError, FileNotFoundError):
             return False
         except PortError:
             raise
-        except OSError as exc:  # alive but busy: its queue of clients is full, or it does not come to accept
+        except OSError as exc:  # alive but busy: its queue of clients is full
             return isinstance(exc, (TimeoutError, BlockingIOError))
         return True
 
     def clean(self, name: str) -> None:
-        """Remove a socket, or a link to one, that nobody answers at; not one that is just being made."""
+        """Remove a socket, or a link to one, without a program behind it."""
         with contextlib.suppress(OSError), self.locked():
             if not self.answers(name):
                 self.remove(name)
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Who removes stale sockets and makes new ones does it alone. May be entered again within."""
+        """Context manager: a lock for removing stale sockets and making new ones. Re-entrant."""
         if self._is_locked:
             yield
             return
-        fd = os.open(".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=self._fd)  # a lock of its own
+        # a new descriptor: a lock of flock() belongs to it
+        fd = os.open(".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=self._fd)
         try:
             fcntl.flock(fd, fcntl.LOCK_EX)
             self._is_locked = True
@@ -239,8 +234,8 @@ class Sockets:
             os.close(fd)
 
     def _address(self, name: str) -> str:
-        """A path for bind and connect, which take none relative to a directory: by the descriptor where that works, as
-        this is short and means the directory that was checked. Raises PortError where the path is too long.
+        """A path for bind and connect, which have no ``dir_fd``: by the descriptor where that works, as this is short
+        and leads to the checked directory. Raises PortError where the path is too long.
         """
         by_descriptor = f"/proc/self/fd/{self._fd}"
         with contextlib.suppress(OSError):

@@ -186,7 +186,7 @@ class AlarmListeners:
         with contextlib.suppress(DpError):  # the bus has ended, or the slave was removed
             self._command(command)
 
-    # --- events of the machine ---------------------------------------------------------------------------------------
+    # --- events of the machine ------------------------------------------------------------------------------------
 
     def handle_event(self, event: Event) -> bool:
         """True for events that no other reader gets."""

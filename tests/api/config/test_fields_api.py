@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 from api_kit import HOIST, RAW, bus_of, virtual
+from control_kit import octet_client
 
 import dpstack
 from dpstack.api.config.config import parse_config
-from dpstack.api.control import socket_path
 from dpstack.api.control.handlers import control_run
 from dpstack.dp.process_data import Field
 from dpstack.errors import ConfigError
@@ -143,14 +143,16 @@ def test_where_nothing_is_named_and_where_a_plugin_writes() -> None:
 
 
 async def test_in_the_summary_and_through_the_control_socket() -> None:
-    async with bus_of(VALVES, {**HOIST, "outputs": {"command": "u16@8"}}) as bus, control_run(bus, "named"):
+    async with (
+        bus_of(VALVES, {**HOIST, "outputs": {"command": "u16@8"}}) as bus,
+        control_run(bus, "named"),
+        octet_client("named") as client,
+    ):
         await bus.ready()
         await bus.operate()
-        reader, writer = await asyncio.open_unix_connection(str(socket_path.socket_path("named")))
 
         async def ask(command: str, *args: str) -> Any:
-            writer.write(json.dumps({"command": command, "args": args}).encode() + b"\n")
-            answer = json.loads(await asyncio.wait_for(reader.readline(), 10))
+            answer = json.loads(await client.ask(json.dumps({"command": command, "args": args}).encode()))
             return answer["result"] if answer["ok"] else answer["error"]
 
         assert await ask("set", "valves.open=on", "8.target=-0x10") is None
@@ -172,4 +174,3 @@ async def test_in_the_summary_and_through_the_control_socket() -> None:
         ):
             assert text in await ask("set", *args)
             assert valves["open"] is True
-        writer.close()

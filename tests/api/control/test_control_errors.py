@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import inspect
 import json
-from pathlib import Path
 
 import pytest
 
@@ -42,12 +41,6 @@ SAMPLES = {
     "tuple[int, int, int] | None": (2, 1, 7),
 }
 FAIL = Spec("fail", "", "fails", "")
-
-
-@pytest.fixture(autouse=True)
-def own_runtime_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody else's sockets."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 
 def example(kind: type[DpError]) -> DpError:

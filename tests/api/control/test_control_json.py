@@ -43,7 +43,7 @@ def pair() -> Iterator[tuple[ControlClient, socket.socket]]:
 def test_a_request(line: bytes) -> None:
     server = ControlServer("sim", "/dev/nowhere", COMMON, {"status": lambda _args: None})
     with pytest.raises(UsageError, match="a request is one line"):
-        server._understand(line)
+        server._parse_request(line)
 
 
 @given(st.binary(max_size=60))
@@ -51,7 +51,7 @@ def test_any_request(line: bytes) -> None:
     server = ControlServer("sim", "/dev/nowhere", COMMON, {"status": lambda _args: None})
     for request in (line, b'{"command":"status","args":[' + line + b"]}", b'{"command":' + line + b"}"):
         try:
-            spec, _ = server._understand(request)
+            spec, _ = server._parse_request(request)
         except UsageError:
             continue
         assert spec.name in ("status", "help")

@@ -21,6 +21,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from control_kit import socket_of
 
 from dpstack.api.control import socket_path
 from dpstack.api.control.client import ControlClient, connect, find_run, running
@@ -32,13 +33,6 @@ from dpstack.ports.runtime_dir import open_own, user_name
 #: "nobody" on most systems; nothing but a number here
 MALLORY = 65534
 ROOT = os.geteuid() == 0
-
-
-@pytest.fixture
-def runtime(runtime_directory: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="t", dir=runtime_directory) as path:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", path)
-        yield Path(path)
 
 
 class Owners:
@@ -213,7 +207,7 @@ async def test_the_directory_is_the_one_that_was_checked(runtime: Path) -> None:
 
 async def test_a_socket_of_another_user_in_our_directory(runtime: Path, owners: Owners) -> None:
     (runtime / "dpstack").mkdir(mode=0o700)
-    path = socket_path.socket_path("COM3")
+    path = socket_of("COM3")
     with socket.socket(socket.AF_UNIX) as planted:
         planted.bind(str(path))
         planted.listen(1)
@@ -275,7 +269,7 @@ def test_a_program_of_another_user_behind_our_socket_is_told_nothing(
     if not ROOT:
         monkeypatch.setattr(socket_path, "peer_uid", lambda _connection: MALLORY)
     (runtime / "dpstack").mkdir(mode=0o700)
-    path = socket_path.socket_path("COM3")
+    path = socket_of("COM3")
     with socket.socket(socket.AF_UNIX) as planted:
         planted.bind(str(path))
         with program(POSING, planted.fileno(), keep=planted.fileno()) as posing:
@@ -298,7 +292,7 @@ async def test_an_order_of_another_user_is_refused(runtime: Path, monkeypatch: p
     served = ControlServer("run", "COM3", COMMON, {"status": lambda args: asked.append(args)})
     async with served:
         (runtime / "dpstack").chmod(0o711)
-        socket_path.socket_path("COM3").chmod(0o666)
+        socket_of("COM3").chmod(0o666)
         (runtime / "dpstack" / socket_path.socket_name("run COM3")).chmod(0o666)
         fd = os.open(runtime / "dpstack", os.O_RDONLY)
 

@@ -89,7 +89,7 @@ def test_a_set_point_of_a_program(number: float) -> None:
     "read",
     [
         arguments.time_ns,
-        arguments.whole,
+        arguments.whole_number,
         arguments.mask,
         arguments.octet,
         lambda text: arguments.number(text, 0, 1, "0.5"),

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from control_kit import socket_of
 
-from dpstack.api.control.socket_path import Sockets, own_name, socket_path
+from dpstack.api.control.socket_path import Sockets, own_name
 from dpstack.capture.pcapng import Writer
 from dpstack.cli import main as program
 from dpstack.cli.main import main
@@ -284,7 +285,7 @@ def peer(alone: None, config: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
     listening = socket.socket(socket.AF_UNIX)
     with Sockets(make=True) as sockets, sockets.locked():
         for name in (port, own_name("run", port)):
-            path = socket_path(name)
+            path = socket_of(name)
             if name == port:
                 listening.bind(str(path))
                 path.chmod(0o600)

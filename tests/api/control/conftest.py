@@ -1,0 +1,17 @@
+"""A directory of control sockets for each test."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def runtime(runtime_directory: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """XDG_RUNTIME_DIR of the test; its path is short, as that of a socket has to be."""
+    with tempfile.TemporaryDirectory(prefix="t", dir=runtime_directory) as path:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", path)
+        yield Path(path)
