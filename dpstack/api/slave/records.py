@@ -95,6 +95,7 @@ class RecordAccess(abc.ABC):
         *,
         length: int = MAX_RECORD,
         data: bytes = b"",
+        user: int = 0,
     ) -> bytes:
         way = self._way
         data = octets("data", data)
@@ -110,6 +111,7 @@ class RecordAccess(abc.ABC):
             time_of(usual_timeout(way.response_ns) if timeout is None else timeout),
             address=way.address if way.connection is None else None,
             connection=way.connection,
+            user=user,
         )
         return (await self._order(order)).outcome.data
 
@@ -121,12 +123,14 @@ class RecordAccess(abc.ABC):
 
         ``object``: axis or drive object; ``timeout`` in seconds for each Read and Write. Make one and keep it.
         """
+        user = self._way.services.token()
 
         async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused | Silent:
+            length = request.length if isinstance(request, ReadReq) else MAX_RECORD
             try:
-                if isinstance(request, ReadReq):
-                    return await self.read(request.slot, request.index, request.length, timeout=timeout)
-                await self.write(request.slot, request.index, request.data, timeout=timeout)
+                return await self._carry_out(
+                    request.function, request.slot, request.index, timeout, length=length, data=request.data, user=user
+                )
             except AcyclicError as error:
                 if error.error_decode != Decode.DPV1:
                     raise
@@ -135,7 +139,6 @@ class RecordAccess(abc.ABC):
                 return Refused(0, str(error))
             except SlaveTimeout as error:
                 return Silent(str(error))
-            return b""
 
         return RecordParameters(self.name, carry_out, slot, object=object, longest=self._way.longest)
 

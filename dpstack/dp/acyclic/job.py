@@ -136,6 +136,11 @@ class Job(abc.ABC):
         token hold."""
         return ""
 
+    def held_up(self, now: int) -> str:
+        """The reason why it may not begin yet, for a text; empty when it may. Meanwhile later jobs of its
+        lane overtake it. Called in every token hold until it begins."""
+        return ""
+
     @abc.abstractmethod
     def steps(self) -> Steps[Outcome]:
         """Its requests, one after the other."""

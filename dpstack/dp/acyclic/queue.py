@@ -223,9 +223,18 @@ class Acyclic:
         self._turn = False
         if entry.step is None:
             entry.step = next(entry.steps)
+            self._put_before_its_lane(entry)
         self._asked = entry
         request = entry.step.request
         return request if request.patient else request._replace(patient=request.da in self._known)
+
+    def _put_before_its_lane(self, entry: _Entry) -> None:
+        """A job that has begun stands before the jobs of its lane that it has overtaken."""
+        lane = entry.job.lane
+        at = next((at for at, one in enumerate(self._queue) if one.job.lane == lane), 0)
+        if lane is not None and self._queue[at] is not entry:
+            self._queue.remove(entry)
+            self._queue.insert(at, entry)
 
     def _next(self, now: int) -> _Entry | None:
         """Services with the same lane come one after the other: the queue is in the order of their orders."""
@@ -234,7 +243,7 @@ class Acyclic:
         for entry in self._queue:
             lane = entry.job.lane
             if lane is not None:
-                if lane in lanes:
+                if lane in lanes or (entry.step is None and entry.job.held_up(now)):
                     continue
                 lanes.add(lane)
             if entry.due <= now and (chosen is None or entry.turn < chosen.turn):
@@ -320,14 +329,18 @@ class Acyclic:
                 self._end_barred(now)
         for entry in [entry for entry in self._queue if entry.deadline <= now]:
             entry.deadline = NEVER
-            self._cut(entry, ServiceFailure.LINE if self._no_line else ServiceFailure.LATE, self._why_late(entry), now)
+            self._cut(
+                entry, ServiceFailure.LINE if self._no_line else ServiceFailure.LATE, self._why_late(entry, now), now
+            )
 
-    def _why_late(self, entry: _Entry) -> str:
+    def _why_late(self, entry: _Entry, now: int) -> str:
         after = f"was not over after {ns_to_s(entry.timeout_ns):g} s"
         if self._no_line:
             return f"{after}: the port vanished ({self._no_line}); it can be repeated when the port is back"
         if self._tokens == entry.since:
             return f"{after}: this station was given no token in that time; see whether it is in the ring"
+        if entry.step is None and (why := entry.job.held_up(now)):
+            return f"{after}: {why}"
         if not entry.asked:
             return f"{after}: no token hold had time left for it; T_TR is too short, or too many services wait"
         return f"{after}; give it a longer timeout"

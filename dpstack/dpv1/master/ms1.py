@@ -26,17 +26,30 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import RecordDone, RecordOrder
 from dpstack.dpv1.master.plugin_queue import PendingRecord, RecordQueue, queue_at
 from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Polling, Reply, negative_outcome, service_outcome
-from dpstack.dpv1.pdu.error_codes import Code
-from dpstack.dpv1.pdu.read_write import DataTransport, Function, Negative, ReadReq, RecordReq, WriteReq
+from dpstack.dpv1.pdu.error_codes import AGAIN, Code
+from dpstack.dpv1.pdu.read_write import (
+    PARAMETER_INDEX,
+    DataTransport,
+    Function,
+    Negative,
+    ReadReq,
+    RecordReq,
+    WriteReq,
+)
 from dpstack.dpv1.timeouts import RESPONSE_TIMEOUT, service_timeout
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SAP_MS1, Req, Telegram
 from dpstack.trace import Event
-from dpstack.units import ns_to_s
+from dpstack.units import NEVER, NS_PER_S, ns_to_s
 
 _HEAD: Final = 4
 _MAYBE: Final = "it may have been carried out: read it back"
+#: user of record 47 (``RecordOrder.user``): the drive plugin of the slave
+_PLUGIN: Final = -1
+#: a turn at record 47 without a Read ends so long after the last answer, any turn so long after the Write
+_TURN_PAUSE: Final = 2 * NS_PER_S
+_LONGEST_TURN: Final = 10 * NS_PER_S
 
 
 def need_dpv1(setup: SlaveParams, lacks: str = "no Read, Write, alarms", *, read_only: bool = False) -> None:
@@ -184,10 +197,26 @@ class Ms1Job(Job):
         self._ms1.unfetched.pop(self._lane, None)
 
 
+@dataclasses.dataclass(slots=True)
+class Turn:
+    """The turn of ``user`` at record 47 of a slave, in the data exchange that began at ``since``.
+
+    A slave has one request and one response at a time, whoever asks. So a Write begins a turn, and the answer to the
+    user's Read ends it. Other users wait until then, or until the time ``until`` (NEVER: a service of the user is under
+    way), at the latest until ``longest`` (docs/decisions/services.md#turns-at-record-47).
+    """
+
+    user: int
+    since: int
+    until: int = NEVER
+    longest: int = NEVER
+
+
 class RecordJob(Ms1Job):
     """One Read or Write, ordered by a program, or by a drive plugin: then ``pending`` gets its outcome.
 
-    Raises PduError for a request that cannot be encoded.
+    ``user``: of record 47, see :class:`~dpstack.dpv1.master.orders.RecordOrder`. Raises PduError for a request that
+    cannot be encoded.
     """
 
     why_closed = (
@@ -196,12 +225,15 @@ class RecordJob(Ms1Job):
     )
 
     def __init__(
-        self, request: RecordReq, handler: SlaveHandler, ms1: Ms1, pending: PendingRecord | None = None
+        self, request: RecordReq, handler: SlaveHandler, ms1: Ms1, user: int, pending: PendingRecord | None = None
     ) -> None:
         longest = _HEAD if isinstance(request, WriteReq) else _HEAD + request.length
         super().__init__(request.title, handler, ms1, request.build(), longest)
         self._request = request
+        self._user = user
         self._pending = pending
+        self._has_turns = request.index == PARAMETER_INDEX
+        self._begun = False
         self.repeats = isinstance(request, ReadReq)
         if not self.repeats:
             self.hint = f"; {_MAYBE}"
@@ -211,7 +243,52 @@ class RecordJob(Ms1Job):
         """A warning about a Write without a response, for whatever reason."""
         return _MAYBE if self._sent and not self.repeats else ""
 
+    def bar(self) -> str:
+        if self._pending is not None and self._pending.cancelled and not self._sent:
+            return "was given up by the drive plugin"
+        return super().bar()
+
+    # --- turns at record 47 --------------------------------------------------------------------------------------
+
+    def held_up(self, now: int) -> str:
+        """Also forgets a turn that is over."""
+        turn = self._ms1.turns.get(self.address) if self._has_turns else None
+        if turn is None:
+            return ""
+        if turn.since != self._since or turn.until <= now:
+            del self._ms1.turns[self.address]
+            return ""
+        return "" if turn.user == self._user else f"record {PARAMETER_INDEX} of this slave was in use all the time"
+
+    def steps(self) -> Steps[Outcome]:
+        """A Write of record 47 begins a turn."""
+        self._begun = True
+        if self._has_turns:
+            turn = self._own_turn()
+            if turn is None and not self.repeats:
+                turn = self._ms1.turns[self.address] = Turn(self._user, self._since)
+            if turn is not None:
+                turn.until = NEVER
+        return (yield from super().steps())
+
+    def _own_turn(self) -> Turn | None:
+        turn = self._ms1.turns.get(self.address)
+        return turn if turn is not None and turn.user == self._user else None
+
+    def _end_turn(self, outcome: Outcome, now: int) -> None:
+        """End the turn of this user, unless the slave took the Write, or answered "not yet" to the Read."""
+        turn = self._own_turn()
+        if turn is None or not (self._begun or self.repeats):
+            return
+        turn.longest = min(turn.longest, now + _LONGEST_TURN)
+        not_yet = self.repeats and outcome.codes is not None and outcome.codes[1] in AGAIN
+        goes_on = not_yet or (not self.repeats and outcome.failure is None)
+        cancelled = self._pending is not None and self._pending.cancelled
+        turn.until = min(now + _TURN_PAUSE, turn.longest) if goes_on and not cancelled else now
+
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
+        if self._has_turns:
+            self._end_turn(outcome, now)
         if self._pending is not None:
             self._pending.outcome = outcome
             return []
@@ -231,6 +308,8 @@ class Ms1(Provider):
         self.master = master
         #: services that ended without the slave's answer, by lane; the next service fetches that answer
         self.unfetched: dict[int, Ms1Job] = {}
+        #: the last turn at record 47 of each slave, by address
+        self.turns: dict[int, Turn] = {}
 
     # --- slaves -------------------------------------------------------------------------------------------------
 
@@ -274,7 +353,7 @@ class Ms1(Provider):
         service = order.service
         assert not isinstance(service, DataTransport)  # goes over class 2 connections only
         try:
-            job = RecordJob(service, self.dpv1_slave(order.address), self)
+            job = RecordJob(service, self.dpv1_slave(order.address), self, order.user)
         except PduError as error:
             raise UsageError(str(error)) from None
         return order.token, job, order.timeout_ns
@@ -313,7 +392,7 @@ class Ms1(Provider):
         if isinstance(request, ReadReq):
             request = dataclasses.replace(request, length=min(request.length, longest))
         try:
-            return RecordJob(request, handler, self, pending)
+            return RecordJob(request, handler, self, _PLUGIN, pending)
         except PduError as error:
             pending.outcome = Outcome(ServiceFailure.LENGTH, str(error))
             return None

@@ -33,7 +33,8 @@ class RecordOrder(Order):
 
     The order has either the ``address`` of a slave of this master (MS1, without Data_Transport) or the token of a class
     2 ``connection``. Its end is the :class:`RecordDone` with ``token``. ``timeout_ns`` counts from the order; the
-    slave's own time-out counts from the request.
+    slave's own time-out counts from the request. ``user``: the users of record 47 of a slave take turns; 0 for all
+    programs without a number of their own.
     """
 
     token: int
@@ -45,6 +46,7 @@ class RecordOrder(Order):
     timeout_ns: int = SERVICE_TIMEOUT
     address: int | None = None
     connection: int | None = None
+    user: int = 0
 
     @property
     def service(self) -> Service:

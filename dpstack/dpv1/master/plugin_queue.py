@@ -13,13 +13,14 @@ __all__ = ["Outcome", "PendingRecord", "ReadReq", "RecordQueue", "RecordReq", "S
 
 
 class PendingRecord:
-    """A Read or Write under way; ``outcome`` is None until it is over."""
+    """A Read or Write; ``outcome`` is None until it is over. ``cancelled``: the plugin does not wait for it."""
 
-    __slots__ = ("outcome", "request")
+    __slots__ = ("cancelled", "outcome", "request")
 
     def __init__(self, request: RecordReq) -> None:
         self.request = request
         self.outcome: Outcome | None = None
+        self.cancelled = False
 
 
 class RecordQueue:
@@ -37,7 +38,8 @@ class RecordQueue:
         return pending
 
     def cancel(self, pending: PendingRecord) -> None:
-        """Give a request up; one that is under way goes on, and its outcome is ignored."""
+        """Give a request up; one that has begun goes on, and its outcome is ignored."""
+        pending.cancelled = True
         if pending in self._waiting:
             self._waiting.remove(pending)
 

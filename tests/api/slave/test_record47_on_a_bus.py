@@ -93,15 +93,16 @@ async def test_a_drive_by_name_in_a_telegram_without_a_channel() -> None:
 
 
 @in_virtual_time
-async def test_plugin_and_program_ask_at_the_same_time() -> None:
-    """Each gets its own, whoever's request the drive took in between."""
+async def test_plugin_and_programs_that_ask_at_the_same_time_take_turns() -> None:
     async with running(PUMP) as (bus, pump):
-        parameters = bus.slave("pump").parameters()
+        first, second = bus.slave("pump").parameters(), bus.slave("pump").parameters()
         for _ in range(5):
             by_name = asyncio.gather(pump.read(965), pump.read("dr-20"))
-            by_number = asyncio.gather(parameters.read([Address(918)]), parameters.read([Address(930)]))
+            by_number = asyncio.gather(*(one.read([Address(pnu)]) for one in (first, second) for pnu in (918, 930)))
             assert list(await by_name) == [0x0328, 60.0]
-            assert list(await by_number) == [[Values(6, (6,))], [Values(6, (1,))]]
+            assert list(await by_number) == [[Values(6, (6,))], [Values(6, (1,))]] * 2
+        assert first.counters.strays == second.counters.strays == 0
+        assert first.counters.requests == second.counters.requests == 10
 
 
 @in_virtual_time

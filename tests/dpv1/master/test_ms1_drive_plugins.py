@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
+import pytest
 from ms1_kit import DL, MS, SC, Ms1Bus, answer
 
-from dpstack.dp.acyclic.queue import CAPACITY
+from dpstack.dp.acyclic.queue import CAPACITY, CancelService
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.pdu.dpv1_status import Dpv1
+from dpstack.dpv1.master.orders import RecordOrder
 from dpstack.dpv1.master.plugin_queue import Outcome, PendingRecord, ReadReq, RecordQueue, ServiceFailure, WriteReq
+from dpstack.dpv1.pdu.read_write import Function
 
 
 class Unit:
@@ -116,3 +120,93 @@ def test_the_slave_falls_silent() -> None:
     later = queue.submit(ReadReq(1, 2, 5))
     bus.bus.run(200 * MS)
     assert later.outcome is None  # it waits for data exchange, unless the unit gives it up
+
+
+@dataclass
+class Drive:
+    """The slave's end of record 47: one response at a time, "not yet" to the first ``busy`` Reads for each."""
+
+    busy: int = 1
+    response: bytes | None = None
+    polls: int = 0
+
+    def __call__(self, data: bytes) -> bytes | None:
+        if data[:1] == b"\x5f":
+            self.response, self.polls = data[4:], 0
+            return answer(4, f"5F 01 2F {len(data) - 4:02X}")
+        if data[2:3] != b"\x2f":
+            return answer(4, "5E 01 02 01 07")
+        self.polls += 1
+        if self.response is None or self.polls <= self.busy:
+            return answer(4, "DE 80 B5 00")
+        response, self.response = self.response, None
+        return answer(4, f"5E 01 2F {len(response):02X} {response.hex()}")
+
+
+def drive_and_unit(busy: int = 1) -> tuple[Ms1Bus, RecordQueue]:
+    bus, queue = bus_with_unit()
+    bus.slave.ms1 = Drive(busy)
+    return bus, queue
+
+
+def test_a_request_of_record_47_runs_wholly_before_that_of_another_user() -> None:
+    bus, queue = drive_and_unit()
+    program = bus.write(1, 47, b"\xb1")
+    plugin = queue.submit(WriteReq(1, 47, b"\x11"))
+    assert program.outcome == Outcome()
+    assert bus.read().outcome.data == b"\x07"  # another record overtakes the plugin
+    assert bus.read(1, 47).outcome.codes == (0x80, 0xB5, 0)
+    assert plugin.outcome is None
+    assert bus.read(1, 47).outcome.data == b"\xb1"
+    assert end(bus, plugin) == Outcome()
+    token = bus.order_read(1, 47)  # without a turn: it waits
+    assert end(bus, queue.submit(ReadReq(1, 47, 240))).codes == (0x80, 0xB5, 0)
+    assert end(bus, queue.submit(ReadReq(1, 47, 240))) == Outcome(data=b"\x11")
+    assert bus.end(token).outcome.codes == (0x80, 0xB5, 0)
+
+
+FREED = {
+    "the program never reads": ([], 1_900, 2_100),
+    "its Read was cancelled": (["read", "cancel"], 0, 100),
+    "its Write was refused": (["refuse"], 0, 100),
+    "the slave left data exchange and came back": (["leave"], 0, 1_500),
+    "it reads without end, and the drive is never ready": (["read on"], 9_000, 10_100),
+}
+
+
+@pytest.mark.parametrize(("steps", "from_ms", "to_ms"), FREED.values(), ids=FREED)
+def test_record_47_is_free_again_when(steps: list[str], from_ms: int, to_ms: int) -> None:
+    bus, queue = drive_and_unit(busy=1_000_000)
+    if "refuse" in steps:
+        bus.slave.ms1 = lambda data: answer(4, "DF 80 C2 00")
+    bus.write(1, 47, b"\xb1")
+    bus.slave.ms1 = Drive(busy=1_000_000)
+    if "leave" in steps:
+        bus.slave.mute = True
+        bus.bus.run(400 * MS)
+        bus.slave.mute = False
+        bus.until_exchanging()
+    begun = bus.bus.now
+    if "cancel" in steps:
+        bus.send(CancelService(bus.order_read(1, 47)))
+    pending = queue.submit(WriteReq(1, 47, b"\x11"))
+    while pending.outcome is None:
+        if "read on" in steps:
+            bus.order_read(1, 47)
+        bus.bus.run(20 * MS)
+    assert pending.outcome == Outcome()
+    assert from_ms <= (bus.bus.now - begun) // MS <= to_ms
+
+
+def test_a_request_over_record_47_that_is_given_up_while_it_waits() -> None:
+    bus, queue = drive_and_unit()
+    bus.write(1, 47, b"\xb1")
+    given_up = queue.submit(WriteReq(1, 47, b"\x11"))
+    bus.send(RecordOrder(90, Function.WRITE, 1, 47, data=b"\x12", timeout_ns=500 * MS, address=4, user=7))
+    bus.bus.run(100 * MS)
+    queue.cancel(given_up)
+    assert bus.end(90).outcome.text == (
+        "Write of slot 1, index 47 to slave 4 was not over after 0.5 s: record 47 of this slave was in use all the time"
+    )
+    bus.bus.run(3_000 * MS)
+    assert said(bus) == ["5F 01 2F 01 B1"]
