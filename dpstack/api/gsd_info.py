@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+from collections.abc import Mapping
 from importlib import resources
 from operator import attrgetter
 from pathlib import Path
@@ -102,8 +103,8 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
         "ident": None if device.ident is None else f"0x{device.ident:04X}",
         **{name: getattr(device, name) for name in (*_NAMES.split(), *_LIMITS.split())},
         "max_tsdr": {str(speed.baud): speed.max_tsdr for speed in device.speeds},
-        "supports": list(supports(file)),
-        "requires": list(requires(file)),
+        "supports": flags_of(device, SUPPORTS),
+        "requires": flags_of(device, REQUIRES),
         "alarms": list(alarm_kinds(device.dpv1.alarms)),
         "alarms_required": list(alarm_kinds(device.dpv1.required)),
         "alarm_sequence": device.dpv1.alarm_sequence_mode_count,
@@ -182,7 +183,8 @@ def module_prm(file: GsdFile, module: Module) -> bytes:
         return b""
 
 
-_SUPPORTS: Final = {
+#: abilities of a device, in words -> flag of the Device
+SUPPORTS: Final = {
     "sync": "sync",
     "freeze": "freeze",
     "auto-baud": "auto_baud",
@@ -192,26 +194,22 @@ _SUPPORTS: Final = {
     "acyclic class 1": "dpv1.c1_read_write",
     "acyclic class 2": "dpv1.c2_read_write",
     "watchdog base 1 ms": "dpv1.wd_base_1ms",
-    "isochronous": "isochronous.supported",
-    "publisher": "isochronous.publisher",
+    "isochronous": "isochronous",
+    "publisher": "publisher",
 }
-_REQUIRES: Final = {
+#: abilities that a device requires of its master, apart from alarms
+REQUIRES: Final = {
     "fail-safe": "dpv1.fail_safe_required",
     "structured parameters": "dpv1.prm_block_structure_required",
     "acyclic class 1": "dpv1.c1_read_write_required",
     "acyclic class 2": "dpv1.c2_read_write_required",
-    "isochronous": "isochronous.required",
+    "isochronous": "isochronous_required",
 }
 
 
-def supports(file: GsdFile) -> tuple[str, ...]:
-    """The abilities of the device, in words."""
-    return tuple(name for name, flag in _SUPPORTS.items() if attrgetter(flag)(file.device))
-
-
-def requires(file: GsdFile) -> tuple[str, ...]:
-    """The abilities that the device requires of its master, in words; alarms beside."""
-    return tuple(name for name, flag in _REQUIRES.items() if attrgetter(flag)(file.device))
+def flags_of(device: Device, names: Mapping[str, str]) -> list[str]:
+    """Those of ``names`` (:data:`SUPPORTS`, :data:`REQUIRES`) whose flag is set in the GSD file of ``device``."""
+    return [name for name, flag in names.items() if attrgetter(flag)(device)]
 
 
 def alarms_text(device: Device) -> str | None:

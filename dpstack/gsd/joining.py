@@ -34,7 +34,6 @@ def join(block: DeviceBlock, findings: Findings) -> Device:
         modules=tuple(block.modules),
         slots=tuple(sorted(block.slots, key=lambda slot: slot.number)),
         parameters=parameters,
-        prm_texts={ref: texts.texts for ref, texts in block.prm_texts.items()},
         prm=PrmBlock(None, tuple(block.consts), tuple(block.refs), block.prm_line),
         diagnosis=block.diagnosis(),
         diag_types=tuple(block.diag_types),

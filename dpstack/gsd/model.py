@@ -315,13 +315,11 @@ class DpV1:
     required: tuple[str, ...] = ()
     extra_alarm_sap: bool = False
     alarm_sequence_mode_count: int = 0
-    alarm_type_mode: bool = False
     wd_base_1ms: bool = False
     check_cfg_mode: bool = False
     fail_safe_required: bool = False
     prm_block_structure: bool = False
     prm_block_structure_required: bool = False
-    ident_maintenance: bool = False
 
     @property
     def c1_response_ns(self) -> int:
@@ -335,54 +333,28 @@ class DpV1:
 
 
 @dataclass(frozen=True, slots=True)
-class Isochronous:
-    """The isochronous and data exchange broadcast keywords. Times as in the file: T_BASE in 1/12 us, T_DP in T_BASE."""
-
-    supported: bool = False
-    required: bool = False
-    publisher: bool = False
-    subscriber: bool = False
-    dxb_max_link_count: int = 0
-    dxb_max_data_length: int = 0
-    dxb_subscribertable_block_location: int | None = None
-    tbase_dp: int | None = None
-    tdp_min: int | None = None
-    tdp_max: int | None = None
-    t_pll_w_max: int | None = None
-    tbase_io: int | None = None
-    ti_min: int | None = None
-    to_min: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class Device:
     """One device. Lengths in octets, None where the file says nothing. ``min_slave_interval`` in 100 us.
 
-    ``settings``: every ``keyword = value`` of the device as written, by keyword in lower case (the last one counts),
-    known or not. ``raw``: statements and blocks that dpstack has no use for.
+    Keywords that dpstack does not use have no field of their own. ``settings``: every ``keyword = value`` of the device
+    as written, by keyword in lower case (the last one counts), used or not. ``raw``: statements and blocks that dpstack
+    has no use for.
     """
 
     ident: int | None = None
     vendor: str = ""
     model: str = ""
     revision: str = ""
-    revision_number: int | None = None
     gsd_revision: int | None = None
     hardware_release: str = ""
     software_release: str = ""
-    protocol_ident: int | None = None
     station_type: int | None = None
-    fms: bool = False
     speeds: tuple[Speed, ...] = ()
     freeze: bool = False
     sync: bool = False
     auto_baud: bool = False
     set_slave_add: bool = False
     fail_safe: bool = False
-    redundancy: bool = False
-    repeater_ctrl_sig: int = 0
-    pins_24v: int = 0
-    implementation_type: str = ""
     min_slave_interval: int | None = None
     modular: bool = False
     max_module: int | None = None
@@ -392,21 +364,17 @@ class Device:
     max_output_len: int | None = None
     max_data_len: int | None = None
     max_diag_data_len: int | None = None
-    diag_update_delay: int | None = None
     max_user_prm_data_len: int | None = None
     user_prm_data_len: int | None = None
     user_prm_data: bytes | None = None
     prm: PrmBlock = field(default_factory=PrmBlock)
-    slave_family: int | None = None
-    slave_family_path: tuple[str, ...] = ()
-    order_number: str = ""
-    info: str = ""
     dpv1: DpV1 = field(default_factory=DpV1)
-    isochronous: Isochronous = field(default_factory=Isochronous)
+    isochronous: bool = False
+    isochronous_required: bool = False
+    publisher: bool = False
     modules: tuple[Module, ...] = ()
     slots: tuple[Slot, ...] = ()
     parameters: Mapping[int, Parameter] = field(default_factory=dict)
-    prm_texts: Mapping[int, Mapping[int, str]] = field(default_factory=dict)
     diagnosis: Diagnosis = field(default_factory=Diagnosis)
     diag_types: tuple[Diagnosis, ...] = ()
     settings: Mapping[str, str] = field(default_factory=dict)
@@ -421,10 +389,6 @@ class Device:
     def f_parameters(self) -> bool:
         """Whether the device itself has parameters of PROFIsafe, beside those of its modules."""
         return any(_is_f(raw.keyword) for raw in self.raw if not raw.block) or any(map(_is_f, self.settings))
-
-    def max_tsdr(self, baud: int) -> int | None:
-        """MaxTsdr in bit times at ``baud`` bit/s; None where the file does not say."""
-        return next((speed.max_tsdr for speed in self.speeds if speed.baud == baud), None)
 
     def modules_named(self, name: str) -> tuple[Module, ...]:
         """Every module called ``name``: exactly, otherwise without regard to case and runs of blanks."""

@@ -1,4 +1,4 @@
-"""From the settings of a GSD file (``keyword = value``) to the fields of Device, DpV1 and Isochronous."""
+"""From the settings of a GSD file (``keyword = value``) to the fields of Device and DpV1."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from dpstack.gsd.blocks import octets_of
 from dpstack.gsd.lexer import Statement, first_number, number, string
-from dpstack.gsd.model import ALARM_KEYWORDS, Device, DpV1, Findings, Isochronous, Speed
+from dpstack.gsd.model import ALARM_KEYWORDS, Device, DpV1, Findings, Speed
 from dpstack.units import BAUD_RATES
 
 #: baud rate in bit/s by the spelling in ``500_supp``, ``MaxTsdr_500``
@@ -17,30 +17,25 @@ RATES: Final[dict[str, int]] = dict(zip(_RATES.split(), BAUD_RATES, strict=True)
 
 #: flags whose keyword ends with _supp
 _SUPPORTED: Final = """
-fms auto_baud set_slave_add c1_read_write c2_read_write extra_alarm_sap alarm_type_mode wd_base_1ms prm_block_structure
-ident_maintenance publisher subscriber
+auto_baud set_slave_add c1_read_write c2_read_write extra_alarm_sap wd_base_1ms prm_block_structure publisher
 """
-#: keyword -> field of Device, DpV1 or Isochronous, for each field that is not called like its keyword
+#: keyword -> field of Device or DpV1, for each field that is not called like its keyword
 _RENAMED: Final = {
     "ident_number": "ident",
     "vendor_name": "vendor",
     "model_name": "model",
-    "ordernumber": "order_number",
-    "info_text": "info",
     "min_slave_intervall": "min_slave_interval",
     "min_slave_interval": "min_slave_interval",
     "modul_offset": "modul_offset",
     "module_offset": "modul_offset",
-    "24v_pins": "pins_24v",
-    "24v pins": "pins_24v",
     "freeze_mode_supp": "freeze",
     "sync_mode_supp": "sync",
     "modular_station": "modular",
     "fixpresetmodules": "fix_preset_modules",
     "dpv1_slave": "slave",
     "prm_block_structure_req": "prm_block_structure_required",
-    "isochron_mode_supp": "supported",
-    "isochron_mode_required": "required",
+    "isochron_mode_supp": "isochronous",
+    "isochron_mode_required": "isochronous_required",
     **{f"{name}_supp": name for name in _SUPPORTED.split()},
 }
 #: lowest and highest value by keyword; numbers of other keywords may have 32 bits
@@ -74,7 +69,10 @@ class Settings:
 
     def device_fields(self) -> dict[str, Any]:
         """Arguments for a Device. Fields without a keyword in the file keep their defaults."""
-        found = self._fields(Device) | self._family()
+        for keyword, reader in _CHECKED.items():
+            if keyword in self._settings:
+                reader(self, keyword)
+        found = self._fields(Device)
         found["speeds"] = tuple(
             Speed(baud, self._int(f"maxtsdr_{key}")) for key, baud in RATES.items() if self._flag(f"{key}_supp")
         )
@@ -84,13 +82,12 @@ class Settings:
         for keyword, text in contradictions(dpv1):
             if keyword in self._settings:
                 self._warn(keyword, text)
-        found["isochronous"] = Isochronous(**self._fields(Isochronous))
         return found
 
     def _alarms(self, ending: str) -> tuple[str, ...]:
         return tuple(alarm for alarm in ALARM_KEYWORDS.values() if self._flag(f"{alarm.lower()}_{ending}"))
 
-    def _fields(self, section: type[Device | DpV1 | Isochronous]) -> dict[str, Any]:
+    def _fields(self, section: type[Device | DpV1]) -> dict[str, Any]:
         """The fields of ``section`` that are one value, as far as the file has their keywords."""
         types = {field.name: str(field.type) for field in fields(section)}
         found: dict[str, Any] = {}
@@ -154,15 +151,10 @@ class Settings:
             self._unreadable(keyword, "is no list of octets; left out")
         return octets
 
-    def _family(self) -> dict[str, Any]:
+    def _check_family(self, keyword: str) -> None:
         """``Slave_Family = 3@group@subgroup``."""
-        if "slave_family" not in self._settings:
-            return {}
-        main, *path = self._settings["slave_family"].value.strip('"').split("@")
-        value = number(main)
-        if value is None:
-            self._unreadable("slave_family", "begins with no number; only its path is kept")
-        return {"slave_family": value, "slave_family_path": tuple(part.strip() for part in path if part.strip())}
+        if number(self._settings[keyword].value.strip('"').partition("@")[0]) is None:
+            self._unreadable(keyword, "begins with no number; left out")
 
 
 #: type of a field, as its dataclass states it -> reader
@@ -177,16 +169,26 @@ _READERS: Final[dict[str, Callable[[Settings, str], object]]] = {
 _FIELDS: Final = {
     **{
         field.name: field.name
-        for section in (Device, DpV1, Isochronous)
+        for section in (Device, DpV1)
         for field in fields(section)
-        # slave_family: see Settings._family
-        if field.type in _READERS and field.name not in ("slave_family", *_RENAMED.values())
+        if field.type in _READERS and field.name not in _RENAMED.values()
     },
     **_RENAMED,
 }
-#: keywords that dpstack does not use
+_UNUSED_NUMBERS: Final = """
+revision_number protocol_ident fms_supp redundancy repeater_ctrl_sig diag_update_delay alarm_type_mode_supp
+ident_maintenance_supp subscriber_supp dxb_max_link_count dxb_max_data_length dxb_subscribertable_block_location
+tbase_dp tdp_min tdp_max t_pll_w_max tbase_io ti_min to_min
+"""
+#: keyword -> check of its value, of the keywords that dpstack checks and does not use
+_CHECKED: Final[dict[str, Callable[[Settings, str], object]]] = {
+    **dict.fromkeys(("24v_pins", "24v pins", *_UNUSED_NUMBERS.split()), Settings._int),
+    **dict.fromkeys(("implementation_type", "ordernumber", "info_text"), Settings._text),
+    "slave_family": Settings._check_family,
+}
+#: keywords that dpstack neither uses nor checks
 _OTHERS: Final = """
-bitmap_device bitmap_diag bitmap_sf physical_layer user_prm_data_def slave_family alarm_supported
+bitmap_device bitmap_diag bitmap_sf physical_layer user_prm_data_def alarm_supported
 extra_alarm_sap_required im_0_supp max_iparameter_size area_name related_cfg_identifier io_direction length
 consistency data_type publisher_allowed dp_master_allowed download_supp upload_supp act_para_brct_supp act_param_supp
 max_mps_length max_lsdu_ms max_lsdu_mm min_poll_timeout las_len max_slaves_supp max_master_input_len
@@ -195,6 +197,7 @@ master_sync_mode_supp master_fail_safe_supp uart_family uart_family_supp slave_m
 """
 #: the keywords of the GSD specification (PNO order 2.122), apart from those that only a block has
 KEYWORDS: Final = frozenset(_FIELDS).union(
+    _CHECKED,
     _OTHERS.split(),
     (f"{rate}_supp" for rate in RATES),
     (f"{t}_{rate}" for rate in RATES for t in ("maxtsdr", "trdy", "tqui", "tset", "tsdi", "transmission_delay")),

@@ -6,7 +6,7 @@ import gsd_kit
 import pytest
 from gsd_kit import device, made, read, texts
 
-from dpstack.gsd.model import DiagText, DpV1, Isochronous, PrmConst, PrmKind, PrmRef, Ranges, Raw, Slot, Speed
+from dpstack.gsd.model import DiagText, DpV1, PrmConst, PrmKind, PrmRef, Ranges, Raw, Slot, Speed
 from dpstack.gsd.parser import load_gsd, parse_gsd
 
 
@@ -14,23 +14,13 @@ def test_a_whole_file() -> None:
     file = read("whole")
     assert texts(file) == []
     d = file.device
-    assert (d.ident, d.vendor, d.model, d.revision, d.revision_number) == (
-        0x1A2B,
-        "Nobody & Sons",
-        "Terminal 8",
-        "B02",
-        7,
-    )
-    assert (d.gsd_revision, d.hardware_release, d.software_release) == (5, "H1.0", "V2;3")
-    assert (d.protocol_ident, d.station_type, d.fms, d.redundancy) == (0, 0, False, False)
-    assert (d.repeater_ctrl_sig, d.pins_24v, d.implementation_type) == (2, 0, "own")
+    assert (d.ident, d.vendor, d.model, d.revision) == (0x1A2B, "Nobody & Sons", "Terminal 8", "B02")
+    assert (d.gsd_revision, d.hardware_release, d.software_release, d.station_type) == (5, "H1.0", "V2;3", 0)
     assert d.speeds == (Speed(9_600, 60), Speed(45_450, 250), Speed(500_000, 100), Speed(12_000_000, 800))
-    assert (d.max_tsdr(500_000), d.max_tsdr(19_200)) == (100, None)
     assert (d.freeze, d.sync, d.auto_baud, d.set_slave_add, d.fail_safe) == (True, True, True, False, True)
     assert (d.min_slave_interval, d.modular, d.max_module, d.modul_offset) == (6, True, 4, 1)
     assert (d.max_input_len, d.max_output_len, d.max_data_len) == (16, 8, 20)
     assert (d.max_diag_data_len, d.max_user_prm_data_len) == (32, 30)
-    assert (d.slave_family, d.slave_family_path, d.order_number) == (3, ("Made up", "Terminals"), "T8-001")
     assert d.dpv1 == DpV1(
         slave=True,
         c1_read_write=True,
@@ -43,24 +33,11 @@ def test_a_whole_file() -> None:
         max_initiate_pdu_length=52,
         alarms=("Process_Alarm", "Diagnostic_Alarm"),
         required=("Process_Alarm",),
-        alarm_type_mode=True,
         wd_base_1ms=True,
         check_cfg_mode=True,
         prm_block_structure=True,
-        ident_maintenance=True,
     )
-    assert d.isochronous == Isochronous(
-        supported=True,
-        publisher=True,
-        dxb_max_link_count=4,
-        tbase_dp=375,
-        tdp_min=2,
-        tdp_max=666,
-        t_pll_w_max=12,
-        tbase_io=125,
-        ti_min=1,
-        to_min=1,
-    )
+    assert (d.isochronous, d.isochronous_required, d.publisher) == (True, False, True)
     assert [(m.name, m.config, m.reference, m.preset, m.info) for m in d.modules] == [
         ("8 DI", b"\x10", 1, False, "eight inputs"),
         ("8 DO", b"\x20", 2, True, ""),
@@ -97,7 +74,7 @@ def test_utf16_is_read_too() -> None:
 @pytest.mark.parametrize("name", ["lines_cr", "lines_crlf", "lines_cr_cr_lf", "lines_no_end"])
 def test_line_ends(name: str) -> None:
     file = read(name)
-    assert (file.device.ident, file.device.max_tsdr(500_000), file.diagnostics) == (0x0FFE, 100, ())
+    assert (file.device.ident, file.device.speeds, file.diagnostics) == (0x0FFE, (Speed(500_000, 100),), ())
 
 
 @pytest.mark.parametrize("name", ["lines_cr", "lines_crlf", "lines_cr_cr_lf"])
@@ -146,7 +123,7 @@ def test_continuations() -> None:
     assert d.model == "one long name"
     assert d.modular is True
     assert d.prm.consts == (PrmConst(0, b"\x01\x02\x03\x04\x05"), PrmConst(5, b"\x06"))
-    assert d.info == "first half and second half; still the text"
+    assert d.settings["info_text"] == '"first half and second half; still the text"'
     assert d.max_module == 9
     assert d.modules[0].name == "path\\to"
     assert d.modules[0].line == 21
@@ -206,9 +183,10 @@ def test_a_range_without_a_default(written: str, default: int, allowed: Ranges, 
 def test_blanks_at_the_ends_of_texts_are_left_out() -> None:
     file = made(
         'PrmText = 1\nText(0) = " off  "\nEndPrmText\nUnit_Diag_Bit(1) = "fuse blown "\n'
+        'ExtUserPrmData = 1 "p"\nUnsigned8 0\nPrm_Text_Ref = 1\nEndExtUserPrmData\n'
         'SlotDefinition\nSlot(1) = "head " 1 1\nEndSlotDefinition\n'
     )
-    assert file.device.prm_texts == {1: {0: "off"}}
+    assert file.device.parameters[1].texts == {0: "off"}
     assert file.device.diagnosis.texts == (DiagText("bit", 1, 1, 1, "fuse blown", ""),)
     assert file.device.slots[0].name == "head"
 
@@ -229,8 +207,6 @@ def test_unknown_keywords_and_blocks_are_kept_raw() -> None:
     file = read("unknown")
     d = file.device
     assert DiagText("not_bit", 5, 5, 0, "no load voltage", "") in d.diagnosis.texts
-    assert d.pins_24v == 1
-    assert (d.slave_family, d.slave_family_path) == (3, ("TERMINAL-SYSTEM 750",))
     assert d.settings["our_own_keyword"] == '"kept"'
     assert d.settings["f_paramdesccrc"] == "0x1234"
     assert [raw for raw in d.raw if not raw.block] == [Raw(12, "F_Ext_User_Prm_Data_Const", "0", "0x01,0x02")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from gsd_kit import HEAD, made
 
-from dpstack.api.gsd_info import requires
+from dpstack.api.gsd_info import REQUIRES, flags_of
 from dpstack.gsd.check import check
 
 CLASS1 = "DPV1_Slave = 1\nC1_Read_Write_supp = 1\nC1_Max_Data_Len = 240\nC1_Response_Timeout = 50\n"
@@ -73,6 +73,6 @@ def test_what_a_device_requires() -> None:
     text = (
         "C1_Read_Write_required = 1\nC2_Read_Write_required = 1\nFail_Safe_required = 1\nPrm_Block_Structure_req = 1\n"
     )
-    named = ("fail-safe", "structured parameters", "acyclic class 1", "acyclic class 2", "isochronous")
-    assert requires(made(CLASS1 + CLASS2 + text + "Isochron_Mode_required = 1\n")) == named
-    assert requires(made(CLASS1 + CLASS2)) == ()
+    assert flags_of(made(CLASS1 + CLASS2 + text + "Isochron_Mode_required = 1\n").device, REQUIRES) == [*REQUIRES]
+    assert [*REQUIRES] == ["fail-safe", "structured parameters", "acyclic class 1", "acyclic class 2", "isochronous"]
+    assert flags_of(made(CLASS1 + CLASS2).device, REQUIRES) == []

@@ -48,6 +48,12 @@ def test_fifty_megabytes_of_noise() -> None:
     [
         ('Text(0) = "a"\n', "5:1: warning: Text does not belong here (outside of all blocks); kept as it stands"),
         ("EndModule\n", "5:1: warning: EndModule ends nothing here; it is skipped"),
+        ("24V_Pins = some\n", "5:12: warning: 24V_Pins = some is no number; left out"),
+        (
+            "Slave_Family = x@y\n",
+            "5:16: warning: Slave_Family = x@y begins with no number; left out",
+        ),
+        ('OrderNumber = "open\n', "5:15: warning: OrderNumber: the text has no closing quote"),
         ("Max_Module = many\n", "5:14: warning: Max_Module = many is no number; left out"),
         ("Max_Input_Len = 245\n", "5:17: warning: Max_Input_Len = 245 is outside 0..244"),
         ('Vendor_Name = "open\n', "5:15: warning: Vendor_Name: the text has no closing quote"),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any, Final, TypeAlias, TypedDict
 
 from dpstack.api.config.table import Key, Table, is_integer
@@ -59,10 +58,9 @@ def basis_of(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
 
 
 def _basis_of_gsd(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
-    found = read_gsd_slave(table, given, who)
-    description = slave_description(found.device, found.configuration, ident=found.device.ident or 0)
-    rest = {"device": found.device, "notes": found.notes, "baud_rates": found.baud_rates, "description": description}
-    return found.params, rest
+    configuration, (params, rest) = read_gsd_slave(table, given, who)
+    device = configuration.device
+    return params, rest | {"description": slave_description(device, configuration, ident=device.ident or 0)}
 
 
 def _basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
@@ -71,13 +69,13 @@ def _basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
         profile = registry.find(given["drive"])
     with table.blaming("telegram"):
         telegram = profile.telegram(given.get("telegram"))
-    found: GsdSlave | None = None
+    by_gsd: Basis | None = None
     if "gsd" in given:
         like = telegram.config, _lengths(telegram)
-        found = read_gsd_slave(table, given, who, lambda device: configuration_like(device, *like))
-        telegram = _telegram_for(table, profile, telegram, found.configuration)
+        configuration, by_gsd = read_gsd_slave(table, given, who, lambda device: configuration_like(device, *like))
+        telegram = _telegram_for(table, profile, telegram, configuration)
         # the GSD file has priority over the plugin
-        profile = profile.described(telegram, found.params, tuple(sorted(found.baud_rates)))
+        profile = profile.described(telegram, by_gsd[0], tuple(sorted(by_gsd[1]["baud_rates"])))
         telegram = profile.telegram(telegram.name)
     references = {key: given[key] for key in _REFERENCES if key in given}
     options = given.get("options", {}) | references
@@ -93,9 +91,8 @@ def _basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
         "simulated": simulated,
         "baud_rates": frozenset(profile.rates(options)),
     }
-    if found is not None:
-        known = found.params
-        rest |= {"device": found.device, "notes": found.notes}
+    if by_gsd is not None:
+        known, rest = by_gsd[0], by_gsd[1] | rest
     else:
         with table.blaming():
             known = SlaveParams(
@@ -162,30 +159,13 @@ def _lengths(telegram: TelegramSpec) -> tuple[int, int]:
     return telegram.input_octets, telegram.output_octets
 
 
-@dataclass(frozen=True, slots=True)
-class GsdSlave:
-    """Parameters by the GSD file and the choices in the table. ``notes``: decisions that might be overlooked."""
-
-    configuration: Configuration
-    params: SlaveParams
-    notes: tuple[str, ...]
-
-    @property
-    def device(self) -> Device:
-        return self.configuration.device
-
-    @property
-    def baud_rates(self) -> frozenset[int]:
-        """The rates the file declares, in bit/s."""
-        return frozenset(speed.baud for speed in self.device.speeds)
-
-
 def read_gsd_slave(
     table: Table, given: Mapping[str, Any], who: Who, preset: Callable[[Device], Configuration] = configure
-) -> GsdSlave:
-    """Read the file (relative to the configuration) and make the choices. Raises ConfigError, one line.
+) -> tuple[Configuration, Basis]:
+    """Read the GSD file (relative to the configuration), plug its modules and set its parameters.
 
-    ``preset`` returns the configuration for a table without ``modules``; it may raise GsdError.
+    ``preset`` returns the configuration for a table without ``modules``; it may raise GsdError. Raises ConfigError, one
+    line.
     """
     with table.blaming("gsd"):
         device = read_gsd(given["gsd"], table.folder).device
@@ -229,7 +209,8 @@ def read_gsd_slave(
         )
     if device.ident is None and "ident" not in given:
         table.fail("gsd", f"{given['gsd']} has no Ident_Number", 'add ident = 0x1234, or ident = "ask"')
-    return GsdSlave(configuration, params, tuple(notes))
+    rates = frozenset(speed.baud for speed in device.speeds)
+    return configuration, (params, {"device": device, "notes": tuple(notes), "baud_rates": rates})
 
 
 def _contradictions_note(reading: Reading, octets: bytes, others: bytes) -> str:
@@ -296,5 +277,5 @@ def remarks(device: Device | None, dpv1: Dpv1 | None) -> Iterator[str]:
             "extra_alarm_sap = true, but its GSD file does not say Extra_Alarm_SAP_supp = 1: alarms are acknowledged "
             "at SAP 50, which it may not have; leave extra_alarm_sap out"
         )
-    if device.isochronous.required:
+    if device.isochronous_required:
         yield "its GSD file says Isochron_Mode_required = 1, and dpstack has no isochronous mode: it may not do without"

@@ -10,18 +10,19 @@ from pathlib import Path
 from typing import Final
 
 from dpstack.api.gsd_info import (
+    REQUIRES,
+    SUPPORTS,
     alarms_text,
     check_gsd,
     copy_gsd,
     diagnosis_texts,
     diagnostic_dict,
+    flags_of,
     gsd_dict,
     gsd_files,
     module_lengths,
     module_prm,
     read_gsd,
-    requires,
-    supports,
 )
 from dpstack.cli.commands import gsd_configure
 from dpstack.cli.parser import Parser
@@ -175,9 +176,10 @@ def _show(file: GsdFile) -> None:
     rows = [(name, data[key]) for name, key in _FACTS.items() if data[key] not in (None, "")]
     if data["user_prm"] != data["user_prm_const"]:
         rows.append(("constants beneath", data["user_prm_const"]))
-    rows.append(("supports", ", ".join(supports(file)) or "nothing beyond the basics"))
-    if requires(file):
-        rows.append(("requires", ", ".join(requires(file))))
+    rows.append(("supports", ", ".join(flags_of(file.device, SUPPORTS)) or "nothing beyond the basics"))
+    required = flags_of(file.device, REQUIRES)
+    if required:
+        rows.append(("requires", ", ".join(required)))
     alarms = alarms_text(file.device)
     if alarms is not None:
         rows.append(("alarms", alarms))
