@@ -5,13 +5,16 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, Unpack
 
 from slave_kit import make_slave
 
 import dpstack
+from dpstack import DpSlave, SlaveDescription
+from dpstack.api.server.server import ServedSlave
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.device import Device
+from dpstack.dpv1.slave.user_slave import SlaveOptions
 from dpstack.drivers.stack import Stack
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
@@ -22,6 +25,8 @@ P = ParamSpec("P")
 RAW: dict[str, object] = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
 HOIST: dict[str, object] = {"name": "hoist", "address": 3, "drive": "demag-dedrive"}
 FAN: dict[str, object] = {"name": "fan", "address": 4, "drive": "fuji-frenic", "telegram": "PPO3"}
+#: a DP-V1 slave with one octet each way
+RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
 
 
 def virtual(program: Coroutine[Any, Any, T]) -> T:
@@ -48,6 +53,36 @@ def slave_in(world: World, device: Device, address: int) -> tuple[PassiveStation
     app = station.responder
     assert isinstance(app, SlaveApp)
     return station, app
+
+
+def mirror(description: SlaveDescription = RIG, **options: Unpack[SlaveOptions]) -> DpSlave:
+    """A slave whose inputs are its outputs."""
+    return DpSlave(description, lambda outputs, elapsed: outputs, **options)
+
+
+@contextlib.asynccontextmanager
+async def serving(
+    slave: DpSlave,
+    world: World | None = None,
+    events: list[dpstack.Event] | None = None,
+    *,
+    baud: int = 500_000,
+    **keys: object,
+) -> AsyncIterator[tuple[dpstack.Bus, ServedSlave]]:
+    """``slave`` at address 9 and a bus in Operate that exchanges data with it.
+
+    ``keys`` of its [[slave]] table; ``events``: the list that gets the events of both.
+    """
+    world = World() if world is None else world
+    table = slave.description.table(9) | keys
+    on_event = None if events is None else events.append
+    async with (
+        dpstack.serve_slave(slave, world=world, address=9, baud=baud, on_event=on_event) as server,
+        dpstack.open_bus(world=world, baud=baud, slaves=[table], on_event=on_event) as bus,
+    ):
+        await bus.operate()
+        await bus.ready()
+        yield bus, server.slave
 
 
 @contextlib.asynccontextmanager

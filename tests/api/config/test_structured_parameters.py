@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from api_kit import bus_of, virtual
+from api_kit import bus_of, in_virtual_time, serving
 
 import dpstack
 from dpstack import DpSlave, PrmBlock, SlaveDescription
@@ -37,12 +37,12 @@ def gsd_of(folder: Path, user_prm: str, *, required: bool) -> Path:
     return path
 
 
-def test_what_was_none_becomes_a_block() -> None:
+def test_plain_parameters_become_a_block() -> None:
     assert sent(PLAIN + COMMAND) == f"80 00 08 05 81 00 00 07 {COMMAND_OCTETS}"
     assert sent(PLAIN.replace(" 07", "") + COMMAND) == f"80 00 08 {COMMAND_OCTETS}"
 
 
-def test_blocks_that_stand_there_stay() -> None:
+def test_blocks_in_the_parameters_stay() -> None:
     structured = PLAIN.replace("00 07", "08 05 81 00 00 07")
     assert sent(structured + COMMAND) == f"80 00 08 05 81 00 00 07 {COMMAND_OCTETS}"
     assert sent(structured) == "00 00 08 05 81 00 00 07"
@@ -63,7 +63,8 @@ def test_a_gsd_file_that_requires_what_it_does_not_have(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("required", [False, True])
-def test_the_slave_of_the_same_file_takes_them(tmp_path: Path, required: bool) -> None:
+@in_virtual_time
+async def test_the_slave_of_the_same_file_accepts_them(tmp_path: Path, required: bool) -> None:
     seen: list[tuple[PrmBlock, ...]] = []
 
     def judge(blocks: tuple[PrmBlock, ...]) -> None:
@@ -71,51 +72,36 @@ def test_the_slave_of_the_same_file_takes_them(tmp_path: Path, required: bool) -
 
     gsd = gsd_of(tmp_path, "00 00 00 05 81 00 00 07" if required else "00 00 00 07", required=required)
     slave = dpstack.slave_from_gsd(gsd, lambda outputs, elapsed: bytes(1), [1], on_blocks=judge)
-    table = {"name": "io", "address": 9, "gsd": str(gsd), "modules": [1]}
-
-    async def program() -> None:
-        world = dpstack.World()
-        blocks = [{"type": "prm_cmd", "specifier": 1}]
-        async with (
-            dpstack.serve_slave(slave, world=world, address=9),
-            dpstack.open_bus(world=world, baud=500_000, slaves=[{**table, "dpv1": {"blocks": blocks}}]) as bus,
-        ):
-            await bus.ready()
-            await bus.slave("io").reparameterise(dpv1={"blocks": blocks, "prm_cmd": True})
-            await bus.ready()
-        async with bus_of({**table, "dpv1": {"blocks": blocks}}) as bus:  # the simulated one of the port "virtual"
-            await bus.ready()
-
-    virtual(program())
+    blocks = [{"type": "prm_cmd", "specifier": 1}]
+    table = {"name": "io", "address": 9, "gsd": str(gsd), "modules": [1], "dpv1": {"blocks": blocks}}
+    world = dpstack.World()
+    async with dpstack.serve_slave(slave, world=world, address=9), bus_of(table, world=world) as bus:
+        await bus.ready()
+        await bus.slave("io").reparameterise(dpv1={"blocks": blocks, "prm_cmd": True})
+        await bus.ready()
+    async with bus_of(table) as bus:  # the simulated slave of the port "virtual"
+        await bus.ready()
     assert seen[-1] == (PrmBlock(0x81, 0, b"\7"), PrmBlock(2, 0, bytes(4), 1))
 
 
 def test_a_slave_that_requires_them_refuses_others() -> None:
-    told = SlaveDescription(ident=1, configs=(b"\x10",), dpv1=True, prm_blocks_required=True)
-    assert told.check_prm(bytes.fromhex("80 00 08 05 81 00 00 07")) is None
+    description = SlaveDescription(ident=1, configs=(b"\x10",), dpv1=True, prm_blocks_required=True)
+    assert description.check_prm(bytes.fromhex("80 00 08 05 81 00 00 07")) is None
     reason = "octet 10 bit 3: Prm_Structure is not set, this device needs structured parameters"
-    assert told.check_prm(bytes.fromhex("80 00 00 07")) == reason
-    assert told.check_prm(b"") == reason
+    assert description.check_prm(bytes.fromhex("80 00 00 07")) == reason
+    assert description.check_prm(b"") == reason
 
 
 @pytest.mark.parametrize(
     ("keys", "octets"), [("dpv1 = true\n", "80 00 00"), ("fail_safe = true\ndpv1 = true\n", "c0 00 00")]
 )
-def test_fail_safe_is_told_without_a_gsd_file_too(keys: str, octets: str) -> None:
+def test_fail_safe_in_dpv1_status_without_a_gsd_file(keys: str, octets: str) -> None:
     assert sent(PLAIN.replace("00 00 00 07", "40 00 00") + keys) == octets
 
 
 @pytest.mark.parametrize("wanted", [{"fail_safe": True, "fail_safe_required": True}, {"prm_blocks_required": True}])
-def test_a_slave_that_requires_it_comes_up(wanted: dict[str, Any]) -> None:
+@in_virtual_time
+async def test_a_slave_that_requires_it_comes_up(wanted: dict[str, Any]) -> None:
     rig = SlaveDescription(ident=1, configs=(b"\x10\x20",), dpv1=True, **wanted)
-    slave = DpSlave(rig, lambda outputs, elapsed: bytes(1))
-
-    async def program() -> None:
-        world = dpstack.World()
-        async with (
-            dpstack.serve_slave(slave, world=world, address=9),
-            dpstack.open_bus(world=world, baud=500_000, slaves=[rig.table(9)]) as bus,
-        ):
-            await bus.ready()
-
-    virtual(program())
+    async with serving(DpSlave(rig, lambda outputs, elapsed: bytes(1))):
+        pass

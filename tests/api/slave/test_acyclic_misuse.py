@@ -1,20 +1,18 @@
-"""What people hand to acyclic services by mistake: refused at once, with what is wanted; nothing is sent."""
+"""Wrong arguments of acyclic services are refused at once, the message names the type expected, nothing is sent."""
 
 from __future__ import annotations
 
 import asyncio
-import re
 from typing import Any
 
 import pytest
-from api_kit import in_virtual_time, virtual
+from api_kit import in_virtual_time, mirror, serving
 
 import dpstack
-from dpstack import AlarmType, DpSlave, RecordRefused, SlaveDescription, UsageError
+from dpstack import AlarmType, RecordRefused, SlaveDescription, UsageError
 from dpstack.profile.record47 import Address
-from dpstack.sim.world import World
 
-TYPE = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process",))
+RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process",))
 PUMP = {"name": "pump", "address": 6, "drive": "ls-s100"}
 
 
@@ -23,7 +21,7 @@ def odd(value: object) -> Any:
 
 
 @in_virtual_time
-async def test_what_is_meant_well() -> None:
+async def test_the_list_of_parameters() -> None:
     async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
         await bus.ready()
         pump = bus.slave("pump").parameters()
@@ -36,7 +34,7 @@ async def test_what_is_meant_well() -> None:
             await pump.change([odd((Address(930), 5))])
 
 
-def test_before_the_bus_is_open_nobody_waits_for_messages() -> None:
+def test_messages_need_an_open_bus() -> None:
     slave = dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]).slave("pump")
     for listen in (slave.alarms, slave.status_messages):
         with pytest.raises(UsageError, match="the bus is not open"):
@@ -79,49 +77,34 @@ async def fails(slot: int, index: int) -> bytes:
         (fails, f"(KeyError: 1), in fails(), {__name__}.py line {fails.__code__.co_firstlineno + 1}"),
     ],
 )
-def test_a_function_that_cannot_be_is_told_with_its_place(function: Any, text: str) -> None:
-    told: list[str] = []
-
-    async def main() -> None:
-        world = World()
-        slave = DpSlave(TYPE, lambda outputs, elapsed: outputs, on_read=function, ms2=1)
-        async with (
-            dpstack.serve_slave(slave, world=world, address=9, on_event=lambda e: told.append(e.text)) as server,
-            dpstack.open_bus(world=world, baud=500_000, slaves=[TYPE.table(9)]) as bus,
-        ):
-            await bus.ready()
+@in_virtual_time
+async def test_a_failed_function_is_reported_with_its_place(function: Any, text: str) -> None:
+    events: list[dpstack.Event] = []
+    async with serving(mirror(RIG, on_read=function, ms2=1), events=events) as (bus, slave):
+        with pytest.raises(dpstack.AcyclicError, match="read error"):
+            await bus.slave(9).read(1, 2)
+        async with bus.class2.connect(9) as connection:
             with pytest.raises(dpstack.AcyclicError, match="read error"):
-                await bus.slave(9).read(1, 2)
-            async with bus.class2.connect(9) as connection:
-                with pytest.raises(dpstack.AcyclicError, match="read error"):
-                    await connection.read(1, 2)
-            with pytest.raises(UsageError, match="data = 3 is no octets"):
-                await server.slave.alarm(AlarmType.PROCESS, 1, data=odd(3))
-            with pytest.raises(UsageError, match="data = 3 is no octets"):
-                server.slave.status(1, 1, data=odd(3))
-
-    virtual(main())
-    assert any(re.search(re.escape(text), one) for one in told), told
+                await connection.read(1, 2)
+        with pytest.raises(UsageError, match="data = 3 is no octets"):
+            await slave.alarm(AlarmType.PROCESS, 1, data=odd(3))
+        with pytest.raises(UsageError, match="data = 3 is no octets"):
+            slave.status(1, 1, data=odd(3))
+    assert any(text in event.text for event in events), events
 
 
-def test_the_bus_is_closed_meanwhile() -> None:
-    """Nothing is wrong with the slave: whoever drops slaves that fail must not drop this one."""
+@in_virtual_time
+async def test_services_end_with_the_bus() -> None:
+    """The error blames the bus: a program that drops slaves with errors must not drop this one."""
 
     async def never(slot: int, index: int) -> bytes:
         await asyncio.Event().wait()
         return b""
 
-    async def main() -> list[bytes | BaseException]:
-        world = World()
-        slave = DpSlave(TYPE, lambda outputs, elapsed: outputs, on_read=never)
-        async with dpstack.serve_slave(slave, world=world, address=9):
-            async with dpstack.open_bus(world=world, baud=500_000, slaves=[TYPE.table(9)]) as bus:
-                await bus.ready()
-                asking = [asyncio.create_task(bus.slave(9).read(1, 2)) for _ in range(3)]
-                await asyncio.sleep(0.1)
-            return await asyncio.gather(*asking, return_exceptions=True)
-
-    ends = virtual(main())
+    async with serving(mirror(RIG, on_read=never)) as (bus, _):
+        reads = [asyncio.create_task(bus.slave(9).read(1, 2)) for _ in range(3)]
+        await asyncio.sleep(0.1)
+    ends = await asyncio.gather(*reads, return_exceptions=True)
     assert len(ends) == 3
     for end in ends:
         assert isinstance(end, dpstack.BusError)

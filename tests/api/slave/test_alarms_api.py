@@ -1,19 +1,19 @@
-"""``slave.alarms()`` with both ends in one world: taken in order, acknowledged when taken, over with the bus."""
+"""``slave.alarms()`` with both ends in one world: order, acknowledgement, listeners, end with the bus."""
 
 from __future__ import annotations
 
 import asyncio
 import dataclasses
 import gc
-from collections.abc import Callable, Coroutine
+from contextlib import AbstractAsyncContextManager
 from typing import Any
 
 import pytest
-from api_kit import RAW, in_virtual_time, virtual
+from api_kit import RAW, in_virtual_time, mirror, serving
 from support import WorldFactory
 
 import dpstack
-from dpstack import AlarmType, DpSlave, ModuleState, SlaveAlarm, SlaveDescription, Specifier, StatusType
+from dpstack import AlarmType, ModuleState, SlaveAlarm, SlaveDescription, Specifier, StatusType
 from dpstack.api.bus.events_json import event_json, severity_of
 from dpstack.api.server.server import ServedSlave
 from dpstack.dpv1.master.orders import AlarmRaised, StatusTold
@@ -25,26 +25,14 @@ ALL = ("pull_plug", "process", "diagnostic", "manufacturer", "status", "update")
 TYPE_MODE = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, alarms=ALL)
 RIG = dataclasses.replace(TYPE_MODE, alarm_sequence=8)
 PROCESS = AlarmType.PROCESS
-Program = Callable[[dpstack.Bus, ServedSlave], Coroutine[Any, Any, None]]
 
 
-def rig(world: World, program: Program, description: SlaveDescription = RIG, **keys: object) -> list[dpstack.Event]:
-    """``program`` with a bus and the slave at address 9; all events."""
-    told: list[dpstack.Event] = []
-    device = DpSlave(description, lambda outputs, elapsed: outputs)
-    table = description.table(9)
-    table["dpv1"] = {"alarms": list(ALL), "alarm_mode": 3 if description.alarm_sequence else 0, **keys}
-
-    async def main() -> None:
-        async with (
-            dpstack.serve_slave(device, world=world, address=9) as server,
-            dpstack.open_bus(world=world, baud=500_000, slaves=[table], on_event=told.append) as bus,
-        ):
-            await bus.ready()
-            await program(bus, server.slave)
-
-    virtual(main())
-    return told
+def rig(
+    world: World, events: list[dpstack.Event] | None = None, description: SlaveDescription = RIG
+) -> AbstractAsyncContextManager[tuple[dpstack.Bus, ServedSlave]]:
+    """A slave whose alarms are all enabled, and its bus."""
+    mode = 3 if description.alarm_sequence else 0
+    return serving(mirror(description), world, events, dpv1={"alarms": list(ALL), "alarm_mode": mode})
 
 
 async def first_of(alarms: Any, count: int) -> list[SlaveAlarm]:
@@ -52,12 +40,14 @@ async def first_of(alarms: Any, count: int) -> list[SlaveAlarm]:
 
 
 @pytest.mark.parametrize("description", [RIG, TYPE_MODE])
-def test_in_order_and_acknowledged_when_taken(world: WorldFactory, description: SlaveDescription) -> None:
-    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+@in_virtual_time
+async def test_alarms_in_order_acknowledged_when_read(world: WorldFactory, description: SlaveDescription) -> None:
+    events: list[dpstack.Event] = []
+    async with rig(world(), events, description=description) as (bus, slave):
         alarms = bus.slave("rig").alarms()
         raising = [asyncio.create_task(slave.alarm(PROCESS, slot, data=bytes((slot,)))) for slot in range(20)]
         await asyncio.sleep(2)
-        assert not any(task.done() for task in raising)  # nobody has taken one
+        assert not any(task.done() for task in raising)  # the program has read none
         found = []
         async for alarm in alarms:
             found.append(alarm)
@@ -71,12 +61,14 @@ def test_in_order_and_acknowledged_when_taken(world: WorldFactory, description: 
         assert (counts.raised, counts.acknowledged, counts.too_many, counts.repeated) == (20, 20, 0, 0)
         assert bus.stats.slaves[9].as_dict()["alarms"] == dataclasses.asdict(counts)
 
-    told = rig(world(), program, description)
-    assert len([event for event in told if isinstance(event, AlarmRaised)]) == 20
+    # LHS told =  TAIL
+    assert len([event for event in events if isinstance(event, AlarmRaised)]) == 20
 
 
-def test_what_it_says(world: WorldFactory) -> None:
-    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+@in_virtual_time
+async def test_the_attributes_of_an_alarm(world: WorldFactory) -> None:
+    events: list[dpstack.Event] = []
+    async with rig(world(), events) as (bus, slave):
         alarms = bus.slave("rig").alarms()
         raising = asyncio.create_task(slave.alarm(AlarmType.DIAGNOSIS, 3, Specifier.APPEARS, b"\x11", add_ack=True))
         alarm = await anext(alarms)
@@ -93,8 +85,8 @@ def test_what_it_says(world: WorldFactory) -> None:
             assert (alarm.appears, alarm.disappears, alarm.slot_good) == expected
             await raising
 
-    told = rig(world(), program)
-    raised = [event for event in told if isinstance(event, AlarmRaised)]
+    # LHS told =  TAIL
+    raised = [event for event in events if isinstance(event, AlarmRaised)]
     assert [severity_of(event) for event in raised[:2]] == [Severity.WARNING, Severity.INFO]
     line = event_json(raised[0], 1.0)
     assert line is not None
@@ -104,19 +96,22 @@ def test_what_it_says(world: WorldFactory) -> None:
     }  # fmt: skip
 
 
-def test_nobody_listens_and_no_slave_waits(world: WorldFactory) -> None:
-    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+@in_virtual_time
+async def test_the_station_acknowledges_alarms_without_a_listener(world: WorldFactory) -> None:
+    events: list[dpstack.Event] = []
+    async with rig(world(), events) as (_, slave):
         await asyncio.gather(*(slave.alarm(PROCESS, slot) for slot in range(10)))
 
-    told = rig(world(), program)
-    raised = [event for event in told if isinstance(event, AlarmRaised)]
+    # LHS told =  TAIL
+    raised = [event for event in events if isinstance(event, AlarmRaised)]
     assert [event.alarm.slot for event in raised] == [*range(10)]
     assert not any(event.held for event in raised)
 
 
 @pytest.mark.parametrize("how", ["break", "close", "cancel"])
-def test_who_leaves_holds_nobody_up(world: WorldFactory, how: str) -> None:
-    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+@in_virtual_time
+async def test_a_listener_that_leaves_delays_no_alarm(world: WorldFactory, how: str) -> None:
+    async with rig(world()) as (bus, slave):
         raising = [asyncio.create_task(slave.alarm(PROCESS, slot)) for slot in range(5)]
         if how == "break":
             async for alarm in bus.slave(9).alarms():
@@ -144,11 +139,10 @@ def test_who_leaves_holds_nobody_up(world: WorldFactory, how: str) -> None:
         gc.collect()
         await asyncio.gather(*raising)
 
-    rig(world(), program)
 
-
-def test_the_program_acknowledges(world: WorldFactory) -> None:
-    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+@in_virtual_time
+async def test_acknowledgement_by_the_program(world: WorldFactory) -> None:
+    async with rig(world()) as (bus, slave):
         alarms = bus.slave(9).alarms(acknowledge=False)
         raising = [asyncio.create_task(slave.alarm(PROCESS, slot)) for slot in range(3)]
         first, second, third = await first_of(alarms, 3)
@@ -160,11 +154,10 @@ def test_the_program_acknowledges(world: WorldFactory) -> None:
         assert not raising[0].done()
         await asyncio.gather(first.acknowledge(), second.acknowledge(), *raising)
 
-    rig(world(), program)
 
-
-def test_two_listeners_and_both_have_it(world: WorldFactory) -> None:
-    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+@in_virtual_time
+async def test_an_alarm_waits_until_both_listeners_have_read_it(world: WorldFactory) -> None:
+    async with rig(world()) as (bus, slave):
         one, other = bus.slave(9).alarms(), bus.slave(9).alarms()
         raising = asyncio.create_task(slave.alarm(PROCESS, 7))
         assert (await anext(one)).slot == 7
@@ -180,11 +173,10 @@ def test_two_listeners_and_both_have_it(world: WorldFactory) -> None:
         await anext(other)
         await raising
 
-    rig(world(), program)
 
-
-def test_a_slave_that_goes_and_comes_back(world: WorldFactory) -> None:
-    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+@in_virtual_time
+async def test_alarms_of_a_slave_that_leaves_data_exchange_and_comes_back(world: WorldFactory) -> None:
+    async with rig(world()) as (bus, slave):
         found = bus.slave(9)
         alarms = found.alarms(acknowledge=False)
         raising = asyncio.create_task(slave.alarm(PROCESS, 1))
@@ -211,42 +203,35 @@ def test_a_slave_that_goes_and_comes_back(world: WorldFactory) -> None:
         await (await anext(alarms)).acknowledge()
         await raising
 
-    rig(world(), program)
 
-
-def test_it_ends_with_the_bus_and_with_the_slave(world: WorldFactory) -> None:
-    kept: list[Any] = []
-
-    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+@in_virtual_time
+async def test_alarms_end_with_the_bus_and_with_the_slave(world: WorldFactory) -> None:
+    async with rig(world()) as (bus, slave):
         found = bus.slave(9)
         alarms, statuses = found.alarms(), found.status_messages()
         raising = asyncio.create_task(slave.alarm(PROCESS, 1))
         await asyncio.sleep(0.2)
         await bus.remove(found)
-        assert [alarm.slot async for alarm in alarms] == [1]  # what came can still be taken
+        assert [alarm.slot async for alarm in alarms] == [1]  # an alarm that came before can still be read
         assert [status async for status in statuses] == []
         with pytest.raises(AlarmError):
             await raising
         added = await bus.add_slave(RIG.table(9))
         await added.ready()
-        kept.extend((added.alarms(acknowledge=False), added.status_messages()))
+        alarms, statuses = added.alarms(acknowledge=False), added.status_messages()
         raising = asyncio.create_task(slave.alarm(PROCESS, 2))
-        kept.append(await anext(kept[0]))
-        kept.append(asyncio.create_task(kept[2].acknowledge()))
+        alarm = await anext(alarms)
+        acknowledging = asyncio.create_task(alarm.acknowledge())
         raising.cancel()
         await asyncio.sleep(0)
-
-    rig(world(), program)
-
-    async def after() -> None:
-        assert [alarm async for alarm in kept[0]] == []
-        assert [status async for status in kept[1]] == []
-
-    virtual(after())
+    assert [alarm async for alarm in alarms] == []
+    assert [status async for status in statuses] == []
+    assert not acknowledging.cancelled()
 
 
-def test_an_alarm_of_a_slave_that_was_removed_is_not_one_of_the_slave_added_after_it(world: WorldFactory) -> None:
-    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+@in_virtual_time
+async def test_an_alarm_of_a_removed_slave_is_none_of_the_slave_that_is_added_later(world: WorldFactory) -> None:
+    async with rig(world()) as (bus, slave):
         old_stream = bus.slave(9).alarms(acknowledge=False)
         raising = asyncio.create_task(slave.alarm(PROCESS, 1))
         old = await anext(old_stream)
@@ -266,12 +251,11 @@ def test_an_alarm_of_a_slave_that_was_removed_is_not_one_of_the_slave_added_afte
         await new.acknowledge()
         await raising
 
-    rig(world(), program)
-
 
 @pytest.mark.parametrize("listens", [True, False])
-def test_dpv1_off_and_on_again(world: WorldFactory, listens: bool) -> None:
-    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+@in_virtual_time
+async def test_dpv1_off_and_on_again(world: WorldFactory, listens: bool) -> None:
+    async with rig(world()) as (bus, slave):
         found = bus.slave(9)
         alarms = found.alarms()
         await asyncio.gather(slave.alarm(PROCESS, 1), anext(alarms))
@@ -289,11 +273,11 @@ def test_dpv1_off_and_on_again(world: WorldFactory, listens: bool) -> None:
         assert found.alarm_counts is not None
         assert found.alarm_counts.raised == 2
 
-    rig(world(), program)
 
-
-def test_statuses(world: WorldFactory) -> None:
-    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+@in_virtual_time
+async def test_status_messages(world: WorldFactory) -> None:
+    events: list[dpstack.Event] = []
+    async with rig(world(), events) as (bus, slave):
         statuses = bus.slave(9).status_messages()
         slave.status(StatusType.MESSAGE, 3, Specifier.APPEARS, b"\x01")
         status = await anext(statuses)
@@ -307,8 +291,8 @@ def test_statuses(world: WorldFactory) -> None:
         assert statuses.dropped == 6
         assert bus.slave(9).diagnosis_texts[-1].startswith("vendor status 40, slot 1")
 
-    told = rig(world(), program)
-    line = event_json(next(event for event in told if isinstance(event, StatusTold)), 0)
+    # LHS told =  TAIL
+    line = event_json(next(event for event in events if isinstance(event, StatusTold)), 0)
     assert line is not None
     assert (line["event"], line["title"], line["data"]) == ("status_message", "status message", "01")
 
@@ -326,8 +310,9 @@ async def test_misuse(world: WorldFactory) -> None:
         assert bus.slave(9).alarm_counts is None
 
 
-def test_misuse_beside_one_who_listens(world: WorldFactory) -> None:
-    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+@in_virtual_time
+async def test_misuse_beside_a_listener(world: WorldFactory) -> None:
+    async with rig(world()) as (bus, _):
         found = bus.slave("rig")
         listening = found.alarms()
         await found.reparameterise(dpv1=False)
@@ -337,5 +322,3 @@ def test_misuse_beside_one_who_listens(world: WorldFactory) -> None:
         with pytest.raises(UsageError, match="the bus is not open"):
             found.alarms()
         listening.close()
-
-    rig(world(), program)

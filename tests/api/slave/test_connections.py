@@ -1,4 +1,4 @@
-"""``bus.class2.connect``: connections awaited, beside the slave's own master; how they end; that nothing is kept."""
+"""``bus.class2.connect``: connections beside the slave's own master, their ends, and that the slave gets them back."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import asyncio
 import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Coroutine
-from typing import Any
+from collections.abc import AsyncIterator
 
 import pytest
 from api_kit import RAW, bus_of, in_virtual_time, virtual
@@ -27,44 +26,39 @@ from dpstack.profile.record47 import Address, Values
 from dpstack.sim.world import World
 from dpstack.trace import Severity
 
-Program = Callable[[dpstack.Bus, Ms2Server], Coroutine[Any, Any, None]]
+
+@contextlib.asynccontextmanager
+async def beside(events: list[dpstack.Event] | None = None) -> AsyncIterator[tuple[dpstack.Bus, Ms2Server]]:
+    """The bus of station 5, which is nobody's class 1 master, while master 2 exchanges data with slave 9."""
+    world = World()
+    server = ms2_in(world)
+    async with bus_of(RAW, world=world, gap=1) as owner:
+        await owner.ready()
+        await owner.operate()
+        owner.slave(9).outputs = b"\x55"
+        config = make_config("virtual", 500_000, 5)
+        async with dpstack.open_bus(config, world=world, on_event=None if events is None else events.append) as bus:
+            yield bus, server
+        await asyncio.sleep(0.05)
+        slave = owner.slave(9)
+        assert (slave.ready_now, slave.retries, slave.timeouts, slave.inputs) == (True, 0, 0, b"\x55")
+        assert not server.sessions
+        assert sorted(server.free) == [47, 48]
+    assert world.referee is not None
+    world.referee.check()
 
 
-def beside(program: Program) -> list[dpstack.Event]:
-    """``program`` with station 5, which is nobody's class 1 master, while master 2 exchanges data with slave 9."""
-    told: list[dpstack.Event] = []
-
-    async def main() -> None:
-        world = World()
-        server = ms2_in(world)
-        async with bus_of(RAW, world=world, gap=1) as owner:
-            await owner.ready()
-            await owner.operate()
-            owner.slave(9).outputs = b"\x55"
-            config = make_config("virtual", 500_000, 5)
-            async with dpstack.open_bus(config, world=world, on_event=told.append) as bus:
-                await program(bus, server)
-            await asyncio.sleep(0.05)
-            slave = owner.slave(9)
-            assert (slave.ready_now, slave.retries, slave.timeouts, slave.inputs) == (True, 0, 0, b"\x55")
-            assert not server.sessions
-            assert sorted(server.free) == [47, 48]
-        assert world.referee is not None
-        world.referee.check()
-
-    virtual(main())
-    return told
-
-
-def test_one_that_nothing_refers_to_any_more_is_given_back() -> None:
-    """A program that fails before it can close: the slave has two connections only."""
+@in_virtual_time
+async def test_a_connection_without_a_reference_is_closed() -> None:
+    """A program may fail before it can close a connection, and the slave has two only."""
 
     async def read_first(bus: dpstack.Bus) -> None:
         connection = await bus.class2.connect(9)
         assert await connection.read(1, 2) == b"\1\2"
 
-    async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
-        for _ in range(3):  # it has two
+    events: list[dpstack.Event] = []
+    async with beside(events) as (bus, _):
+        for _ in range(3):  # the slave has two
             await read_first(bus)
             await asyncio.sleep(0.1)
         assert bus.class2.connections == 0
@@ -75,14 +69,16 @@ def test_one_that_nothing_refers_to_any_more_is_given_back() -> None:
         await asyncio.sleep(0.1)
         assert bus.class2.connections == 0
 
-    told = beside(program)
-    overs = [event.text for event in told if isinstance(event, ConnectionOver)]
+    # LHS told =  TAIL
+    overs = [event.text for event in events if isinstance(event, ConnectionOver)]
     assert len(overs) == 4
     assert all(text.endswith("it was closed here") for text in overs)
 
 
-def test_everything_over_one_connection_beside_the_slaves_own_master() -> None:
-    async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
+@in_virtual_time
+async def test_everything_over_one_connection_beside_the_slaves_own_master() -> None:
+    events: list[dpstack.Event] = []
+    async with beside(events) as (bus, _):
         async with bus.class2.connect(9) as connection:
             assert isinstance(connection, Connection)
             assert (connection.address, connection.server_sap, connection.is_open) == (9, 48, True)
@@ -103,8 +99,8 @@ def test_everything_over_one_connection_beside_the_slaves_own_master() -> None:
         await connection.close()
         await connection.ended()
 
-    told = beside(program)
-    (over,) = [event for event in told if isinstance(event, ConnectionOver)]
+    # LHS told =  TAIL
+    (over,) = [event for event in events if isinstance(event, ConnectionOver)]
     assert severity_of(over) is Severity.INFO
     assert severity_of(dataclasses.replace(over, ordered=False)) is Severity.WARNING
     assert event_json(over, 1.0) == {
@@ -116,7 +112,7 @@ def test_everything_over_one_connection_beside_the_slaves_own_master() -> None:
 
 
 @in_virtual_time
-async def test_its_own_slave_too_and_several_at_once() -> None:
+async def test_several_connections_to_a_slave_of_this_bus() -> None:
     world = World()
     server = ms2_in(world)
     async with bus_of(RAW, world=world) as bus:
@@ -137,7 +133,8 @@ async def test_its_own_slave_too_and_several_at_once() -> None:
     assert (second.reason, third.is_open) == ("the bus was closed here", False)
 
 
-def test_im() -> None:
+@in_virtual_time
+async def test_im() -> None:
     calls: list[bytes] = []
 
     def serve(pdu: bytes) -> bytes | None:
@@ -149,7 +146,7 @@ def test_im() -> None:
             return b"\x5e\x00\xff\x44" + calls[-1] + body
         return served(pdu)
 
-    async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
+    async with beside() as (bus, server):
         server.serve = serve
         async with bus.class2.connect(9) as connection:
             found = await connection.im()
@@ -157,11 +154,10 @@ def test_im() -> None:
             assert (found.manufacturer_id, found.order_id, found.serial_number) == (42, "V-8", "1234")
         assert calls == [b"\x08\x00\xfd\xe8"]
 
-    beside(program)
 
-
-def test_typed_errors() -> None:
-    async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
+@in_virtual_time
+async def test_typed_errors() -> None:
+    async with beside() as (bus, server):
         server.serve = lambda pdu: bytes((pdu[0] | 0x80, 0x80, 0xB5, 3))
         async with bus.class2.connect(9, response_timeout=0.3) as connection:
             for call in (connection.read(1, 2), connection.write(1, 2, b""), connection.transport(1, 2)):
@@ -202,22 +198,20 @@ def test_typed_errors() -> None:
             await bus.class2.connect(127)
         assert bus.class2.connections == 0
 
-    beside(program)
 
-
-def test_each_is_opened_once() -> None:
-    async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
+@in_virtual_time
+async def test_a_connection_is_opened_once() -> None:
+    async with beside() as (bus, server):
         connecting = bus.class2.connect(9)
         async with connecting as connection:
             with pytest.raises(UsageError, match=r"was opened before: call connect\(\) again"):
                 await connecting
             assert (await connection.read(1, 2), len(server.sessions)) == (b"\1\2", 1)
 
-    beside(program)
 
-
-def test_times_that_are_none() -> None:
-    async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
+@in_virtual_time
+async def test_impossible_timeouts() -> None:
+    async with beside() as (bus, server):
         connect = bus.class2.connect
         for wrong in (-1, math.nan, math.inf):
             with pytest.raises(UsageError, match=f"send_timeout = {wrong} is no time for a service"):
@@ -237,10 +231,8 @@ def test_times_that_are_none() -> None:
             await bus.class2.config(9, timeout=-1)
         assert [sap for sap, pdu in server.heard if pdu[:1] == b"\x57"] == [49]
 
-    beside(program)
 
-
-def test_after_a_defect_nobody_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_a_defect_every_call_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     """The simulated bus stands still then: an order raises what happened, and the end comes at once."""
 
     def defect(*_: object) -> None:
@@ -262,10 +254,11 @@ def test_after_a_defect_nobody_waits(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("after_ms", range(12))
-def test_whoever_gives_up_leaves_nothing(after_ms: int) -> None:
-    """Cancelled while it is opened, or just when it is."""
+@in_virtual_time
+async def test_a_cancelled_connect_leaves_no_connection(after_ms: int) -> None:
+    """The caller is cancelled while the connection opens, or just when it is open."""
 
-    async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
+    async with beside() as (bus, server):
         server.polls = 2
         opened: list[Connection] = []
         with contextlib.suppress(TimeoutError):
@@ -274,11 +267,10 @@ def test_whoever_gives_up_leaves_nothing(after_ms: int) -> None:
         await asyncio.sleep(0.1)
         assert len(server.sessions) == bus.class2.connections == len(opened)
 
-    beside(program)
 
-
-def test_a_service_that_is_given_up_leaves_the_connection() -> None:
-    async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
+@in_virtual_time
+async def test_a_cancelled_service_leaves_the_connection_open() -> None:
+    async with beside() as (bus, server):
         server.polls = 30
         async with bus.class2.connect(9) as connection:
             with pytest.raises(TimeoutError):
@@ -288,8 +280,6 @@ def test_a_service_that_is_given_up_leaves_the_connection() -> None:
                 await connection.read(6, 6, timeout=0.01)
             assert await connection.read(1, 2) == b"\1\2"
             assert connection.is_open
-
-    beside(program)
 
 
 @in_virtual_time
@@ -319,7 +309,7 @@ async def _connected(bus: dpstack.Bus, address: int) -> Connection:
 
 
 @in_virtual_time
-async def test_what_the_gsd_file_says() -> None:
+async def test_the_limits_of_the_gsd_file() -> None:
     world = World()
     server = ms2_in(world)
     dpv1 = DpV1(

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Mapping
+import contextlib
+from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
-from api_kit import bus_of, in_virtual_time, virtual
+from api_kit import bus_of, in_virtual_time, mirror, serving
 from support import WorldFactory
 
 import dpstack
-from dpstack import DpSlave, SlaveDescription
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.errors import ConfigError, UsageError
@@ -19,12 +19,11 @@ from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS
 
 FILES = Path(__file__).parents[2] / "gsd" / "files"
-RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
 
 
-def rig(world: World, program: Callable[[dpstack.Slave], Coroutine[Any, Any, None]], **keys: object) -> list[str]:
-    """``program`` with a slave in data exchange; the user parameters that it was sent, as hex."""
-    sent: list[str] = []
+@contextlib.asynccontextmanager
+async def rig(world: World, sent: list[str], **keys: Any) -> AsyncIterator[dpstack.Slave]:
+    """A slave in data exchange to the end; ``sent`` gets the user parameters of each Set_Prm, as hex."""
 
     async def read(slot: int, index: int) -> bytes:
         return bytes((slot, index))
@@ -32,26 +31,17 @@ def rig(world: World, program: Callable[[dpstack.Slave], Coroutine[Any, Any, Non
     def on_prm(user_prm: bytes) -> None:
         sent.append(user_prm.hex(" "))
 
-    async def main() -> None:
-        served = DpSlave(RIG, lambda outputs, elapsed: outputs, on_read=read, on_prm=on_prm)
-        async with (
-            dpstack.serve_slave(served, world=world, address=9),
-            bus_of(RIG.table(9) | keys, world=world) as bus,
-        ):
-            await bus.operate()
-            slave = bus.slave(9)
-            await slave.ready()
-            slave.outputs = b"\x42"
-            await program(slave)
-            assert slave.ready_now
-            assert slave.outputs == b"\x42"
-
-    virtual(main())
-    return sent
+    async with serving(mirror(on_read=read, on_prm=on_prm), world, **keys) as (bus, _):
+        slave = bus.slave(9)
+        slave.outputs = b"\x42"
+        yield slave
+        assert (slave.ready_now, slave.outputs) == (True, b"\x42")
 
 
-def test_opened_changed_and_closed_again(world: WorldFactory) -> None:
-    async def program(slave: dpstack.Slave) -> None:
+@in_virtual_time
+async def test_dpv1_switched_on_changed_and_switched_off(world: WorldFactory) -> None:
+    sent: list[str] = []
+    async with rig(world(), sent, dpv1=False) as slave:
         with pytest.raises(UsageError, match="not parameterised for DP-V1"):
             await slave.read(1, 2)
         await slave.reparameterise(dpv1=True)
@@ -75,16 +65,15 @@ def test_opened_changed_and_closed_again(world: WorldFactory) -> None:
         )
         assert slave.watchdog_ms == 400
         assert await slave.read(3, 4) == b"\x03\x04"
-        await slave.reparameterise(dpv1={"alarms": []})  # a table says all
+        await slave.reparameterise(dpv1={"alarms": []})  # a table replaces all settings
         assert slave.setup.dpv1 == Dpv1(alarms=())
         await slave.reparameterise(user_prm=b"\x04\x41\x01")
         await slave.reparameterise(dpv1=False)
         with pytest.raises(UsageError, match="not parameterised for DP-V1"):
             await slave.read(1, 2)
-        await slave.reparameterise(user_prm=b"\x80\0\0", dpv1=None)  # as if it had never been given
+        await slave.reparameterise(user_prm=b"\x80\0\0", dpv1=None)  # as if the key were absent
         assert await slave.read(5, 6) == b"\x05\x06"
-
-    assert rig(world(), program, dpv1=False) == [
+    assert sent == [
         "00 00 00",
         "80 00 00",
         "80 61 8b 06 81 04 00 aa bb",
@@ -105,19 +94,20 @@ def test_opened_changed_and_closed_again(world: WorldFactory) -> None:
         (1, "dpv1 = 1 is an integer; it must be a table"),
     ],
 )
-def test_what_cannot_be_changes_nothing(world: WorldFactory, given: Any, text: str) -> None:
-    async def program(slave: dpstack.Slave) -> None:
+@in_virtual_time
+async def test_a_refused_change_changes_nothing(world: WorldFactory, given: Any, text: str) -> None:
+    sent: list[str] = []
+    async with rig(world(), sent) as slave:
         with pytest.raises(ConfigError, match=text):
             await slave.reparameterise(dpv1=given)
         with pytest.raises(ConfigError, match="three DPV1_Status octets, 1 are there"):
             await slave.reparameterise(dpv1=True, user_prm=b"\0")
         assert slave.setup.dpv1 == Dpv1()
-
-    assert rig(world(), program) == ["80 00 00"]
+    assert sent == ["80 00 00"]
 
 
 @in_virtual_time
-async def test_the_gsd_file_is_asked(world: WorldFactory) -> None:
+async def test_a_change_that_the_gsd_file_excludes() -> None:
     async with bus_of({"name": "told", "address": 8, "gsd": str(FILES / "slots.gsd")}) as bus:
         await bus.ready()
         with pytest.raises(ConfigError, match="its GSD file says DPV1_Slave = 0"):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
-from api_kit import in_virtual_time, running, virtual
+from api_kit import device_of, in_virtual_time, running
 
 import dpstack
 from dpstack import ParameterError, ParameterPlace, UsageError
@@ -15,40 +17,29 @@ from dpstack.errors import DriveError
 
 
 class Counted:
-    """Each request that reached the records of a simulated drive."""
+    """The requests that reach the records of a simulated drive; none where it has no records."""
 
-    def __init__(self, records: ImRecords) -> None:
+    def __init__(self, records: object) -> None:
         self.services: list[str] = []
-        self.records = self.ask = records.ask
+        if isinstance(records, ImRecords):
+            self.records = self.ask = records.ask
+            vars(records)["ask"] = self._count
 
-        def ask(request: RecordRequest) -> None:
-            self.services.append(request.service.build().hex(" ").upper())
-            self.ask(request)
-
-        vars(records)["ask"] = ask
+    def _count(self, request: RecordRequest) -> None:
+        self.services.append(request.service.build().hex(" ").upper())
+        self.ask(request)
 
     @property
     def writes(self) -> list[str]:
         return [one for one in self.services if one.startswith("5F")]
 
 
-def drive_at(kind: str, telegram: str, **keys: object) -> dict[str, object]:
-    return {"name": "it", "address": 6, "drive": kind, "telegram": telegram, **keys}
-
-
-def with_drive(table: dict[str, object], program: Any) -> None:
-    """``program(drive, counted)`` with the drive in data exchange; ``counted`` None where it has no records."""
-
-    async def main() -> None:
-        async with dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[table]) as bus:
-            assert bus.bench is not None
-            records = bus.bench.device(6).records
-            counted = Counted(records) if isinstance(records, ImRecords) else None
-            await bus.operate()
-            await bus.ready()
-            await program(bus.drive("it"), counted)
-
-    virtual(main())
+@contextlib.asynccontextmanager
+async def drive_at(kind: str, telegram: str, **keys: object) -> AsyncIterator[tuple[dpstack.Drive, Counted]]:
+    """A drive in data exchange, and the requests that reach its records."""
+    table = {"name": "it", "address": 6, "drive": kind, "telegram": telegram, **keys}
+    async with running(table, 1_500_000) as (bus, drive):
+        yield drive, Counted(device_of(bus, 6).records)
 
 
 @pytest.mark.parametrize(
@@ -66,8 +57,9 @@ def with_drive(table: dict[str, object], program: Any) -> None:
         ("ls-s100", "ST1", 930, "record 47"),
     ],
 )
-def test_the_way_of_each_drive_and_telegram(kind: str, telegram: str, number: int | str, way: str | None) -> None:
-    async def program(drive: dpstack.Drive, counted: Counted | None) -> None:
+@in_virtual_time
+async def test_the_way_of_each_drive_and_telegram(kind: str, telegram: str, number: int | str, way: str | None) -> None:
+    async with drive_at(kind, telegram) as (drive, counted):
         if way is None:
             with pytest.raises(UsageError, match="no parameter channel"):
                 await drive.read(number)
@@ -75,31 +67,27 @@ def test_the_way_of_each_drive_and_telegram(kind: str, telegram: str, number: in
                 await drive.read_many([number])
             return
         value = await drive.read(number)
-        assert (counted is not None and bool(counted.services)) is (way == "record 47")
+        assert bool(counted.services) is (way == "record 47")
         (again,) = await drive.read_many([number])
         assert not isinstance(again, ParameterError)
         assert again.value == pytest.approx(value)
 
-    with_drive(drive_at(kind, telegram), program)
 
-
-def test_without_dp_v1_the_ls_is_asked_by_its_telegram() -> None:
-    async def program(drive: dpstack.Drive, counted: Counted | None) -> None:
-        assert counted is not None
+@in_virtual_time
+async def test_without_dp_v1_the_ls_is_asked_by_its_telegram() -> None:
+    async with drive_at("ls-s100", "PPO1", dpv1=False) as (drive, counted):
         found = await drive.read_many(["dr-03", 918, 930])
         assert [one.value for one in found if not isinstance(one, ParameterError)] == [1.0, 6, 1]
         assert not counted.services
-
-    with_drive(drive_at("ls-s100", "PPO1", dpv1=False), program)
 
 
 #: its plugin does not read the drive's settings by itself: the requests are the test's
 ALONE: dict[str, object] = {"check_settings": False}
 
 
-def test_several_in_one_request_and_what_is_refused_in_its_place() -> None:
-    async def program(drive: dpstack.Drive, counted: Counted | None) -> None:
-        assert counted is not None
+@in_virtual_time
+async def test_several_in_one_request_and_what_is_refused_in_its_place() -> None:
+    async with drive_at("ls-s100", "ST1", options=ALONE) as (drive, counted):
         first, wrong, last = await drive.read_many(["dr-03", "dr-99", 918])
         assert not isinstance(first, ParameterError)
         assert (first.value, first.unit, first.name) == (1.0, "s", "dr-03")
@@ -119,12 +107,10 @@ def test_several_in_one_request_and_what_is_refused_in_its_place() -> None:
         with pytest.raises(UsageError, match="must be a parameter number or name"):
             await drive.read_many(nothing)
 
-    with_drive(drive_at("ls-s100", "ST1", options=ALONE), program)
 
-
-def test_a_dump_asks_for_as_many_as_a_request_takes() -> None:
-    async def program(drive: dpstack.Drive, counted: Counted | None) -> None:
-        assert counted is not None
+@in_virtual_time
+async def test_a_dump_asks_for_as_many_as_a_request_takes() -> None:
+    async with drive_at("ls-s100", "ST1") as (drive, counted):
         found = await drive.dump()
         asked = len(found.parameters) - len(found.unreadable)
         assert drive.per_request == 8
@@ -143,12 +129,10 @@ def test_a_dump_asks_for_as_many_as_a_request_takes() -> None:
         assert str(lost.unreadable).startswith("dr-03 (Acceleration time): Write of slot 1, index 47 ")
         assert lost.name == "dr-03"
 
-    with_drive(drive_at("ls-s100", "ST1"), program)
 
-
-def test_elements_of_an_array_are_one_address() -> None:
-    async def program(drive: dpstack.Drive, counted: Counted | None) -> None:
-        assert counted is not None
+@in_virtual_time
+async def test_elements_of_an_array_are_one_address() -> None:
+    async with drive_at("ls-s100", "PPO1") as (drive, counted):
         found = await drive.read_array(964, 7)
         assert [one.value for one in found if not isinstance(one, ParameterError)][:2] == [0x0351, 1]
         assert [one[12:] for one in counted.writes] == ["01 01 01 01 10 07 03 C4 00 00"]
@@ -157,12 +141,10 @@ def test_elements_of_an_array_are_one_address() -> None:
         mixed = await drive.read_many([ParameterPlace(964, index=6), ParameterPlace(964, index=0), 918])
         assert [one.value for one in mixed if not isinstance(one, ParameterError)] == [0x0A6C, 0x0351, 6]
 
-    with_drive(drive_at("ls-s100", "PPO1"), program)
-
 
 @in_virtual_time
 async def test_a_drive_that_is_gone_is_no_entry() -> None:
-    async with running(drive_at("ls-s100", "ST1")) as (bus, _):
+    async with running({"name": "it", "address": 6, "drive": "ls-s100", "telegram": "ST1"}) as (bus, _):
         assert bus.bench is not None
         bus.bench.power(6, False)
         with pytest.raises((DriveError, TimeoutError)):

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from contextlib import AbstractAsyncContextManager
 from typing import Any, cast
 
 import pytest
-from api_kit import RAW, bus_of, in_virtual_time, virtual
+from api_kit import RAW, bus_of, in_virtual_time, mirror, serving
 from support import WorldFactory
 
 import dpstack
-from dpstack import AcyclicError, DpSlave, Im0, Im1, Im3, RecordRefused, SlaveDescription
+from dpstack import AcyclicError, DpSlave, Im0, Im1, Im3, RecordRefused
 from dpstack.api.config.config import parse_config
 from dpstack.api.server.server import ServedSlave
 from dpstack.dp.pdu.dpv1_status import Dpv1
@@ -19,9 +19,6 @@ from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.dpv1.pdu.im import Im
 from dpstack.errors import ConfigError, SlaveTimeout
 from dpstack.sim.world import World
-
-RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
-Program = Callable[[dpstack.Bus, ServedSlave], Coroutine[Any, Any, None]]
 
 
 class Store:
@@ -50,29 +47,19 @@ class Store:
         self.records[slot, index] = data
 
 
-def rig(world: World, program: Program, *, slave: DpSlave | None = None, **keys: object) -> list[str]:
-    """``program`` with a bus and the slave at address 9; what the slave told."""
-    told: list[str] = []
+def rig(
+    world: World, events: list[dpstack.Event] | None = None, **keys: Any
+) -> AbstractAsyncContextManager[tuple[dpstack.Bus, ServedSlave]]:
+    """A slave with the records of a :class:`Store` and with I&M, and its bus."""
     store = Store()
-    served = slave or DpSlave(
-        RIG, lambda outputs, elapsed: outputs, on_read=store.read, on_write=store.write, im=[Im0(order_id="RIG"), Im1()]
-    )
-
-    async def main() -> None:
-        async with (
-            dpstack.serve_slave(served, world=world, address=9, on_event=lambda e: told.append(e.text)) as server,
-            bus_of(RIG.table(9) | keys, world=world) as bus,
-        ):
-            await bus.operate()
-            await bus.slave(9).ready()
-            await program(bus, server.slave)
-
-    virtual(main())
-    return told
+    slave = mirror(on_read=store.read, on_write=store.write, im=[Im0(order_id="RIG"), Im1()])
+    return serving(slave, world, events, **keys)
 
 
-def test_read_write_and_im(world: WorldFactory) -> None:
-    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+@in_virtual_time
+async def test_read_write_and_im(world: WorldFactory) -> None:
+    events: list[dpstack.Event] = []
+    async with rig(world(), events) as (bus, served):
         slave = bus.slave("rig")
         assert await slave.read(1, 2) == b"\x11\x22\x33"
         assert await slave.read(1, 2, 2) == b"\x11\x22"
@@ -91,14 +78,13 @@ def test_read_write_and_im(world: WorldFactory) -> None:
         assert slave.ready_now
         assert slave.retries == slave.timeouts == 0
 
-    assert not [text for text in rig(world(), program) if "refused" in text]
+    assert not [event for event in events if "refused" in event.text]
 
 
-def test_im_calls_at_once_each_get_their_own(world: WorldFactory) -> None:
+@in_virtual_time
+async def test_im_calls_at_once_each_get_their_own(world: WorldFactory) -> None:
     records: dict[int, list[Im]] = {0: [Im0(order_id="RIG"), Im1("pump")], 3: [Im0(order_id="3")]}
-    device = DpSlave(RIG, lambda outputs, elapsed: outputs, im=records)
-
-    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+    async with serving(mirror(im=records), world()) as (bus, _):
         slave = bus.slave("rig")
         calls = (slave.im(), slave.im(1), slave.write_im(Im1("fan")), slave.im(slot=3), slave.im(1))
         found = list(await asyncio.gather(*calls))
@@ -109,14 +95,12 @@ def test_im_calls_at_once_each_get_their_own(world: WorldFactory) -> None:
         ) as caught:
             await slave.im(1, slot=3)
         assert (caught.value.service, caught.value.slot, caught.value.index) == ("Write", 3, 255)
-        # who waits for his turn waits no longer than he said, and takes nobody else's
+        # a caller that waits for its turn waits no longer than its timeout, and delays no other caller
         first, late = await asyncio.gather(slave.im(), slave.im(1, timeout=0.001), return_exceptions=True)
         assert first == own
         assert isinstance(late, SlaveTimeout)
         assert "I&M1 of slot 0 had no turn within 0.001 s: another I&M call is under way" in str(late)
         assert await slave.im(1) == Im1("fan")
-
-    rig(world(), program, slave=device)
 
 
 @pytest.mark.parametrize(
@@ -128,8 +112,10 @@ def test_im_calls_at_once_each_get_their_own(world: WorldFactory) -> None:
         (99, (0x80, 0xB0, 0), r"invalid index"),
     ],
 )
-def test_negative_answers(world: WorldFactory, index: int, code: tuple[int, int, int], text: str) -> None:
-    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+@in_virtual_time
+async def test_negative_answers(world: WorldFactory, index: int, code: tuple[int, int, int], text: str) -> None:
+    events: list[dpstack.Event] = []
+    async with rig(world(), events) as (bus, served):
         with pytest.raises(AcyclicError, match=text) as caught:
             await bus.slave(9).read(1, index)
         error = caught.value
@@ -139,27 +125,29 @@ def test_negative_answers(world: WorldFactory, index: int, code: tuple[int, int,
         assert await bus.slave(9).read(1, 2) == b"\x11\x22\x33"
         assert served.failure is None
 
-    told = " ".join(rig(world(), program))
-    assert ("ZeroDivisionError: broken" in told) is (index == 10)
-    assert ("on_read returned str, a record is bytes" in told) is (index == 12)
+    reported = " ".join(event.text for event in events)
+    assert ("ZeroDivisionError: broken" in reported) is (index == 10)
+    assert ("on_read returned str, a record is bytes" in reported) is (index == 12)
 
 
-def test_a_function_that_is_cancelled_inside_is_answered(world: WorldFactory) -> None:
+@in_virtual_time
+async def test_a_function_that_is_cancelled_inside_is_answered(world: WorldFactory) -> None:
     async def cancelled(slot: int, index: int) -> bytes:
         inner: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         inner.cancel()
         return await inner
 
-    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+    events: list[dpstack.Event] = []
+    async with serving(mirror(on_read=cancelled), world(), events) as (bus, _):
         with pytest.raises(AcyclicError, match="read error"):
             await bus.slave(9).read(1, 2)
 
-    told = rig(world(), program, slave=DpSlave(RIG, lambda outputs, elapsed: outputs, on_read=cancelled))
-    assert "its function failed (CancelledError: " in " ".join(told)
+    assert any("its function failed (CancelledError: " in event.text for event in events)
 
 
-def test_other_errors(world: WorldFactory) -> None:
-    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+@in_virtual_time
+async def test_other_errors(world: WorldFactory) -> None:
+    async with rig(world(), dpv1={"response_timeout_ms": 50}) as (bus, served):
         slave = bus.slave(9)
         with pytest.raises(dpstack.SlaveTimeout, match=r"had no answer within 0\.05 s \(its C1_Response_Timeout\)"):
             await slave.read(1, 11)
@@ -183,35 +171,25 @@ def test_other_errors(world: WorldFactory) -> None:
         await slave.ready()
         assert await slave.read(1, 2) == b"\x11\x22\x33"
 
-    rig(world(), program, dpv1={"response_timeout_ms": 50})
 
-
-def test_a_slave_may_take_longer_than_10_s_where_that_is_known() -> None:
+@in_virtual_time
+async def test_a_slave_may_take_longer_than_10_s_where_that_is_known() -> None:
     async def read(slot: int, index: int) -> bytes:
         await asyncio.sleep(11)
         return b"\x07"
 
-    slow = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, ms2=1)
-    served = DpSlave(slow, lambda outputs, elapsed: outputs, on_read=read)
-
-    async def main() -> None:
-        world = World()
-        table = slow.table(9) | {"dpv1": {"response_timeout_ms": 12_000}}
-        async with (
-            dpstack.serve_slave(served, world=world, address=9, baud=9600),
-            dpstack.open_bus(world=world, baud=9600, slaves=[table]) as bus,  # few telegrams
-        ):
-            await bus.ready()
-            mine = bus.class2.connect(9, response_timeout=12)
-            async with mine as connection:
-                first, second = await asyncio.gather(bus.slave(9).read(1, 1), connection.read(1, 1))
-            assert first == second == b"\x07"
-
-    virtual(main())
+    slave = mirror(on_read=read, ms2=1)
+    async with (
+        serving(slave, baud=9600, dpv1={"response_timeout_ms": 12_000}) as (bus, _),  # few telegrams
+        bus.class2.connect(9, response_timeout=12) as connection,
+    ):
+        first, second = await asyncio.gather(bus.slave(9).read(1, 1), connection.read(1, 1))
+    assert first == second == b"\x07"
 
 
-def test_the_slave_goes_while_it_is_read(world: WorldFactory) -> None:
-    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+@in_virtual_time
+async def test_the_slave_goes_while_it_is_read(world: WorldFactory) -> None:
+    async with rig(world()) as (bus, served):
         reading = asyncio.create_task(bus.slave(9).read(1, 11))
         await asyncio.sleep(0.1)
         served.restart()
@@ -222,8 +200,6 @@ def test_the_slave_goes_while_it_is_read(world: WorldFactory) -> None:
         cancelled.cancel()
         with pytest.raises(asyncio.CancelledError):
             await cancelled
-
-    rig(world(), program)
 
 
 @in_virtual_time
@@ -242,18 +218,17 @@ async def test_a_slave_without_dpv1(world: WorldFactory) -> None:
         assert (caught.value.service, caught.value.status) == ("Read", "RS")
 
 
-def test_only_what_is_served(world: WorldFactory) -> None:
-    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+@in_virtual_time
+async def test_services_without_a_function_are_refused(world: WorldFactory) -> None:
+    async def nothing(slot: int, index: int) -> bytes:
+        return b""
+
+    async with serving(mirror(on_read=nothing), world()) as (bus, _):
         assert await bus.slave(9).read(0, 0) == b""
         with pytest.raises(AcyclicError, match="access denied"):
             await bus.slave(9).write(0, 0, b"\1")
         with pytest.raises(AcyclicError):
             await bus.slave(9).im()
-
-    async def nothing(slot: int, index: int) -> bytes:
-        return b""
-
-    rig(world(), program, slave=DpSlave(RIG, lambda outputs, elapsed: outputs, on_read=nothing))
 
 
 # --- the key dpv1 ---------------------------------------------------------------------------------------------------
@@ -314,72 +289,69 @@ def test_left_out_it_is_on_where_the_parameters_say_so() -> None:
     assert setup(OCTETS.replace("00 00 00", "80 00 00") + "dpv1 = false\n")[0] is None
 
 
-@pytest.mark.parametrize(
-    ("keys", "text"),
-    [
-        ('ident = 1\nconfig = "10"\ndpv1 = true\n', "three DPV1_Status octets, 0 are there"),
-        (OCTETS + "dpv1 = 1\n", "dpv1 = 1 is an integer; it must be a table"),
-        (OCTETS + "dpv1 = { alarm = 1 }\n", "unknown key 'alarm'; did you mean 'alarms'?"),
-        (OCTETS + 'dpv1 = { alarms = ["fire"] }\n', "it is a list of these: pull_plug, process"),
-        (OCTETS + "dpv1 = { alarm_mode = 8 }\n", "alarm_mode = 8 is outside 0..7"),
-        (OCTETS + "dpv1 = { blocks = 1 }\n", "blocks is no list of tables"),
-        (OCTETS + "dpv1 = { blocks = [{ slot = 1 }] }\n", "blocks 1: no type"),
-        (OCTETS + "dpv1 = { blocks = [{ type = 1, slot = 255 }] }\n", "slot = 255 is outside 0..254"),
-        (
-            OCTETS + 'dpv1 = { blocks = [{ type = "prm" }] }\n',
-            "there is no type 'prm'; a number, or one of these: prm_cmd,",
-        ),
-        (
-            OCTETS + 'dpv1 = { blocks = [{ type = "prm_cmd", colour = 1 }] }\n',
-            "blocks 1: unknown key 'colour'; known keys: type, slot, specifier, data, function, properties, output",
-        ),
-        (
-            OCTETS + 'dpv1 = { blocks = [{ type = 2, data = "01 02" }] }\n',
-            "type 2 (prm_cmd) has 4 octets of data, there",
-        ),
-        (OCTETS + 'dpv1 = { blocks = [{ type = 2, data = "", function = 1 }] }\n', "function beside data"),
-        (OCTETS + "dpv1 = { blocks = [{ type = 2, function = 256 }] }\n", "function = 256 does not fit its octets"),
-        (OCTETS + "dpv1 = { blocks = [{ type = 3 }] }\n", "entries is no list of tables; write [{ publisher = 0, "),
-        (OCTETS + "dpv1 = { blocks = [{ type = 3, entries = [{ publisher = 1 }] }] }\n", "no publisher_length"),
-        (OCTETS + f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 231}" }}] }}\n', "231 octets, 230 are possible"),
-        (OCTETS + f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 230}" }}] }}\n', "242 octets of user parameters"),
-    ],
-)
-def test_refused(keys: str, text: str) -> None:
-    with pytest.raises(ConfigError) as caught:
-        setup(keys)
-    assert text in str(caught.value)
+ALARMS = "it is a list of these: pull_plug, process, diagnostic, manufacturer, status, update"
 
 
 @pytest.mark.parametrize(
-    ("keys", "text"),
+    ("dpv1", "text"),
     [
-        ("dpv1 = 1\n", "10: [[slave]] io: dpv1 = 1 is an integer; it must be a table of its keys, true or false"),
+        ("1", " = 1 is an integer; it must be a table of its keys, true or false"),
+        ("{ alarm = 1 }", ": unknown key 'alarm'; did you mean 'alarms'?"),
+        ('{ alarms = ["fire"] }', f": alarms holds 'fire', which is none; {ALARMS}"),
+        ('{ alarms = ["process", "pull"] }', f": alarms holds 'pull', which is none; {ALARMS}"),
+        ('{ alarms = [["process"]] }', f": alarms holds ['process'], which is none; {ALARMS}"),
         (
-            'dpv1 = { alarms = ["process", "pull"] }\n',
-            "10: [[slave]] io: dpv1: alarms holds 'pull', which is none; it is a list of these: pull_plug, process, "
-            "diagnostic, manufacturer, status, update",
+            "{ alarm_mode = 8 }",
+            ": alarm_mode = 8 is outside 0..7; 0: one of each kind at a time, 1..7: 2, 4, 8 ... 32 in all",
+        ),
+        ("{ blocks = 1 }", ': blocks is no list of tables; write [{ type = 0x81, slot = 0, data = "00 01" }]'),
+    ],
+)
+def test_the_refusal_of_dpv1_names_line_key_and_remedy(dpv1: str, text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        setup(f"{OCTETS}dpv1 = {dpv1}\n")
+    assert str(caught.value).partition(":")[2] == f"10: [[slave]] io: dpv1{text}"
+
+
+LINK = "{ publisher = 0, publisher_length = 0, sample_offset = 0, sample_length = 0 }"
+
+
+@pytest.mark.parametrize(
+    ("block", "text"),
+    [
+        ("slot = 1", 'no type; "user_prm" (0x81), "prm_cmd" (2) ...; its manual knows the others'),
+        ("type = 1, slot = 255", "slot = 255 is outside 0..254; correct it or leave it out"),
+        (
+            'type = "prm"',
+            "there is no type 'prm'; a number, or one of these: prm_cmd, dxb_links, isochronous, f_parameters, "
+            "dxb_subscribers, time_ar, user_prm",
         ),
         (
-            'dpv1 = { alarms = [["process"]] }\n',
-            "10: [[slave]] io: dpv1: alarms holds ['process'], which is none; it is a list of these: pull_plug, "
-            "process, diagnostic, manufacturer, status, update",
+            'type = "prm_cmd", colour = 1',
+            "unknown key 'colour'; known keys: type, slot, specifier, data, function, properties, output_hold_time",
         ),
+        ('type = 2, data = "01 02"', "type 2 (prm_cmd) has 4 octets of data, there are 2; correct it"),
+        ('type = 2, data = "", function = 1', "function beside data; leave function out, or data"),
+        ("type = 2, function = 256", "PrmCmd: function = 256 does not fit its octets; correct it"),
+        ("type = 3", f"entries is no list of tables; write [{LINK}]"),
+        ("type = 3, entries = [{ publisher = 1 }]", f"entries 1: no publisher_length; write {LINK}"),
         (
-            "dpv1 = { blocks = [{ type = 2, function = 256 }] }\n",
-            "10: [[slave]] io: dpv1: blocks 1: PrmCmd: function = 256 does not fit its octets; correct it",
-        ),
-        (
-            f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 231}" }}] }}\n',
-            "10: [[slave]] io: dpv1: blocks 1: parameter block of type 1: 231 octets, 230 are possible; correct it",
+            f'type = 1, data = "{"00" * 231}"',
+            "parameter block of type 1: 231 octets, 230 are possible; correct it",
         ),
     ],
 )
-def test_a_refusal_says_once_where(keys: str, text: str) -> None:
+def test_the_refusal_of_a_block_names_its_number_and_the_remedy(block: str, text: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        setup(OCTETS + keys)
-    place, _, told = str(caught.value).partition(":")
-    assert told == text, place
+        setup(f"{OCTETS}dpv1 = {{ blocks = [{{ {block} }}] }}\n")
+    assert str(caught.value).partition(":")[2] == f"10: [[slave]] io: dpv1: blocks 1: {text}"
+
+
+def test_dpv1_needs_its_three_octets_and_room_for_its_blocks() -> None:
+    with pytest.raises(ConfigError, match="three DPV1_Status octets, 0 are there"):
+        setup('ident = 1\nconfig = "10"\ndpv1 = true\n')
+    with pytest.raises(ConfigError, match="242 octets of user parameters"):
+        setup(f'{OCTETS}dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 230}" }}] }}\n')
 
 
 def test_a_block_that_cannot_be() -> None:
