@@ -2,14 +2,14 @@
 
 - ``active/``: The active station: token, exchange, ring
 - ``passive/``: Passive stations
-- ``allowance``: The share of the bus time that polls of addresses may take at which there may be no station
+- ``allowance``: Limit of the bus time for polls of addresses where no station may be
 - ``baud_search``: Search for the baud rate by listening only, and the rule that recognises a rate
-- ``codec``: Telegrams to octets and back: SD1, SD2, SD3, SD4 and SC, the FC octet, address extension octets, FCS
+- ``codec``: Codec between telegrams and octets: SD1, SD2, SD3, SD4 and SC, the FC octet, address extension octets, FCS
 - ``commands``: Orders to the link layer of an active station, and actions at a passive station
-- ``decoder``: Octets as they arrive to telegrams: incremental, driven by length, resynchronising octet by octet
-- ``describe``: Telegrams and wire logs as text
+- ``decoder``: Incremental decoder from octets to telegrams: driven by length, resynchronising octet by octet
+- ``describe``: Telegrams and wire logs as text, for ``decode``, ``capture`` and failing tests
 - ``events``: Events of the link layer: the token ring, stations that come and go, requests that fit into no cycle
 - ``interface``: Interfaces of the link layer: to its users, to the application of a passive station, to the medium
-- ``livelist``: The live list: which stations 0..126 are on the bus, of what type and how ready, asked by FDL status
+- ``livelist``: The live list: stations 0..126 on the bus with type and readiness, polled by FDL status
 - ``telegram``: FDL telegrams as values: kinds, function codes, service access points
 """

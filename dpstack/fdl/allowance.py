@@ -1,4 +1,4 @@
-"""The share of the bus time that polls of addresses may take at which there may be no station."""
+"""Limit of the bus time for polls of addresses where no station may be."""
 
 from __future__ import annotations
 

@@ -49,19 +49,19 @@ class Confidence(Enum):
 
 
 class Evidence:
-    """Octets and telegrams received at one rate; ``run``: telegrams in a row. ``stall_ns``: see the decoder."""
+    """Octets and telegrams received at one rate. ``run``: number of telegrams in a row; ``stall_ns``: see Decoder."""
 
     def __init__(self, stall_ns: int) -> None:
         self._decoder = Decoder(stall_ns=stall_ns)
         self.octets = 0
-        #: octets that belonged to no telegram, since the last one that was
+        #: octets since the last telegram that belong to no telegram
         self.unassigned = 0
-        self._skipped = 0  # by the decoder, up to the last call
+        self._skipped = 0  # octets skipped by the decoder up to the last call
         self._begin_run()
 
     def _begin_run(self) -> None:
         self.run = self._checked = 0
-        self._tokens: dict[Telegram, int] = {}  # of the run, how often
+        self._tokens: dict[Telegram, int] = {}  # tokens of the run with their numbers
         self._token: Telegram | None = None  # the last one of the run
         self._last: Telegram | None = None
 
@@ -79,7 +79,7 @@ class Evidence:
         """Whether the run would be enough if it went on with the same telegrams."""
         return self._checked > 0 or len(self._tokens) > 1 or any(count > 1 for count in self._tokens.values())
 
-    def hear(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> None:
         self.octets += len(chunk)
         for at in range(len(chunk)):
             self._judge(self._decoder.feed(chunk[at : at + 1], now))
@@ -91,11 +91,11 @@ class Evidence:
         self._add_to_run(telegram)
 
     def stall_at(self) -> int:
-        """When :meth:`wake` is wanted, in ns."""
+        """Deadline for :meth:`wake` in ns: the unfinished telegram stalls then."""
         return self._decoder.stall_at()
 
     def wake(self, now: int, *, given_up: bool = False) -> None:
-        """Give up a telegram that has stalled (or surely does not go on: ``given_up``)."""
+        """Give up the unfinished telegram if it has stalled. ``given_up``: in any case."""
         if given_up or self._decoder.stall_at() <= now:
             self._judge(self._decoder.stalled(now))
 
@@ -216,7 +216,7 @@ class AutoBaud:
         self._octets = 0  # received in earlier dwells
         self._at = 0
         self._complete = False
-        self._extended = False  # the dwell, because the run was nearly long enough
+        self._extended = False  # the dwell is extended, because the run was nearly long enough
         self._settled_at = self._dwell_until = now
         self._evidence = Evidence(0)
         self._events: list[Event] = []
@@ -233,7 +233,7 @@ class AutoBaud:
     def receive(self, chunk: bytes, now: int) -> None:
         """Octets received at :attr:`baud`."""
         if self._counts(now):
-            self._evidence.hear(chunk, now)
+            self._evidence.receive(chunk, now)
             self._decide(now)
 
     def telegram(self, telegram: Telegram, now: int) -> None:
@@ -253,7 +253,7 @@ class AutoBaud:
         """Ignored: a start edge is no evidence of the rate."""
 
     def refused(self, now: int) -> None:
-        """The port cannot do :attr:`baud`: it is not tried again. Raises ConfigError when it was the last one."""
+        """The port refuses :attr:`baud`: leave this rate out. Raises ConfigError when no rate is left."""
         rate = self._rates.pop(self._at)
         if not self._rates:
             raise ConfigError(f"the port knows none of the rates asked for, not even {baud_text(rate)}")
@@ -284,7 +284,7 @@ class AutoBaud:
         return min(self._dwell_until, self._evidence.stall_at(), self._end())
 
     def sent(self, at: int) -> None:
-        """Never called: it sends nothing."""
+        """Never called, because the search sends nothing."""
 
     def take_tx(self, now: int) -> None: ...
 

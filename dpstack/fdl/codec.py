@@ -1,10 +1,10 @@
-"""Telegrams to octets and back: SD1, SD2, SD3, SD4 and SC, the FC octet, address extension octets, FCS.
+"""Codec between telegrams and octets: SD1, SD2, SD3, SD4 and SC, the FC octet, address extension octets, FCS.
 
 Layouts: docs/protocol.md#telegrams, docs/protocol.md#addresses (extension octets: those of DA come first, then SA's),
 docs/protocol.md#function-code.
 
-:func:`parse` is the only place that judges octets. It looks at what is there, so that a frame that cannot become a
-telegram is recognised by the first octet that says so and not at its end.
+Only :func:`parse` judges octets. It recognises a frame that cannot become a telegram by the first octet that shows it,
+not at the end of the frame.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dpstack.params import BROADCAST, UNADDRESSED
 
 SC_OCTETS: Final = b"\xe5"
 
-#: LE of an SD2 telegram without a data unit: DA, SA, FC. Two known slaves answer so; it is accepted and never sent.
+#: LE of an SD2 telegram without a data unit: DA, SA, FC. Two known slaves send it; dpstack accepts and never sends it.
 EMPTY_LE: Final = 3
 
 _EXTENDED: Final = 0x80  # bit 7 of DA or SA: address extension octets follow
@@ -31,24 +31,24 @@ _SD2: Final = int(Kind.SD2)
 _SD3: Final = int(Kind.SD3)
 _SD4: Final = int(Kind.SD4)
 _SC: Final = int(Kind.SC)
-# an enum's member costs ten times a name of the module
+# names of the module, because the look-up of an enum's member takes ten times as long
 _KIND_SD1: Final = Kind.SD1
 _KIND_SD2: Final = Kind.SD2
 _KIND_SD4: Final = Kind.SD4
 
-#: FCS and ED by FCS, made once; the octets before the data are kept too (:func:`_head`)
+#: FCS and ED by FCS; :func:`_head` caches the octets before the data
 _TAILS: Final = tuple(bytes((check, ED)) for check in range(256))
-#: so many heads are kept: 126 stations with both FCB each way are 504
+#: number of cached heads: 126 stations with both FCB and both directions have 504
 _KEPT_HEADS: Final = 1_024
-_NEW = tuple.__new__  # NamedTuple's own constructor costs twice as much
+_NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
 
 
 class Flaw(Enum):
-    """Why octets are no telegram. The value is the counter's name in ``DecoderStats``."""
+    """The reasons why octets are no telegram. The value is the counter's name in ``DecoderStats``."""
 
     BAD_START = "bad_start"  # no start octet
     LE_MISMATCH = "le_mismatch"  # LE and its repetition differ
-    LE_RANGE = "le_range"  # LE outside 4..249 (3 is let through as an empty data unit)
+    LE_RANGE = "le_range"  # LE outside 4..249 (3 is accepted as an empty data unit)
     BAD_SECOND_SD = "bad_second_sd"  # no second SD2 behind LEr
     BAD_ED = "bad_ed"
     BAD_FCS = "bad_fcs"
@@ -74,7 +74,7 @@ def encode_sd1(da: int, sa: int, fc: int) -> bytes:
 def encode_sd2(da: int, sa: int, fc: int, data: bytes = b"", dsap: int | None = None, ssap: int | None = None) -> bytes:
     """A telegram with data: ``data`` 0..246 octets less one for each SAP, which are 0..63 or None for absent.
 
-    Raises ValueError; without data and SAPs there is nothing to put into an SD2: that is an SD1.
+    Raises ValueError; also without data and SAPs, because that telegram is an SD1.
     """
     head, check = _head(da, sa, fc, len(data), dsap, ssap)
     return head + data + _TAILS[(check + sum(data)) & 0xFF]
@@ -84,7 +84,7 @@ def encode_sd2(da: int, sa: int, fc: int, data: bytes = b"", dsap: int | None = 
 def _head(
     da: int, sa: int, fc: int, size: int, dsap: int | None, ssap: int | None, *segments: int | None
 ) -> tuple[bytes, int]:
-    """The octets before the ``size`` octets of data, and their part of the FCS; made once for all data.
+    """The octets before the ``size`` octets of data, and their part of the FCS; cached.
 
     In data exchange only FCB, data and FCS change from one request to the next. ``segments``: DSEG and SSEG.
     """
@@ -121,14 +121,14 @@ def encode_token(da: int, sa: int) -> bytes:
 
 
 def request_octets(da: int, sa: int, fc: int, data: bytes, dsap: int | None, ssap: int | None) -> bytes:
-    """The shortest telegram that carries this (a request or a response): SD1 when there is nothing to put into SD2."""
+    """The shortest telegram for a request or a response: SD1 without data and SAPs, else SD2."""
     if data or dsap is not None or ssap is not None:
         return encode_sd2(da, sa, fc, data, dsap, ssap)
     return encode_sd1(da, sa, fc)
 
 
 def encode(telegram: Telegram) -> bytes:
-    """Any telegram in octets. Raises ValueError on what cannot be or is never sent: SD3, SD2 without a data unit."""
+    """Any telegram in octets. Raises ValueError on impossible values, SD3, and SD2 without a data unit."""
     kind, da, sa, fc, dsap, ssap, data, dseg, sseg = telegram
     match kind:
         case Kind.SD1:
@@ -155,15 +155,15 @@ def decode(octets: bytes | bytearray) -> Telegram | None:
     """The one telegram that ``octets`` are from the first to the last, or None."""
     size = len(octets)
     if not size or (octets[1] + 6 if octets[0] == _SD2 and size > 1 else _FIXED.get(octets[0])) != size:
-        return None  # by what a telegram with these first octets has to have (see claimed)
+        return None  # the length of a telegram with these first octets (see claimed)
     telegram = parse(octets, 0, size)
     return telegram if type(telegram) is Telegram else None
 
 
 def claimed(octets: bytes | bytearray, at: int, end: int) -> int:
-    """How many octets the frame that begins at ``at`` claims to have; 1 when its first octet is no start octet.
+    """The number of octets that the frame at ``at`` claims to have; 1 when its first octet is no start octet.
 
-    Where LE and LEr differ it is the longer one: this says how far a damaged frame may reach.
+    If LE and LEr differ, the longer one counts, as the farthest end of a damaged frame.
     """
     start = octets[at]
     if start == _SD2:
@@ -180,7 +180,7 @@ _FIXED: Final = {_SD1: 6, _SD3: 14, _SD4: 3, _SC: 1}
 
 
 def parse(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:
-    """The telegram that begins at ``octets[at]``, why there is none, or None while octets before ``end`` are missing.
+    """The telegram at ``octets[at]``, or the flaw, or None while ``end`` is before the end of the telegram.
 
     Needs ``at < end <= len(octets)``. A telegram's length is :func:`claimed`. Never raises.
     """
@@ -221,12 +221,12 @@ def _content(kind: Kind, body: bytes | bytearray) -> Telegram | Flaw:
     if fc > 0x7F and fc & 0xCF != 0xC0:
         return Flaw.BAD_FC
     if da < 0x80 and sa < 0x80:
-        # no extension octets: what data exchange looks like
+        # no extension octets, as in data exchange
         if sa == BROADCAST:
             return Flaw.BAD_ADDRESS
         return _NEW(Telegram, (kind, da, sa, fc, None, None, bytes(body[3:]), None, None))
     if da & sa & 0x80 and len(body) > 4 and body[3] <= _VALUE and body[4] <= _VALUE:
-        # both SAPs, one octet each: what DP services look like
+        # both SAPs, one octet each, as in DP services
         if sa == 0xFF:
             return Flaw.BAD_ADDRESS
         return _NEW(Telegram, (kind, da & 0x7F, sa & 0x7F, fc, body[3], body[4], bytes(body[5:]), None, None))
@@ -263,7 +263,7 @@ def _extended(kind: Kind, body: bytes | bytearray) -> Telegram | Flaw:
 
 
 def _short_sd2(octets: bytes | bytearray, at: int, end: int) -> Flaw | None:
-    """An SD2 frame shorter than the shortest, judged by the octets that are there."""
+    """The flaw in the first octets of an SD2 frame that is shorter than the shortest, or None."""
     have = end - at
     if have > 1 and not EMPTY_LE <= octets[at + 1] <= MAX_LE:
         return Flaw.LE_RANGE
@@ -276,7 +276,7 @@ def _short_sd2(octets: bytes | bytearray, at: int, end: int) -> Flaw | None:
 
 def _parse_sd1(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:
     have = end - at
-    # no data unit: nowhere for extension octets
+    # without a data unit there is no room for extension octets
     if (have > 1 and octets[at + 1] > BROADCAST) or (have > 2 and octets[at + 2] > UNADDRESSED):
         return Flaw.BAD_ADDRESS
     if have < 6:
@@ -294,7 +294,7 @@ def _parse_sd1(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw 
 
 
 def _parse_token(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:
-    # nothing protects a token but its addresses: both 0..126, no extension bit
+    # only the addresses protect a token: both 0..126, no extension bit
     have = end - at
     if (have > 1 and octets[at + 1] > UNADDRESSED) or (have > 2 and octets[at + 2] > UNADDRESSED):
         return Flaw.BAD_ADDRESS

@@ -36,8 +36,7 @@ class AttachUser(Order, ABC):
 
 
 class DetachUser(Order):
-    """Remove the user that was added with the order ``token``, if it is there. It gets no result of a request under
-    way."""
+    """Remove the user with the order ``token``, if there is one. It gets no result of its current request."""
 
     ENDS = True
 

@@ -1,17 +1,17 @@
-"""Octets as they arrive to telegrams: incremental, driven by length, resynchronising octet by octet.
+"""Incremental decoder from octets to telegrams: driven by length, resynchronising octet by octet.
 
 Real ports show neither the 33-bit pause nor gaps between characters, so a telegram ends where its length says so, and
 the decoder gives up an unfinished one after the stall time that the caller sets. When octets are no telegram, the
 decoder skips the first one and tries again from the next one.
 
-SC and the token carry no check sequence: an 0xE5 among the data of a damaged telegram would look like an
-acknowledgement. So within the length that a rejected frame claims by its LE the decoder accepts only telegrams with
-FCS. It only counts an SC or a token there, as *doubtful*. The same holds where the first octet of the frame was lost
-and the decoder finds the second SD. The rule ends with the first telegram with FCS, at the end of the length, or when
-the line was silent for the stall time.
+SC and the token have no check sequence: an 0xE5 in the data of a damaged telegram would look like an acknowledgement.
+So the decoder accepts only telegrams with FCS within the length that the LE of a rejected frame claims. It counts an SC
+or a token there as *doubtful*. The same rule applies if the first octet of the frame was lost and the decoder finds the
+second SD. The rule ends with the first telegram with FCS, at the end of the length, or after silence for the stall
+time.
 
-A station that sends garbage without end must not use up the processor time: regular expressions find runs of octets
-that cannot begin a telegram, one step for the run instead of one for each octet.
+A station that sends garbage without end must not use up the processor time: the decoder skips a run of octets that
+cannot begin a telegram in one step, found by a regular expression.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _LE3_SIZE: Final = EMPTY_LE + 6
 
 @dataclass(slots=True)
 class DecoderStats:
-    """Counters of one decoder, always on. A damaged telegram counts once, by the first thing found wrong."""
+    """Counters of a decoder. A damaged telegram counts once, under the first flaw found."""
 
     octets: int = 0
     telegrams: int = 0
@@ -58,8 +58,8 @@ class DecoderStats:
     bad_address: int = 0
     bad_extension: int = 0
     bad_fc: int = 0
-    stalled: int = 0  # telegrams whose rest did not come
-    doubtful: int = 0  # octets inside a damaged frame that begin an SC or a token, not taken
+    stalled: int = 0  # telegrams that stayed unfinished for the stall time
+    doubtful: int = 0  # octets inside a damaged frame that look like SC or the begin of a token
 
     @property
     def bad(self) -> int:
@@ -76,21 +76,21 @@ class DecoderStats:
 
 
 class Decoder:
-    """One receiver's decoder. ``stall_ns``: the pause after which a telegram that has begun is given up.
+    """The decoder of a receiver. ``stall_ns``: it gives up an unfinished telegram after this pause.
 
-    An SD2 with LE = 3 comes out as a telegram without data and SAPs (``Telegram.empty_le3`` tells it) and is counted.
+    It accepts an SD2 with LE = 3 as a telegram without data and SAPs (``Telegram.empty_le3``) and counts it.
     """
 
     def __init__(self, *, stall_ns: int) -> None:
         self.stall_ns = stall_ns
         self.stats = DecoderStats()
-        #: called with a counter's name and the number of damaged telegrams, for a caller who knows their sender
+        #: callback with a counter's name and the number of damaged telegrams, for a caller that knows their sender
         self.on_bad: Callable[[str, int], None] | None = None
         #: octets of an unfinished telegram; other classes only read whether it is empty
         self.pending = bytearray()
-        self._doubt = 0  # number of octets, pending or still to come, inside a rejected frame
-        self._tail = b""  # of the octets skipped just before: LE and LEr, if a second SD follows
-        self._last = 0  # when octets came last; kept only while octets are held or in doubt
+        self._doubt = 0  # number of octets, pending or future, inside a rejected frame
+        self._tail = b""  # the last two skipped octets: LE and LEr, if a second SD follows
+        self._last = 0  # time of the last octets, valid only while octets are pending or in doubt
 
     def feed(self, chunk: bytes, now: int) -> list[Telegram]:
         """The telegrams that end within ``chunk``, in order; ``now`` in ns. Never raises."""
@@ -108,17 +108,17 @@ class Decoder:
         return self._feed_slowly(chunk, now)
 
     def stall_at(self) -> int:
-        """When the pending telegram counts as stalled, in ns; NEVER when nothing is pending."""
+        """Time in ns at which the pending telegram stalls; NEVER without one."""
         return self._last + self.stall_ns if self.pending else NEVER
 
     def stalled(self, now: int) -> list[Telegram]:
-        """Give up the pending telegram; returns those found in the rest of its octets (``now`` in ns)."""
+        """Give up the pending telegram; returns the telegrams in the rest of its octets (``now`` in ns)."""
         held = self.pending
         if not held:
             return []
         if not self._doubt:  # else a start inside a damaged frame, which is counted already
             self._count("stalled")
-        # silence has ended whatever these octets are: none of them waits for more
+        # the silence has ended any telegram: search the octets without waiting for more
         self._doubt = len(held)
         found: list[Telegram] = []
         at = 0
@@ -131,7 +131,7 @@ class Decoder:
         return found
 
     def reset(self) -> None:
-        """Forget what is pending (the line went away); counters stay."""
+        """Forget the pending octets, because the line went down; counters stay."""
         self.pending.clear()
         self._doubt = 0
         self._tail = b""
@@ -203,7 +203,7 @@ class Decoder:
         return at
 
     def _stuck(self, flaw: Flaw, at: int, stop: int) -> int:
-        """A run of one start octet, as damaged telegrams one after another; returns where the last of them begins."""
+        """Skip a run of one start octet as damaged telegrams in a row; returns the begin of the last one."""
         held = self.pending
         size = claimed(held, at, stop)
         times = (stop - at) // size - 1
@@ -213,7 +213,7 @@ class Decoder:
         return self._skip(at, at + times * size)
 
     def _skip_in_doubt(self, at: int, stop: int) -> int:
-        """A run inside a rejected frame at which no telegram with FCS begins: the SC and tokens in it do not count."""
+        """Skip a run inside a rejected frame in which no telegram with FCS begins; SC and tokens in it are doubtful."""
         held = self.pending
         self.stats.doubtful += held.count(Kind.SC, at, stop) + held.count(Kind.SD4, at, stop)
         if held[stop - 1] == Kind.SD2:  # in a run of 0x68 each one is a second SD to those before it
@@ -221,13 +221,13 @@ class Decoder:
         return self._skip(at, stop)
 
     def _skip(self, at: int, stop: int) -> int:
-        """The octets up to ``stop`` belong to no telegram; returns ``stop``."""
+        """Skip the octets up to ``stop``, which belong to no telegram; returns ``stop``."""
         self._tail = (self._tail + self.pending[max(at, stop - 2) : stop])[-2:]
         self.stats.skipped += stop - at
         return stop
 
     def _headless(self, in_doubt: bool) -> int:
-        """Octets to the end of the telegram whose second SD this may be, the first one being lost; 0: there is none."""
+        """Octets to the end of a telegram whose first SD was lost, if this is its second SD; 0: it is not."""
         tail = self._tail
         if not tail or not EMPTY_LE <= tail[-1] <= MAX_LE:
             return 0

@@ -1,4 +1,4 @@
-"""Telegrams and wire logs in words, for people: what a failing test prints, what ``decode`` and ``capture`` show.
+"""Telegrams and wire logs as text, for ``decode``, ``capture`` and failing tests.
 
 The DP services are recognised by their service access points (docs/protocol.md#saps).
 """
@@ -75,17 +75,17 @@ _SHORT_NAMES: Final[dict[int, str]] = {
 #: Global_Control octet 1, in the order of the bits; Operate is the absence of Clear_Data
 _CONTROLS: Final = ((0x04, "Unfreeze"), (0x08, "Freeze"), (0x10, "Unsync"), (0x20, "Sync"))
 
-#: describes the content of a telegram in words; empty where it is unknown
+#: describes the content of a telegram in words; empty text for unknown content
 Inside = Callable[[Telegram], str]
 
-#: so many octets of a transmission are shown in full
+#: longer transmissions are shown without their middle
 SHOWN_OCTETS: Final = 32
 
 
 def service(telegram: Telegram) -> str:
     """The name of the service a telegram belongs to: ``Set_Prm``, ``Data_Exchange``, ``token``, ``SC`` ...
 
-    A response without SAPs and data belongs to whatever was asked: ``acknowledgement``.
+    A response without SAPs and data can belong to any request: ``acknowledgement``.
     """
     if telegram.kind is Kind.SC:
         return "SC"
@@ -102,7 +102,7 @@ def service(telegram: Telegram) -> str:
 
 
 def request_name(request: Request) -> str:
-    """The name of the service that a request not yet sent belongs to."""
+    """The name of the service of a request."""
     return _BY_FUNCTION.get(request.function) or _by_saps(request.dsap, request.ssap)
 
 
@@ -121,7 +121,7 @@ def _nothing(_: Telegram) -> str:
 
 
 def describe(telegram: Telegram, inside: Inside = _nothing) -> str:
-    """One line for people, without line end: service, addresses, and what is in it (``inside`` says that in words).
+    """A line of text without line end: service, addresses, and the content (``inside`` describes it in words).
 
     >>> describe(Telegram(Kind.SD2, 3, 2, 0x5D, 61, 62, bytes(7)))
     'Set_Prm request 2 -> 3, 7 octets (SRD high, FCV=1 FCB=0)'
@@ -184,7 +184,7 @@ def _global_control(data: bytes) -> str:
 
 
 def describe_octets(octets: bytes, inside: Inside = _nothing) -> str:
-    """The telegram that ``octets`` are, in words, or why they are none."""
+    """The telegram in ``octets`` in words, or the reason why they are no telegram."""
     if not octets:
         return "nothing"
     telegram = decode(octets)
@@ -197,8 +197,8 @@ def describe_octets(octets: bytes, inside: Inside = _nothing) -> str:
 
 
 def render(log: Iterable[WireEntry], baud: int, inside: Inside = _nothing) -> str:
-    """The decoded wire log, a line for each transmission: start in us, gap to the one before in bit times, sender,
-    octets in hex (the middle of long ones left out), what it is. A negative gap is an overlap.
+    """The decoded wire log, a line for each transmission: start in us, gap before it in bit times, sender, octets in
+    hex (long ones without their middle), description. A negative gap is an overlap.
     """
     entries = list(log)
     shown = [_hex(entry.octets) for entry in entries]

@@ -8,13 +8,13 @@ from dpstack.fdl.telegram import StationType
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ms_text
 
-#: a request that is too long for every time window between two cycles waits for this many cycles; then the station
-#: sends it, at most one such request in this many cycles
+#: a request that is too long for every time window between two cycles waits for this number of cycles; then the station
+#: sends it, and at most one such request in this number of cycles
 HELD_BACK_CYCLES: Final = 8
 
 
 class RingJoined(Event):
-    """This station holds its first token: claimed on a silent bus, or given by another master."""
+    """This station holds its first token: it claimed the token on a silent bus, or another master passed it."""
 
     address: int
     claimed: bool
@@ -36,11 +36,11 @@ class RingLeft(Event):
 
 
 class MasterSeen(Event):
-    """Another master appeared in, or vanished from, the list of active stations."""
+    """Another master joined or left the list of active stations (LAS)."""
 
     address: int
     present: bool
-    #: it was in the ring before this station, so the time of its joining is unknown
+    #: the master was in the ring before this station, so the time of its joining is unknown
     before: bool = False
 
     def _text(self) -> str:
@@ -69,7 +69,7 @@ class TokenLost(Event):
 
 
 class StationFound(Event):
-    """A GAP poll was answered by a station not seen before, or one seen before fell silent (kind None)."""
+    """A new station answered a poll, or a known station no longer answers (kind None)."""
 
     address: int
     kind: StationType | None
@@ -81,7 +81,7 @@ class StationFound(Event):
 
 
 def le3_notice(source: str, sender: int, now: int) -> Notice:
-    """Reported once for each ``sender`` of SD2 telegrams with LE = 3."""
+    """Notice about a ``sender`` of SD2 telegrams with LE = 3; the caller reports it once for each sender."""
     message = (
         f"station {sender} sends SD2 telegrams without a data unit (LE = 3), which no standard knows; "
         "they are taken as empty"
@@ -90,7 +90,7 @@ def le3_notice(source: str, sender: int, now: int) -> Notice:
 
 
 class DoesNotFit(Event):
-    """A request that fits between no two cycles was sent after its wait; reported once for each service.
+    """A request that fits between no two cycles is sent after its wait; reported once for each service.
 
     ``takes_ns``: its longest duration; ``slack_ns``: the port's slack in each of its slot times.
     """

@@ -1,7 +1,8 @@
 """Interfaces of the link layer: to its users, to the application of a passive station, to the medium.
 
-The link layer asks for the next request when it holds the token; DP master, live list and scanner are users side by
-side. It owns FC, FCB, retries, slot times and the token; a user chooses requests and judges the answers.
+DP master, live list and scanner are users of the link layer, side by side. The link layer asks them for the next
+request when it holds the token. It manages FC, FCB, retries, slot times and the token; a user chooses the requests and
+evaluates the answers.
 """
 
 from __future__ import annotations
@@ -16,20 +17,20 @@ from dpstack.machine import Machine
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_S
 
-#: value of ``extra_ns`` for a request to an unknown station that waits as long as for a known one, if there is time
+#: value of ``extra_ns`` for a request to an unknown station that gets the time-out of a known one, if there is time
 LONG_NS: Final = NS_PER_S
 
 
 class Request(NamedTuple):
-    """One request of a link user. ``data`` is the data unit without SAP octets (0..244 octets).
+    """A request of a link user. ``data`` is the data unit without SAP octets (0..244 octets).
 
     ``function`` contains the priority (SRD_HIGH, SRD_LOW ...). ``patient``: wait with the slack of a known station
     (:class:`dpstack.phy.patience.Patience`). ``extra_ns``: additional wait for an unknown station, up to that slack and
     as far as a fixed cycle and other masters have time. ``retry`` False: only one attempt. ``restart``: begin with FCV
     0 and FCB 1, whatever the state of the station. ``tag``: for the user alone. ``answer``: largest number of data
     octets in the answer, if known. ``cyclic``: part of a fixed cycle, never held back. ``still``: the station calls it
-    with the time before a repetition, and before a telegram that the driver sends late; False: the data are too old,
-    and the request ends as ABANDONED.
+    with the time before a repetition, and before a telegram that the driver sends late; if it returns False, the data
+    are too old and the request ends as ABANDONED.
     """
 
     da: int
@@ -48,10 +49,10 @@ class Request(NamedTuple):
 
 
 class Failure(Enum):
-    """Why a request has no answer."""
+    """Reasons for a request without answer."""
 
     NO_ANSWER = "no answer"  # slot time over, retries used up
-    GARBLED = "garbled answer"  # octets came, no telegram
+    GARBLED = "garbled answer"  # octets came, but no telegram
     WRONG = "wrong answer"  # a telegram that does not answer this request: other SAPs, another station
     ABANDONED = "abandoned"  # the station left the ring or went offline meanwhile, or Request.still said no
     REFUSED = "refused by this station's guard"  # never sent: this station may not (Guard)
@@ -72,10 +73,10 @@ class LinkUser(Protocol):
         return
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
-        """The next request of this token hold, or None when there is nothing more in this hold.
+        """The next request of this token hold, or None when the user has no more in this hold.
 
-        ``high_only``: T_TH is used up or about to be: only high-priority service. Asked again after each result until
-        all users return None; then comes the GAP, then the token goes on.
+        ``high_only``: T_TH is used up or about to be: only high-priority service. The station asks again after each
+        result until all users return None; then it polls the GAP and passes the token on.
         """
 
     def started(self, request: Request, at: int) -> None:
@@ -89,27 +90,27 @@ class LinkUser(Protocol):
         """
 
     def command(self, command: object, now: int) -> bool:
-        """An order of the application; False when it is not for this user."""
+        """Process an order of the application; False when it is not for this user."""
         return False
 
     def wake_at(self) -> int:
-        """When this user wants :meth:`tick`, in ns, or NEVER. (Deadlines that are not tied to the token.)
+        """Deadline of this user for :meth:`tick`, in ns, or NEVER; independent of the token.
 
-        Asked after a token receipt, a tick, a command and an abandoned request: only these may move it.
+        The station asks after a token receipt, a tick, a command and an abandoned request: only these may change it.
         """
         return NEVER
 
     def tick(self, now: int) -> None:
-        """The time asked for has come."""
+        """The deadline of :meth:`wake_at` is over."""
         return
 
     def take_events(self) -> list[Event]:
-        """The events of this user, oldest first; the station hands them on in its own take_events()."""
+        """The events of this user since the last call, oldest first; the station adds them to its own."""
         return []
 
 
 class Reply(NamedTuple):
-    """A passive station's answer to a request: status and data; SAPs are answered crosswise by the station.
+    """A passive station's answer to a request: status and data. The station adds the SAPs of the request, exchanged.
 
     ``short`` sends SC instead (allowed for OK without data).
     """
@@ -148,26 +149,26 @@ class Responder(Protocol):
     """
 
     def attached(self, station: StationControl) -> None:
-        """Called once, when a station is built around this application: keep ``station`` for min T_SDR and address."""
+        """A station with this application was created (once): keep ``station`` to set min T_SDR and address."""
         return
 
     def take_events(self) -> list[Event]:
-        """The events of the application since the last call, oldest first; asked after every step: be quick."""
+        """The events of the application since the last call, oldest first. Called after every step: be quick."""
         return []
 
     def serve(self, request: Telegram, now: int) -> Reply | None:
-        """A new request to this station (SDA, SRD, ident); a repetition never gets here. None = stay silent."""
+        """Answer a new request to this station (SDA, SRD, ident), never a repetition. None = stay silent."""
 
     def indicate(self, telegram: Telegram, now: int) -> None:
-        """An SDN to this station or to all."""
+        """Process an SDN to this station or to all."""
         return
 
     def wake_at(self) -> int:
-        """When the application wants :meth:`tick` (its watchdog, its physics), or NEVER."""
+        """Deadline of the application for :meth:`tick` in ns (its watchdog, its process), or NEVER."""
         return NEVER
 
     def tick(self, now: int) -> None:
-        """The time asked for has come."""
+        """The deadline of :meth:`wake_at` is over."""
         return
 
 
@@ -178,15 +179,15 @@ class StationStats:
     requests: int = 0
     answers: int = 0
     retries: int = 0
-    timeouts: int = 0  # requests given up
+    timeouts: int = 0  # requests without answer
     late: int = 0  # answers that came after their time-out
     wrong: int = 0
-    #: damaged telegrams and stray octets while its answer was awaited, by cause (names of DecoderStats)
+    #: damaged telegrams and stray octets during the wait for its answer, by cause (names of DecoderStats)
     bad: dict[str, int] = field(default_factory=dict)
 
     @property
     def telegrams(self) -> int:
-        """Telegrams to it and from it: requests, their repetitions, answers taken, late and wrong ones."""
+        """Telegrams to and from the station: requests, repetitions, answers (late and wrong ones, too)."""
         return self.requests + self.retries + self.answers + self.late + self.wrong
 
 
@@ -201,7 +202,7 @@ class LinkStats:
     token_retries: int = 0  # token frames repeated because the next station was silent
     withdrawn: int = 0  # token holds ended because another station sent as a token holder does
     gap_polls: int = 0
-    stray: int = 0  # telegrams that no request waited for
+    stray: int = 0  # responses without a request
     late: int = 0
     garbled: int = 0  # answers of which only unreadable octets came
     refused: int = 0  # requests of users that the guard refused
@@ -217,7 +218,7 @@ class LinkStats:
         return sorted(self.requesters - self.token_senders)
 
     def station(self, address: int) -> StationStats:
-        """The counters of ``address``, made when first asked for."""
+        """The counters of ``address``, created with the first call."""
         stats = self.stations.get(address)
         if stats is None:
             stats = self.stations[address] = StationStats()
@@ -225,7 +226,7 @@ class LinkStats:
 
 
 class BusStation(Machine, Protocol):
-    """A station that can be on a simulated medium: it can be handed whole telegrams instead of octets."""
+    """A station for a simulated medium, which can deliver whole telegrams instead of octets."""
 
     @property
     def address(self) -> int:
@@ -233,12 +234,12 @@ class BusStation(Machine, Protocol):
 
     @property
     def hears_all(self) -> bool:
-        """True for ring members, referees and listeners: every telegram concerns them, not only their own."""
+        """True for ring members and listeners: they need every telegram, not only those to their address."""
 
     def activity(self, now: int) -> None:
-        """A start edge on a silent line. What follows is a telegram, octets, or nothing that can be read.
+        """A start edge on a silent line; a telegram, octets or nothing readable may follow.
 
-        Called for stations that hear all, and for the addressee. Ports that cannot see edges never call it.
+        The medium calls it for stations that hear all, and for the addressee. Ports without edges never call it.
         """
 
     def telegram(self, telegram: Telegram, now: int) -> None:

@@ -1,8 +1,8 @@
-"""The live list: which stations 0..126 are on the bus, of what type and how ready, asked by FDL status.
+"""The live list: stations 0..126 on the bus with type and readiness, polled by FDL status.
 
-It is a user of the link layer with the lowest priority (docs/protocol.md#token-rotation): it sends one request a token
-hold, in the time that other users leave. Its polls of silent addresses stay within an :class:`Allowance`. It changes
-nothing in any station.
+The live list is the user of the link layer with the lowest priority (docs/protocol.md#token-rotation): it sends one
+request a token hold, in the time that other users leave. Its polls of silent addresses stay within an
+:class:`Allowance`. Its requests change no station.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dpstack.units import BITS_PER_CHAR, NS_PER_MS
 
 #: 126 is the address of a slave as delivered; 127 is the broadcast address
 ALL_ADDRESSES: Final = range(UNADDRESSED + 1)
-#: GAP polls need bus time for silent polls too: the live list takes one half of the share, GAP polls the other
+#: the live list and GAP polls share the bus time for silent polls: each takes one half
 _SHARES: Final = 2
 #: an FDL status is SD1
 _POLL_BITS: Final = 6 * BITS_PER_CHAR
@@ -63,11 +63,11 @@ def long_look(params: BusParams, patience: Patience) -> LongLook | None:
 
 
 class LiveList(LinkUser):
-    """The stations of a bus as a ``LinkUser``; ``own`` is the asking station's address and is left out.
+    """The live list as a ``LinkUser``; it leaves out ``own``, the address of the polling station.
 
-    ``addresses`` are asked in turn, the silent ones in ``passes`` passes: one damaged answer or a host that stalls
-    must not hide a station. Then the list is ``done``; with ``period_ns`` it begins again this long after the begin of
-    the last pass. ``allowance``: limit of the time for silent polls, None: no limit; ``quick_start``: no limit in the
+    It polls ``addresses`` in turn, and the silent ones in ``passes`` passes: a damaged answer or a host that stalls
+    must not hide a station. Then the list is ``done``; with ``period_ns`` it begins again this time after the begin of
+    the last list. ``allowance``: limit of the time for silent polls, None: no limit; ``quick_start``: no limit in the
     first pass. While there is no limit, ``long_look`` adds a pass for a busy computer.
     """
 
@@ -82,11 +82,11 @@ class LiveList(LinkUser):
         quick_start: bool = False,
         long_look: LongLook | None = None,
     ) -> None:
-        #: the stations that answered last time, with their type
+        #: the stations that answered their last poll, with their type
         self.stations: dict[int, StationType] = {}
         #: addresses from which only damaged octets came: two stations with one address, or a bad line
         self.unreadable: set[int] = set()
-        #: every address was polled: the silent ones in all passes, the others once
+        #: True when the list has polled every address: the silent ones in all passes, the others once
         self.done = False
         self._addresses = [address for address in addresses if address != own]
         self._passes = passes
@@ -97,24 +97,24 @@ class LiveList(LinkUser):
         self._queue = deque(self._addresses)
         self._silent: list[int] = []  # of this pass
         self._long_look = long_look
-        self._polls = self._late = 0  # silent ones, and those of them that showed a busy computer
-        self._latest_ns = 0  # how late the latest of these was
-        self._newcomers = 0  # of this pass
+        self._polls = self._late = 0  # silent polls, and the late ones among them
+        self._latest_ns = 0  # the largest delay of a late poll
+        self._newcomers = 0  # stations found in this pass
         self._extra_ns = 0  # in this pass
-        self._turn = False  # nothing was asked in this hold yet
-        self._waiting = -1  # the address under way
-        self._begun = -1
-        self._started = 0
+        self._turn = False  # the list has sent no poll in this hold yet
+        self._waiting = -1  # the address polled now
+        self._begun = -1  # begin of the list
+        self._started = 0  # begin of the current poll
         self._events: list[Event] = []
 
     def ask_soon(self, address: int) -> None:
-        """Ask ``address`` before all others, once."""
+        """Poll ``address`` before all others, once."""
         if address != self._waiting and address not in self._queue:
             self._queue.appendleft(address)
 
     def forget(self, address: int, now: int) -> None:
         """Another user of the link layer found ``address`` silent."""
-        self._settle(address, None, now)
+        self._note_station(address, None, now)
 
     # --- link user ----------------------------------------------------------------------------------------------
     def token_received(self, now: int) -> None:
@@ -127,7 +127,7 @@ class LiveList(LinkUser):
             self._queue.extend(self._addresses)
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
-        """The next address; its patience and repetitions are those of a station that answered before, or none."""
+        """The poll of the next address; a known station gets its slack and repetitions."""
         if high_only or not self._turn or not self._queue:
             return None
         address = self._queue[0]
@@ -139,18 +139,18 @@ class LiveList(LinkUser):
         return Request(address, Req.FDL_STATUS, patient=known, retry=known, extra_ns=self._extra_ns, answer=0)
 
     def started(self, request: Request, at: int) -> None:
-        """The time of a silent poll counts from here."""
+        """The duration of a silent poll counts from ``at``."""
         self._started = at
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
-        """Note the type that the answer has. Silence counts in the last pass."""
+        """Note the station type in the answer. Silence counts in the last pass only."""
         address = request.da
         self._waiting = -1
         if outcome in (Failure.ABANDONED, Failure.REFUSED, Failure.HELD_BACK):
             self._queue.appendleft(address)
         elif isinstance(outcome, Telegram):
             self.unreadable.discard(address)
-            self._settle(address, outcome.station_type, now)
+            self._note_station(address, outcome.station_type, now)
         else:
             self._no_answer(address, outcome is Failure.NO_ANSWER, now)
         if not self._queue:
@@ -160,12 +160,12 @@ class LiveList(LinkUser):
         if not silent:
             self.unreadable.add(address)
         elif address not in self.stations:
-            self._silence(now - self._started)
+            self._count_silent_poll(now - self._started)
         self._silent.append(address)
-        if silent and self._passes_left == 0:  # what cannot be read proves nothing
-            self._settle(address, None, now)
+        if silent and self._passes_left == 0:  # unreadable octets prove nothing
+            self._note_station(address, None, now)
 
-    def _silence(self, took_ns: int) -> None:
+    def _count_silent_poll(self, took_ns: int) -> None:
         self._polls += 1
         if self._allowance is not None:
             self._allowance.charge(took_ns)
@@ -177,7 +177,7 @@ class LiveList(LinkUser):
     def _busy(self) -> bool:
         return 0 < self._polls <= self._late * _BUSY_POLLS
 
-    def _settle(self, address: int, kind: StationType | None, now: int) -> None:
+    def _note_station(self, address: int, kind: StationType | None, now: int) -> None:
         known = self.stations.get(address)
         if kind is known:
             return
@@ -189,21 +189,21 @@ class LiveList(LinkUser):
         self._events.append(StationFound(t_ns=now, address=address, kind=kind))
 
     def _end_pass(self) -> None:
-        """The silent ones again, while there are passes left."""
+        """Poll the silent addresses again while passes are left."""
         silent, self._silent = self._silent, []
         newcomers, self._newcomers = self._newcomers, 0
         if silent and self._passes_left > 0:
             self._passes_left -= 1
             self._queue.extend(silent)
-        elif silent and self._longer(newcomers):
+        elif silent and self._begins_long_look(newcomers):
             self._queue.extend(silent)
         else:
             self.done = True
             self._limited = True
             self._extra_ns = 0
 
-    def _longer(self, newcomers: int) -> bool:
-        """One more pass with patience; ``newcomers`` were found in the last one."""
+    def _begins_long_look(self, newcomers: int) -> bool:
+        """Whether to add a pass with longer time-outs. ``newcomers``: stations found in the last pass."""
         look = self._long_look
         if look is None or self._limited:
             return False

@@ -50,7 +50,7 @@ class Req(IntEnum):
 
 #: requests that carry a frame count; SC can answer them
 COUNTED: Final = frozenset((Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD))
-#: requests that nobody answers: SDN, time event, clock value
+#: requests without answer: SDN, time event, clock value
 UNANSWERED: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH, Req.TIME_EVENT, Req.CLOCK_VALUE))
 
 
@@ -82,7 +82,7 @@ class StationType(IntEnum):
 
 
 class Telegram(NamedTuple):
-    """One decoded telegram.
+    """A decoded telegram.
 
     ``fc`` is -1 for SD4 and SC; ``da`` and ``sa`` are 0..127 without the extension bit and -1 for SC. ``dsap`` and
     ``ssap`` are None when absent: SAP 0 is a SAP. ``dseg`` and ``sseg`` are the region/segment address octets
@@ -111,7 +111,7 @@ class Telegram(NamedTuple):
 
     @property
     def empty_le3(self) -> bool:
-        """True for an SD2 telegram with LE = 3: not in the standard, but two known slaves answer so. Never sent."""
+        """True for an SD2 telegram with LE = 3: not in the standard, but two known slaves send it."""
         return self.kind is Kind.SD2 and not self.data and self.dsap is self.ssap is self.dseg is self.sseg is None
 
     @property

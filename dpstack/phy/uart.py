@@ -67,15 +67,15 @@ class Receiver:
     """The receiving half of a UART at ``baud`` bit/s that is switched on at ``since_ns``.
 
     The caller passes every transmission on the line, in order and not overlapping; between them the line is mark. A
-    character may reach beyond the end of a transmission, and into the next one: the next :meth:`hear` or
+    character may reach beyond the end of a transmission, and into the next one: the next :meth:`sample` or
     :meth:`idle` returns it once it is complete.
     """
 
     def __init__(self, baud: int, since_ns: int = 0) -> None:
         self.baud = baud
         self._ready_ns = since_ns  # earlier edges do not count
-        self._edge_ns = 0  # of the current character
-        self._sampled: bytes | None = None  # its bits so far, start bit first
+        self._edge_ns = 0  # start edge of the current character
+        self._sampled: bytes | None = None  # bits of the current character so far, start bit first
         self._places: dict[int, tuple[int, ...]] = {}
 
     @property
@@ -92,7 +92,7 @@ class Receiver:
     def reset(self) -> None:
         self._sampled = None
 
-    def hear(self, start_ns: int, levels: bytes, baud: int) -> list[Character]:
+    def sample(self, start_ns: int, levels: bytes, baud: int) -> list[Character]:
         """The characters complete after ``levels`` (see :func:`waveform`) sent from ``start_ns`` on at ``baud``."""
         found: list[Character] = []
         places = self._places.get(baud)
@@ -121,14 +121,14 @@ class Receiver:
         return found
 
     def _first_edge(self, start_ns: int, levels: bytes, baud: int) -> int:
-        """Where in ``levels`` the first character begins; -1: nowhere. The line was mark before."""
+        """The begin of the first character in ``levels``, -1 for none. The line was mark before."""
         late = self._ready_ns - start_ns
         if late > 0:
             return _next_edge(levels, late * baud // NS_PER_S)
         return 0 if levels[:1] == b"0" else _next_edge(levels, 0)
 
     def _go_on(self, start_ns: int, levels: bytes, baud: int, found: list[Character]) -> int:
-        """Continue the current character; returns where the next one begins, -1: nowhere."""
+        """Continue the current character; returns the begin of the next one, -1 for none."""
         bits = self._sampled or b""
         place = -1
         while len(bits) < BITS_PER_CHAR:

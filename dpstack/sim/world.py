@@ -244,7 +244,7 @@ class Medium:
             receiver = self._receivers.get(rate)
             if receiver is None:
                 receiver = self._receivers[rate] = Receiver(rate)
-            got = receiver.hear(tx.start_ns, levels, tx.baud)
+            got = receiver.sample(tx.start_ns, levels, tx.baud)
             self._schedule_octets(_Stream(tx, rate, [(c.at_ns - tx.start_ns, c.octet) for c in got if c.good]))
             if receiver.due < NEVER:
                 self._world.schedule(receiver.due, _OCTETS, self._deliver_late_character, (receiver, tx.start_ns))

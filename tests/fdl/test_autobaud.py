@@ -24,7 +24,7 @@ S = NS_PER_S
 
 def heard(octets: bytes) -> Evidence:
     evidence = Evidence(stall_ns=100_000)
-    evidence.hear(octets, 0)
+    evidence.receive(octets, 0)
     return evidence
 
 
@@ -65,7 +65,7 @@ def test_the_telegrams_that_a_rate_is_recognised_by(octets: bytes, confidence: C
     assert (evidence.confidence, evidence.run) == (confidence, run)
     piecewise = Evidence(stall_ns=100_000)
     for at in range(len(octets)):
-        piecewise.hear(octets[at : at + 1], 0)
+        piecewise.receive(octets[at : at + 1], 0)
     assert (piecewise.confidence, piecewise.run) == (confidence, run)
 
 
@@ -95,7 +95,7 @@ def test_whole_telegrams_from_the_medium_count_and_end_unfinished_ones() -> None
         evidence.telegram(token, 0)
         found.append(evidence.confidence)
     assert found == [None, None, Confidence.TOKEN]
-    evidence.hear(DIAG[:6], 0)
+    evidence.receive(DIAG[:6], 0)
     evidence.telegram(token, 0)
     assert evidence.run == 1
     assert evidence.confidence is None

@@ -184,7 +184,7 @@ class Line:
 
     def _sent(self, search: AutoBaud, receiver: Receiver, start: int, levels: bytes, since: int) -> int:
         """One transmission, or the rest of it; returns when the listener changed its rate, -1 when it did not."""
-        for char in receiver.hear(start, levels, self.baud):
+        for char in receiver.sample(start, levels, self.baud):
             now = self._wakes(search, receiver, char.at_ns)
             if now >= 0:
                 return now

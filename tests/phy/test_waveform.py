@@ -18,7 +18,7 @@ RATES = st.sampled_from(BAUD_RATES)
 def heard(octets: bytes, tx: int, rx: int) -> list[Character]:
     """What a receiver has of one transmission, its last character included."""
     receiver = Receiver(rx)
-    return receiver.hear(0, waveform(octets), tx) + receiver.idle(receiver.due)
+    return receiver.sample(0, waveform(octets), tx) + receiver.idle(receiver.due)
 
 
 def test_the_bits_of_an_octet() -> None:
@@ -81,7 +81,7 @@ def test_after_a_bad_stop_bit_the_receiver_waits_for_mark() -> None:
 
 def test_a_wrong_parity_bit() -> None:
     receiver = Receiver(500_000)
-    got = receiver.hear(0, waveform(b"\x68\x16", {0: 0x200}), 500_000)
+    got = receiver.sample(0, waveform(b"\x68\x16", {0: 0x200}), 500_000)
     assert [(c.octet, c.parity_error, c.framing_error, c.good) for c in got] == [
         (0x68, True, False, False),
         (0x16, False, False, True),
@@ -90,7 +90,7 @@ def test_a_wrong_parity_bit() -> None:
 
 def test_a_character_reaches_beyond_the_end_of_a_transmission() -> None:
     receiver = Receiver(500_000)  # a bit is 2000 ns
-    assert receiver.hear(0, waveform(b"\x00"), 3_000_000) == []  # space for 3333 ns, so start, d0, then idle
+    assert receiver.sample(0, waveform(b"\x00"), 3_000_000) == []  # space for 3333 ns, so start, d0, then idle
     assert receiver.due == 22_000
     assert receiver.idle(21_999) == []
     assert receiver.idle(22_000) == [Character(22_000, 0xFE, False, False)]
@@ -99,22 +99,22 @@ def test_a_character_reaches_beyond_the_end_of_a_transmission() -> None:
 
 def test_a_transmission_falls_into_a_character_that_is_under_way() -> None:
     receiver = Receiver(500_000)
-    assert receiver.hear(0, waveform(b"\x00"), 3_000_000) == []
+    assert receiver.sample(0, waveform(b"\x00"), 3_000_000) == []
     # samples at 5, 7, 9 ... us; the second 00 is space from 8 to 11.333 us: d3 and d4
-    assert receiver.hear(8_000, waveform(b"\x00"), 3_000_000) == []
+    assert receiver.sample(8_000, waveform(b"\x00"), 3_000_000) == []
     assert receiver.idle(22_000) == [Character(22_000, 0b1110_0110, False, False)]
     # long over: the next one is for itself
-    assert receiver.hear(100_000, waveform(TOKEN), 500_000)[0].octet == 0xDC
+    assert receiver.sample(100_000, waveform(TOKEN), 500_000)[0].octet == 0xDC
 
 
 def test_a_short_dent_is_no_start_bit_and_a_second_one_in_time_makes_it_one() -> None:
     receiver = Receiver(9_600)  # looks 52 083 ns after the edge
-    assert receiver.hear(0, waveform(TOKEN), 12_000_000) == []
+    assert receiver.sample(0, waveform(TOKEN), 12_000_000) == []
     assert receiver.due == NEVER
     assert receiver.idle(10**9) == []
-    assert receiver.hear(1_000_000, waveform(b"\x00"), 12_000_000) == []  # idle at the half bit of the first
+    assert receiver.sample(1_000_000, waveform(b"\x00"), 12_000_000) == []  # idle at the half bit of the first
     # space for 52 us around the half bit of the edge at 1 ms
-    assert receiver.hear(1_040_000, waveform(b"\x00"), 500_000) == []
+    assert receiver.sample(1_040_000, waveform(b"\x00"), 500_000) == []
     assert receiver.due == 1_000_000 + 1_145_833
     receiver.reset()
     assert receiver.due == NEVER
@@ -123,14 +123,14 @@ def test_a_short_dent_is_no_start_bit_and_a_second_one_in_time_makes_it_one() ->
 def test_switched_on_in_the_middle_of_a_transmission() -> None:
     receiver = Receiver(500_000, since_ns=22_001)  # within the start bit of FF, whose edge is past
     # the parity bit of FF passes for a start bit; its stop bit, the start bit of 10 and 0000 1000 follow
-    assert receiver.hear(0, waveform(b"\x68\xff\x10"), 500_000) == [Character(62_000, 0b0100_0001, False, True)]
-    assert receiver.hear(200_000, waveform(b"\x10"), 500_000) == [Character(222_000, 0x10, False, False)]
+    assert receiver.sample(0, waveform(b"\x68\xff\x10"), 500_000) == [Character(62_000, 0b0100_0001, False, True)]
+    assert receiver.sample(200_000, waveform(b"\x10"), 500_000) == [Character(222_000, 0x10, False, False)]
 
 
 @given(octets=st.binary(min_size=1, max_size=40), tx=RATES, rx=RATES)
 def test_any_rate_hears_in_order_and_no_more_than_time_allows(octets: bytes, tx: int, rx: int) -> None:
     receiver = Receiver(rx)
-    got = receiver.hear(0, waveform(octets), tx)
+    got = receiver.sample(0, waveform(octets), tx)
     got += receiver.idle(receiver.due)
     times = [c.at_ns for c in got]
     assert times == sorted(times)

@@ -99,7 +99,7 @@ class SegmentStation:
         if receiver is None or receiver.baud != reading:
             receiver = self._receiver = Receiver(reading)
         received = receiver.idle(start_ns)
-        received += receiver.hear(start_ns, waveform(octets, flips), baud)
+        received += receiver.sample(start_ns, waveform(octets, flips), baud)
         return bytes(character.octet for character in received if character.good)
 
     def give(self, octets: bytes) -> bool:

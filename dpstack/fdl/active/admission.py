@@ -1,4 +1,4 @@
-"""How long a request can take, how long its answer is waited for, and whether it may start before the next cycle."""
+"""The longest duration of a request, the time-out of its answer, and whether it may start before the next cycle."""
 
 from __future__ import annotations
 
@@ -36,15 +36,17 @@ class Admission:
     _reported: set[int | None] = field(default_factory=set)
 
     def admits(self, request: Request, now: int, then_ns: int = 0) -> bool:
-        """Whether the station may send a request that is no part of the cycle now; ``then_ns``: time of the telegrams
-        that have to follow it."""
+        """Whether the station may now send a request that is no part of the cycle.
+
+        ``then_ns``: duration of the telegrams that have to follow it.
+        """
         window = self.window
         until = self.ends_at(request, now) + then_ns
         if not window.admits((request.function, request.da, request.dsap), until):
             return False
         if until > window.next_at:
             name = request_name(request)
-            window.set_forced(f"{name} to station {request.da}")
+            window.forced_service = f"{name} to station {request.da}"
             if request.dsap not in self._reported:
                 self._reported.add(request.dsap)
                 slack_ns = self.times.patience.unknown_ns if self.waits_long(request) else 0
@@ -54,25 +56,25 @@ class Admission:
         return True
 
     def unanswered(self, request: Request, now: int) -> None:
-        """No station answered ``request``: note the service if its time-out ended after the next cycle was due."""
+        """``request`` has no answer: note the service if its time-out ended after the next cycle was due."""
         if now > self.window.next_at:
-            self.window.set_unanswered(f"{request_name(request)} to station {request.da}")
+            self.window.unanswered = f"{request_name(request)} to station {request.da}"
 
     def waits_long(self, request: Request) -> bool:
-        """Whether the answer to ``request`` gets the slack of a station whose silence would be news."""
-        return request.patient or self.peers.is_slow(request.da) or self.peers.knows(request.da)
+        """Whether the answer to ``request`` gets the slack of a known station."""
+        return request.patient or self.peers.knows(request.da)
 
     def kept_back_ns(self) -> int:
-        """An answer that may be a late one is kept back so long."""
+        """The time for which the station keeps back an answer that may belong to an earlier request."""
         return self.line.t_sl_ns + self.times.patience.known_ns // 4
 
     def ends_at(self, request: Request, now: int) -> int:
-        """When ``request``, asked for now, and the idle time after it are over at the latest, in ns: every attempt in
-        vain but the last one, whose answer begins at the end of its slot time and has all the octets it may have.
+        """The latest end of ``request``, made now, and of the idle time after it, in ns.
 
-        Where a station that is there is given more slack than its port usually needs, it is taken to answer the first
-        attempt within what is usual: its silence costs a service what it costs a Data_Exchange. Nobody known to be
-        there is waited for as long as there is room (:meth:`in_vain_until`).
+        In the worst case every attempt but the last fails, and the last answer begins at the end of its slot time and
+        has the largest number of octets. If a known station gets more slack than its port usually needs, one attempt
+        with the usual slack counts. An unknown address counts without slack: its time-out depends on the time left
+        (:meth:`in_vain_until`).
         """
         times, line = self.times, self.line
         params, patience = times.params, times.patience
@@ -95,11 +97,11 @@ class Admission:
         return begins + (tries + 1) * (sending + slot) + self._longest_answer_ns(request) + kept + line.t_id1_ns
 
     def in_vain_until(self, request: Request, at: int, then_ns: int = 0) -> int:
-        """How long the answer of an address where nobody is known is waited for: ``at`` is the last bit of ``request``.
+        """End of the time-out for an unknown address, in ns. ``at``: time of the last bit of ``request``.
 
-        A port may be late, and one look longer than others (``extra_ns``), but before a fixed cycle ``then_ns`` (what
-        follows) and T_ID1 have to fit in: as long as there is room, and never so short that an answer could still be on
-        the wire. One that is later than that is recognised.
+        The time-out includes the slack of the port and ``extra_ns`` of the request, as far as ``then_ns`` (duration of
+        the telegrams that follow) and T_ID1 fit before the next fixed cycle. It is never so short that an answer could
+        still be on the wire. The station recognises a later answer as late.
         """
         times, next_at = self.times, self.window.next_at
         longest = at + times.slot_unknown_ns + (self._extra_ns(request) if request.extra_ns else 0)
@@ -113,8 +115,8 @@ class Admission:
         return chars_to_ns(request.answer + _SAPS + _FRAME, self.times.params.baud)
 
     def _extra_ns(self, request: Request) -> int:
-        """Of ``extra_ns`` what makes nobody wait longer than for a station that is there, and no other master on a wire
-        claim the token meanwhile. (Where there is no wire the others are programs with a slack of their own.)
+        """The part of ``extra_ns`` that is allowed: the time-out stays within that of a known station and T_TO of other
+        masters on a wire. (Without a wire the other masters are programs with their own slack.)
         """
         times, ring = self.times, self.ring
         params, patience = times.params, times.patience

@@ -30,9 +30,9 @@ class CycleWindow:
         self.forced = 0
         #: no other master is in the ring, as far as the link layer knows
         self.alone = True
-        #: name of the service that was forced in this cycle, for messages; empty without one
+        #: for messages: name of the service that was forced in this cycle; it may end after the next cycle is due
         self.forced_service = ""
-        #: name of the service whose missing answer delayed the next cycle, for messages; empty without one
+        #: for messages: name of the service without answer whose last time-out ended after the next cycle was due
         self.unanswered = ""
         self._cycle = 0
         self._forced_in = -HELD_BACK_CYCLES
@@ -51,17 +51,6 @@ class CycleWindow:
         self.forced_service = self.unanswered = ""
         self._waiting.clear()
 
-    def set_alone(self, alone: bool) -> None:
-        self.alone = alone
-
-    def set_forced(self, service: str) -> None:
-        """The station sends ``service`` in this cycle although it may end after the next one is due."""
-        self.forced_service = service
-
-    def set_unanswered(self, service: str) -> None:
-        """No station answered ``service``, and its last time-out ended after the next cycle was due."""
-        self.unanswered = service
-
     def admits(self, key: RequestKey, ends_at: int) -> bool:
         """Whether the station may now start a request that ends at ``ends_at`` (ns) at the latest.
 
@@ -74,7 +63,7 @@ class CycleWindow:
         cycle = self._cycle
         first, last = self._waiting.get(key, (cycle, -1))
         if last < cycle - 1:
-            first = cycle  # its user did not ask in the last cycle: the request begins to wait anew
+            first = cycle  # its user did not ask in the last cycle: the wait begins anew
         self._waiting[key] = first, cycle
         if not self._has_waited_enough(first):
             self.held_back += last != cycle

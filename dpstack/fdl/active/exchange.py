@@ -1,13 +1,14 @@
-"""One exchange with a station: the request, its answer or the lack of it, repetitions, late answers.
+"""Exchange with a station: request, answer, time-out, repetitions, late answers.
 
-What can be known of an answer, most certain first:
+Rules that decide whether a telegram is the answer, the most certain first:
 
-* Another sender, SAPs that are not the request's crosswise, data where the service has none: not ours, counted.
-* SC names nobody. It counts for a service that can be acknowledged, and only while we wait.
-* Exact lines: what begins before min T_SDR after our request cannot be its answer.
-* An exchange that was given up, or needed a repetition, may have left an answer on its way. The first telegram that
-  fits both that exchange and the new one is kept back for one slot time: if a second one follows, the first was the
-  late one; if nothing follows, it was the answer. (A port's delays exceed the wire's times, so time tells nothing.)
+* Another sender, SAPs that are not those of the request exchanged, data where the service has none: no answer, counted.
+* SC has no addresses. It is the answer to a service that can be acknowledged, and only while the station waits.
+* Exact lines: a telegram that begins before min T_SDR after the request is no answer.
+* An earlier exchange that ended without answer, or with a repetition, may have a late answer. The station keeps back
+  the first telegram that fits both that exchange and the new one for one slot time. If a second telegram follows, the
+  first was late; if none follows, the first was the answer. (A port's delays exceed the times on the wire, so the time
+  of arrival proves nothing.)
 """
 
 from __future__ import annotations
@@ -31,24 +32,24 @@ NO_REQUEST: Final = Request(-1, Req.FDL_STATUS)
 
 @dataclass(slots=True, eq=False)
 class Exchange(Awaiting):
-    """The request of a user under way. Handlers of Await_Data_Response."""
+    """The current request of a user. Handlers of Await_Data_Response."""
 
     fcb: FrameCount
     admission: Admission
     user: LinkUser | None = None
     request: Request = NO_REQUEST
-    #: when the last request of a user was made
+    #: time at which a user made the last request
     made_at: int = 0
     _asked: StationStats = field(default_factory=StationStats)  # counters of the station asked last
     _asked_da: int = BROADCAST
     _frame: bytes = b""
-    _candidate: Telegram = NONE  # an answer that is kept back: it may be a late one
+    _candidate: Telegram = NONE  # an answer that is kept back, because it may be late
     _tries_left: int = 0
     _repeats: int = 0
     _wrong: bool = False
 
     def start(self, user: LinkUser, request: Request, now: int) -> None:
-        """Make the telegram of a new request and let it wait for its gate."""
+        """Encode a new request and queue it."""
         da, function, data, dsap, ssap, patient, retry, restart, _, _, _, _, _ = request
         fc, counted, answered = SERVICES[function]
         tries = self.times.max_retry if answered and retry else 0
@@ -60,7 +61,7 @@ class Exchange(Awaiting):
             if not fcb.operational[da]:
                 tries = 0  # a first request is not repeated (docs/protocol.md#frame-count-bit)
         elif answered and not patient and self.peers.knows(da):
-            request = request._replace(patient=True)  # whoever asks: the silence of a station that is there is news
+            request = request._replace(patient=True)  # for every user: the silence of a known station is news
         self.user = user
         self.request = request
         self.made_at = now
@@ -73,13 +74,13 @@ class Exchange(Awaiting):
         self.machine.enter(USE_TOKEN)
 
     def sent(self, _: Telegram, at: int) -> None:
-        """An attempt goes out; its last bit is on the line at ``at``."""
+        """An attempt is sent; its last bit is on the line at ``at``."""
         request = self.request
         if not self._repeats:
             line, user, stats = self.line, self.user, self.stats
             asked = self._asked = stats.stations.get(request.da) or stats.station(request.da)
             asked.requests += 1
-            self.garbled = False  # what came before the request is no answer to it
+            self.garbled = False  # octets before the request are no part of its answer
             if user is not None:
                 user.started(request, line.taken_at)
             if not SERVICES[request.function].answered:
@@ -96,20 +97,20 @@ class Exchange(Awaiting):
             self.early_until = at + times.early_ns
 
     def response(self, telegram: Telegram, now: int) -> None:
-        """A response to us, or SC, while we wait for one."""
+        """A response to this station, or SC, while it waits for an answer."""
         if not answers(self.request, telegram) or self.line.edge_at < self.early_until:
-            self._not_ours(telegram, now)
+            self._no_answer_to_request(telegram, now)
         elif not (self.peers.due and self._keep_back(telegram, now)):
             self._answered(telegram, now)
 
     def _keep_back(self, telegram: Telegram, now: int) -> bool:
-        """True when ``telegram`` may be a late answer and is kept for one slot time (see above)."""
+        """True when ``telegram`` may be a late answer and is kept back for one slot time (see above)."""
         first, peers = self._candidate, self.peers
         if first is NONE:
             if peers.due_from(telegram, now) < 0:
                 return False
             self._candidate = telegram
-            self.machine.set_deadline(now + self.admission.kept_back_ns())
+            self.machine.deadline = now + self.admission.kept_back_ns()
             return True
         peers.expect_none(first.sa if first.sa >= 0 else self.request.da)
         self._count_late(first, now)
@@ -143,7 +144,7 @@ class Exchange(Awaiting):
         request, peers = self.request, self.peers
         candidate = self._candidate
         if candidate is not NONE:
-            # nothing followed: what was kept back is the answer, and no other one is due any more
+            # no second telegram followed: the one kept back is the answer, and no other answer is due
             peers.due.clear()
             self._repeats = 0
             self._answered(candidate, now)
@@ -170,7 +171,7 @@ class Exchange(Awaiting):
             asked.timeouts += 1
             peers.expect_late(request, now, self.times.slot_known_ns)
         elif not (asked.answers or self.garbled):
-            # nobody is known there: no fault, and an FDL status that comes late is as true as one in time
+            # an unknown address: no fault, and a late FDL status is as true as one in time
             del self.stats.stations[request.da]
         if SERVICES[request.function].counted:
             self.fcb.given_up(request.da)
@@ -186,12 +187,12 @@ class Exchange(Awaiting):
         self._finish(failure, now)
 
     def is_outdated(self, now: int) -> bool:
-        """Whether the request that waits for its gate has data that are too old to be sent."""
+        """Whether the data of the queued request are too old to be sent."""
         still = self.request.still
         return self.user is not None and still is not None and not still(now)
 
     def drop_outdated(self, now: int) -> None:
-        """Do not send the request that waits: its data are too old. A first attempt may have been sent."""
+        """Do not send the queued request: its data are too old. Earlier attempts may have been sent."""
         self.line.drop()
         if self._repeats:
             self.peers.expect_late(self.request, now, self.times.slot_known_ns)
@@ -199,25 +200,25 @@ class Exchange(Awaiting):
         self._finish(Failure.ABANDONED, now)
 
     def stop_repeating(self) -> None:
-        """Do not repeat the request under way."""
+        """Do not repeat the current request."""
         self._tries_left = 0
 
     def detach(self, user: LinkUser) -> None:
-        """``user`` wants no result any more."""
+        """Report no more results to ``user``."""
         if self.user is user:
             self.user = None
 
     def abandon(self, now: int) -> None:
-        """Drop the telegram that waits and the request under way; its user gets ABANDONED."""
+        """Drop the queued telegram and the current request; its user gets ABANDONED."""
         self.line.drop()
         user, request = self.user, self.request
         self.user, self.request, self._candidate = None, NO_REQUEST, NONE
         if user is not None:
             user.result(request, Failure.ABANDONED, now)
-            self.users.ask_times()
+            self.users.update_due()
 
-    def _not_ours(self, telegram: Telegram, now: int) -> None:
-        """A telegram to us that does not answer the request: late, wrong, or from nobody we know."""
+    def _no_answer_to_request(self, telegram: Telegram, now: int) -> None:
+        """A telegram to this station that does not answer the request: late, wrong, or from an unknown station."""
         self.garbled = False
         sa = telegram.sa
         if sa == self.request.da and self.line.edge_at >= self.early_until and self.peers.due_from(telegram, now) < 0:
@@ -228,16 +229,16 @@ class Exchange(Awaiting):
             self._count_late(telegram, now)
 
     def late(self, telegram: Telegram, now: int) -> None:
-        """A response to us, or SC, that nobody waits for: the answer to an exchange that is over."""
+        """A response to this station, or SC, for which no request waits: the answer to an earlier exchange."""
         self._count_late(telegram, now)
         self.peers.expect_none(telegram.sa)
 
     def _count_late(self, telegram: Telegram, now: int) -> None:
-        """Only an answer of ours can be addressed to us; SC names nobody and counts as stray."""
+        """Count a late answer by its sender. SC has no sender and counts as stray."""
         if telegram.sa >= 0:
             self.peers.late(telegram.sa, now)
             return
         self.stats.stray += 1
         holding = self.membership.in_ring and self.machine.state is not ACTIVE_IDLE
         if holding and self._asked_da != BROADCAST:
-            self.peers.superfluous(self._asked_da, now)  # the token is ours, so it answers our last request
+            self.peers.superfluous(self._asked_da, now)  # this station has the token, so SC answers its last request

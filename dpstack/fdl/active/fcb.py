@@ -2,8 +2,8 @@
 
 docs/protocol.md#frame-count-bit: the first request to a station, or the first after it was given up, goes out with FCV
 = 0 and FCB = 1 and is not repeated. Once answered the station is operational: FCV = 1, and FCB toggles with each new
-request but not with a repetition. Some slaves know only requests with FCV = 1 (0x5D, 0x7D): after three silent rounds
-one probe with FCV = 1 finds them.
+request but not with a repetition. Some slaves know only requests with FCV = 1 (0x5D, 0x7D): a probe with FCV =
+1 after three silent requests finds them.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ class FrameCount:
     """FCB and FCV for every responder address 0..127. FC bits are already in place (0x20 FCB, 0x10 FCV)."""
 
     def __init__(self) -> None:
-        #: FC bits of the next new request by address; the same again for its repetitions
+        #: FC bits of the next new request and of its repetitions, by address
         self.bits = [FIRST] * 128
         self._misses = [0] * 128
         self._probes = [0] * 128
-        #: the station answered our last request to it: repetitions make sense
+        #: stations that answered the last request: repetitions make sense
         self.operational = [False] * 128
         #: stations that answered only a probe with FCV = 1
         self.fcv_only: set[int] = set()
 
     def answered(self, address: int) -> bool:
-        """``address`` answered. True when it did so for the first time only to a probe with FCV = 1."""
+        """``address`` answered. True when this is its first answer, and it came only to a probe with FCV = 1."""
         bits = self.bits[address]
         self.bits[address] = (bits ^ FC_FCB) | FC_FCV
         if self.operational[address]:
@@ -49,19 +49,19 @@ class FrameCount:
     def given_up(self, address: int) -> None:
         """A request to ``address`` ended without an answer: the station is not (or no longer) operational."""
         if self.operational[address]:
-            self._afresh(address)
+            self._begin_anew(address)
             return
         self._misses[address] += 1
         self._first_or_probe(address)
 
     def restart(self, address: int) -> None:
-        """Take ``address`` up afresh, whatever was known of it. The count of silent rounds goes on."""
+        """Begin anew with ``address``. The count of silent requests continues."""
         if self.operational[address]:
-            self._afresh(address)
+            self._begin_anew(address)
 
-    def _afresh(self, address: int) -> None:
+    def _begin_anew(self, address: int) -> None:
         self.operational[address] = False
-        # a station known to understand nothing else is probed first, so that it is not lost for three rounds
+        # a station that understands only FCV = 1 gets the probe first, instead of three requests in vain
         self._misses[address] = ROUNDS_BEFORE_PROBE if address in self.fcv_only else 0
         self._first_or_probe(address)
 
@@ -69,7 +69,7 @@ class FrameCount:
         if self._misses[address] < ROUNDS_BEFORE_PROBE:
             self.bits[address] = FIRST
             return
-        self._misses[address] = -1  # the probe itself brings it to 0: three more rounds follow
+        self._misses[address] = -1  # the probe makes it 0: three more requests follow
         # A responder that did hear a first request keeps FCB = 1, so the first probe uses FCB = 0 (a new request for
         # it); the next probe the other one, for a responder whose kept FCB is unknown.
         self.bits[address] = FC_FCV | (FC_FCB if self._probes[address] & 1 else 0)

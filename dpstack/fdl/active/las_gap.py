@@ -1,11 +1,11 @@
-"""Book-keeping of the token ring as plain data: LAS, GAP, bus time for silent polls, reported masters.
+"""Book-keeping of the token ring: list of active stations (LAS), GAP list, reported masters.
 
-Nothing here sends or waits. Addresses run 0..127, the ring ascends and wraps.
+These classes neither send nor wait. Addresses are 0..127, the ring ascends and wraps.
 
-The LAS follows every token at once, as the standard wants. A token has no check sequence, though: at a wrong rate, or
-on a disturbed line, three octets in a row are one now and then. So it takes two tokens, with nothing unreadable
-between, until the station reports that a master joined or left. A GAP poll's answer has a check sequence: it counts at
-once.
+Every token changes the LAS at once, as the standard demands. But a token has no check sequence: at a wrong rate, or on
+a disturbed line, three octets in a row look like a token now and then. So the station reports that a master joined or
+left only after two tokens without unreadable octets between them. The answer to a GAP poll has a check sequence: it
+counts at once.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 
 _CIRCLE: Final = 128
-#: A claim consists of two tokens to itself; only the third in a row says that the sender believes to be alone.
+#: a claim consists of two tokens to itself; a third one in a row proves that the sender regards itself as alone
 CLAIM_TOKENS: Final = 2
 
 
 def distance(start: int, end: int) -> int:
-    """Steps upwards from ``start`` to ``end``; from a station to itself once round (128)."""
+    """Steps upwards from ``start`` to ``end``, 1..128; from a station to itself 128."""
     return (end - start - 1) % _CIRCLE + 1
 
 
@@ -42,7 +42,7 @@ class Ring:
         self.forget()
 
     def forget(self) -> None:
-        """Begin to listen: only TS is known, and nothing has been learned."""
+        """Reset the LAS to TS alone."""
         self.members = {self.ts}
         self.ns = self.ps = self.ts
         self.learned = False
@@ -52,9 +52,9 @@ class Ring:
         self._self_tokens = 0
 
     def learn(self, sa: int, da: int) -> bool:
-        """A token heard while listening; True once two identical rotations have been seen (then keep on observing).
+        """Use a token received while listening; True after two identical rotations (then each token is observed).
 
-        A rotation ends when the token comes by a station a second time; the same sender twice in a row is a repeated
+        A rotation ends when a station sends the token a second time. The same sender twice in a row is a repeated
         pass, not a rotation, unless it sends to itself.
         """
         if self.learned:
@@ -75,9 +75,9 @@ class Ring:
         return self.learned
 
     def observe(self, sa: int, da: int) -> bool:
-        """A token from ``sa`` to ``da``: both are in the ring, nobody between them is. True when the LAS changed.
+        """A token from ``sa`` to ``da``: both are in the ring, no station between them is. True when the LAS changed.
 
-        TS stays a member; ask :meth:`skips` first whether it was passed over.
+        TS stays a member; :meth:`skips` tells whether the token passed it over.
         """
         if sa == da and not self._believes_alone(sa):
             return self.add(sa)
@@ -98,7 +98,7 @@ class Ring:
         return self._self_tokens > CLAIM_TOKENS
 
     def skips(self, sa: int, da: int) -> bool:
-        """Whether a token from ``sa`` to ``da``, already observed, passes TS over: TS is not in its sender's LAS."""
+        """Whether an observed token from ``sa`` to ``da`` passes TS over: TS is not in the LAS of its sender."""
         if sa == da:
             return sa != self.ts and self._last_self == sa and self._self_tokens > CLAIM_TOKENS
         return distance(sa, self.ts) < distance(sa, da)
@@ -146,17 +146,17 @@ class Gap:
         """Limit the bus time for silent polls of ``cost_ns`` each by ``patience`` and the size of the GAP."""
         self._patience = patience
         self._cost_ns = cost_ns
-        #: of silent polls of unknown addresses
+        #: bus time for silent polls of unknown addresses
         self.allowance = Allowance(0, cost_ns, now)
-        self._ns = -1  # the one that the share was worked out for
+        self._ns = -1  # the NS for which the share was calculated
 
     def restart(self) -> None:
-        """Begin a pass at the next opportunity: the GAP has just become ours."""
+        """Begin a new pass over the GAP at the next opportunity."""
         self._cursor = -1
         self._next_pass_at = 0
 
     def due(self, ns: int, now: int) -> int:
-        """The address to poll next, -1 when none is due; NS bounds the GAP. Asking does not move on."""
+        """The address to poll next, -1 when none is due. The call does not move on; NS ends the GAP."""
         if not self.enabled:
             return -1
         if ns != self._ns:
@@ -173,7 +173,7 @@ class Gap:
         return self._cursor
 
     def polled(self, address: int, kind: StationType | None) -> bool:
-        """``address`` was polled: its type, None when silent. True when that is news."""
+        """The poll of ``address`` has ended. ``kind``: its type, None when silent. True when that is news."""
         self._cursor = self._after(address)
         self.skipped = 0
         known = self.stations.get(address)
@@ -182,16 +182,12 @@ class Gap:
         self.stations[address] = kind
         return kind is not known
 
-    def skip(self) -> None:
-        """A poll is due, but this hold has no time left for it."""
-        self.skipped += 1
-
     def forget(self, address: int) -> None:
-        """``address`` does not take the token: it is not there."""
+        """Forget the station at ``address``, which does not take the token."""
         self.stations.pop(address, None)
 
     def passed(self, address: int) -> None:
-        """``address`` was polled and the answer was unreadable: move on, conclude nothing."""
+        """The answer to the poll of ``address`` was unreadable: move on without a conclusion."""
         self._cursor = self._after(address)
         self.skipped = 0
 
@@ -203,35 +199,37 @@ class Gap:
         return 0 if address >= self._hsa else address + 1
 
 
-#: a master that came (True) or went, by address
+#: addresses of masters that joined (True) or left (False)
 News = list[tuple[int, bool]]
 
 
 class Announced:
-    """The masters that were reported. ``received`` counts what the receiver could not read."""
+    """The masters that the station has reported. ``received``: counters of the receiver, with unreadable octets."""
 
     def __init__(self, received: DecoderStats) -> None:
         self._received = received
         self._skipped = 0  # up to the last token
         self.masters: frozenset[int] = frozenset()
-        self._heard: set[int] = set()  # senders of one token
-        self._missing: dict[int, int] = {}  # no longer in the LAS, and after whose token
+        self._heard: set[int] = set()  # masters that have sent one token
+        self._missing: dict[
+            int, int
+        ] = {}  # reported masters that a token removed from the LAS, with the sender of that token
 
     def forget(self) -> None:
-        """No master counts as reported any more."""
+        """Forget all reported masters."""
         self.masters = frozenset()
         self._heard.clear()
         self._missing.clear()
 
     def certain(self, address: int, present: bool) -> News:
-        """The master ``address`` is there, or is not, beyond doubt: whether that is news."""
+        """The master ``address`` is certainly present, or certainly not: the changes to report."""
         if present is (address in self.masters):
             return []
         self.masters = self.masters ^ {address}
         return [(address, present)]
 
     def token(self, sa: int, members: frozenset[int]) -> News:
-        """``members`` are the other masters as they stand after a token from ``sa``: what is news, and certain."""
+        """The changes to report after a token from ``sa``; ``members``: the other masters in the LAS now."""
         if self._received.skipped != self._skipped:
             self._skipped = self._received.skipped
             self._heard.clear()

@@ -21,20 +21,20 @@ _TYPE_SHIFT: Final = 4
 
 @dataclass(slots=True, eq=False)
 class Waiting(Parts):
-    """Out of the ring, or waiting for the token."""
+    """The states without the token."""
 
     exchange: Exchange
     _back_off_until: int = 0
-    _own_token_at: int = -NEVER  # when a token with SA = TS was seen last
+    _own_token_at: int = -NEVER  # time of the last received token with SA = TS
     _collision_reported: bool = False
     _claims_left: int = 0
     _claim_from: State = LISTEN_TOKEN
 
-    # --- ways into these states, also from a token hold -------------------------------------------------------------
+    # --- entering these states, also from a token hold --------------------------------------------------------------
     def go_idle(self, now: int, telegram: Telegram = NONE) -> None:
-        """Somebody else has the token: Active_Idle, or Offline when this was the last hold.
+        """Another station has the token: enter Active_Idle, or Offline if this was the last hold.
 
-        ``telegram`` of that station counts in Active_Idle.
+        Active_Idle handles ``telegram`` of that station.
         """
         if self.membership.leaving:
             self.go_offline(now, "ordered")
@@ -46,7 +46,7 @@ class Waiting(Parts):
     def go_offline(self, now: int, reason: str) -> None:
         self.exchange.abandon(now)
         self.membership.leave(now, reason)
-        self.membership.set_leaving(False)
+        self.membership.leaving = False
         self.peers.due.clear()
         self.machine.enter(OFFLINE)
 
@@ -60,7 +60,7 @@ class Waiting(Parts):
 
     # --- Offline ----------------------------------------------------------------------------------------------------
     def go_online(self, _: Telegram, now: int) -> None:
-        """Listen for at least T_TO before anything is sent."""
+        """Listen for at least T_TO before the first telegram."""
         self.line.note_activity(now)
         self.line.end_arrival()
         self._back_off_until = 0
@@ -71,18 +71,18 @@ class Waiting(Parts):
     def stay_offline(self, _: Telegram, now: int) -> None: ...
 
     def line_down(self, _: Telegram, now: int) -> None:
-        """The port is gone; slaves may be others when it returns: fresh FCB for all."""
+        """The port is gone. Other slaves may be there when it returns, so the FCB of all addresses starts anew."""
         for address in range(128):
             self.exchange.fcb.restart(address)
         self.go_offline(now, "the line is down")
 
     def leave(self, _: Telegram, now: int) -> None:
-        """Without the token nothing has to be handed over: the predecessor drops us after three tries."""
+        """Go offline without the token: after three attempts the predecessor drops this station from its LAS."""
         self.go_offline(now, "ordered")
 
     # --- Listen_Token -----------------------------------------------------------------------------------------------
     def learn(self, telegram: Telegram, now: int) -> None:
-        """One token between others, or to a station of our address that was there before us."""
+        """A token between other stations, or to an earlier station with the same address."""
         self.line.drop()
         stats = self.stats
         if telegram.sa not in stats.token_senders:
@@ -91,43 +91,43 @@ class Waiting(Parts):
         self.membership.report_token(telegram.sa, now)
 
     def request_listening(self, telegram: Telegram, now: int) -> None:
-        """A request of another master: note its sender, which may be one that passes no token."""
+        """A request of another master: note its sender, which may be a master that passes no token."""
         stats = self.stats
         if telegram.sa not in stats.requesters:
             stats.requesters |= {telegram.sa}
         self.drop_answer(telegram, now)
 
     def status_listening(self, telegram: Telegram, now: int) -> None:
-        """FDL status: only the predecessor polls us, so its sender will pass the token once it heard 'ready'."""
+        """FDL status request: only the predecessor polls this address, so after 'ready' it will pass the token."""
         if now < self._back_off_until:
             return
         if not self.membership.ring.learned:
-            self._status(telegram, StationType.MASTER_NOT_READY)
+            self._reply_status(telegram, StationType.MASTER_NOT_READY)
             return
         self._wait_in(ACTIVE_IDLE)
-        self._status(telegram, StationType.MASTER_READY)
+        self._reply_status(telegram, StationType.MASTER_READY)
 
     def silence(self, _: Telegram, now: int) -> None:
-        """T_TO may be over; what was heard since it was armed moved it on."""
+        """The deadline of T_TO is over: check it against the activity since it was set."""
         line, t_to_ns = self.line, self.times.t_to_ns
         quiet_at = line.idle_since + t_to_ns
         if quiet_at < line.busy_until:
-            # an edge of which nothing came has held the deadlines of low addresses to one end: apart again from there
+            # an edge without telegram has delayed the deadlines of all low addresses to the same end: T_TO begins there
             quiet_at = line.busy_until + t_to_ns
         if now < quiet_at:
-            self.machine.set_deadline(quiet_at)
+            self.machine.deadline = quiet_at
         elif not self._back_off_until:
             self._claim(now)
         elif now < self._back_off_until:
-            self.machine.set_deadline(self._back_off_until)
+            self.machine.deadline = self._back_off_until
         else:
-            # the silence of a back-off is ours too: afterwards listen for a whole T_TO again
+            # this station was part of the silence of its back-off: listen for a whole T_TO again
             self._back_off_until = 0
-            self.machine.set_deadline(now + t_to_ns)
+            self.machine.deadline = now + t_to_ns
 
     # --- Active_Idle ------------------------------------------------------------------------------------------------
     def token_to_me(self, telegram: Telegram, now: int) -> None:
-        """The token, if its sender may pass it (:meth:`Membership.accepts`)."""
+        """A token to this station: accept it if its sender may pass it (:meth:`Membership.accepts`)."""
         self.line.drop()
         membership, sa = self.membership, telegram.sa
         if membership.accepts(sa):
@@ -137,7 +137,7 @@ class Waiting(Parts):
             self.machine.hold(now)
 
     def token_seen(self, telegram: Telegram, now: int) -> None:
-        """The LAS follows every token. A sender that passes us over has dropped us: its GAP poll brings us back."""
+        """Update the LAS by a token between others. If it skips this station, wait for a GAP poll to join again."""
         self.line.drop()
         membership = self.membership
         sa, da = telegram.sa, telegram.da
@@ -149,33 +149,33 @@ class Waiting(Parts):
             self._listen(now)
 
     def status_in_ring(self, telegram: Telegram, now: int) -> None:
-        """FDL status while the token is elsewhere."""
+        """FDL status request while another station has the token."""
         in_ring = self.membership.in_ring
-        self._status(telegram, StationType.MASTER_IN_RING if in_ring else StationType.MASTER_READY)
+        self._reply_status(telegram, StationType.MASTER_IN_RING if in_ring else StationType.MASTER_READY)
 
     def no_service(self, telegram: Telegram, now: int) -> None:
-        """A master opens no SAP to others: RS, but never to what is not answered at all (SDN, clock, time)."""
+        """A master opens no SAP to other masters: answer RS, except to SDN, clock value and time event."""
         self.line.drop()
         if not telegram.fc & 0x80 and telegram.function not in UNANSWERED:
-            self._status(telegram, StationType.MASTER_IN_RING, Resp.RS)
+            self._reply_status(telegram, StationType.MASTER_IN_RING, Resp.RS)
 
     def drop_answer(self, telegram: Telegram, now: int) -> None:
-        """Others are talking: an answer that did not go out in time is not wanted any more."""
+        """Other stations are sending: drop the answer that was not sent in time."""
         self.line.drop()
         if telegram is not NONE:
             self.membership.forget_pass()
 
     def late(self, telegram: Telegram, now: int) -> None:
-        """An answer to an exchange of a hold that is over, or SC for another master."""
+        """An answer to an exchange of an earlier hold, or SC for another master."""
         self.line.drop()
         self.exchange.late(telegram, now)
 
     def answered(self, _: Telegram, now: int) -> None:
-        """Our status answer is on the line; T_TO counts from its end."""
-        self.machine.set_deadline(self.line.idle_since + self.times.t_to_ns)
+        """The status answer of this station is sent; T_TO counts from its end."""
+        self.machine.deadline = self.line.idle_since + self.times.t_to_ns
 
     def own_address(self, telegram: Telegram, now: int) -> None:
-        """Somebody sends with our address. A token has no check sequence, so one alone may be a damaged one."""
+        """Another station sends with this address. A single token may be a damaged one: it has no check sequence."""
         window_ns = _BACK_OFF_T_TO * self.times.t_to_ns
         before, self._own_token_at = self._own_token_at, now
         if telegram.kind == Kind.SD4 and now - before > window_ns:
@@ -193,7 +193,7 @@ class Waiting(Parts):
 
     # --- Claim_Token ------------------------------------------------------------------------------------------------
     def _claim(self, now: int) -> None:
-        """Two tokens to itself. The LAS is kept where there is one: who is still there gets the token next."""
+        """Send two tokens to itself. Keep a known LAS: its next member that still answers gets the token."""
         machine, membership = self.machine, self.membership
         self._claim_from = machine.state
         if machine.state is ACTIVE_IDLE:
@@ -207,7 +207,7 @@ class Waiting(Parts):
         self.line.queue_token(self.line.ts)
 
     def claim_sent(self, _: Telegram, now: int) -> None:
-        """After the second one the token is ours."""
+        """A token of the claim is sent: after the second one this station has the token."""
         self._claims_left -= 1
         if self._claims_left:
             self.line.queue_token(self.line.ts)
@@ -217,11 +217,11 @@ class Waiting(Parts):
         self.machine.hold(self.line.taken_at)
 
     def claim_broken(self, telegram: Telegram, now: int) -> None:
-        """Something was heard between the two tokens: somebody else is there, so wait again."""
+        """Activity between the two tokens: another station is there, so wait again."""
         self.line.drop()
         self._wait_in(self._claim_from)
         if telegram is not NONE:
             self.machine.telegram(telegram, now)
 
-    def _status(self, telegram: Telegram, kind: StationType, status: Resp = Resp.OK) -> None:
+    def _reply_status(self, telegram: Telegram, kind: StationType, status: Resp = Resp.OK) -> None:
         self.line.reply(encode_sd1(telegram.sa, self.line.ts, kind << _TYPE_SHIFT | status))

@@ -1,4 +1,4 @@
-"""This station's place in the token ring: the LAS, whether it is in the ring, and whose token it takes."""
+"""Membership in the token ring: the LAS, whether this station is in the ring, and whose token it accepts."""
 
 from __future__ import annotations
 
@@ -21,25 +21,22 @@ class Membership:
     announced: Announced
     events: list[Event]
     in_ring: bool = False
-    #: the token was claimed on a silent bus; nobody has passed one since
+    #: this station claimed the token on a silent bus and has got no token from another master since
     claimed: bool = False
-    #: it goes offline after this token hold
+    #: the station goes offline after this token hold
     leaving: bool = False
-    _refused: int = -1  # sender of a token refused once
+    _refused: int = -1  # sender of a token that the station refused once
     _last_pass: tuple[int, int] = _NO_PASS  # SA and DA of the last token between others, while nothing else followed
-    _in_vain: int = -1  # who repeated that pass: its NS is silent
-    _staggered: int = 0  # so many tokens to ourselves are delayed by TS bit times
+    _in_vain: int = -1  # the sender that repeated that pass: its NS is silent
+    _staggered: int = 0  # number of tokens to itself that the station still delays by TS bit times
 
-    def set_leaving(self, leaving: bool) -> None:
-        self.leaving = leaving
-
-    # --- whose token ---
+    # --- accepting a token ---
     def accepts(self, sa: int) -> bool:
-        """Whether to take a token from ``sa``: only the predecessor may pass it.
+        """Whether to accept a token from ``sa``: only the predecessor may pass it.
 
-        Whoever insists is the new predecessor. So is, at its first token, a station that was heard repeating a pass to
-        another one which stayed silent: it has the token, and its ring has changed. (A master that leaves cost the
-        others one more T_SL with all the host's slack.)
+        A station that passes the token a second time is the new predecessor. At its first token already, so is a
+        station that has repeated a pass to a silent successor: it has the token, and its ring has changed. (Without
+        this exception each master that left the ring cost one more T_SL with all the host's slack.)
         """
         if sa not in (self.ring.ps, self._refused, self._in_vain):
             self._refused = sa
@@ -50,31 +47,31 @@ class Membership:
         return True
 
     def saw_pass(self, sa: int, da: int) -> None:
-        """A token between others while this station does not have it."""
+        """Another station passed the token to a third one."""
         self._refused = -1
         self._in_vain = sa if (sa, da) == self._last_pass else -1
         self._last_pass = (sa, da)
 
     def forget_pass(self) -> None:
-        """Another telegram followed the last pass between others: it was no pass in vain."""
+        """Another telegram followed the last pass between others: the successor was not silent."""
         self._last_pass = _NO_PASS
         self._in_vain = -1
 
     def claim(self) -> None:
-        """The token is claimed."""
+        """This station has claimed the token."""
         self.claimed = True
         self.stagger()
 
     # --- joining and leaving ---
     def join(self, now: int) -> None:
-        """The first token hold."""
+        """The first token hold begins."""
         self.in_ring = True
         self.gap.restart()
         masters = tuple(sorted(self.ring.members))
         self.events.append(RingJoined(t_ns=now, address=self.params.address, claimed=self.claimed, masters=masters))
 
     def leave(self, now: int, reason: str) -> None:
-        """Out of the ring; reported once."""
+        """Leave the ring; the event is reported once."""
         self._refused = -1
         self.forget_pass()
         self.ring.forget()
@@ -84,18 +81,18 @@ class Membership:
             self.events.append(RingLeft(t_ns=now, address=self.params.address, reason=reason))
 
     def listen(self, now: int) -> None:
-        """Begin to listen: nothing is known of the ring."""
+        """Begin to listen with an empty LAS."""
         self.ring.forget()
         for address in sorted(self.announced.masters):
             self.report_master(address, now)
 
     # --- the other masters ---
     def report_master(self, address: int, now: int) -> None:
-        """Report that a master came or went beyond doubt, unless that was reported."""
+        """Report a master that certainly joined or left, unless the station has already reported it."""
         self._report(self.announced.certain(address, address in self.ring.members), now)
 
     def report_token(self, sa: int, now: int) -> None:
-        """A token from ``sa`` is in the LAS: report the masters that certainly came or went."""
+        """Report the masters that certainly joined or left by a token from ``sa``, which is in the LAS."""
         if self.ring.learned or self.in_ring:
             self._report(self.announced.token(sa, frozenset(self.ring.members) - {self.params.address}), now)
 
@@ -106,16 +103,17 @@ class Membership:
 
     # --- alone in the ring ---
     def stagger(self) -> None:
-        """Alone all at once: another one may be, in step and unheard; a GAP pass long the tokens to ourselves differ.
+        """Delay the tokens to itself for one pass over the GAP: this station is suddenly alone in its ring.
 
-        With the GAP off nobody else is expected.
+        Another station may be alone too, in step and unheard. With the GAP off the user expects no other master.
         """
         self._staggered = self.params.hsa + 1 if self.gap.enabled else 0
 
     def stagger_ns(self) -> int:
         """Additional silence before the next token.
 
-        Two holders in step (both lost the other's tokens) hear nothing of each other: their addresses set them apart.
+        Two token holders in step (each lost the other's tokens) do not hear each other: their addresses make their
+        times differ.
         """
         if self.ring.ns != self.params.address:
             self._staggered = 0

@@ -22,22 +22,22 @@ from dpstack.units import BITS_PER_CHAR, NEVER
 _SLACK_IN_T_TO: Final = 2
 #: repetitions of a token get this share of the slack of the first pass (but at least the slack of unknown stations)
 _AGAIN: Final = 4
-#: beside other masters a token is kept for a cycle that is due within this share of T_SL
+#: beside other masters the station keeps the token for a cycle that is due within this share of T_SL
 _KEPT: Final = 4
 TOKEN_OCTETS: Final = 3
 
 
 class ActiveLine(Line):
-    """The line as an active station uses it: the telegram that waits to be sent, its gate, what is arriving."""
+    """The line of an active station: the queued telegram, its gate, and the telegram that is arriving."""
 
     def __init__(self, params: BusParams, now: int) -> None:
         super().__init__(params, now)
         self.ts = params.address
         self.tx: bytes | None = None
-        self.gate_ns = 0  # silence that has to precede tx
+        self.gate_ns = 0  # silence that has to precede ``tx``
         self.after_ns = self.t_id1_ns  # silence that has to follow the last telegram on the line
         self.taken_at = 0  # first bit of the last transmission
-        self.busy_until = 0  # a telegram is arriving; deadlines and starts wait so long
+        self.busy_until = 0  # a telegram is arriving: deadlines and sending wait until then
         self.edge_at = 0  # first bit of the telegram that is arriving
         self._edge_seen = False
 
@@ -61,11 +61,11 @@ class ActiveLine(Line):
         self.after_ns = self.t_id1_ns
 
     def octets_ended(self, now: int, first_at: int, stall_at: int, exact: bool) -> None:
-        """Octets ended at ``now``. ``first_at``: first bit of the telegram they begin, -1 if they continue one.
+        """Octets ended at ``now``. ``first_at``: first bit of the telegram that they begin, -1 if they continue one.
 
-        ``stall_at``: an unfinished telegram is given up then; 0: there is none.
+        ``stall_at``: time at which an unfinished telegram stalls; 0: there is none.
         """
-        # receiving while sending implies sent, except where nothing is late: there it is a collision
+        # receiving while sending implies sent; only on an exact line it is a collision
         if now > self.idle_since or not exact:
             self.idle_since = now
         if first_at >= 0 and not self._edge_seen:
@@ -75,13 +75,13 @@ class ActiveLine(Line):
         self.after_ns = self.t_id1_ns
 
     def end_arrival(self) -> None:
-        """The unfinished telegram was given up."""
+        """The unfinished telegram has stalled."""
         self._edge_seen = False
         self.busy_until = 0
         self.after_ns = self.t_id1_ns
 
     def queue(self, octets: bytes) -> None:
-        """Send ``octets`` as soon as the gate after the last telegram opens."""
+        """Queue ``octets``; the gate is the idle time after the last telegram."""
         self.tx = octets
         self.gate_ns = self.after_ns
 
@@ -89,20 +89,20 @@ class ActiveLine(Line):
         self.queue(encode_token(da, self.ts))
 
     def reply(self, octets: bytes) -> None:
-        """Answer another master after min T_SDR."""
+        """Queue an answer to another master; the gate is min T_SDR."""
         self.tx = octets
         self.gate_ns = self.t_sdr_ns
 
     def lengthen_gate(self, least_ns: int) -> None:
-        """Let the telegram that waits follow a silence of ``least_ns`` or more."""
+        """Require a silence of ``least_ns`` or more before the queued telegram."""
         self.gate_ns = max(self.gate_ns, least_ns)
 
     def drop(self) -> None:
-        """Do not send the telegram that waits."""
+        """Do not send the queued telegram."""
         self.tx = None
 
     def taken(self, now: int) -> None:
-        """The telegram that waited goes out."""
+        """The driver takes the queued telegram at ``now``."""
         self.tx = None
         self.taken_at = now
 
@@ -128,22 +128,23 @@ class Times:
         self.patience = patience
         #: the port delivers nothing late and reports start edges
         self.exact = patience == EXACT
-        # Octets are seen at their end: without edges the slot time counts from there.
+        # A port without edges delivers an octet at its end: the slot time includes that octet.
         self.slot_ns = slot_ns = line.t_sl_ns if self.exact else params.ns(params.t_sl + BITS_PER_CHAR)
         self.slot_known_ns = slot_ns + patience.known_ns
         self.slot_unknown_ns = slot_ns if self.exact else patience.silent_ns(params)
-        # A stalled host had its time at the first pass: repetitions are for a damaged token.
+        # The first pass had the slack for a stalled host; repetitions serve a damaged token only.
         self.slot_again_ns = slot_ns + max(patience.known_ns // _AGAIN, patience.unknown_ns)
-        # The holder may be silent for T_SL and its slack, and notice the end of that late by as much. With the slack
-        # once (5 ms more than a known station's answer is waited for) a busy computer lost the token with every master
-        # that left, and two rings stood side by side (measured).
+        # The token holder may be silent for T_SL and its slack, and may notice the end of that time late by the same
+        # slack. With a single slack a busy computer lost the token with every master that left, and two rings existed
+        # side by side (measured).
         self.t_to_ns = line.t_to_ns + _SLACK_IN_T_TO * patience.known_ns
         self.t_tr_ns = params.ns(params.t_tr)
         self.max_retry = params.max_retry
-        # A fixed cycle that is due so soon begins with this token. With others in the ring a silence that is far from
-        # their T_SL; alone any start is caught between two tokens to ourselves, far from anybody's T_TO (600 bits).
+        # The station keeps the token for a fixed cycle that is due within this time. Beside other masters the silence
+        # is far shorter than their T_SL; alone it covers the time between two tokens to itself, far below T_TO (600
+        # bits).
         self.keep_ns = line.t_sl_ns // _KEPT
-        # the token to ourselves, until the next request may follow it
+        # duration of a token to itself until the next request may follow
         self.pass_ns = params.ns(TOKEN_OCTETS * BITS_PER_CHAR) + line.t_id1_ns + patience.sending_ns
         self.keep_alone_ns = line.t_sl_ns + 2 * self.pass_ns
         # half a bit of tolerance: telegram and pause are rounded to ns apart from each other
@@ -151,7 +152,7 @@ class Times:
 
 
 class Users:
-    """The users of the link layer, asked in their order; ``due_at``: the earliest time one of them wants its tick."""
+    """The users of the link layer in their order. ``due_at``: the earliest deadline of a user."""
 
     def __init__(self, users: Iterable[LinkUser]) -> None:
         self.all = tuple(users)
@@ -159,39 +160,39 @@ class Users:
 
     def attach(self, user: LinkUser) -> None:
         self.all += (user,)
-        self.ask_times()
+        self.update_due()
 
     def detach(self, user: LinkUser) -> None:
         self.all = tuple(other for other in self.all if other is not user)
-        self.ask_times()
+        self.update_due()
 
-    def ask_times(self) -> None:
-        """A user was called that may want its tick at another time now."""
+    def update_due(self) -> None:
+        """Read the deadlines of the users anew, after a call that may have changed one."""
         self.due_at = min((user.wake_at() for user in self.all), default=NEVER)
 
-    def tell(self, command: object, now: int) -> bool:
-        """Hand ``command`` to all of them; True when one took it."""
+    def broadcast(self, command: object, now: int) -> bool:
+        """Pass ``command`` to all users; True when one of them accepted it."""
         taken = [user.command(command, now) for user in self.all]
-        self.ask_times()
+        self.update_due()
         return any(taken)
 
     def offer(self, command: object, now: int) -> bool:
-        """Hand ``command`` to the first one that takes it; False when nobody does."""
+        """Pass ``command`` to the first user that accepts it; False when none does."""
         taken = any(user.command(command, now) for user in self.all)
         if taken:
-            self.ask_times()
+            self.update_due()
         return taken
 
     def tick(self, now: int) -> None:
         for user in self.all:
             if user.wake_at() <= now:
                 user.tick(now)
-        self.ask_times()
+        self.update_due()
 
 
 @dataclass(slots=True, eq=False)
 class Parts:
-    """Base of the state classes: their handlers work on these objects, each of which alone writes its fields."""
+    """Base of the state classes: the objects on which their handlers work."""
 
     times: Times
     line: ActiveLine
@@ -205,16 +206,16 @@ class Parts:
 
 @dataclass(slots=True, eq=False)
 class Awaiting(Parts):
-    """Base of the classes that wait for an answer."""
+    """Base of the state classes that wait for an answer."""
 
-    early_until: int = field(default=-NEVER, init=False)  # what begins before this cannot be the answer
-    garbled: bool = field(default=False, init=False)  # octets came that are no telegram (yet)
+    early_until: int = field(default=-NEVER, init=False)  # a telegram that begins earlier is no answer
+    garbled: bool = field(default=False, init=False)  # octets came that form no telegram (yet)
 
     def stray(self, _: Telegram, now: int) -> None:
-        """A response to somebody else while we hold the token."""
+        """A response to another station while this station has the token."""
         self.garbled = False
         self.stats.stray += 1
 
     def noise(self, _: Telegram, now: int) -> None:
-        """An edge or octets: a telegram may follow; if none does, the answer was garbled."""
+        """An edge or octets: if no telegram follows, the answer was garbled."""
         self.garbled = True

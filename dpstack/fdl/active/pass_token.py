@@ -17,16 +17,16 @@ _ATTEMPTS: Final = 3
 
 @dataclass(slots=True, eq=False)
 class TokenPass(Parts):
-    """Passing the token on."""
+    """A pass of the token to the next station."""
 
     exchange: Exchange
     waiting: Waiting
     _attempt: int = 0
-    _unused: bool = False  # the hold ended without a telegram
-    _heard: bool = False  # octets came that are no telegram (yet): somebody is active
+    _unused: bool = False  # the hold was without a telegram
+    _activity: bool = False  # octets came that form no telegram (yet): a station is active
 
     def start(self, now: int, unused: bool = False) -> None:
-        """The hold is over: the token to NS, which is TS itself when nobody else is in the ring."""
+        """The hold is over: pass the token to NS, which is TS itself without other masters in the ring."""
         self._unused = unused
         self._start(now)
 
@@ -40,8 +40,8 @@ class TokenPass(Parts):
         self._send()
         line.lengthen_gate(line.after_ns + membership.stagger_ns())
         if alone and self._unused and not self.times.exact:
-            # Alone with nothing to say: on a real port, do not fill line and processor with tokens to ourselves. One
-            # slot time is far from anybody's T_TO (six at least).
+            # Alone without requests: on a real port tokens to itself must not fill line and processor. One slot time
+            # is far below any T_TO (six slot times at least).
             line.lengthen_gate(line.t_sl_ns)
 
     def _send(self) -> None:
@@ -49,7 +49,7 @@ class TokenPass(Parts):
         self.line.queue_token(self.membership.ring.ns)
 
     def sent(self, _: Telegram, at: int) -> None:
-        """The token is on the line, its last bit at ``at``. A lone master holds it again without waiting."""
+        """The token is sent, its last bit is at ``at``. A lone master holds it again at once."""
         line, membership, times = self.line, self.membership, self.times
         if membership.ring.ns == line.ts:
             if membership.leaving:
@@ -57,13 +57,13 @@ class TokenPass(Parts):
             else:
                 self.machine.hold(line.taken_at)
             return
-        self._heard = False
+        self._activity = False
         slot_ns = times.slot_known_ns if self._attempt == 1 else times.slot_again_ns
         self.machine.enter(CHECK_TOKEN_PASS, at + slot_ns)
 
     def timeout(self, _: Telegram, now: int) -> None:
-        """NS did nothing for T_SL; or something was heard and no telegram came of it, then NS is believed active."""
-        if self._heard:
+        """NS was silent for T_SL: repeat, or drop it. After octets without a telegram NS counts as active."""
+        if self._activity:
             self.waiting.go_idle(now)
             return
         line, membership = self.line, self.membership
@@ -72,7 +72,7 @@ class TokenPass(Parts):
             self.stats.token_retries += 1
             self._send()
             if self._attempt == _ATTEMPTS:
-                # Two holders in step (a doubled token) hear nothing of each other: the last repetition tells them
+                # Two holders in step (a doubled token) do not hear each other: their addresses set the last repetitions
                 # apart.
                 line.lengthen_gate(now - line.idle_since + self.times.params.ns(line.ts))
             return
@@ -85,17 +85,17 @@ class TokenPass(Parts):
         self._start(now)
 
     def activity(self, _: Telegram, now: int) -> None:
-        """Somebody is active; give a telegram another slot time to become readable."""
-        self._heard = True
-        self.machine.set_deadline(now + self.times.slot_known_ns)
+        """A station is active: wait for a readable telegram for another slot time."""
+        self._activity = True
+        self.machine.deadline = now + self.times.slot_known_ns
 
     def response(self, telegram: Telegram, now: int) -> None:
-        """SC was meant for another master, so there is one; a response to us is late and says nothing about NS."""
+        """SC is for another master, so that one is active. A response to this station is late: it proves nothing."""
         if telegram.kind == Kind.SC:
             self.stats.stray += 1
             self.waiting.go_idle(now)
             return
-        self._heard = False
+        self._activity = False
         self.exchange.late(telegram, now)
 
     def confirmed(self, telegram: Telegram, now: int) -> None:

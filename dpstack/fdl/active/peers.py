@@ -1,4 +1,4 @@
-"""The stations that this one asks: which are there, whose answers may still come, whose answers are odd."""
+"""Stations asked by this one: known and slow stations, late answers that may still come, odd answers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from dpstack.fdl.interface import LinkStats, Request
 from dpstack.fdl.telegram import Telegram
 from dpstack.trace import Event, Notice, Severity
 
-#: so many slot times with the port's patience an answer may come late
+#: an answer may be late by this number of slot times with the port's slack
 _LATE_SLOTS: Final = 4
-#: report so many surplus answers, or requests with unreadable answers, among so many requests
+#: numbers of surplus answers, and of requests with unreadable answers, among ``_OF_REQUESTS`` that are reported
 _DOUBLED: Final = 10
 _UNREADABLE: Final = 50
 _OF_REQUESTS: Final = 100
@@ -34,10 +34,10 @@ class _OddAnswers:
 
 @dataclass(slots=True, eq=False)
 class Peers:
-    """The stations that are asked.
+    """The stations asked by this one.
 
-    ``due``: requests whose answer may still come, and until when, by address. Other books: ``gap`` (who answered a GAP
-    poll), ``fcb`` (who answers requests).
+    ``due``: by address, the request whose answer may still come, and the end of that time in ns. ``gap`` knows the
+    stations that answered a GAP poll, ``fcb`` those that answer requests.
     """
 
     gap: Gap
@@ -45,7 +45,7 @@ class Peers:
     stats: LinkStats
     events: list[Event]
     due: dict[int, tuple[Request, int]] = field(default_factory=dict)
-    #: stations that answered late: they are there, and get the slack of a known one until they are silent again
+    #: stations that answered late: they get the slack of a known station until they are silent again
     _slow: set[int] = field(default_factory=set)
     #: stations that left a request unanswered since their last GAP poll: no additional slack for the next one
     _doubted: set[int] = field(default_factory=set)
@@ -53,7 +53,7 @@ class Peers:
     _le3: set[int] = field(default_factory=set)
 
     def knows(self, address: int) -> bool:
-        """It answered our last GAP poll, if late, or answers our requests: its silence would be news."""
+        """Whether ``address`` answered the last GAP poll (late, too) or the last request: its silence would be news."""
         if self.fcb.operational[address] or address in self._slow:
             return True
         return address in self.gap.stations and address not in self._doubted
@@ -73,7 +73,7 @@ class Peers:
             self._slow.discard(address)
 
     def left_ring(self, address: int) -> None:
-        """Three tokens in vain: no more slack for its GAP poll than for anybody."""
+        """``address`` took none of three tokens: its GAP poll gets the slack of an unknown address."""
         self._slow.discard(address)
         self.gap.forget(address)
 
@@ -87,7 +87,7 @@ class Peers:
         self.due.pop(address, None)
 
     def due_from(self, telegram: Telegram, now: int) -> int:
-        """The station from which an answer such as ``telegram`` may still come, or -1. Forgets the overdue."""
+        """The station whose late answer ``telegram`` may be, or -1. Forgets answers that are overdue."""
         due = self.due
         for address in [a for a, (_, until) in due.items() if now > until]:
             del due[address]
@@ -97,21 +97,21 @@ class Peers:
         return -1
 
     def may_confuse(self, request: Request, now: int) -> bool:
-        """Whether an answer that is due could be taken for the answer to ``request``."""
+        """Whether a late answer to an earlier request would fit ``request``, too."""
         return any(until >= now and same_answer(due, request) for due, until in self.due.values())
 
     # --- odd answers ---
-    # Two stations with one address: one station gives one answer to each attempt at most. A late answer follows an
-    # attempt that was given up.
+    # Recognises two stations with one address: a station gives at most one answer to each attempt. A late answer
+    # follows a failed attempt.
     def late(self, address: int, now: int) -> None:
-        """An answer of ``address`` that nobody waits for."""
+        """``address`` gave a late answer."""
         self._slow.add(address)
         self.stats.late += 1
         self.stats.station(address).late += 1
         self.superfluous(address, now)
 
     def superfluous(self, address: int, now: int) -> None:
-        """``address`` gave an answer that nobody waits for. More answers than attempts are those of two stations."""
+        """``address`` gave an answer without request. More answers than attempts come from two stations."""
         odd = self._odd_of(address)
         odd.superfluous += 1
         if odd.superfluous >= _DOUBLED and not odd.reported_doubled:
@@ -124,13 +124,13 @@ class Peers:
             )
 
     def attempt_failed(self, address: int) -> None:
-        """An attempt at ``address`` had no answer in time: one may come late."""
+        """An attempt at ``address`` had no answer in time: the answer may come late."""
         odd = self._odd.get(address)
         if odd is not None and odd.superfluous:
             odd.superfluous -= 1
 
     def unreadable(self, address: int, first: bool, now: int) -> None:
-        """Of an attempt at ``address``, the ``first`` of its request or a repetition, only unreadable octets came."""
+        """The answer to an attempt at ``address`` was unreadable. ``first``: the first attempt of its request."""
         odd = self._odd_of(address)
         if first:
             odd.unreadable += 1
@@ -143,7 +143,7 @@ class Peers:
             )
 
     def empty_le3(self, address: int, now: int) -> None:
-        """``address`` sent an SD2 with LE = 3; reported once."""
+        """Report once that ``address`` sends SD2 telegrams with LE = 3."""
         if address not in self._le3:
             self._le3.add(address)
             self.events.append(le3_notice("fdl", address, now))

@@ -1,4 +1,4 @@
-"""FDL services as the requester sees them: the FC octet of each, and which telegram answers which request."""
+"""FDL services of a requester: the FC octet of each, and the match of a telegram with a request."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _WITHOUT_DATA: Final = frozenset({int(Resp.OK), int(Resp.UE), int(Resp.RR), int(
 
 
 def answers(request: Request, telegram: Telegram) -> bool:
-    """Whether ``telegram``, addressed to us or SC, can answer ``request``."""
+    """Whether ``telegram``, sent to this station or SC, can answer ``request``."""
     if telegram.kind == _SC:
         return SERVICES[request.function].counted
     if telegram.sa != request.da:
@@ -40,7 +40,7 @@ def answers(request: Request, telegram: Telegram) -> bool:
         return not telegram.data and telegram.dsap is telegram.ssap is None
     if telegram.ssap == request.dsap and telegram.dsap == request.ssap:
         return True
-    # refused or plainly acknowledged: SD1 has no room for SAPs
+    # refused, or acknowledged without data: SD1 has no room for SAPs
     return not telegram.data and telegram.dsap is telegram.ssap is None and telegram.function in _WITHOUT_DATA
 
 

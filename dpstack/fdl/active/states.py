@@ -34,9 +34,9 @@ class State(IntEnum):
 
 
 class Input(IntEnum):
-    """What can happen to an active station."""
+    """The inputs of the state machine."""
 
-    GO_ONLINE = 0  # ordered, and the line is there
+    GO_ONLINE = 0  # ordered, while the line is up
     GO_OFFLINE = 1
     LINE_DOWN = 2
     TOKEN_TO_ME = 3  # a token with DA = TS
@@ -48,17 +48,17 @@ class Input(IntEnum):
     RESPONSE = 9  # SC, or a response with DA = TS
     RESPONSE_SEEN = 10  # a response to somebody else
     ACTIVITY = 11  # an edge, or octets that are no telegram
-    SENT = 12  # the waiting telegram went on the line; the time is that of its last bit
+    SENT = 12  # the telegram that waited is sent; the time is that of its last bit
     TIMEOUT = 13  # the deadline of the state is over
-    HOLD = 14  # the token is ours now
-    CHECK = 15  # what comes next in this token hold
+    HOLD = 14  # this station has the token now
+    CHECK = 15  # choose the next telegram of this token hold
 
 
 class Row(NamedTuple):
-    """One transition: in ``state`` on ``input`` call ``handler``, which enters one of ``next``.
+    """A transition: in ``state`` on ``input`` call ``handler``, which enters one of ``next``.
 
-    A handler may pass an input on to the state it entered (HOLD, CHECK, a telegram of another token holder): what
-    happens then is the business of that state's row.
+    A handler may pass an input on to the state it entered (HOLD, CHECK, a telegram of another token holder): then the
+    row of that state applies.
     """
 
     state: State
@@ -69,7 +69,7 @@ class Row(NamedTuple):
     source: str
 
 
-# named here once for all handlers: an enum's member costs ten times a name of a module
+# names of the module, because the look-up of an enum's member takes ten times as long
 (
     OFFLINE, LISTEN_TOKEN, ACTIVE_IDLE, CLAIM_TOKEN, USE_TOKEN,
     AWAIT_DATA_RESPONSE, CHECK_ACCESS_TIME, PASS_TOKEN, CHECK_TOKEN_PASS, AWAIT_STATUS_RESPONSE,
@@ -81,7 +81,7 @@ class Row(NamedTuple):
 
 _ONLINE: Final = tuple(s for s in State if s not in (OFFLINE, CHECK_ACCESS_TIME))
 _WITHOUT_TOKEN: Final = (LISTEN_TOKEN, ACTIVE_IDLE)
-#: states in which this station holds the token and somebody else's token or request means that it does not
+#: states of a token hold in which a token or request of another station means that this station lost the token
 _HOLDING: Final = (USE_TOKEN, AWAIT_DATA_RESPONSE, AWAIT_STATUS_RESPONSE, PASS_TOKEN)
 _REQUESTS: Final = (STATUS_REQUEST, REQUEST_TO_ME, REQUEST_SEEN)
 #: telegrams that only a token holder sends
@@ -223,31 +223,28 @@ class StateMachine:
         self.row: tuple[Handler, ...] = ()
 
     def bind(self, rows: Rows) -> None:
-        """Take ``rows[state][input]`` as handlers."""
+        """Use ``rows[state][input]`` as handlers."""
         self.rows = rows
         self.row = rows[self.state]
 
     def enter(self, state: State, deadline: int = NEVER) -> None:
-        """Change state; the deadline of the old one is gone."""
+        """Change to ``state`` with its own ``deadline``."""
         self.state = state
         self.row = self.rows[state]
         self.deadline = deadline
 
-    def set_deadline(self, at: int) -> None:
-        self.deadline = at
-
     def timeout(self, now: int) -> None:
-        """The deadline is over."""
+        """The deadline of the state is over: run its handler."""
         self.deadline = NEVER
         self.row[TIMEOUT](NONE, now)
 
     def hold(self, now: int) -> None:
-        """The token is ours, since ``now``."""
+        """This station has the token since ``now``."""
         self.enter(USE_TOKEN)
         self.row[HOLD](NONE, now)
 
     def telegram(self, telegram: Telegram, now: int) -> None:
-        """Run the handler of what ``telegram`` is to this station."""
+        """Classify ``telegram`` for this station and run the handler of that input."""
         ts, fc = self.ts, telegram.fc
         if fc >= 0:
             if telegram.sa == ts:

@@ -1,6 +1,6 @@
 """The active station: a master's link layer with the whole token ring, as a machine of :mod:`dpstack.machine`.
 
-It hears octets or whole telegrams, finds out what they are to this station, and runs the handler that the table in
+It receives octets or whole telegrams, classifies them, and runs the handler that the table in
 :mod:`dpstack.fdl.active.states` names.
 """
 
@@ -46,11 +46,11 @@ from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event, WireEntry
 from dpstack.units import NS_PER_MS, chars_to_ns
 
-#: the longest telegram in octets: what an edge on the line may turn into
+#: octets of the longest telegram that may follow a start edge
 _LONGEST: Final = 255
-#: more telegrams in one chunk than a line brings in order, with those a busy computer had no time to read before
+#: more telegrams in one chunk than a line delivers in order, even to a computer that was too busy to read
 _FLOOD: Final = 8
-#: a telegram that was made so long ago may have data that are too old
+#: a telegram queued for longer than this may have data that are too old
 _LATE_NS: Final = NS_PER_MS
 
 
@@ -62,7 +62,7 @@ class ActiveStation:
     hands commands that are not its own to the users and raises :class:`UsageError` when no user accepts one.
     """
 
-    #: a ring member has to hear every token
+    #: a member of the ring needs every token
     hears_all: Final = True
 
     def __init__(
@@ -91,7 +91,7 @@ class ActiveStation:
         self._line = line = ActiveLine(params, now)
         self._times = times = Times(params, patience, line)
         self._decoder = Decoder(stall_ns=line.t_stall_ns + patience.stall_ns)
-        self._decoder.on_bad = self._bad
+        self._decoder.on_bad = self._count_damage
         self._pending = self._decoder.pending  # octets of an unfinished telegram
         #: counters of the octets received
         self.decoder_stats = self._decoder.stats
@@ -117,33 +117,32 @@ class ActiveStation:
         owners = {"idle": waiting, "hold": hold, "exchange": exchange, "poll": poll, "passing": passing}
         machine.bind(handlers_by_state(owners, self._ignore))
 
-    # --- what others may know -----------------------------------------------------------------------------------
+    # --- state --------------------------------------------------------------------------------------------------
     @property
     def state(self) -> State:
-        """The state of the link layer."""
         return self._machine.state
 
     @property
     def in_ring(self) -> bool:
-        """It has held the token since it came online, and has not been dropped since."""
+        """Whether the station has held the token since it came online and has not left the ring since."""
         return self._membership.in_ring
 
     @property
     def claimed(self) -> bool:
-        """It claimed the token on a silent bus; nobody has passed it one since."""
+        """Whether the station claimed the token on a silent bus and has got none from another master since."""
         return self._membership.claimed
 
     @property
     def las(self) -> frozenset[int]:
-        """The masters in the ring as far as is known, this one included."""
+        """The known masters in the ring, this station included."""
         return frozenset(self._membership.ring.members)
 
     @property
     def stations(self) -> dict[int, StationType]:
-        """The stations found by GAP polls and what they said they are."""
+        """The stations found by GAP polls, with the types in their answers."""
         return dict(self._gap.stations)
 
-    # --- hearing ------------------------------------------------------------------------------------------------
+    # --- receiving ----------------------------------------------------------------------------------------------
     def receive(self, chunk: bytes, now: int) -> None:
         """Octets from the line (machine contract)."""
         machine = self._machine
@@ -158,13 +157,16 @@ class ActiveStation:
         if len(found) > _FLOOD:
             found = self._without_flood(found)
         for telegram in found:
-            self._heard(telegram, now)
+            self._process(telegram, now)
         if not found:
             machine.row[ACTIVITY](NONE, now)
 
     def _without_flood(self, found: list[Telegram]) -> list[Telegram]:
-        """``found`` with at most two SC in a row, the others counted as stray: a line brings two answers at once where
-        the request between them is our own, and a third one is no answer to anybody."""
+        """``found`` with at most two SC in a row; the others count as stray.
+
+        Two answers may arrive in one chunk, because the request between them is this station's own. A third SC in a
+        row answers no request.
+        """
         kept = [
             each for n, each in enumerate(found) if n < 2 or not (each is found[n - 1] is found[n - 2] is SHORT_ACK)
         ]
@@ -173,7 +175,7 @@ class ActiveStation:
         return kept
 
     def activity(self, now: int) -> None:
-        """A start edge (see BusStation): what waits goes on waiting, for the longest telegram at most."""
+        """A start edge (see BusStation): the queued telegram waits, for the longest telegram at most."""
         machine = self._machine
         if machine.state is not OFFLINE:
             self._line.edge(now, self._longest_ns)
@@ -183,9 +185,9 @@ class ActiveStation:
         """A whole telegram (see BusStation)."""
         if self._machine.state is not OFFLINE:
             self._line.telegram_ended(now)
-            self._heard(telegram, now)
+            self._process(telegram, now)
 
-    def _heard(self, telegram: Telegram, now: int) -> None:
+    def _process(self, telegram: Telegram, now: int) -> None:
         self.stats.heard += 1
         if self.wire is not None:
             octets = _octets(telegram)
@@ -195,7 +197,7 @@ class ActiveStation:
 
     # --- time and sending ---------------------------------------------------------------------------------------
     def wake_at(self) -> int:
-        """The machine contract: a gate, a deadline, the end of a stalled telegram, or a user's time."""
+        """The earliest of: gate, deadline of the state, stall of a telegram, deadline of a user (machine contract)."""
         line, due_at = self._line, self._users.due_at
         at = self._machine.deadline if line.tx is None else line.idle_since + line.gate_ns
         if at < line.busy_until:
@@ -207,12 +209,12 @@ class ActiveStation:
         return at if at < due_at else due_at
 
     def wake(self, now: int) -> None:
-        """Judge what is due (machine contract)."""
+        """Process a stalled telegram, the deadline of the state and those of the users (machine contract)."""
         if self._pending and now >= self._decoder.stall_at():
             found = self._decoder.stalled(now)
             self._line.end_arrival()
             for telegram in found:
-                self._heard(telegram, now)
+                self._process(telegram, now)
         line, machine, users = self._line, self._machine, self._users
         if line.tx is None and machine.deadline <= now and line.busy_until <= now:
             machine.timeout(now)
@@ -220,7 +222,7 @@ class ActiveStation:
             users.tick(now)
 
     def take_tx(self, now: int) -> bytes | None:
-        """The waiting telegram once its gate is open (machine contract)."""
+        """The queued telegram once its gate is open (machine contract)."""
         line = self._line
         octets = line.tx
         if octets is None or now < line.idle_since + line.gate_ns or now < line.busy_until:
@@ -239,26 +241,26 @@ class ActiveStation:
         self.stats.sent += 1
         if self.wire is not None:
             self.wire(WireEntry(line.taken_at, at, self._sending, str(self.address)))
-        at += self._times.patience.sending_ns  # an answer cuts this short, silence does not
+        at += self._times.patience.sending_ns  # an answer ends this time, silence does not
         line.sending_ends(at)
         self._machine.row[SENT](NONE, at)
 
     @property
     def patience(self) -> Patience:
-        """How long it waits for whom."""
+        """The slack of the time-outs for known and unknown stations."""
         return self._times.patience
 
     def set_patience(self, patience: Patience, now: int) -> None:
-        """Wait as long as the port turned out to need; counts from the next deadline on."""
+        """Use the slack that the port needs; it applies from the next deadline on."""
         self._times.set_patience(patience)
         self._gap.limit(patience, self._times.slot_unknown_ns, now)
         self._decoder.stall_ns = self._line.t_stall_ns + patience.stall_ns
 
     def held_up(self, gap: HeldUp, now: int) -> bool:
-        """The driver ran this station late; True when one of its users says that its outputs are too old by it."""
-        return self._users.tell(gap, now)
+        """The driver ran this station late. True when the outputs of a user became too old by it."""
+        return self._users.broadcast(gap, now)
 
-    # --- orders and news ----------------------------------------------------------------------------------------
+    # --- events and commands ------------------------------------------------------------------------------------
     def take_events(self) -> list[Event]:
         """The station's events, then its users'."""
         events: list[Event] = []
@@ -275,7 +277,7 @@ class ActiveStation:
         match command:
             case GoOnline():
                 self._wanted = True
-                self._membership.set_leaving(False)
+                self._membership.leaving = False
                 if not self._line_is_down:
                     row[GO_ONLINE](NONE, now)
             case GoOffline():
@@ -285,12 +287,12 @@ class ActiveStation:
                 self._line_is_down = True
                 self._decoder.reset()
                 row[LINE_DOWN](NONE, now)
-                self._users.tell(command, now)
+                self._users.broadcast(command, now)
             case LineUp():
                 self._line_is_down = False
                 if self._wanted:
                     row[GO_ONLINE](NONE, now)
-                self._users.tell(command, now)
+                self._users.broadcast(command, now)
             case AttachUser(token=token):
                 user = self._attached[token] = command.link_user(self.params, self.patience, now)
                 self._users.attach(user)
@@ -302,13 +304,13 @@ class ActiveStation:
             case _:
                 if not self._users.offer(command, now):
                     raise UsageError(f"nobody on this bus takes the command {command!r}: its user is not attached")
-                self._hold.let_go(now)
+                self._hold.reconsider(now)
 
     def _ignore(self, _: Telegram, now: int) -> None:
         self.stats.ignored += 1
 
-    def _bad(self, cause: str, times: int) -> None:
-        """Something damaged: while an answer is awaited it counts for the station asked, too."""
+    def _count_damage(self, cause: str, times: int) -> None:
+        """Count damage; during a wait for an answer it counts for the station asked, too."""
         state, polled = self._machine.state, self._poll.request.da
         if state is AWAIT_DATA_RESPONSE:
             bad = self.stats.station(self._exchange.request.da).bad
@@ -320,7 +322,7 @@ class ActiveStation:
 
 
 def _octets(telegram: Telegram) -> bytes:
-    """The octets of a telegram heard. SD3 and LE = 3 are never sent: they are SD2 and SD1 with another head."""
+    """The octets of a received telegram. The codec encodes no SD3 and no LE = 3: SD2 and SD1 with another head."""
     if telegram.kind is Kind.SD3:
         return b"\xa2" + encode(telegram._replace(kind=Kind.SD2))[4:]
     if telegram.empty_le3:

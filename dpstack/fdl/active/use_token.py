@@ -22,18 +22,18 @@ from dpstack.stats import Histogram
 from dpstack.trace import Notice, Severity
 from dpstack.units import NEVER
 
-#: Says why a request may not be sent, or None when it may. It stands in front of every user of a guarded station, so
-#: that no defect further up can write on a read-only bus.
+#: Returns the reason why a request must not be sent, or None. It checks the requests of all users, so that no defect of
+#: a user can write on a read-only bus.
 Guard = Callable[[Request], str | None]
 
 _STATUS_FC: Final = FC_REQUEST | Req.FDL_STATUS
-#: after so many holds without time for a GAP poll that was due, low-priority service stands back once
+#: after this number of holds without time for a due GAP poll, the station sends it before low-priority requests
 _GAP_PATIENCE: Final = 8
 
 
 @dataclass(slots=True, eq=False)
 class GapPoll(Awaiting):
-    """The GAP poll under way. Handlers of Await_Status_Response."""
+    """The current GAP poll. Handlers of Await_Status_Response."""
 
     gap: Gap
     exchange: Exchange
@@ -42,13 +42,13 @@ class GapPoll(Awaiting):
     request: Request = NO_REQUEST
 
     def start(self, now: int, until: int) -> bool:
-        """One GAP poll a hold, when it is due, fits into T_TH (``until``) and into what silent polls may take."""
+        """Queue a GAP poll if one is due, T_TH is not over (``until``) and the allowance of silent polls permits it."""
         gap = self.gap
         address = gap.due(self.membership.ring.ns, now)
         if address < 0:
             return False
         if now >= until:
-            gap.skip()
+            gap.skipped += 1
             return False
         if not self.peers.knows(address) and not gap.allowance.allows(now):
             return False
@@ -65,7 +65,7 @@ class GapPoll(Awaiting):
         """The poll is on the line; its last bit at ``at``."""
         request, times = self.request, self.times
         self.stats.gap_polls += 1
-        self.garbled = False  # what came before the poll is no answer to it
+        self.garbled = False  # octets before the poll are no part of its answer
         if self.peers.knows(request.da):
             deadline = at + times.slot_known_ns
         else:
@@ -84,13 +84,13 @@ class GapPoll(Awaiting):
             return
         kind = telegram.station_type
         self._over(request.da, kind, now)
-        # 'in ring' of a station that is not in our LAS: it lost its token as we did, take it in
+        # 'in ring' from a station outside of the LAS: it lost its token as this station did, so add it to the LAS
         if kind >= StationType.MASTER_READY and membership.ring.add(request.da):
             membership.report_master(request.da, now)
         self.passing.start(now)
 
     def timeout(self, _: Telegram, now: int) -> None:
-        """Nobody answered the GAP poll. Octets that could not be read prove nothing either way."""
+        """No station answered the GAP poll in time. Unreadable octets prove neither presence nor absence."""
         request, peers, times = self.request, self.peers, self.times
         known = peers.knows(request.da)
         peers.attempt_failed(request.da)
@@ -100,7 +100,7 @@ class GapPoll(Awaiting):
             self.admission.unanswered(request, now)
         else:
             self.gap.allowance.charge(times.slot_unknown_ns)
-            if self.admission.window.next_at != NEVER and not times.exact:  # it may have had less than that
+            if self.admission.window.next_at != NEVER and not times.exact:  # the time-out may have been shorter
                 peers.expect_late(request, now, times.slot_unknown_ns)
         self.passing.start(now)
 
@@ -111,12 +111,12 @@ class GapPoll(Awaiting):
         elif self.gap.polled(address, kind):
             found = StationFound(t_ns=now, address=address, kind=kind)
             self.events.append(found)
-            self.users.tell(found, now)  # they may have something to do at once
+            self.users.broadcast(found, now)  # users may act at once
 
 
 @dataclass(slots=True, eq=False)
 class TokenHold(Parts):
-    """One token hold. Handlers of Use_Token and Check_Access_Time, and of the end of a hold in other states."""
+    """A token hold. Handlers of Use_Token and Check_Access_Time, and of the end of a hold in other states."""
 
     gap: Gap
     exchange: Exchange
@@ -129,12 +129,12 @@ class TokenHold(Parts):
     token_rotation: Histogram = field(default_factory=Histogram)
     _token_at: int = 0  # last receipt of the token
     _until: int = 0  # end of T_TH
-    _fresh: bool = False  # nothing was sent in this hold yet
-    _gap_turn: bool = False  # low priority stands back for the GAP in this hold
-    _refusals: set[str] = field(default_factory=set)  # reported ones
+    _fresh: bool = False  # the station has sent nothing in this hold yet
+    _gap_turn: bool = False  # the GAP poll goes before low-priority requests in this hold
+    _refusals: set[str] = field(default_factory=set)  # reasons already reported
 
     def begin(self, _: Telegram, now: int) -> None:
-        """The token is ours: T_TH = T_TR - T_RR, so it ends one T_TR after the receipt before
+        """A token hold begins: T_TH = T_TR - T_RR, so it ends one T_TR after the previous receipt
         (docs/protocol.md#token-rotation)."""
         before, self._token_at = self._token_at, now
         in_ring = self.membership.in_ring
@@ -142,7 +142,7 @@ class TokenHold(Parts):
         if in_ring:
             self.token_rotation.add(now - before)
         self._fresh = True
-        self.window.set_alone(self.membership.ring.ns == self.line.ts)
+        self.window.alone = self.membership.ring.ns == self.line.ts
         self._gap_turn = self.gap.skipped >= _GAP_PATIENCE
         self.stats.tokens += 1
         if not in_ring:
@@ -150,12 +150,13 @@ class TokenHold(Parts):
         self.resume(NONE, now)
 
     def resume(self, _: Telegram, now: int) -> None:
-        """A hold begins, or the cycle for which the token was kept is due: for the users that is the same. (Where
-        hardly any time is left between two cycles the token never leaves for as long as T_TH lasts.)
+        """Ask the users: a hold begins, or the cycle is due for which the station kept the token.
+
+        (With hardly any time between two cycles the station keeps the token for the whole of T_TH.)
         """
         for user in self.users.all:
             user.token_received(now)
-        self.users.ask_times()
+        self.users.update_due()
         self._go_on(now)
 
     def _go_on(self, now: int) -> None:
@@ -187,10 +188,10 @@ class TokenHold(Parts):
                 return
             if now < window.next_at != NEVER and (not over or self._fresh):
                 keep_ns = self.times.keep_alone_ns if window.alone else self.times.keep_ns
-                # the result of an SDN comes before its end: the token could not go on sooner than this
+                # the user gets the result of an SDN before its last bit: the token cannot go on before this time
                 free_at = max(now, self.line.idle_since + self.line.after_ns)
                 if window.next_at - free_at <= keep_ns:
-                    # the next cycle begins with this token: silent until then
+                    # keep the token for the next cycle and stay silent until then
                     self.machine.enter(USE_TOKEN, window.next_at)
                     return
         self.passing.start(now, unused=self._fresh)
@@ -203,8 +204,8 @@ class TokenHold(Parts):
             self.events.append(Notice(t_ns=now, source="fdl", message=reason, severity=Severity.ERROR))
         user.result(request, Failure.REFUSED, now)
 
-    def let_go(self, now: int) -> None:
-        """A user was ordered something: where the token is kept for a cycle, ask whether that still stands."""
+    def reconsider(self, now: int) -> None:
+        """A user got an order: if the station keeps the token for a cycle, choose the next telegram anew."""
         machine = self.machine
         if machine.state is USE_TOKEN and self.line.tx is None and machine.deadline != NEVER:
             self._go_on(now)
@@ -217,22 +218,22 @@ class TokenHold(Parts):
             self.exchange.sent(NONE, at)
 
     def withdraw(self, telegram: Telegram, now: int) -> None:
-        """Another station sends as only a token holder does: it is not us. What it sent counts in Active_Idle."""
+        """Another station sends as only a token holder does: give up the hold. Active_Idle handles ``telegram``."""
         ts, ps = self.line.ts, self.membership.ring.ps
         repeated = telegram.kind == Kind.SD4 and telegram.da == ts and telegram.sa == ps
         if repeated and self.machine.state is USE_TOKEN:
-            return  # the predecessor did not see us start in time; the token is still ours
+            return  # the predecessor missed the start of this hold; the token is still here
         self.stats.withdrawn += 1
         self.exchange.abandon(now)
         self.waiting.go_idle(now, telegram)
 
     def leave(self, _: Telegram, now: int) -> None:
-        """Go offline after what is under way; nothing is repeated."""
-        self.membership.set_leaving(True)
+        """Go offline after the current request or pass, without repetitions."""
+        self.membership.leaving = True
         self.exchange.stop_repeating()
 
     def leave_now(self, _: Telegram, now: int) -> None:
-        """Nothing is under way: what waits is not sent any more, the token goes on."""
-        self.membership.set_leaving(True)
+        """Go offline at once: drop the queued telegram and pass the token."""
+        self.membership.leaving = True
         self.exchange.abandon(now)
         self.passing.start(now)

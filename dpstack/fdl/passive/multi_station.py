@@ -1,8 +1,8 @@
 """Several passive stations behind one port: one decoder, one answer at a time, broadcasts to all.
 
-This is what a simulation of many slaves on one serial port is. The stations share the receiver, so a telegram is
-decoded once and handed whole to its addressee. The others need not hear the answer of one: a passive
-station takes no notice of responses.
+A simulation of many slaves on one serial port uses this machine. The stations share the receiver: it decodes a telegram
+once and passes it to its addressee. The other stations need not hear an answer, because a passive station ignores
+responses.
 """
 
 from __future__ import annotations
@@ -11,34 +11,28 @@ from collections.abc import Iterable
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.commands import AtStation
-from dpstack.fdl.decoder import Decoder
-from dpstack.fdl.passive.station import PassiveStation
+from dpstack.fdl.passive.station import PassiveReceiver, PassiveStation
 from dpstack.fdl.telegram import Telegram
-from dpstack.machine import LineDown, LineUp
+from dpstack.machine import LineDown
 from dpstack.params import BROADCAST, BusParams
-from dpstack.phy.line import Line
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
 from dpstack.units import NEVER
 
 
-class Multidrop:
-    """The machine of one port with several passive stations; raises ConfigError when two have one address.
+class Multidrop(PassiveReceiver):
+    """The machine of a port with several passive stations. Raises ConfigError when two stations have one address.
 
-    Stations come and go with :meth:`add` and :meth:`remove`, :meth:`silence` makes one deaf and mute for a while. When
-    an application's deadline or address changes from outside (not by a telegram or a tick), call :meth:`poke`.
+    :meth:`add` and :meth:`remove` change the set of stations; :meth:`silence` makes a station deaf and mute for a
+    while. After a change of a station's address or deadline other than by a telegram or a tick, call :meth:`poke`.
     """
 
     def __init__(self, stations: Iterable[PassiveStation], params: BusParams, *, patience: Patience = EXACT) -> None:
-        self._patience = patience
-        self._line = Line(params)
-        self._decoder = Decoder(stall_ns=0)
-        #: the counters of the shared receiver
-        self.decoder_stats = self._decoder.stats
-        self._due: dict[PassiveStation, int] = {}  # every station, and when its application wants its time
-        self._next = NEVER  # the earliest of these
+        super().__init__(params, patience)
+        self._due: dict[PassiveStation, int] = {}  # all stations with the deadlines of their applications
+        self._next = NEVER  # the earliest of these deadlines
         self._index: dict[int, PassiveStation] = {}  # by address
-        self._silent: dict[PassiveStation, int] = {}  # until when, in ns
+        self._silent: dict[PassiveStation, int] = {}  # silenced stations with the end of their silence, in ns
         self._answering: PassiveStation | None = None
         self.set_params(params)
         for station in stations:
@@ -50,7 +44,7 @@ class Multidrop:
         return tuple(sorted(self._due, key=lambda station: station.address))
 
     def add(self, station: PassiveStation) -> None:
-        """Put one more station on the line. Raises ConfigError when its address is taken or its baud rate another."""
+        """Put a station on the line. Raises ConfigError for a second station at its address or another baud rate."""
         address = station.address
         if address in self._index:
             raise ConfigError(f"two stations with address {address} on one port: give one of them another address")
@@ -60,60 +54,50 @@ class Multidrop:
         self.poke()
 
     def remove(self, address: int) -> PassiveStation:
-        """Take a station off the line, with its answer if one is under way. Raises UsageError when there is none."""
-        station = self._cut_off(address)
+        """Take the station at ``address`` off the line, and drop its answer. Raises UsageError when there is none."""
+        station = self._stop_answer(address)
         del self._due[station]
         self._silent.pop(station, None)
         self.poke()
         return station
 
     def silence(self, address: int, until: int = NEVER) -> None:
-        """Make a station deaf and mute until ``until`` (ns); its application goes on. Raises UsageError."""
-        self._silent[self._cut_off(address)] = until
+        """Make a station deaf and mute until ``until`` (ns); its application continues. Raises UsageError."""
+        self._silent[self._stop_answer(address)] = until
 
     def resume(self, address: int) -> None:
         """End a silence early. Raises UsageError when there is no such station."""
         self._silent.pop(self._station(address), None)
 
     def silent_until(self, address: int) -> int | None:
-        """When a silence ends, in ns; None where the station is not silenced. Raises UsageError."""
+        """End of a station's silence in ns; None when it is not silenced. Raises UsageError."""
         return self._silent.get(self._station(address))
 
     def poke(self) -> None:
-        """Deadlines or addresses may have changed from outside: ask all stations."""
-        self._sort()
+        """Read the address and the deadline of every station anew."""
+        self._index_addresses()
         for station in self._due:
             self._due[station] = station.responder.wake_at()
         self._next = min(self._due.values(), default=NEVER)
 
     def set_params(self, params: BusParams) -> None:
-        """Take baud rate and times from ``params`` for the port and all its stations; what is pending is forgotten."""
-        #: rate and times of the port and all its stations
-        self.params = params
-        self.baud = params.baud
-        self._line.set_params(params)
-        self._decoder.stall_ns = self._line.t_stall_ns + self._patience.stall_ns
-        self._decoder.reset()
-        self._answering = None
+        """Take baud rate and times from ``params`` for the port and all its stations; answers are dropped."""
+        super().set_params(params)
         for station in self._due:
             station.set_params(params)
 
     # --- Machine ---
     def receive(self, chunk: bytes, now: int) -> None:
-        self._line.idle_since = now  # receiving while sending implies sent
-        for telegram in self._decoder.feed(chunk, now):
+        self.line.idle_since = now  # receiving while sending implies sent
+        for telegram in self.decoder.feed(chunk, now):
             self._deliver(telegram, now)
         if self._answering is not None:
             self._answering.line.note_activity(now)
 
-    def sent(self, at: int) -> None:
-        """The answer leaves the line at ``at``."""
-        self._line.idle_since = at
-
     def wake(self, now: int) -> None:
-        """Judge a stalled telegram, and let the applications have their time."""
-        if self._decoder.stall_at() <= now:
-            for telegram in self._decoder.stalled(now):
+        """Process a stalled telegram, and call the applications at their deadlines."""
+        if self.decoder.stall_at() <= now:
+            for telegram in self.decoder.stalled(now):
                 self._deliver(telegram, now)
             if self._answering is not None:
                 self._answering.drop_if_late(now)
@@ -126,9 +110,9 @@ class Multidrop:
             self._next = min(due.values(), default=NEVER)
 
     def take_tx(self, now: int) -> bytes | None:
-        """The one answer under way, once its gate is open."""
+        """The answer that waits, once its T_SDR is over."""
         station = self._answering
-        if station is None or self._decoder.pending:
+        if station is None or self.decoder.pending:
             return None
         octets = station.take_tx(now)
         if octets is not None:
@@ -136,9 +120,9 @@ class Multidrop:
         return octets
 
     def wake_at(self) -> int:
-        """The earliest deadline of all."""
-        if self._decoder.pending:
-            own = self._decoder.stall_at()
+        """The earliest of: stall of a telegram, start of the answer, deadline of an application."""
+        if self.decoder.pending:
+            own = self.decoder.stall_at()
         elif self._answering is not None:
             own = self._answering.answer_at()
         else:
@@ -150,43 +134,39 @@ class Multidrop:
         return [event for station in self._due for event in station.take_events()]
 
     def command(self, command: object, now: int) -> None:
-        """:class:`LineDown` and :class:`LineUp` from the driver, :class:`AtStation`. UsageError on anything else."""
-        if isinstance(command, AtStation):
-            command.act(now)
-            self.poke()
-            return
-        if not isinstance(command, LineDown | LineUp):
-            raise UsageError(f"a multidrop port knows no {type(command).__name__}: tell the stations' applications")
-        self._decoder.reset()
-        self._line.idle_since = now
-        self._answering = None
-        for station in self._due:
-            station.command(command, now)
+        super().command(command, now)
+        if not isinstance(command, AtStation):
+            for station in self._due:
+                station.command(command, now)
         self.poke()
 
     # --- inside ---
+    def _forget(self) -> None:
+        super()._forget()
+        self._answering = None
+
     def _deliver(self, telegram: Telegram, now: int) -> None:
         if self._answering is not None:
-            # whoever sends now does not wait for the answer any more
+            # the sender of a new telegram no longer waits for the earlier answer
             self._answering.drop()
             self._answering = None
         da = telegram.da
         if da == BROADCAST:
             for station in list(self._due):
-                self._hand(station, telegram, now)
+                self._pass_to(station, telegram, now)
             return
         found = self._index.get(da)
         if found is not None:
-            self._hand(found, telegram, now)
+            self._pass_to(found, telegram, now)
 
-    def _hand(self, station: PassiveStation, telegram: Telegram, now: int) -> None:
+    def _pass_to(self, station: PassiveStation, telegram: Telegram, now: int) -> None:
         if self._silent and self._is_silent(station, now):
             return
         address = station.address
-        station.line.idle_since = self._line.idle_since
-        station.take(telegram, now)
+        station.line.idle_since = self.line.idle_since
+        station.process(telegram, now)
         if station.address != address:
-            self._sort()  # Set_Slave_Add
+            self._index_addresses()  # Set_Slave_Add
         if station.answer_at() != NEVER:
             self._answering = station
         due = self._due
@@ -206,9 +186,9 @@ class Multidrop:
         del self._silent[station]
         return False
 
-    def _cut_off(self, address: int) -> PassiveStation:
+    def _stop_answer(self, address: int) -> PassiveStation:
         station = self._station(address)
-        station.command(LineDown("off the line"), self._line.idle_since)
+        station.command(LineDown("off the line"), self.line.idle_since)
         if self._answering is station:
             self._answering = None
         return station
@@ -220,7 +200,7 @@ class Multidrop:
             raise UsageError(f"no station {address} on this port; there are: {known}")
         return station
 
-    def _sort(self) -> None:
+    def _index_addresses(self) -> None:
         """Index by the present addresses; of two stations with one address the first answers."""
         self._index = {}
         for station in self._due:

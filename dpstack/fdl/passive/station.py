@@ -1,7 +1,8 @@
 """The passive station: the responder's side of the link layer.
 
-It answers no earlier than T_SDR after the last bit of the request, tells its FDL status by itself, repeats the kept
-answer when a request is repeated, and hands everything else to its application (a ``Responder``).
+The station answers no earlier than T_SDR after the last bit of the request. It answers FDL status requests itself,
+repeats its last answer when a master repeats the request, and passes all other requests to its application (a
+``Responder``).
 """
 
 from __future__ import annotations
@@ -45,14 +46,54 @@ class PassiveStats:
     dropped: int = 0  # answers not sent because the line was taken before
 
 
-class PassiveStation:
-    """One passive station. A ``BusStation`` and the ``StationControl`` of its application.
+class PassiveReceiver:
+    """The receiver of one or more passive stations: bus parameters, times of the line, decoder."""
+
+    def __init__(self, params: BusParams, patience: Patience) -> None:
+        self._patience = patience
+        self.line = Line(params)
+        self.decoder = Decoder(stall_ns=0)
+        #: counters of the receiver
+        self.decoder_stats = self.decoder.stats
+
+    def set_params(self, params: BusParams) -> None:
+        """Take baud rate and times from ``params``; unfinished telegrams and unsent answers are dropped."""
+        #: baud rate and times of the line
+        self.params = params
+        #: the rate of the receiver, in bit/s
+        self.baud = params.baud
+        self.line.set_params(params)
+        self.decoder.stall_ns = self.line.t_stall_ns + self._patience.stall_ns
+        self._forget()
+
+    def sent(self, at: int) -> None:
+        """The answer leaves the line at ``at``."""
+        self.line.idle_since = at
+
+    def command(self, command: object, now: int) -> None:
+        """:class:`LineDown` and :class:`LineUp` from the driver, :class:`AtStation`. UsageError on anything else."""
+        match command:
+            case AtStation(act):
+                act(now)
+            case LineDown() | LineUp():
+                self._forget()
+                self.line.idle_since = now
+            case _:
+                raise UsageError(f"a passive station knows no {type(command).__name__}: tell its application directly")
+
+    def _forget(self) -> None:
+        """Drop unfinished telegrams and the unsent answer."""
+        self.decoder.reset()
+
+
+class PassiveStation(PassiveReceiver):
+    """A passive station with its application. A ``BusStation`` and the ``StationControl`` of its application.
 
     ``address`` 0..126. ``params`` give the baud rate, min T_SDR and the slot time; ``t_sdr`` is the station's own
     response time in bit times (>= 11, default min T_SDR); the answer starts the larger of the two after the request.
     """
 
-    #: a passive station is interested in what is sent to it and to all
+    #: a passive station hears only telegrams to its address and to all
     hears_all: Final = False
 
     def __init__(
@@ -66,29 +107,26 @@ class PassiveStation:
     ) -> None:
         if t_sdr is not None and t_sdr < LOWEST_TSDR:
             raise ConfigError(f"station {address}: t_sdr = {t_sdr} bit times; {LOWEST_TSDR} is the least")
+        super().__init__(params, patience)
         self.responder = responder
-        self._patience = patience
         self._t_sdr = LOWEST_TSDR if t_sdr is None else t_sdr
         self._tx: bytes | None = None
-        self._tx_until = 0  # an answer held up by noise is not sent after this
-        self._kept: bytes | None = None  # the last answer; None = silence was the answer
-        self._kept_sa = -1  # whom it was for; -1 = nothing is kept
+        self._tx_until = 0  # no answer starts after this, when noise has delayed it
+        self._kept: bytes | None = None  # the last answer, for repetitions; None = silence was the answer
+        self._kept_sa = -1  # the master that got it; -1 = no answer is kept
         self.set_address(address)
         self._kept_fcb = 0
         self._events: list[Event] = []
         self._reported_le3: set[int] = set()
         self.stats = PassiveStats()
-        self.line = Line(params)
-        self.decoder = Decoder(stall_ns=0)
-        self.decoder_stats = self.decoder.stats
-        self._min_tsdr = 0  # as Set_Prm gave it; 0: it gave none
+        self._min_tsdr = 0  # of Set_Prm; 0: Set_Prm gave none
         self.set_params(params)
         responder.attached(self)
 
     def __repr__(self) -> str:
         return f"<PassiveStation {self.address}>"
 
-    # --- what the station is ---
+    # --- settings ---
     def set_address(self, address: int) -> None:
         """Change the station address, 0..126; an answer under way still goes out. Raises ConfigError."""
         if not 0 <= address <= UNADDRESSED:
@@ -103,27 +141,22 @@ class PassiveStation:
         self._t_sdr_ns = self.params.ns(max(self._t_sdr, self._min_tsdr or self.params.min_tsdr))
 
     def set_params(self, params: BusParams) -> None:
-        """Take baud rate and times from ``params`` (a new rate, too); what was pending is forgotten.
+        """Take baud rate and times from ``params``; unfinished telegrams and the unsent answer are dropped.
 
-        What Set_Prm said of min T_SDR still holds: a slave without a watchdog stays in Data_Exchange while it searches.
+        Min T_SDR of Set_Prm stays valid: a slave without a watchdog stays in Data_Exchange while it searches its rate.
         """
-        self.params = params
-        #: the rate it listens at
-        self.baud = params.baud
-        self.line.set_params(params)
-        self.decoder.stall_ns = self.line.t_stall_ns + self._patience.stall_ns
+        super().set_params(params)
         self.set_min_tsdr(0)
-        self._forget()
 
-    # --- what it hears ---
+    # --- receiving ---
     def receive(self, chunk: bytes, now: int) -> None:
-        """Octets from the line; the last bit of the last one came no later than ``now``."""
+        """Octets from the line; the last bit of the last octet came no later than ``now``."""
         self.line.idle_since = now  # receiving while sending implies sent
         for telegram in self.decoder.feed(chunk, now):
-            self.take(telegram, now)
+            self.process(telegram, now)
 
     def activity(self, now: int) -> None:
-        """Somebody else begins to send: an answer not yet begun would collide, whoever waits has given up."""
+        """Another station begins to send: an answer now would collide, and its master no longer waits for it."""
         self.line.note_activity(now)
         self.drop()
 
@@ -131,42 +164,38 @@ class PassiveStation:
         """A whole telegram, decoded by the medium; it ended at ``now``."""
         self.line.idle_since = now
         if self.decoder.pending:
-            # octets of something else came before and their rest will not follow
+            # unfinished octets came before the telegram: their rest will not follow
             for late in self.decoder.stalled(now):
-                self.take(late, now)
-        self.take(telegram, now)
+                self.process(late, now)
+        self.process(telegram, now)
 
     def drop(self) -> None:
-        """The answer under way is not sent any more."""
+        """Do not send the answer that waits."""
         if self._tx is not None:
             self._tx = None
             self.stats.dropped += 1
 
-    # --- what it does ---
-    def sent(self, at: int) -> None:
-        """The answer leaves the line at ``at``."""
-        self.line.idle_since = at
-
+    # --- time and sending ---
     def wake(self, now: int) -> None:
-        """Judge a stalled telegram, and let the application have its time."""
+        """Process a stalled telegram, and call the application at its deadline."""
         if self.decoder.pending and self.decoder.stall_at() <= now:
             for telegram in self.decoder.stalled(now):
-                self.take(telegram, now)
+                self.process(telegram, now)
             self.drop_if_late(now)
         if self.responder.wake_at() <= now:
             self.responder.tick(now)
 
     def drop_if_late(self, now: int) -> None:
-        """Noise behind the request held the answer up: after the slot time nobody waits for it."""
+        """Drop the answer if noise behind the request delayed it past the slot time: the master no longer waits."""
         if self._tx is not None and now > self._tx_until:
             self.drop()
 
     def answer_at(self) -> int:
-        """When the answer under way may start, in ns; NEVER when there is none."""
+        """Earliest start of the answer that waits, in ns; NEVER when there is none."""
         return NEVER if self._tx is None else self.line.idle_since + self._t_sdr_ns
 
     def take_tx(self, now: int) -> bytes | None:
-        """The answer, once T_SDR is over and nobody else seems to be sending."""
+        """The answer, once T_SDR is over and no octets of another telegram are pending."""
         octets = self._tx
         # the line must have been silent for T_SDR: octets of an unfinished telegram hold the answer
         if octets is None or now < self.line.idle_since + self._t_sdr_ns or self.decoder.pending:
@@ -193,21 +222,10 @@ class PassiveStation:
             self._events = []
         return events
 
-    def command(self, command: object, now: int) -> None:
-        """:class:`LineDown` and :class:`LineUp` from the driver, :class:`AtStation`. UsageError on anything else."""
-        match command:
-            case AtStation(act):
-                act(now)
-            case LineDown() | LineUp():
-                self._forget()
-                self.line.idle_since = now
-            case _:
-                raise UsageError(f"a passive station knows no {type(command).__name__}: tell its application directly")
-
-    # --- the rules ---
-    def take(self, telegram: Telegram, now: int) -> None:
-        """Process a telegram from the receiver; ``line`` knows already when the line fell silent."""
-        # whoever sends now does not wait for the answer any more
+    # --- answers ---
+    def process(self, telegram: Telegram, now: int) -> None:
+        """Process a received telegram. The caller has set the end of the telegram in ``line``."""
+        # the sender of a new telegram no longer waits for the earlier answer
         if self._tx is not None:
             self.drop()
         fc = telegram.fc
@@ -228,12 +246,12 @@ class PassiveStation:
             self._reported_le3.add(sa)
             self._events.append(le3_notice(f"station {self.address}", sa, now))
         if fc & FC_FCV and sa == self._kept_sa and fc & FC_FCB == self._kept_fcb and function in COUNTED:
-            # docs/protocol.md#frame-count-bit: same requester, same FCB: the answer was lost, so it is repeated and
-            # nothing done twice
+            # docs/protocol.md#frame-count-bit: same requester, same FCB: the answer was lost. Repeat the answer
+            # without another call of the application.
             self.stats.repeats += 1
             self._answer(self._kept, now)
             return
-        self._kept_sa = -1  # kept until the next frame addressed to this station
+        self._kept_sa = -1  # the next telegram to this station ends the validity of the kept answer
         if function in _SERVED:
             self.stats.requests += 1
             reply = self.responder.serve(telegram, now)
@@ -250,14 +268,14 @@ class PassiveStation:
             return
         octets = None if reply is None else self._octets(telegram, reply)
         if fc & (FC_FCV | FC_FCB) and self.address == telegram.da:
-            # FCV = 0 with FCB = 1 starts the count; a request from another SA is not checked, but remembered
+            # FCV = 0 with FCB = 1 starts the count; a request from another SA is new whatever its FCB
             self._kept = octets
             self._kept_sa = sa
             self._kept_fcb = fc & FC_FCB
         self._answer(octets, now)
 
     def _octets(self, request: Telegram, reply: Reply) -> bytes:
-        """The answer in octets: SC or SD1 when there is nothing to carry, else SD2 with the SAPs crosswise."""
+        """The answer in octets: SC or SD1 for an answer without data, else SD2 with the SAPs exchanged."""
         status, data, short = reply
         if short:
             return SC_OCTETS
@@ -274,6 +292,6 @@ class PassiveStation:
         self._tx_until = now + max(self.line.t_sl_ns, self._t_sdr_ns)
 
     def _forget(self) -> None:
+        super()._forget()
         self._tx = None
         self._kept_sa = -1
-        self.decoder.reset()
