@@ -6,6 +6,12 @@ import tempfile
 from collections.abc import Iterator
 
 import pytest
+from cli_kit import Cli
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+    return Cli(capsys)
 
 
 @pytest.fixture

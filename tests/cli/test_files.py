@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from cli_kit import Cli
 
 from dpstack.api.config.config import load_config
 from dpstack.api.files import AtomicFile, read_file
@@ -71,9 +72,8 @@ def test_what_is_no_ordinary_file_is_refused_at_once(kind: str, read: Callable[[
 
 
 @pytest.mark.parametrize("argv", [["gsd", "show"], ["gsd", "check"], ["gsd", "configure"], ["plan"]])
-def test_commands_refuse_a_pipe(argv: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*argv, str(pipe(tmp_path))]) == 2
-    assert "is a pipe, no ordinary file" in capsys.readouterr().err
+def test_commands_refuse_a_pipe(argv: list[str], tmp_path: Path, cli: Cli) -> None:
+    assert "is a pipe, no ordinary file" in cli.err(*argv, str(pipe(tmp_path)))
 
 
 def test_a_pipe_in_place_of_the_file_that_was_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,7 +192,7 @@ def plant(tmp_path: Path, alone: None) -> Path:
     return path
 
 
-def test_dump_replaces_its_own_file_only(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_dump_replaces_its_own_file_only(plant: Path, capsys: pytest.CaptureFixture[str], cli: Cli) -> None:
     """Not the configuration, not notes, not the dump of another drive; its own earlier dump is."""
     order = ["drive", str(plant), "hoist", "dump"]
     notes, own = plant.with_name("notes.txt"), plant.with_name("hoist.toml")
@@ -205,18 +205,18 @@ def test_dump_replaces_its_own_file_only(plant: Path, capsys: pytest.CaptureFixt
     crane.write_text(own.read_text("utf-8").replace('"hoist"', '"crane"'), encoding="utf-8")
     for path in (plant, notes, crane):
         before = path.read_text("utf-8")
-        assert main([*order, str(path), "--data-set", "3"]) == 2
         assert (
             f"{path}: there is a file of that name, and it is no earlier dump of hoist; move it away, or name "
-            f"another file" in capsys.readouterr().err
+            f"another file" in cli.err(*order, str(path), "--data-set", "3")
         )
         assert path.read_text("utf-8") == before
 
 
-def test_what_was_read_is_not_lost_for_a_part_of_somebody_else(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_was_read_is_not_lost_for_a_part_of_somebody_else(plant: Path, cli: Cli) -> None:
     """The file for a dump that is cut short is looked at before anything is read."""
     part = plant.with_name("hoist.toml.part")
     part.write_text("mine", encoding="utf-8")
-    assert main(["drive", str(plant), "hoist", "dump", str(plant.with_name("hoist.toml"))]) == 2
-    assert f"{part}: there is a file of that name" in capsys.readouterr().err
+    assert f"{part}: there is a file of that name" in cli.err(
+        "drive", str(plant), "hoist", "dump", str(plant.with_name("hoist.toml"))
+    )
     assert part.read_text("utf-8") == "mine"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 import pytest
 
 from dpstack.cli.main import main
@@ -21,3 +24,33 @@ def acyclic(capsys: pytest.CaptureFixture[str], *args: str, code: int = 0) -> tu
     assert main(["acyclic", *args]) == code, capsys.readouterr()
     printed = capsys.readouterr()
     return printed.out, printed.err.replace(SIMULATED, "", 1)
+
+
+class Cli:
+    """``dpstack ARGS`` in the test's own process (the fixture ``cli``); it must end with the exit code ``code``."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, *args: str, code: int = 0) -> tuple[str, str]:
+        """Standard output and standard error, also where argparse ends the program."""
+        try:
+            ended: object = main(args)
+        except SystemExit as end:
+            ended = end.code
+        printed = self._capsys.readouterr()
+        assert ended == code, printed
+        return printed.out, printed.err
+
+    def out(self, *args: str, code: int = 0) -> str:
+        return self(*args, code=code)[0]
+
+    def err(self, *args: str, code: int = 2) -> str:
+        return self(*args, code=code)[1]
+
+    def json(self, *args: str, code: int = 0) -> Any:
+        """The last line of the output with ``--json``."""
+        return self.jsons(*args, code=code)[-1]
+
+    def jsons(self, *args: str, code: int = 0) -> list[Any]:
+        return [json.loads(line) for line in self.out(*args, "--json", code=code).splitlines()]

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from cli_kit import Cli
 from far_ends import HANG_S
 from programs import Starter
 from support_responder import Responder
@@ -90,6 +91,8 @@ def test_wrong_use(capsys: pytest.CaptureFixture[str], args: tuple[str, ...], li
     assert line in capsys.readouterr().err
 
 
-def test_a_port_where_nobody_is(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["address", "126", "5", "--port", "virtual"]) == 2
-    assert capsys.readouterr().err == 'dpstack: address: nobody is on port "virtual"; name the port of a bus\n'
+def test_a_port_where_nobody_is(cli: Cli) -> None:
+    assert (
+        cli.err("address", "126", "5", "--port", "virtual")
+        == 'dpstack: address: nobody is on port "virtual"; name the port of a bus\n'
+    )

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cli_kit import Cli
 from far_ends import PtyFarEnd
 
-from dpstack.cli.main import main
 from dpstack.ports import termios2
 
 PLANT = """
@@ -34,19 +34,16 @@ def far() -> Iterator[PtyFarEnd]:
     far.hang_up()
 
 
-def refusal(far: PtyFarEnd, folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
+def refusal(far: PtyFarEnd, folder: Path, cli: Cli) -> str:
     plant = folder / "plant.toml"
     plant.write_text(PLANT.format(port=far.path), encoding="utf-8")
-    assert main(["run", str(plant), "--seconds", "1", "--json"]) == 1
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    (line,) = printed.err.splitlines()
+    out, err = cli("run", str(plant), "--seconds", "1", "--json", code=1)
+    assert out == ""
+    (line,) = err.splitlines()
     return line
 
 
-def test_no_permission(
-    far: PtyFarEnd, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_permission(far: PtyFarEnd, tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     opened = os.open
 
     def refuse(path: str, *rest: Any, **more: Any) -> int:
@@ -55,27 +52,23 @@ def test_no_permission(
         return opened(path, *rest, **more)
 
     monkeypatch.setattr(os, "open", refuse)
-    line = refusal(far, tmp_path, capsys)
+    line = refusal(far, tmp_path, cli)
     assert line.startswith(f"dpstack: {far.path}: no permission; ")
     assert "group" in line
 
 
-def test_a_rate_the_port_cannot_do(
-    far: PtyFarEnd, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rate_the_port_cannot_do(far: PtyFarEnd, tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(termios2, "set_raw", lambda _fd, _baud, marks: termios2.Applied(9_600, True))
-    assert refusal(far, tmp_path, capsys) == (
+    assert refusal(far, tmp_path, cli) == (
         f"dpstack: {far.path} cannot do 12 Mbit/s, it set itself to 9.6 kbit/s: choose another rate or adapter"
     )
 
 
-def test_a_rate_the_driver_refuses(
-    far: PtyFarEnd, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rate_the_driver_refuses(far: PtyFarEnd, tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_fd: int, _baud: int, *, marks: bool) -> termios2.Applied:
         raise OSError(errno.EINVAL, "Invalid argument")
 
     monkeypatch.setattr(termios2, "set_raw", refuse)
-    assert refusal(far, tmp_path, capsys) == (
+    assert refusal(far, tmp_path, cli) == (
         f"dpstack: {far.path} refuses 12 Mbit/s 8E1 (Invalid argument): choose another rate or adapter"
     )

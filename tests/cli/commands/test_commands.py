@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cli_kit import Cli
 
 import dpstack
 from dpstack.api.server.simulation import Simulation
 from dpstack.cli.commands import sim
-from dpstack.cli.main import main
 
 PLANT = """
 [bus]
@@ -41,41 +41,23 @@ def plant(tmp_path: Path) -> str:
     return str(path)
 
 
-Out = pytest.CaptureFixture[str]
-
-
-def call(*args: str) -> int:
-    """The exit code, also where argparse ends by itself."""
-    try:
-        return main(args)
-    except SystemExit as end:
-        return end.code if isinstance(end.code, int) else 1
-
-
-def lines(out: str) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in out.splitlines()]
-
-
 # --- run ------------------------------------------------------------------------------------------------------------
 
 
-def test_run_with_a_fixed_cycle_says_how_it_was_kept(plant: str, tmp_path: Path, capsys: Out) -> None:
+def test_run_with_a_fixed_cycle_says_how_it_was_kept(plant: str, tmp_path: Path, cli: Cli) -> None:
     config = tmp_path / "cycle.toml"
     config.write_text(PLANT.replace("gap = 0", "gap = 0\ncycle_ms = 10"), encoding="utf-8")
-    assert call("run", str(config), "--rotations", "20") == 0
-    out = capsys.readouterr().out
+    out = cli.out("run", str(config), "--rotations", "20")
     assert " cycles of 10 ms, late in us: min 0, p50 0, p99 0, p999 0, max 0\nno deadline was missed\n" in out
     config.write_text(PLANT.replace("gap = 0", "gap = 0\ncycle_ms = 3"), encoding="utf-8")
-    call("run", str(config), "--rotations", "20", "--json")
-    summary = lines(capsys.readouterr().out)[-1]
+    summary = cli.json("run", str(config), "--rotations", "20")
     assert (summary["cycle_us"], summary["missed"]) == (3000, sum(summary["missed_by"].values()))
 
 
-def test_run_json_is_the_documented_one(plant: str, capsys: Out) -> None:
-    assert call("run", plant, "--rotations", "50", "--json", "--outputs", "9=5A") == 0
-    printed = capsys.readouterr()
-    assert printed.err == ""
-    told = lines(printed.out)
+def test_run_json_is_the_documented_one(plant: str, cli: Cli) -> None:
+    out, err = cli("run", plant, "--rotations", "50", "--json", "--outputs", "9=5A")
+    assert err == ""
+    told = [json.loads(line) for line in out.splitlines()]
     start, summary = told[0], told[-1]
     assert set(start) == {"event", "time", "port", "baud", "driver"}
     assert (start["event"], start["port"], start["baud"], start["driver"]) == ("start", "virtual", 500_000, "virtual")
@@ -99,9 +81,8 @@ def test_run_json_is_the_documented_one(plant: str, capsys: Out) -> None:
     assert raw["exchanges"] >= 50
 
 
-def test_run_in_clear_sends_zeros(plant: str, capsys: Out) -> None:
-    assert call("run", plant, "--rotations", "20", "--json", "--outputs", "9=5A", "--clear") == 0
-    summary = lines(capsys.readouterr().out)[-1]
+def test_run_in_clear_sends_zeros(plant: str, cli: Cli) -> None:
+    summary = cli.json("run", plant, "--rotations", "20", "--outputs", "9=5A", "--clear")
     assert summary["slaves"]["9"]["inputs"] == "00"
 
 
@@ -113,24 +94,21 @@ def test_run_in_clear_sends_zeros(plant: str, capsys: Out) -> None:
         "--outputs raw=00 --rotations 20 PLANT --outputs hoist=000000000000000000000000 raw=5A",
     ],
 )
-def test_outputs_of_several_slaves_by_address_or_name(plant: str, capsys: Out, words: str) -> None:
+def test_outputs_of_several_slaves_by_address_or_name(plant: str, cli: Cli, words: str) -> None:
     args = [plant if word == "PLANT" else word for word in words.split()]
-    assert call("run", *args, "--json", "--address", "7") == 0
-    told = lines(capsys.readouterr().out)
+    told = cli.jsons("run", *args, "--address", "7")
     assert (told[-1]["slaves"]["9"]["outputs"], told[-1]["slaves"]["9"]["inputs"]) == ("5a", "5a")
     assert "station 7 claimed the token on a silent bus" in {line.get("text") for line in told}
 
 
-def test_help_says_that_a_read_only_run_joins_the_ring(capsys: Out) -> None:
-    call("run", "--help")
-    words = " ".join(capsys.readouterr().out.split())
+def test_help_says_that_a_read_only_run_joins_the_ring(cli: Cli) -> None:
+    words = " ".join(cli.out("run", "--help").split())
     assert "--read-only join the token ring as one more master, show who is there" in words
     assert "--address N another station address of the master" in words
 
 
-def test_run_for_people(plant: str, capsys: Out) -> None:
-    assert call("run", plant, "--seconds", "0.3") == 0
-    out = capsys.readouterr().out
+def test_run_for_people(plant: str, cli: Cli) -> None:
+    out = cli.out("run", plant, "--seconds", "0.3")
     assert out.startswith("master 2 on virtual at 500 kbit/s\n")
     assert "slave 3 (hoist): data_exchange" in out
     assert "bus rotation time in us: min " in out
@@ -139,11 +117,10 @@ def test_run_for_people(plant: str, capsys: Out) -> None:
     assert "\nProcess data\naddress  name   inputs" in out
 
 
-def test_run_shows_named_values(plant: str, capsys: Out) -> None:
+def test_run_shows_named_values(plant: str, cli: Cli) -> None:
     named = 'inputs = { limit = "bool@0.3", raw = "bytes@0:1" }\noutputs = { flap = "bool@0.3" }\n'
     Path(plant).write_text(PLANT + named, encoding="utf-8")
-    assert call("run", plant, "--seconds", "0.3", "--outputs", "9=0A") == 0
-    out = capsys.readouterr().out.splitlines()
+    out = cli.out("run", plant, "--seconds", "0.3", "--outputs", "9=0A").splitlines()
     at = out.index("Named inputs and outputs")
     assert [line.split() for line in out[at + 1 : at + 5]] == [
         ["address", "name", "field", "value"],
@@ -151,41 +128,35 @@ def test_run_shows_named_values(plant: str, capsys: Out) -> None:
         ["9", "raw", "raw", "0a"],
         ["9", "raw", "flap", "True"],
     ]
-    assert call("run", plant, "--seconds", "0.3", "--json") == 0
-    slave = lines(capsys.readouterr().out)[-1]["slaves"]["9"]
+    slave = cli.json("run", plant, "--seconds", "0.3")["slaves"]["9"]
     assert slave["fields"] == {"limit": False, "raw": "00", "flap": False}
 
 
-def test_version(capsys: Out) -> None:
-    assert call("--version") == 0
-    assert capsys.readouterr().out == f"dpstack {dpstack.__version__}\n"
+def test_version(cli: Cli) -> None:
+    assert cli.out("--version") == f"dpstack {dpstack.__version__}\n"
 
 
-def test_run_ends_with_1_when_a_slave_is_missing(plant: str, capsys: Out) -> None:
+def test_run_ends_with_1_when_a_slave_is_missing(plant: str, cli: Cli) -> None:
     """Nobody is at the other end of a new pty."""
-    assert call("run", plant, "--port", "pty", "--seconds", "0.2", "--json") == 1
-    err = capsys.readouterr().err.splitlines()
+    err = cli.err("run", plant, "--port", "pty", "--seconds", "0.2", "--json", code=1).splitlines()
     assert err[0].startswith("dpstack: slave 3 (hoist) is not in data exchange: ")
     assert len(err) == 2
 
 
-def test_plan_of_a_bus_whose_rate_is_found_by_listening(plant: str, capsys: Out) -> None:
+def test_plan_of_a_bus_whose_rate_is_found_by_listening(plant: str, cli: Cli) -> None:
     path = Path(plant)
     path.write_text(PLANT.replace("500000", '"auto"'), encoding="utf-8")
-    assert call("plan", plant, "--baud", "all", "--json") == 0  # none is the bus's own rate
-    assert len(lines(capsys.readouterr().out)[0]) == 11
-    assert call("plan", plant) == 2
-    assert 'baud "auto" is found when the bus is opened; give the rate' in capsys.readouterr().err
+    assert len(cli.jsons("plan", plant, "--baud", "all")[0]) == 11
+    assert 'baud "auto" is found when the bus is opened; give the rate' in cli.err("plan", plant)
 
 
-def test_run_read_only_leaves_everybody_as_he_is(plant: str, capsys: Out) -> None:
-    assert call("run", plant, "--read-only", "--seconds", "1", "--json") == 1  # nobody is in data exchange
-    printed = capsys.readouterr()
-    assert printed.err.splitlines() == [
+def test_run_read_only_leaves_everybody_as_he_is(plant: str, cli: Cli) -> None:
+    out, err = cli("run", plant, "--read-only", "--seconds", "1", "--json", code=1)
+    assert err.splitlines() == [
         f"dpstack: slave {a} ({name}) is not in data exchange: it is in diagnosis"
         for a, name in ((3, "hoist"), (9, "raw"))
     ]
-    told = lines(printed.out)
+    told = [json.loads(line) for line in out.splitlines()]
     seen = {e["address"]: e for e in told if e["event"] == "station" and "state" in e}
     assert {a: (e["type"], e["state"], e["master"]) for a, e in seen.items()} == dict.fromkeys(
         (3, 9), ("slave", "wait_prm", None)
@@ -197,15 +168,13 @@ def test_run_read_only_leaves_everybody_as_he_is(plant: str, capsys: Out) -> Non
     assert summary["timeouts"] == 0
 
 
-def test_read_only_shows_people_no_process_data_since_none_is_exchanged(plant: str, capsys: Out) -> None:
+def test_read_only_shows_people_no_process_data_since_none_is_exchanged(plant: str, cli: Cli) -> None:
     path = Path(plant)
     path.write_text(PLANT + 'inputs = { limit = "bool@0.0" }\n', encoding="utf-8")
-    assert call("run", plant, "--read-only", "--seconds", "0.5") == 1
-    told = capsys.readouterr().out
+    told = cli.out("run", plant, "--read-only", "--seconds", "0.5", code=1)
     assert "Slaves" in told
     assert not any(text in told for text in ("Process data", "Named inputs", "limit"))
-    assert call("run", plant, "--seconds", "0.5") == 0
-    told = capsys.readouterr().out
+    told = cli.out("run", plant, "--seconds", "0.5")
     assert all(text in told for text in ("Process data", "Named inputs", "limit"))
 
 
@@ -283,37 +252,33 @@ WRONG: list[tuple[list[str], int, str]] = [
 
 
 @pytest.mark.parametrize(("args", "code", "line"), WRONG, ids=[" ".join(args) or "nothing" for args, _, _ in WRONG])
-def test_wrong_use_gets_one_clear_line(plant: str, capsys: Out, args: list[str], code: int, line: str) -> None:
-    assert call(*(plant if arg == "PLANT" else arg for arg in args)) == code
-    printed = capsys.readouterr()
-    assert printed.err.startswith(line.replace("PLANT", plant))
-    assert printed.err.count("\n") == 1
-    assert printed.out == ""
+def test_wrong_use_gets_one_clear_line(plant: str, cli: Cli, args: list[str], code: int, line: str) -> None:
+    out, err = cli(*(plant if arg == "PLANT" else arg for arg in args), code=code)
+    assert err.startswith(line.replace("PLANT", plant))
+    assert err.count("\n") == 1
+    assert out == ""
 
 
-def test_a_bad_configuration_is_one_line_and_2(tmp_path: Path, capsys: Out) -> None:
+def test_a_bad_configuration_is_one_line_and_2(tmp_path: Path, cli: Cli) -> None:
     path = tmp_path / "bad.toml"
     path.write_text(PLANT.replace("address = 9", "address = 3"), encoding="utf-8")
     for command in ("run", "plan"):
-        assert call(command, str(path)) == 2
-        err = capsys.readouterr().err
+        err = cli.err(command, str(path))
         assert err == (
             f"dpstack: {path}:15: slaves hoist and raw both have address 3; give one of them another address\n"
         )
 
 
 @pytest.mark.parametrize("command", ["demo", "run", "sim", "segment", "scan", "plan"])
-def test_help_has_an_example(command: str, capsys: Out) -> None:
-    assert call(command, "--help") == 0
-    assert f"example: dpstack {command}" in capsys.readouterr().out
+def test_help_has_an_example(command: str, cli: Cli) -> None:
+    assert f"example: dpstack {command}" in cli.out(command, "--help")
 
 
 # --- plan -----------------------------------------------------------------------------------------------------------
 
 
-def test_plan_json(plant: str, capsys: Out) -> None:
-    assert call("plan", plant, "--json") == 0
-    (plan,) = lines(capsys.readouterr().out)
+def test_plan_json(plant: str, cli: Cli) -> None:
+    (plan,) = cli.jsons("plan", plant)
     assert plan["baud"] == 500_000
     assert plan["rotation_us"]["min"] == 1696.0
     assert set(plan["rotation_us"]) == {"min", "typical", "max"}
@@ -324,10 +289,9 @@ def test_plan_json(plant: str, capsys: Out) -> None:
     assert plan["findings"] == []
 
 
-def test_plan_of_all_rates(plant: str, capsys: Out) -> None:
+def test_plan_of_all_rates(plant: str, cli: Cli) -> None:
     # at 9.6 kbit/s 200 ms are too short a watchdog, but the bus runs at 500 kbit/s
-    assert call("plan", plant, "--baud", "all", "--json") == 0
-    (plans,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    (plans,) = cli.jsons("plan", plant, "--baud", "all")
     assert [p["baud"] for p in plans][:3] == [9600, 19_200, 31_250]
     assert len(plans) == 11
     assert any("its watchdog of 200 ms is shorter" in f for f in plans[0]["findings"])
@@ -335,26 +299,23 @@ def test_plan_of_all_rates(plant: str, capsys: Out) -> None:
     assert plans[6]["findings"] == []
 
 
-def test_plan_for_people(plant: str, capsys: Out) -> None:
-    assert call("plan", plant) == 0
-    out = capsys.readouterr().out
+def test_plan_for_people(plant: str, cli: Cli) -> None:
+    out = cli.out("plan", plant)
     assert "T_SL       200        400.0" in out
     assert "shortest  848        1.696 ms" in out
     assert "nothing is out of bounds" in out
-    assert call("plan", plant, "--baud", "all") == 0
-    assert "500 kbit/s    1.696 ms" in capsys.readouterr().out
-    assert call("plan", plant, "--baud", "9600") == 1
+    assert "500 kbit/s    1.696 ms" in cli.out("plan", plant, "--baud", "all")
+    cli("plan", plant, "--baud", "9600", code=1)
 
 
 # --- demo -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("baud", ["500000", "1500000", "19200", pytest.param("12000000", marks=pytest.mark.soak)])
-def test_demo_fast(baud: str, capsys: Out) -> None:
-    assert call("demo", "--fast", "--json", "--baud", baud) == 0
-    printed = capsys.readouterr()
-    assert printed.err == ""
-    told = lines(printed.out)
+def test_demo_fast(baud: str, cli: Cli) -> None:
+    out, err = cli("demo", "--fast", "--json", "--baud", baud)
+    assert err == ""
+    told = [json.loads(line) for line in out.splitlines()]
     assert told[0]["event"] == "start"
     summary = told[-1]
     assert summary["event"] == "summary"
@@ -367,14 +328,13 @@ def test_demo_fast(baud: str, capsys: Out) -> None:
     assert all(s["state"] == "data_exchange" for s in summary["slaves"].values())
 
 
-def test_demo_for_people_goes_on_as_long_as_asked(capsys: Out) -> None:
-    assert call("demo", "--fast", "--seconds", "6") == 0
-    out = capsys.readouterr().out
+def test_demo_for_people_goes_on_as_long_as_asked(cli: Cli) -> None:
+    out = cli.out("demo", "--fast", "--seconds", "6")
     assert "planned 6.472 ms, measured 6.4" in out
     assert "rotations in 6.0" in out
 
 
-def test_demo_says_which_story_failed(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_demo_says_which_story_failed(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     from dpstack.api.slave.drive import Drive
     from dpstack.cli.commands import demo_stories
     from dpstack.errors import DriveError
@@ -383,10 +343,9 @@ def test_demo_says_which_story_failed(capsys: Out, monkeypatch: pytest.MonkeyPat
         raise DriveError(drive.name, "it will not")
 
     monkeypatch.setitem(demo_stories.STORIES, "fuji-frenic", demo_stories.Story(fails, "PPO3"))
-    assert call("demo", "--fast", "--json") == 1
-    printed = capsys.readouterr()
-    assert printed.err == "dpstack: it will not\n"
-    assert lines(printed.out)[-1]["stories"] == {"ended": 4, "of": 5}
+    out, err = cli("demo", "--fast", "--json", code=1)
+    assert err == "dpstack: it will not\n"
+    assert json.loads(out.splitlines()[-1])["stories"] == {"ended": 4, "of": 5}
 
 
 async def test_a_simulated_slave_as_delivered_gets_an_address(tmp_path: Path) -> None:
@@ -406,7 +365,6 @@ async def test_a_simulated_slave_as_delivered_gets_an_address(tmp_path: Path) ->
         assert list(simulation.status()["slaves"]) == ["5"]  # type: ignore[call-overload]
 
 
-def test_one_device_of_a_gsd_file_is_simulated(capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_device_of_a_gsd_file_is_simulated(cli: Cli) -> None:
     args = ["--gsd", "io-station", "--modules", "1", "8 DO", "--address", "8", "--port", "pty", "--seconds", "0.05"]
-    assert main(["sim", *args]) == 0
-    assert "    8  io-station  (io-station)\n" in capsys.readouterr().out
+    assert "    8  io-station  (io-station)\n" in cli.out("sim", *args)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cli_kit import Cli
 from far_ends import until
 from programs import PLANT, Starter
 
@@ -25,13 +26,12 @@ from dpstack.profile import DriveDevice
 Out = pytest.CaptureFixture[str]
 
 
-def ctl(capsys: Out, *args: str, code: int = 0) -> str:
-    assert main(["ctl", *args]) == code
-    printed = capsys.readouterr()
-    return printed.err if code else printed.out
+def ctl(cli: Cli, *args: str, code: int = 0) -> str:
+    out, err = cli("ctl", *args, code=code)
+    return err if code else out
 
 
-def test_three_programs_are_told_what_to_do(tmp_path: Path, start: Starter, capsys: Out) -> None:
+def test_three_programs_are_told_what_to_do(tmp_path: Path, start: Starter, cli: Cli) -> None:
     bus = tmp_path / "bus"
     segment = start("segment", "--stations", "2", "--dir", str(bus))
     segment.wait_for(str(bus / "1"))
@@ -42,38 +42,38 @@ def test_three_programs_are_told_what_to_do(tmp_path: Path, start: Starter, caps
     run = start("run", str(config), "--json")
     run.wait_for_slaves(3)
 
-    assert "trip SLAVE CODE" in ctl(capsys, str(bus / "0"))
-    assert ctl(capsys, str(bus / "0"), "trip", "hoist", "F2100") == "ok\n"
-    assert ctl(capsys, str(bus / "1"), "outputs", "9=A5") == "ok\n"
+    assert "trip SLAVE CODE" in ctl(cli, str(bus / "0"))
+    assert ctl(cli, str(bus / "0"), "trip", "hoist", "F2100") == "ok\n"
+    assert ctl(cli, str(bus / "1"), "outputs", "9=A5") == "ok\n"
     sim.wait_for("slave 3 (hoist): trip F2100 (dpstack ctl)\n")
-    assert "injected trip F2100\n" in ctl(capsys, str(bus / "0"), "status")
+    assert "injected trip F2100\n" in ctl(cli, str(bus / "0"), "status")
     run.wait_for('"hoist"', 1)
-    status = json.loads(ctl(capsys, str(bus / "1"), "status", "--json"))["result"]
+    status = json.loads(ctl(cli, str(bus / "1"), "status", "--json"))["result"]
     assert status["mode"] == "operate"
     assert status["slaves"]["9"]["outputs"] == "a5"
-    ctl(capsys, str(bus / "0"), "silence", "4")
+    ctl(cli, str(bus / "0"), "silence", "4")
     run.wait_for('"kind":"lost"', 1)
-    ctl(capsys, str(bus / "0"), "resume", "4")
+    ctl(cli, str(bus / "0"), "resume", "4")
     run.wait_for('"state":"data_exchange"', 4)
-    ctl(capsys, str(bus / "0"), "power-off", "9")
+    ctl(cli, str(bus / "0"), "power-off", "9")
     run.wait_for('"kind":"lost"', 2)
-    ctl(capsys, str(bus / "0"), "power-on", "9")
+    ctl(cli, str(bus / "0"), "power-on", "9")
     run.wait_for('"state":"data_exchange"', 5)
-    ctl(capsys, str(bus), "noise", "1e-4")
+    ctl(cli, str(bus), "noise", "1e-4")
     segment.wait_for(" s  the segment: noise 1e-4 (dpstack ctl)\n")
-    assert "error_rate: 0.0001" in ctl(capsys, str(bus), "status")
-    ctl(capsys, str(bus), "noise", "0")
-    assert "stations 0:" in ctl(capsys, str(bus), "stats")
+    assert "error_rate: 0.0001" in ctl(cli, str(bus), "status")
+    ctl(cli, str(bus), "noise", "0")
+    assert "stations 0:" in ctl(cli, str(bus), "stats")
 
-    assert "trip is a command of `dpstack sim`, this is a run" in ctl(capsys, str(bus / "1"), "trip", "3", "1", code=2)
-    assert "did you mean silence" in ctl(capsys, str(bus / "0"), "silense", "3", code=2)
-    assert "no slave '77' here; there are: 3 (hoist)" in ctl(capsys, str(bus / "0"), "trip", "77", "1", code=2)
-    error = ctl(capsys, "/dev/ttyUSB77", "status", code=1)
+    assert "trip is a command of `dpstack sim`, this is a run" in ctl(cli, str(bus / "1"), "trip", "3", "1", code=2)
+    assert "did you mean silence" in ctl(cli, str(bus / "0"), "silense", "3", code=2)
+    assert "no slave '77' here; there are: 3 (hoist)" in ctl(cli, str(bus / "0"), "trip", "77", "1", code=2)
+    error = ctl(cli, "/dev/ttyUSB77", "status", code=1)
     assert error.startswith("dpstack: nobody answers for /dev/ttyUSB77; there is: ")
     assert f"segment on {bus}" in error
     assert f"sim on {bus / '0'}" in error
     assert run.end(signal.SIGTERM) == 0
-    assert "nobody answers" in ctl(capsys, str(bus / "1"), "status", code=1)
+    assert "nobody answers" in ctl(cli, str(bus / "1"), "status", code=1)
 
 
 async def ask(server: ControlServer, *order: str) -> Any:
@@ -240,7 +240,7 @@ async def test_a_pty_is_found_by_its_path() -> None:
         assert (await ask(server, "help"))["kind"] == "sim"
 
 
-def test_each_run_on_virtual_has_a_name_of_its_own(tmp_path: Path, start: Starter, capsys: Out) -> None:
+def test_each_run_on_virtual_has_a_name_of_its_own(tmp_path: Path, start: Starter, capsys: Out, cli: Cli) -> None:
     """An order goes where configuration file and port agree, else nowhere."""
     mine, theirs = (tmp_path / name for name in ("mine.toml", "theirs.toml"))
     for path in (mine, theirs):
@@ -248,8 +248,8 @@ def test_each_run_on_virtual_has_a_name_of_its_own(tmp_path: Path, start: Starte
     first = start("run", str(theirs))
     first.wait_for("operate")
     one = f"virtual:{first.process.pid}"
-    assert ctl(capsys, "virtual").startswith(f"run on {one} (pid {first.process.pid})\nconfiguration: {theirs}\n")
-    assert "mode: operate" in ctl(capsys, "virtual", "status")
+    assert ctl(cli, "virtual").startswith(f"run on {one} (pid {first.process.pid})\nconfiguration: {theirs}\n")
+    assert "mode: operate" in ctl(cli, "virtual", "status")
     for order in (("drive", str(mine), "fan", "start"), ("acyclic", str(mine), "9", "im")):
         assert main(list(order)) == 2
         assert capsys.readouterr().err == (
@@ -260,30 +260,29 @@ def test_each_run_on_virtual_has_a_name_of_its_own(tmp_path: Path, start: Starte
     second.wait_for("operate")
     two = f"virtual:{second.process.pid}"
     assert second.err == (f'dpstack: there are other runs on "virtual" ({one}): this one answers `dpstack ctl {two}`\n')
-    assert ctl(capsys, one, "outputs", "9=01") == "ok\n"
+    assert ctl(cli, one, "outputs", "9=01") == "ok\n"
     link = tmp_path / "link.toml"
     link.symlink_to(mine)
     for path in (mine, link):  # the file counts, not what it is called
-        assert main(["drive", str(path), "fan", "status", "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["through"] == "run"
-    assert main(["drive", str(mine), "fan", "speed", "0.25"]) == 0
-    capsys.readouterr()
+        assert cli.json("drive", str(path), "fan", "status")["through"] == "run"
+    cli("drive", str(mine), "fan", "speed", "0.25")
     setpoints = {
-        name: json.loads(ctl(capsys, name, "status", "--json"))["result"]["slaves"]["4"]["drive"]["setpoint"]
+        name: json.loads(ctl(cli, name, "status", "--json"))["result"]["slaves"]["4"]["drive"]["setpoint"]
         for name in (one, two)
     }
     assert setpoints == {one: 0.0, two: 0.25}
-    error = ctl(capsys, "virtual", "clear", code=2)
+    error = ctl(cli, "virtual", "clear", code=2)
     assert error.startswith('dpstack: there are 2 runs on "virtual": ')
     assert f"run on {one} ({theirs})" in error
     assert f"run on {two} ({mine})" in error
     third = start("run", str(mine), "--seconds", "60")
     third.wait_for("operate")
-    assert main(["drive", str(mine), "fan", "stop"]) == 2
-    assert f'2 runs on "virtual" have the configuration {mine}; there is: ' in capsys.readouterr().err
+    assert f'2 runs on "virtual" have the configuration {mine}; there is: ' in cli.err(
+        "drive", str(mine), "fan", "stop"
+    )
     for program in (third, second):
         assert program.end(signal.SIGTERM) == 0
-    assert "mode: operate" in ctl(capsys, "virtual", "status")
+    assert "mode: operate" in ctl(cli, "virtual", "status")
     first.process.kill()
     first.process.wait()
-    assert "nobody answers for virtual" in ctl(capsys, "virtual", "status", code=1)
+    assert "nobody answers for virtual" in ctl(cli, "virtual", "status", code=1)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import io
-import json
 from pathlib import Path
 
 import pytest
+from cli_kit import Cli
 
 from dpstack.capture.pcapng import PROFIBUS_DL, Damage, Writer
 from dpstack.cli.main import main
@@ -26,43 +26,40 @@ def _capture(path: Path, *, linktype: int = PROFIBUS_DL) -> str:
     return str(path)
 
 
-def _json(capsys: Out, *args: str, code: int = 0) -> list[dict[str, object]]:
-    assert main(["decode", *args, "--json"]) == code
-    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+def _json(cli: Cli, *args: str, code: int = 0) -> list[dict[str, object]]:
+    return cli.jsons("decode", *args, code=code)
 
 
-def test_a_capture_with_its_times(capsys: Out, tmp_path: Path) -> None:
-    token, poll, answer, damaged = _json(capsys, _capture(tmp_path / "bus.pcapng"))
+def test_a_capture_with_its_times(cli: Cli, tmp_path: Path) -> None:
+    token, poll, answer, damaged = _json(cli, _capture(tmp_path / "bus.pcapng"))
     assert (token["kind"], token["t"], poll["fcv"], poll["function"]) == ("SD4", 1.0, True, "SRD_HIGH")
     # 250 us from begin to begin, of which the request itself takes 10 octets of 22 us
     assert answer["course"]["response_us"] == 30.0  # type: ignore[index]
     assert "marked by the port: parity or framing; from 50 octets" in str(damaged["text"])
 
 
-def test_times_are_shown_to_the_nanosecond(capsys: Out, tmp_path: Path) -> None:
+def test_times_are_shown_to_the_nanosecond(cli: Cli, tmp_path: Path) -> None:
     with (tmp_path / "a").open("wb") as file:
         writer = Writer(file, "a test")
         writer.packet(writer.interface("p", 500_000, ""), 1_790_000_000_123_456_789, b"\xe5")
-    assert main(["decode", str(tmp_path / "a")]) == 0
-    assert "     1  1790000000.123456789  e5\n" in capsys.readouterr().out
+    assert "     1  1790000000.123456789  e5\n" in cli.out("decode", str(tmp_path / "a"))
 
 
-def test_hex_digits_in_words(capsys: Out) -> None:
-    assert main(["decode", *DIAG.split(), "AA"]) == 1
-    out = capsys.readouterr().out
+def test_hex_digits_in_words(cli: Cli) -> None:
+    out = cli.out("decode", *DIAG.split(), "AA", code=1)
     assert "     1  68 05 05 68 83 82 6d 3c 3e ec 16\n        Slave_Diag request 2 -> 3" in out
     assert "     2  aa\n        no telegram: no start octet" in out
 
 
-def test_text_from_standard_input(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_text_from_standard_input(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     text = f"# a comment\n0x10,0x02,0x63,0x49,0xAE,0x16\n\n{DIAG} E5  # two in a line"
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
-    assert [one["service"] for one in _json(capsys, "-")] == ["FDL_Status", "Slave_Diag", "Slave_Diag"]
+    assert [one["service"] for one in _json(cli, "-")] == ["FDL_Status", "Slave_Diag", "Slave_Diag"]
 
 
-def test_an_acknowledgement_in_a_damaged_telegram_is_none(capsys: Out) -> None:
+def test_an_acknowledgement_in_a_damaged_telegram_is_none(cli: Cli) -> None:
     broken = DIAG.replace("EC", "E5")
-    first, second = _json(capsys, f"{broken} DC 02 02", code=1)
+    first, second = _json(cli, f"{broken} DC 02 02", code=1)
     assert (first["octets"], first["error"]) == (
         broken.lower().replace(" ", ""),
         "no telegram: wrong check sequence (FCS)",
@@ -70,8 +67,8 @@ def test_an_acknowledgement_in_a_damaged_telegram_is_none(capsys: Out) -> None:
     assert second["service"] == "token"
 
 
-def test_a_filter_shows_what_fits_and_keeps_the_numbers(capsys: Out, tmp_path: Path) -> None:
-    shown = _json(capsys, _capture(tmp_path / "a"), "--filter", "sa == 3 or da == 3")
+def test_a_filter_shows_what_fits_and_keeps_the_numbers(cli: Cli, tmp_path: Path) -> None:
+    shown = _json(cli, _capture(tmp_path / "a"), "--filter", "sa == 3 or da == 3")
     assert [one["number"] for one in shown] == [2, 3]
 
 
@@ -84,11 +81,10 @@ def test_a_filter_shows_what_fits_and_keeps_the_numbers(capsys: Out, tmp_path: P
     ],
 )
 def test_wrong_use_ends_with_2(
-    capsys: Out, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], text: str
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], text: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["decode", *args]) == 2
-    assert text in capsys.readouterr().err
+    assert text in cli.err("decode", *args)
 
 
 def test_a_wrong_filter_ends_with_2(capsys: Out) -> None:
@@ -105,18 +101,17 @@ def test_a_wrong_filter_ends_with_2(capsys: Out) -> None:
         (b"1" * (1 << 21), "line 1 has more than 1048576 characters"),
     ],
 )
-def test_files_that_cannot_be_read_end_with_1(capsys: Out, tmp_path: Path, octets: bytes, text: str) -> None:
+def test_files_that_cannot_be_read_end_with_1(cli: Cli, tmp_path: Path, octets: bytes, text: str) -> None:
     (tmp_path / "a").write_bytes(octets)
-    assert main(["decode", str(tmp_path / "a")]) == 1
-    assert text in capsys.readouterr().err
+    assert text in cli.err("decode", str(tmp_path / "a"), code=1)
 
 
-def test_a_cut_capture_and_one_of_another_link_type(capsys: Out, tmp_path: Path) -> None:
+def test_a_cut_capture_and_one_of_another_link_type(cli: Cli, tmp_path: Path) -> None:
     path = Path(_capture(tmp_path / "a"))
     path.write_bytes(path.read_bytes()[:-20])
-    assert main(["decode", str(path)]) == 1
-    shown = capsys.readouterr()
-    assert shown.out.count("\n     ") >= 2
-    assert "the file ends within a block" in shown.err
-    assert main(["decode", _capture(tmp_path / "b", linktype=1)]) == 1
-    assert "packets of link type 1, PROFIBUS has 147 (USER0) or 257" in capsys.readouterr().err
+    out, err = cli("decode", str(path), code=1)
+    assert out.count("\n     ") >= 2
+    assert "the file ends within a block" in err
+    assert "packets of link type 1, PROFIBUS has 147 (USER0) or 257" in cli.err(
+        "decode", _capture(tmp_path / "b", linktype=1), code=1
+    )

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from cli_kit import Cli
 from fake_adapter import plug_in
 from far_ends import PtyFarEnd
 
 from dpstack.api import doctor
 from dpstack.api.doctor import AdapterInfo, Check, Computer, Level, examine
 from dpstack.cli.commands import ports as ports_command
-from dpstack.cli.main import main
 from dpstack.errors import PortBusyError, PortError
 from dpstack.ports.adapters import Abilities
 from dpstack.units import BAUD_RATES
@@ -157,31 +156,25 @@ def test_an_unknown_chip_and_another_system(computer: Computer, tmp_path: Path) 
     assert (check.level, check.topic) == (Level.NOTE, "system")
 
 
-def test_doctor_of_a_pty_on_this_computer(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_of_a_pty_on_this_computer(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "_real_time", lambda _here: [])
     far = PtyFarEnd()
-    assert main(["doctor", "--port", far.path, "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
+    data = cli.json("doctor", "--port", far.path)
     assert data["findings"] == 0
     assert [check["level"] for check in data["checks"]] == ["ok", "ok", "note"]
     assert {check["topic"] for check in data["checks"]} == {far.path}
-    assert main(["doctor", "--port", far.path]) == 0
-    assert "a pty: no parity" in capsys.readouterr().out
-    assert main(["doctor", "--port", "/dev/ttyUSB99"]) == 1
-    assert "finding  /dev/ttyUSB99: no such port" in capsys.readouterr().out
+    assert "a pty: no parity" in cli.out("doctor", "--port", far.path)
+    assert "finding  /dev/ttyUSB99: no such port" in cli.out("doctor", "--port", "/dev/ttyUSB99", code=1)
     far.hang_up()
 
 
-def test_ports(capsys: Out, monkeypatch: pytest.MonkeyPatch, port: Path) -> None:
+def test_ports(cli: Cli, monkeypatch: pytest.MonkeyPatch, port: Path) -> None:
     monkeypatch.setattr(ports_command, "list_adapters", lambda: [adapter(port)])
-    assert main(["ports"]) == 0
-    assert str(port) in capsys.readouterr().out
-    assert main(["ports", "--json"]) == 0
-    (entry,) = json.loads(capsys.readouterr().out)["ports"]
+    assert str(port) in cli.out("ports")
+    (entry,) = cli.json("ports")["ports"]
     assert list(entry) == ["path", "by_id", "chip", "driver", "usb", "serial", "holder"]
     monkeypatch.setattr(ports_command, "list_adapters", list)
-    assert main(["ports"]) == 0
-    assert capsys.readouterr().out == "no serial adapter is plugged in\n"
+    assert cli.out("ports") == "no serial adapter is plugged in\n"
 
 
 def test_the_set_up_script(tmp_path: Path) -> None:

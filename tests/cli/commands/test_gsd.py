@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import io
-import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from cli_kit import Cli
 from gsd_kit import FILES, device, octets
 
 from dpstack.api.config.config import load_config, parse_config
@@ -20,9 +21,8 @@ WHOLE = str(FILES / "whole.gsd")
 Out = pytest.CaptureFixture[str]
 
 
-def test_show_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["gsd", "show", WHOLE, "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
+def test_show_as_json(cli: Cli) -> None:
+    shown = cli.json("gsd", "show", WHOLE)
     assert {
         key: shown[key]
         for key in (
@@ -63,38 +63,33 @@ def test_show_as_json(capsys: pytest.CaptureFixture[str]) -> None:
         {"name": "4 AI", "reference": 3, "config": "4343010203", "inputs": 8, "outputs": 0, "user_prm": ""},
     ]
     assert shown["diagnostics"] == []  # a default over zero bits of the constants is the usual way
-    assert main(["gsd", "show", str(FILES / "prm.gsd"), "--json"]) == 0
-    found = [d for d in json.loads(capsys.readouterr().out)["diagnostics"] if "contradict" in d["message"]]
+    found = [d for d in cli.json("gsd", "show", str(FILES / "prm.gsd"))["diagnostics"] if "contradict" in d["message"]]
     assert [(d["line"], d["column"], d["severity"]) for d in found] == [(39, 1, "warning")]
     assert found[0]["message"].startswith("the device: defaults contradict the constant octets (Diagnosis@3.3:")
 
 
-def test_show_for_people(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["gsd", "show", WHOLE]) == 0
-    out = capsys.readouterr().out
+def test_show_for_people(cli: Cli) -> None:
+    out = cli.out("gsd", "show", WHOLE)
     for text in ("Terminal 8", "0x1A2B", "4 AI", "43 43 01 02 03", "Diagnosis", "off, on", "12 Mbit/s", "sync, freeze"):
         assert text in out
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in FILES.glob("*.gsd")))
-def test_every_file_is_shown(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_file_is_shown(name: str, cli: Cli) -> None:
     path = str(FILES / f"{name}.gsd")
-    assert main(["gsd", "show", path]) == 0
-    assert main(["gsd", "show", path, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out.splitlines()[-1])["ident"]
+    cli("gsd", "show", path)
+    assert cli.json("gsd", "show", path)["ident"]
 
 
-def test_check_tells_and_judges(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["gsd", "check", str(FILES / "slots.gsd"), str(FILES / "mark_missing.gsd")]) == 0
-    assert capsys.readouterr().out.splitlines() == [
+def test_check_tells_and_judges(cli: Cli, tmp_path: Path) -> None:
+    assert cli.out("gsd", "check", str(FILES / "slots.gsd"), str(FILES / "mark_missing.gsd")).splitlines() == [
         f"{FILES}/slots.gsd: nothing is wrong",
         f"{FILES}/mark_missing.gsd:1:1: warning: no line #Profibus_DP, which begins a GSD file; read from its first "
         "line",
     ]
     wrong = tmp_path / "wrong.gsd"
     wrong.write_bytes(b"")
-    assert main(["gsd", "check", str(wrong), str(FILES / "damaged_module.gsd"), "--json"]) == 1
-    first, second = map(json.loads, capsys.readouterr().out.splitlines())
+    first, second = cli.jsons("gsd", "check", str(wrong), str(FILES / "damaged_module.gsd"), code=1)
     assert first == {
         "file": str(wrong),
         "diagnostics": [
@@ -104,54 +99,57 @@ def test_check_tells_and_judges(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert [d["severity"] for d in second["diagnostics"]].count("error") == 3
 
 
-def test_check_tells_that_a_modular_station_has_no_module(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_check_tells_that_a_modular_station_has_no_module(cli: Cli, tmp_path: Path) -> None:
     cut = tmp_path / "cut.gsd"
     cut.write_text((FILES / "whole.gsd").read_text(encoding="utf-8").partition('Module = "')[0], encoding="utf-8")
-    assert main(["gsd", "check", str(cut)]) == 0
     assert "a modular station (Modular_Station = 1) without any Module: the file may be cut short" in (
-        capsys.readouterr().out
+        cli.out("gsd", "check", str(cut))
     )
 
 
 @pytest.mark.parametrize("command", ["show", "configure"])
-def test_what_cannot_be_read(command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["gsd", command, str(tmp_path / "none.gsd")]) == 2
-    assert capsys.readouterr().err == (
+def test_what_cannot_be_read(command: str, cli: Cli, tmp_path: Path) -> None:
+    assert cli.err("gsd", command, str(tmp_path / "none.gsd")) == (
         f"dpstack: {tmp_path}/none.gsd: No such file or directory; give the path of a GSD file\n"
     )
-    assert main(["gsd", command, __file__]) == 2
-    assert "no GSD file: no line #Profibus_DP" in capsys.readouterr().err
+    assert "no GSD file: no line #Profibus_DP" in cli.err("gsd", command, __file__)
 
 
 @pytest.mark.parametrize("command", ["show", "check"])
-def test_a_name_that_is_nearly_one(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["gsd", command, "io-sttion"]) == 2
-    assert capsys.readouterr().err == (
+def test_a_name_that_is_nearly_one(command: str, cli: Cli) -> None:
+    assert cli.err("gsd", command, "io-sttion") == (
         "dpstack: io-sttion: No such file or directory; did you mean io-station, or give the path of a GSD file?\n"
     )
 
 
-def test_alarms_are_shown_by_their_names_in_a_configuration(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["gsd", "show", "io-station"]) == 0
-    assert "pull_plug, process, diagnostic, update; one of each at a time or 8 in all" in capsys.readouterr().out
-    assert main(["gsd", "show", "io-station", "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
+def test_alarms_are_shown_by_their_names_in_a_configuration(cli: Cli) -> None:
+    assert "pull_plug, process, diagnostic, update; one of each at a time or 8 in all" in cli.out(
+        "gsd", "show", "io-station"
+    )
+    shown = cli.json("gsd", "show", "io-station")
     assert shown["alarms"] == ["pull_plug", "process", "diagnostic", "update"]
     assert (shown["alarms_required"], shown["alarm_sequence"]) == ([], 8)
 
 
-def configure(name: str, answers: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setattr("sys.stdin", io.StringIO("".join(answer + "\n" for answer in answers)))
-    return main(["gsd", "configure", str(FILES / f"{name}.gsd")])
+Configure = Callable[..., tuple[str, str]]
+
+
+@pytest.fixture
+def configure(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> Configure:
+    """``gsd configure FILE``: standard output and standard error after these answers."""
+
+    def answered(path: str, answers: str, *more: str, code: int = 0) -> tuple[str, str]:
+        monkeypatch.setattr("sys.stdin", io.StringIO(answers))
+        return cli("gsd", "configure", path, *more, code=code)
+
+    return answered
 
 
 BUS = '[bus]\nport = "virtual"\nbaud = 500000\n'
 
 
-def test_configure(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    answers = ["valves", "126", "8", "n", "8 DI", "9 DO", "2", "-", "", "y", "off", "2000", "33"]
-    assert configure("whole", answers, monkeypatch) == 0
-    out, err = capsys.readouterr()
+def test_configure(configure: Configure) -> None:
+    out, err = configure(WHOLE, "valves\n126\n8\nn\n8 DI\n9 DO\n2\n-\n\ny\noff\n2000\n33\n")
     assert out.splitlines() == [
         "[[slave]]",
         'name = "valves"',
@@ -171,51 +169,38 @@ def test_configure(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("name", "answers", "config", "modules"),
     [
-        ("whole", ["", "3", "", ""], "20", '["8 DO"]'),
-        ("equal_names", ["r", "4", "Reserve", "2", "1", "twin"], "201000", '[2, 1, "Twin"]'),
-        ("prm_old", ["old", "6", "y"], "1323", '["fixed"]'),
+        ("whole", "\n3\n\n\n", "20", '["8 DO"]'),
+        ("equal_names", "r\n4\nReserve\n2\n1\ntwin\n", "201000", '[2, 1, "Twin"]'),
+        ("prm_old", "old\n6\ny\n", "1323", '["fixed"]'),
     ],
 )
-def test_its_tables_are_accepted(
-    name: str,
-    answers: list[str],
-    config: str,
-    modules: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    code = configure(name, answers, monkeypatch)
-    out = capsys.readouterr().out
-    assert (code, parse_config(BUS + out, "plant.toml").slaves[0].params.config.hex()) == (0, config)
+def test_its_tables_are_accepted(name: str, answers: str, config: str, modules: str, configure: Configure) -> None:
+    out, _ = configure(str(FILES / f"{name}.gsd"), answers)
+    assert parse_config(BUS + out, "plant.toml").slaves[0].params.config.hex() == config
     assert f"modules = {modules}\n" in out
 
 
-def test_slots_refuse_at_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    assert configure("slots", ["s", "5", "n", "1", "4", "5", "2", ""], monkeypatch) == 0
-    out, err = capsys.readouterr()
+def test_slots_refuse_at_once(configure: Configure) -> None:
+    out, err = configure(str(FILES / "slots.gsd"), "s\n5\nn\n1\n4\n5\n2\n\n")
     assert "is not allowed in slot 2 (signals); allowed references: 2..3, 5" in err
     assert "4 octets of outputs, the device has at most 2" in err
     assert parse_config(BUS + out, "plant.toml").slaves[0].params.config.hex() == "0011"
 
 
-def test_answers_that_end_too_early(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    assert configure("whole", ["valves"], monkeypatch) == 2
-    out, err = capsys.readouterr()
+def test_answers_that_end_too_early(configure: Configure) -> None:
+    out, err = configure(WHOLE, "valves\n", code=2)
     assert out == ""
     assert err.endswith("the answers ended before the table was complete; nothing was written\n")
 
 
-def test_the_files_of_bundled_drives_by_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["gsd", "show", "demag-dedrive", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["ident"] == "0x0696"
-    assert main(["gsd", "check", "demag-dedrive", "keb-f5", "io-station"]) == 0
-    capsys.readouterr()
+def test_the_files_of_bundled_drives_by_name(cli: Cli, tmp_path: Path) -> None:
+    assert cli.json("gsd", "show", "demag-dedrive")["ident"] == "0x0696"
+    cli("gsd", "check", "demag-dedrive", "keb-f5", "io-station")
     target = tmp_path / "hoist.gsd"
-    assert main(["gsd", "copy", "demag-dedrive", str(target)]) == 0
+    cli("gsd", "copy", "demag-dedrive", str(target))
     assert target.read_bytes().startswith(b"#Profibus_DP")
     assert main(["gsd", "copy", "demag-dedrive", str(target)]) == 2
-    assert main(["gsd", "copy", "fuji-frenic", str(target)]) == 2
-    assert capsys.readouterr().err == (
+    assert cli.err("gsd", "copy", "fuji-frenic", str(target)) == (
         f"dpstack: {target}: there is a file of that name; give the name of a new file\n"
         "dpstack: no GSD file was written for 'fuji-frenic'; there is one for demag-dedrive, keb-f5, ls-s100, "
         "io-station\n"
@@ -231,9 +216,8 @@ def small_file(tmp_path: Path) -> str:
     return str(tmp_path / "small.gsd")
 
 
-def test_show_has_slots_presets_diagnoses_and_whose_parameters_they_are(small: str, capsys: Out) -> None:
-    assert main(["gsd", "show", small, "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
+def test_show_has_slots_presets_diagnoses_and_whose_parameters_they_are(small: str, cli: Cli) -> None:
+    shown = cli.json("gsd", "show", small)
     assert shown["slots"] == [{"number": 2, "name": "head", "default": 11, "allowed": [[11, 11]]}]
     assert (shown["first_slot"], shown["fix_preset_modules"]) == (2, True)
     assert shown["presets"] == [{"name": "HEAD 7", "reference": 11}]
@@ -259,9 +243,8 @@ def test_show_has_slots_presets_diagnoses_and_whose_parameters_they_are(small: s
     assert (di["user_prm"], di["preset"], head["preset"], di["info"]) == ("0103", False, True, "sixteen inputs")
 
 
-def test_show_tells_them_to_people(small: str, capsys: Out) -> None:
-    assert main(["gsd", "show", small]) == 0
-    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+def test_show_tells_them_to_people(small: str, cli: Cli) -> None:
+    lines = [" ".join(line.split()) for line in cli.out("gsd", "show", small).splitlines()]
     for line in (
         "fixed presets HEAD 7",
         "parameters 5",
@@ -280,19 +263,17 @@ def test_show_tells_them_to_people(small: str, capsys: Out) -> None:
 # --- check -----------------------------------------------------------------------------------------------------------
 
 
-def test_check_of_a_directory_ends_with_a_summary(small: str, tmp_path: Path, capsys: Out) -> None:
+def test_check_of_a_directory_ends_with_a_summary(small: str, tmp_path: Path, cli: Cli) -> None:
     inner = tmp_path / "inner"
     inner.mkdir()
     (inner / "CUT.GSE").write_bytes(b'#Profibus_DP\nIdent_Number = 1\n500_supp = 1\nModule = "x" 0x10\n')
     (inner / "warned.gsg").write_bytes(b"#Profibus_DP\nIdent_Number = 1\n")
     (inner / "notes.txt").write_bytes(b"nothing")
-    assert main(["gsd", "check", str(tmp_path)]) == 1
-    out = capsys.readouterr().out.splitlines()
+    out = cli.out("gsd", "check", str(tmp_path), code=1).splitlines()
     assert out[0].startswith(f"{inner}/CUT.GSE:4:1: error: Module 'x' never ends")
     assert out[1].startswith(f"{inner}/warned.gsg:1:1: warning: no baud rate is declared")
     assert out[2:] == ["3 files: 1 with nothing to tell, 1 with warnings, 1 damaged"]
-    assert main(["gsd", "check", str(tmp_path), "--json"]) == 1
-    *files, summary = map(json.loads, capsys.readouterr().out.splitlines())
+    *files, summary = cli.jsons("gsd", "check", str(tmp_path), code=1)
     assert [file["file"] for file in files] == [f"{inner}/CUT.GSE", f"{inner}/warned.gsg", small]
     assert summary == {
         "event": "summary",
@@ -304,11 +285,11 @@ def test_check_of_a_directory_ends_with_a_summary(small: str, tmp_path: Path, ca
         "unreadable": 0,
     }
     (inner / "CUT.GSE").unlink()
-    assert main(["gsd", "check", str(inner)]) == 0
+    cli("gsd", "check", str(inner))
 
 
 def test_check_of_a_directory_goes_on_after_a_file_that_cannot_be_read(
-    small: str, tmp_path: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
+    small: str, tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = check_gsd
 
@@ -319,16 +300,14 @@ def test_check_of_a_directory_goes_on_after_a_file_that_cannot_be_read(
 
     (tmp_path / "a.gsd").touch()
     monkeypatch.setattr("dpstack.cli.commands.gsd.check_gsd", refused)
-    assert main(["gsd", "check", str(tmp_path)]) == 1
-    assert capsys.readouterr().out.splitlines() == [
+    assert cli.out("gsd", "check", str(tmp_path), code=1).splitlines() == [
         f"{tmp_path}/a.gsd: Permission denied; give the path of a GSD file",
         "2 files: 1 with nothing to tell, 1 unreadable",
     ]
 
 
-def test_check_of_a_directory_without_gsd_files(tmp_path: Path, capsys: Out) -> None:
-    assert main(["gsd", "check", str(tmp_path)]) == 2
-    assert "no GSD file (.gsd, .gse, .gsg ...) is in this directory" in capsys.readouterr().err
+def test_check_of_a_directory_without_gsd_files(tmp_path: Path, cli: Cli) -> None:
+    assert "no GSD file (.gsd, .gse, .gsg ...) is in this directory" in cli.err("gsd", "check", str(tmp_path))
 
 
 # --- names -----------------------------------------------------------------------------------------------------------
@@ -355,16 +334,8 @@ def test_hints_find_parts_of_names(wanted: str, hint: str) -> None:
 # --- configure -------------------------------------------------------------------------------------------------------
 
 
-def answered(path: str, answers: str, monkeypatch: pytest.MonkeyPatch, *more: str) -> int:
-    monkeypatch.setattr("sys.stdin", io.StringIO(answers))
-    return main(["gsd", "configure", path, *more])
-
-
-def test_configure_puts_modules_behind_the_fixed_presets(
-    small: str, capsys: Out, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert answered(small, "\n8\n/321\n6ES7 321-1BH00-0AA0 16DI\n12\ndone\n", monkeypatch) == 0
-    out, err = capsys.readouterr()
+def test_configure_puts_modules_behind_the_fixed_presets(small: str, configure: Configure) -> None:
+    out, err = configure(small, "\n8\n/321\n6ES7 321-1BH00-0AA0 16DI\n12\ndone\n")
     assert 'name = "rack-9-8"\n' in out
     assert 'modules = ["HEAD 7", "6ES7 321-1BH00-0AA0 16DI", "6ES7 322-1BH00-0AA0 16DO"]\n' in out
     assert "# identifier octets 00 11 21: 2 octets of inputs, 2 of outputs\n" in out
@@ -376,56 +347,46 @@ def test_configure_puts_modules_behind_the_fixed_presets(
     assert parse_config(BUS + out, "plant.toml").slaves[0].params.config.hex() == "001121"
 
 
-def test_a_preset_that_is_not_fixed_is_taken_and_more_behind_it(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert answered(WHOLE, "valves\n8\ny\n8 DI\n\n", monkeypatch) == 0
-    assert 'modules = ["8 DO", "8 DI"]\n' in capsys.readouterr().out
+def test_a_preset_that_is_not_fixed_is_taken_and_more_behind_it(configure: Configure) -> None:
+    assert 'modules = ["8 DO", "8 DI"]\n' in configure(WHOLE, "valves\n8\ny\n8 DI\n\n")[0]
 
 
 @pytest.mark.parametrize("answers", ["\n8\n", "\n8", "\n8\ny", "\n8\ny\n\n"])
-def test_the_end_of_input_keeps_the_defaults(answers: str, capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert answered(WHOLE, answers, monkeypatch) == 0
-    assert capsys.readouterr().out.startswith(
+def test_the_end_of_input_keeps_the_defaults(answers: str, configure: Configure) -> None:
+    assert configure(WHOLE, answers)[0].startswith(
         f'[[slave]]\nname = "terminal-8-8"\naddress = 8\ngsd = "{WHOLE}"\nmodules = ["8 DO"]\n# identifier'
     )
 
 
-def test_the_end_of_input_among_the_parameters_keeps_the_others(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert answered(WHOLE, "v\n8\nn\n8 DI\ndone\ny\noff\n", monkeypatch) == 0
-    assert 'parameters = { "Diagnosis" = "off" }\n' in capsys.readouterr().out
-    assert answered(WHOLE, "v\n8\nn\n8 DI\ndone\ny\noff\ndone\n", monkeypatch) == 0
-    assert 'parameters = { "Diagnosis" = "off" }\n' in capsys.readouterr().out
+def test_the_end_of_input_among_the_parameters_keeps_the_others(configure: Configure) -> None:
+    assert 'parameters = { "Diagnosis" = "off" }\n' in configure(WHOLE, "v\n8\nn\n8 DI\ndone\ny\noff\n")[0]
+    assert 'parameters = { "Diagnosis" = "off" }\n' in configure(WHOLE, "v\n8\nn\n8 DI\ndone\ny\noff\ndone\n")[0]
 
 
-def test_the_end_of_input_where_no_module_is_chosen(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert answered(WHOLE, "v\n8\nn\n", monkeypatch) == 2
-    out, err = capsys.readouterr()
+def test_the_end_of_input_where_no_module_is_chosen(configure: Configure) -> None:
+    out, err = configure(WHOLE, "v\n8\nn\n", code=2)
     assert out == ""
     assert "no module is chosen yet" in err
 
 
-def test_a_text_that_stands_for_two_values_is_written_as_its_number(
-    small: str, capsys: Out, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert answered(small, "v\n8\n10\ndone\ny\n\n2\n", monkeypatch) == 0
-    out, err = capsys.readouterr()
+def test_a_text_that_stands_for_two_values_is_written_as_its_number(small: str, configure: Configure) -> None:
+    out, err = configure(small, "v\n8\n10\ndone\ny\n\n2\n")
     assert 'parameters = { "3/Filter@1" = 2 }\n' in out  # the device keeps its 3, the other "reserved"
     assert "(off, on, reserved, reserved) [reserved]" in err
     assert parse_config(BUS + out, "plant.toml").slaves[0].params.user_prm.hex() == "0003" + "0302"
 
 
 def test_configure_for_a_configuration(
-    small: str, tmp_path: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
+    small: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, configure: Configure
 ) -> None:
     folder = tmp_path / "plant"
     folder.mkdir()
     plant = folder / "plant.toml"
     monkeypatch.chdir(tmp_path)
-    assert answered("small.gsd", "valves\n8\n", monkeypatch, "--config", str(plant)) == 0
-    first = capsys.readouterr().out
+    first = configure("small.gsd", "valves\n8\n", "--config", str(plant))[0]
     assert 'gsd = "../small.gsd"\n' in first
     plant.write_text(BUS + first, encoding="utf-8")
-    assert answered("small.gsd", "valves\nrack\n8\n2\n9\n", monkeypatch, "--config", str(plant)) == 0
-    second, err = capsys.readouterr()
+    second, err = configure("small.gsd", "valves\nrack\n8\n2\n9\n", "--config", str(plant))
     assert "the configuration has a slave 'valves' already; type another name" in err
     assert "address 8 is taken in the configuration (valves)" in err
     assert "address 2 is taken in the configuration (the master)" in err

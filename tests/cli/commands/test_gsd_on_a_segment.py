@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
+from cli_kit import Cli
 from gsd_kit import FILES
 from programs import Starter
 
@@ -35,14 +35,15 @@ def bus(tmp_path: Path, start: Starter) -> Path:
     return folder
 
 
-def test_run_and_address_against_simulated_slaves(bus: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_and_address_against_simulated_slaves(bus: Path, capsys: pytest.CaptureFixture[str], cli: Cli) -> None:
     plant, port = str(bus.parent / "plant.toml"), str(bus / "1")
-    assert main(["address", "20", "9", "--port", port, "--baud", "500000"]) == 0
-    assert capsys.readouterr().out == "slave 20 has address 9 now: ident 0x1234, verified there\n"
+    assert (
+        cli.out("address", "20", "9", "--port", port, "--baud", "500000")
+        == "slave 20 has address 9 now: ident 0x1234, verified there\n"
+    )
     assert main(["address", "8", "10", "--port", port, "--baud", "500000"]) == 1  # Set_Slave_Add_supp = 0
     assert "Set_Slave_Add" in capsys.readouterr().err
 
-    assert main(["run", plant, "--rotations", "50", "--outputs", "8=5A", "--json"]) == 0
-    summary = json.loads(capsys.readouterr().out.splitlines()[-1])
+    summary = cli.json("run", plant, "--rotations", "50", "--outputs", "8=5A")
     assert summary["slaves"]["8"]["state"] == "data_exchange"
     assert summary["slaves"]["8"]["inputs"] == "5a"

@@ -5,7 +5,6 @@ Assert what happens, never when: the figures belong to the benchmarks.
 
 from __future__ import annotations
 
-import json
 import os
 import pty
 import re
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cli_kit import Cli
 from programs import PLANT, Starter, wait_for_exchanges, wait_for_socket
 
 from dpstack.cli.main import main
@@ -108,7 +108,7 @@ def test_the_end_leaves_safe_outputs(tmp_path: Path, start: Starter, segment: Pa
 
 
 def test_the_bus_process_is_killed_and_run_says_what_that_means(
-    tmp_path: Path, start: Starter, segment: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, start: Starter, segment: Path, cli: Cli
 ) -> None:
     config = plant(tmp_path, segment / "1")
     start("sim", config, "--port", str(segment / "0")).wait_for("raw")
@@ -117,8 +117,7 @@ def test_the_bus_process_is_killed_and_run_says_what_that_means(
     wait_for_socket(segment / "1")
 
     def slaves() -> dict[str, Any]:
-        assert main(["ctl", str(segment / "1"), "status", "--json"]) == 0
-        found: dict[str, Any] = json.loads(capsys.readouterr().out)["result"]["slaves"]
+        found: dict[str, Any] = cli.json("ctl", str(segment / "1"), "status")["result"]["slaves"]
         return found
 
     while slaves()["3"]["drive"]["state"] == "offline":  # its first status comes a cycle after its data exchange
@@ -204,13 +203,12 @@ def test_the_rate_of_a_running_bus_is_found_and_a_second_master_joins_at_it(tmp_
 
 
 def test_slaves_follow_to_another_rate_without_a_restart(
-    tmp_path: Path, start: Starter, segment: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, start: Starter, segment: Path, cli: Cli
 ) -> None:
     """A master at 187.5 kbit/s, its end, another one at 500; what is searching says so, and is told what to do."""
 
     def ask(port: Path, *order: str) -> dict[str, Any]:
-        assert main(["ctl", str(port), *order, "--json"]) == 0
-        answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+        answer: dict[str, Any] = cli.json("ctl", str(port), *order)
         return answer
 
     config = tmp_path / "plant.toml"
@@ -221,8 +219,7 @@ def test_slaves_follow_to_another_rate_without_a_restart(
     listening.wait_for("searching for the baud rate on")
     wait_for_socket(segment / "1")
     assert ask(segment / "1", "status") == {"result": {"baud": None, "text": "searching for the baud rate"}}
-    assert main(["ctl", str(segment / "1"), "operate"]) == 2
-    assert "the bus is not open" in capsys.readouterr().err
+    assert "the bus is not open" in cli.err("ctl", str(segment / "1"), "operate")
     assert listening.end(signal.SIGTERM) == 1
     assert listening.err == "dpstack: ended before the baud rate was found\n"
     wait_for_socket(segment / "0")
@@ -248,7 +245,7 @@ def test_slaves_follow_to_another_rate_without_a_restart(
 
 
 def test_a_run_on_a_pty_of_its_own_is_found_by_either_name(
-    tmp_path: Path, start: Starter, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, start: Starter, capsys: pytest.CaptureFixture[str], cli: Cli
 ) -> None:
     run = start("run", plant(tmp_path, "/dev/elsewhere"), "--port", "pty", "--json")
     run.wait_for('"mode":"operate"')
@@ -256,8 +253,7 @@ def test_a_run_on_a_pty_of_its_own_is_found_by_either_name(
     assert path.startswith("/dev/pts/")
     wait_for_socket(Path(path))
     for port in (path, "pty", f"pty:{run.process.pid}"):
-        assert main(["ctl", port]) == 0
-        assert capsys.readouterr().out.startswith(f"run on {path} (pid {run.process.pid})")
+        assert cli.out("ctl", port).startswith(f"run on {path} (pid {run.process.pid})")
     other = start("sim", "--drive", "fuji-frenic", "--address", "4", "--port", "pty", "--json")
     other.wait_for("}")
     wait_for_socket(Path(other.lines[0]["port"]))

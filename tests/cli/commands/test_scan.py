@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from api_kit import slave_in
+from cli_kit import Cli
 from far_ends import HANG_S
 from programs import PLANT, Starter
 
@@ -97,7 +98,7 @@ def scan(capsys: pytest.CaptureFixture[str], port: Path, *more: str) -> tuple[in
 
 
 @pytest.mark.usefixtures("world")
-def test_a_silent_bus(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_silent_bus(tmp_path: Path, capsys: pytest.CaptureFixture[str], cli: Cli) -> None:
     code, out, err = scan(capsys, PORT, "--json")
     assert (code, err) == (0, "")
     assert out.count("\n") == 1
@@ -113,8 +114,7 @@ def test_a_silent_bus(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     path.write_text(out, encoding="utf-8")
     config = load_config(path)
     assert [s.profile and s.profile.name for s in config.slaves] == [drive for _, drive in SLAVES]
-    assert main(["plan", str(path)]) == 0
-    assert "nothing is out of bounds" in capsys.readouterr().out
+    assert "nothing is out of bounds" in cli.out("plan", str(path))
 
 
 @pytest.mark.usefixtures("world")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import time
@@ -10,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cli_kit import Cli
 from process_kit import SPEC, eventually, octet_slaves
 from programs import Program, Starter
 from support_responder import Responder
-
-from dpstack.cli.main import main
 
 PLANT = """
 [bus]
@@ -61,13 +59,12 @@ def stop_and_go(run: Program, there: Responder) -> list[bytes]:
     return heard
 
 
-def ctl(capsys: pytest.CaptureFixture[str], *args: str) -> Any:
-    assert main(["ctl", *args, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)["result"]
+def ctl(cli: Cli, *args: str) -> Any:
+    return cli.json("ctl", *args)["result"]
 
 
 @pytest.mark.parametrize("driver", ["asyncio", "process"])
-def test_stopped_and_continued(tmp_path: Path, start: Starter, capsys: pytest.CaptureFixture[str], driver: str) -> None:
+def test_stopped_and_continued(tmp_path: Path, start: Starter, cli: Cli, driver: str) -> None:
     config = tmp_path / "plant.toml"
     with octet_slaves(SPEC) as (path, there):
         config.write_text(PLANT.format(port=path, keys='after_stall = "safe"'), encoding="utf-8")
@@ -85,12 +82,12 @@ def test_stopped_and_continued(tmp_path: Path, start: Starter, capsys: pytest.Ca
         assert stalled["gap_ms"] > 1000
         eventually(lambda: len(heard) > 20, "data exchange in Clear")
         assert set(heard) == {bytes(2)}
-        status = ctl(capsys, path, "status")
+        status = ctl(cli, path, "status")
         assert status["mode"] == "clear"
         assert "slave 4 (valves) was not asked for" in status["clear"]["because"]
-        ctl(capsys, path, "operate")
+        ctl(cli, path, "operate")
         eventually(lambda: there.slaves[4].outputs == OUT, "its outputs after the order")
-        assert "clear" not in ctl(capsys, path, "status")
+        assert "clear" not in ctl(cli, path, "status")
         assert run.end(signal.SIGTERM) == 1
 
 
@@ -117,16 +114,13 @@ def test_for_people_and_the_end_in_clear(tmp_path: Path, start: Starter) -> None
 
 
 @pytest.mark.parametrize("command", [("run",), ("drive", "valves", "status")])
-def test_the_application_watchdog_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: tuple[str, ...]
-) -> None:
+def test_the_application_watchdog_is_refused(tmp_path: Path, cli: Cli, command: tuple[str, ...]) -> None:
     config = tmp_path / "plant.toml"
     text = PLANT.format(port="virtual", keys="application_watchdog_ms = 500").replace(
         'ident = 0x1234\nconfig = "21 11"', 'drive = "demag-dedrive"'
     )
     config.write_text(text, encoding="utf-8")
     name, *rest = command
-    assert main([name, str(config), *rest]) == 2
-    error = capsys.readouterr().err
+    error = cli.err(name, str(config), *rest)
     assert f"{config}:7: [bus]: application_watchdog_ms is for a program that calls bus.alive()" in error
     assert f"which `dpstack {name}` does not; leave it out of this file" in error

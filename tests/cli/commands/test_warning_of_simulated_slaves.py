@@ -8,7 +8,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from cli_kit import SIMULATED
+from cli_kit import SIMULATED, Cli
 
 import dpstack
 from dpstack.api.control.handlers import control_run
@@ -49,14 +49,11 @@ def given(command: list[str], plant: str) -> list[str]:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_in_one_line_beside_the_json(
-    command: list[str], plant: str, capsys: Out, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_in_one_line_beside_the_json(command: list[str], plant: str, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
-    assert main([*given(command, plant), "--json"]) == 0
-    printed = capsys.readouterr()
-    assert printed.err == SIMULATED
-    (line,) = printed.out.splitlines()
+    out, err = cli(*given(command, plant), "--json")
+    assert err == SIMULATED
+    (line,) = out.splitlines()
     told = json.loads(line)
     assert told["through"] == "master"
     if told["order"] == "im":
@@ -72,7 +69,7 @@ def test_what_is_refused_before_is_refused_in_one_line(plant: str, capsys: Out) 
         assert "leave read_only out" in line
 
 
-def test_a_run_that_holds_it_is_asked_and_nothing_is_told(plant: str, capsys: Out) -> None:
+def test_a_run_that_holds_it_is_asked_and_nothing_is_told(plant: str, cli: Cli) -> None:
     up, over = threading.Event(), threading.Event()
 
     async def run() -> None:
@@ -86,10 +83,9 @@ def test_a_run_that_holds_it_is_asked_and_nothing_is_told(plant: str, capsys: Ou
     try:
         assert up.wait(20)
         for command in COMMANDS:
-            assert main([*given(command, plant), "--json"]) == 0
-            printed = capsys.readouterr()
-            assert printed.err == ""
-            assert json.loads(printed.out)["through"] == "run"
+            out, err = cli(*given(command, plant), "--json")
+            assert err == ""
+            assert json.loads(out)["through"] == "run"
     finally:
         over.set()
         holder.join()

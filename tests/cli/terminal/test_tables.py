@@ -186,7 +186,7 @@ def test_the_end_of_a_run_shows_every_number_of_its_json(on_terminal: Callable[[
                 link = bus.view.link.station(address)
                 link.retries, link.timeouts, link.late, link.wrong = count + 1, count + 2, count + 3, count + 4
                 link.bad["fcs"] = count + 9
-                link.requests = 1000 * count  # few enough repetitions of them for no advice
+                link.requests = (1000 if address == 9 else 10) * count  # advice for slave 3 only
             return Reporter(bus, json=False), bus.stats
 
     reporter, stats = virtual(program())
@@ -196,6 +196,7 @@ def test_the_end_of_a_run_shows_every_number_of_its_json(on_terminal: Callable[[
         wanted += [address, *(str(slave[key]) for key in ("exchanges", "retries", "timeouts"))]
         wanted += [str(slave["late"] + slave["wrong"]), *leaves(slave["bad"]), *leaves(slave.get("fields", {}))]
         wanted += [slave[key] for key in ("inputs", "outputs") if len(slave[key]) <= 24]
+    wanted += ["12345670", "repetitions", "cable"]  # of the advice
     assert "31653165" not in wanted
     assert "31653174" in wanted
     for width in (40, *WIDTHS):
