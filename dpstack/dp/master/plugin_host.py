@@ -5,6 +5,7 @@ After an exception the slave's outputs are set to their safe values, and the mas
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 
 from dpstack.dp.master import fault_texts
@@ -94,6 +95,7 @@ class PluginHost:
         plugin = self._image.plugin
         if plugin is not None:
             for payload in plugin.take_events():
+                json.dumps(payload, ensure_ascii=False).encode()  # else a bus process could not send it
                 self._reports.event(DriveEvent, now, payload=payload)
 
     def _fail(self, error: Exception, now: int) -> None:

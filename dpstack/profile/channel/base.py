@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -52,7 +53,7 @@ class CycleTimes(Clock, Protocol):
 Found = list[dict[str, object]]
 
 
-class ParameterChannel:
+class ParameterChannel(abc.ABC):
     """The master's end. Jobs queue; each is a generator that returns its outcome or raises CommandError.
 
     An outcome has ``value`` (in ``unit``), ``raw`` (the integer on the wire), ``number``, ``name``, ``unit`` and
@@ -74,18 +75,20 @@ class ParameterChannel:
         """Parameters of one request."""
         return 1
 
+    @abc.abstractmethod
     def step(self, inputs: bytes, now: int) -> None:
         """Process the channel's octets in ``inputs`` (the first ones); never raises."""
 
+    @abc.abstractmethod
     def reset(self) -> None:
         """The slave left data exchange: all jobs are cancelled."""
 
-    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
-        raise NotImplementedError
+    @abc.abstractmethod
+    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]: ...
 
+    @abc.abstractmethod
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter; ``value`` in its unit, or the integer on the wire where its scale is unknown."""
-        raise NotImplementedError
 
     def read_raw(self, key: ParamKey, deadline: int) -> Steps[int]:
         """Read one parameter: the integer on the wire."""

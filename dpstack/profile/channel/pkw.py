@@ -122,8 +122,8 @@ class Exchange:
     stray: Pkw | None = None
 
 
-class PkwChannel(ParameterChannel):
-    """The master's end: one order at a time, the others queue."""
+class PkwChannel:
+    """The handshake at the master's end: one order at a time, the others queue."""
 
     #: the eight octets to send now
     octets = ZEROS
@@ -267,7 +267,7 @@ def plain_ref(key: ParamKey, table: ParamTable, drive: str) -> ParamRef:
     return ParamRef(number, 0, False, spec, label)
 
 
-class PkwAccess(PkwChannel):
+class PkwAccess(PkwChannel, ParameterChannel):
     """Parameters by PKW, of the plugin ``core``."""
 
     def __init__(self, dialect: PkwDialect, core: PkwCore) -> None:

@@ -13,7 +13,17 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Final
 
-from dpstack.profile import CommandError, CycleTimes, ParamKey, ParamSpec, Pkw, PkwChannel, PkwDialect, Steps
+from dpstack.profile import (
+    CommandError,
+    CycleTimes,
+    ParameterChannel,
+    ParamKey,
+    ParamSpec,
+    Pkw,
+    PkwChannel,
+    PkwDialect,
+    Steps,
+)
 from dpstack_drives.imo import table as t
 
 _LAYOUT: Final = struct.Struct(">HHI")
@@ -72,7 +82,7 @@ _EEPROM: Final = (
 )
 
 
-class ImoAccess(PkwChannel):
+class ImoAccess(PkwChannel, ParameterChannel):
     """The master's end. ``notice`` shows a line to the user."""
 
     def __init__(self, times: CycleTimes, notice: Callable[[str], None]) -> None:

@@ -32,10 +32,17 @@ def test_unit_runs_in_operate_only_and_its_defect_stays_its_own() -> None:
     assert last.payload["ok"] is False
 
 
-def test_unit_of_the_wrong_length_is_a_defect_of_the_unit() -> None:
+@pytest.mark.parametrize(
+    ("outputs", "events"),
+    [
+        pytest.param(b"\x01", [], id="outputs of the wrong length"),
+        pytest.param(bytes(4), [{"type": "status", "speed": object()}], id="an event that is no plain data"),
+    ],
+)
+def test_a_defect_of_the_plugin(outputs: bytes, events: list[dict[str, object]]) -> None:
     bus = exchanging(setup(3))
     unit = ScriptedPlugin()
-    unit.outputs = b"\x01"
+    unit.outputs, unit.events = outputs, events
     bus.image.plugin = unit
     bus.send(SetMode(Mode.OPERATE))
     assert bus.hold()[0].data == bytes(4)
