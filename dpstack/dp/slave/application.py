@@ -170,9 +170,12 @@ class SlaveApp(SlaveCore):
             for service in self._timed:
                 if service.at < at:
                     at = service.at
-        due = self._device_due
-        if due is None or self.failure is not None:
+        if self.failure is not None:
             return at
+        due = self._device_due
+        if due is None:
+            wanted = self.device.due_at
+            return wanted if wanted < at else at
         try:
             wanted = due()
         except Exception as error:

@@ -29,7 +29,8 @@ class DpV0Device:
     output frame is taken as Clear (otherwise as one of the wrong length); ``fail_safe_required``: a master that does
     not announce such frames in DPV1_Status_1 is refused. ``set_slave_add``: Set_Slave_Add is open. ``wd_base_1ms``:
     WD_Base_1ms in DPV1_Status_1 is understood. ``max_diag_len``: octets of a whole diagnosis, 6..244. ``safe``: the
-    outputs while there are none of a master (Clear, before the first exchange), empty for zeros.
+    outputs while there are none of a master (Clear, before the first exchange), empty for zeros. ``due_at``: when
+    :meth:`tick` is wanted, in ns.
 
     All times in ns on the bus's clock; nothing here may block or read a clock of its own. An exception takes the device
     out of data exchange until it is restarted.
@@ -46,6 +47,7 @@ class DpV0Device:
     wd_base_1ms: bool = False
     max_diag_len: int = 244
     safe: bytes = b""
+    due_at: int = NEVER
 
     def services(self, report: Report) -> tuple[SlaveService, ...]:
         """Its services beyond DP-V0; their events go to ``report``. Raises ConfigError where they cannot be."""
@@ -96,8 +98,8 @@ class DpV0Device:
         return False
 
     def wake_at(self) -> int:
-        """When :meth:`tick` is wanted, in ns, or NEVER."""
-        return NEVER
+        """When :meth:`tick` is wanted, in ns, or NEVER; a device that computes it has its own method."""
+        return self.due_at
 
     def tick(self, now: int) -> int | None:
         """The time asked for has come. An address where the slave restarts by itself and stands there from then on."""

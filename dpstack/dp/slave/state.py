@@ -223,8 +223,8 @@ class DeviceClock:
     def __init__(self, device: DpV0Device) -> None:
         self._device = device
         self._error: Exception | None = None
-        #: asked after each step of the slave: when :meth:`tick` is wanted, in ns; None: never. What it raises goes to
-        #: :meth:`failed`.
+        #: asked after each step of the slave: when :meth:`tick` is wanted, in ns; None: at the device's ``due_at``. What
+        #: it raises goes to :meth:`failed`.
         self.due = None if device.leaves_default("wake_at") else device.wake_at
 
     def failed(self, error: Exception) -> int:
@@ -238,18 +238,19 @@ class DeviceClock:
 
         Raises what the device raises, and RuntimeError when it never catches up.
         """
-        if self.due is None:
+        device = self._device
+        if self.due is None and device.due_at > now:
             return None
         if self._error is not None:
             error, self._error = self._error, None
             raise error
         with DEVICE_CALL:
-            due = self.due()
+            due = device.wake_at()
         restart: int | None = None
         while due <= now:
             before = due
             with DEVICE_CALL:
-                address, due = self._device.tick(now), self.due()
+                address, due = device.tick(now), device.wake_at()
             restart = restart if address is None else address
             if due <= before:
                 raise RuntimeError(f"wake_at() stays at {due} after tick({now})")

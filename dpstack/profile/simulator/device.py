@@ -90,7 +90,6 @@ class DriveDevice(Device):
         #: the inverter has no power under its bus option: no answers in the parameter channel
         self.unpowered = False
         self._refusal: tuple[int, int, str] | None = None  # by refuse(): number, how many times left, the user's word
-        self._restart_at = NEVER
         #: its station address, None before it was installed
         self.station_address: int | None = None
 
@@ -205,14 +204,11 @@ class DriveDevice(Device):
 
     def restart_soon(self) -> None:
         """Restart :data:`RESTART_NS` after the last scan, at the address of its own setting."""
-        self._restart_at = (self.seen_until or 0) + RESTART_NS
-
-    def wake_at(self) -> int:
-        return self._restart_at
+        self.due_at = (self.seen_until or 0) + RESTART_NS
 
     def tick(self, now: int) -> int | None:
         """The address at which it restarts."""
-        self._restart_at = NEVER
+        self.due_at = NEVER
         self.advance(now)
         if self.own_address is not None:
             self.station_address = self.own_address
