@@ -223,8 +223,8 @@ class DeviceClock:
     def __init__(self, device: DpV0Device) -> None:
         self._device = device
         self._error: Exception | None = None
-        #: asked after each step of the slave: when :meth:`tick` is wanted, in ns; None: at the device's ``due_at``. What
-        #: it raises goes to :meth:`failed`.
+        #: Called after each step of the slave: the time in ns at which :meth:`tick` is wanted. None: the device states
+        #: it in ``due_at``. Exceptions go to :meth:`failed`.
         self.due = None if device.leaves_default("wake_at") else device.wake_at
 
     def failed(self, error: Exception) -> int:
