@@ -37,7 +37,7 @@ ECHO: Final = {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
-    """A whole configuration. ``source`` names it in messages."""
+    """A whole configuration. ``source`` is its name and its lines in messages."""
 
     bus: BusConfig
     slaves: tuple[SlaveConfig, ...]
@@ -56,13 +56,13 @@ class Config:
         return next((slave for slave in self.slaves if name in (slave.name, str(slave.address))), None)
 
     def only(self, slave: SlaveConfig) -> Config:
-        """A copy for a command that is about ``slave``: a master that takes the others up, too, would put their
-        outputs to their safe values.
+        """A copy with this ``slave`` only, for a command that needs no other: a master that starts the others, too,
+        would set their outputs to the safe values.
         """
         return dataclasses.replace(self, slaves=(slave,))
 
     def with_outputs(self, outputs: Mapping[int, bytes]) -> Config:
-        """A copy with initial output octets by slave address; a drive that gets some is run without its plugin."""
+        """A copy with initial output octets by slave address; a drive with such outputs runs without its plugin."""
         by_address = {slave.address: slave for slave in self.slaves}
         for address, octets in outputs.items():
             slave = by_address.get(address)
@@ -103,7 +103,7 @@ class Config:
 
     @property
     def baud(self) -> int:
-        """The baud rate. Raises ConfigError when there is none, or when it is still to be found."""
+        """The baud rate. Raises ConfigError when there is none, and for "auto"."""
         if self.bus.baud is None:
             raise self.source.error(("bus",), "[bus]: no baud", "add for instance baud = 500000")
         if self.bus.baud == AUTO:
@@ -121,11 +121,11 @@ class Config:
 
     @property
     def slave_params(self) -> tuple[SlaveParams, ...]:
-        """The slaves as the master parameterises them."""
+        """The parameters of all slaves."""
         return tuple(slave.params for slave in self.slaves)
 
     def params(self, baud: int | None = None) -> BusParams:
-        """Bus parameters for these slaves at ``baud``, T_TR as the table or the file says. Raises ConfigError."""
+        """Bus parameters for these slaves at ``baud``; T_TR by the table or by the file. Raises ConfigError."""
         rate = self.baud if baud is None else baud
         tsdr = [slave.max_tsdr[rate] for slave in self.slave_params if rate in slave.max_tsdr]
         given = {key: getattr(self.bus, key) for key in _PARAMETERS}
@@ -157,7 +157,7 @@ def load_config(path: str | Path) -> Config:
 
 
 def parse_config(text: str, name: str = "config", *, file: Path | None = None) -> Config:
-    """Read a configuration from ``text``; ``name`` stands in messages, ``file`` is where it was read."""
+    """Read a configuration from ``text``; ``name``: its name in messages, ``file``: the file that has the text."""
     try:
         data, lines = read_toml(text)
     except TomlError as error:

@@ -29,8 +29,8 @@ from dpstack.units import ms_text
 def read_fields(table: Table, input_len: int, output_len: int) -> tuple[FieldMap, FieldMap]:
     """The fields of a slave with so many octets of inputs and outputs. Raises ConfigError.
 
-    Inputs may be read in several ways, so their fields may overlap; outputs may not: who writes one field must not
-    change another. A name stands for one field of a slave.
+    Fields of inputs may overlap: a program may read the same octets in several ways. Fields of outputs may not: a
+    program that writes one field must not change another. A name stands for one field of a slave.
     """
     inputs = _fields(table, "inputs", input_len)
     outputs = _fields(table, "outputs", output_len)
@@ -80,7 +80,7 @@ def _interval(table: Table, name: str, key: Key) -> object:
 
 
 class SlaveKeys(TypedDict, total=False):
-    """The keys of [[slave]] that say what it is, as docs/configuration.md has them.
+    """The keys of [[slave]] that describe the slave, as docs/configuration.md has them.
 
     name: the name in programs and messages, unique. Left out: `slaveN`
     address: the station address, unique. Left out: required
@@ -121,7 +121,7 @@ class SlaveKeys(TypedDict, total=False):
 
 class Changes(TypedDict, total=False):
     """The keys of [[slave]] that are parameters for its master:
-    :meth:`~dpstack.api.slave.slave.Slave.reparameterise` changes them while the bus runs. None is as if left out.
+    :meth:`~dpstack.api.slave.slave.Slave.reparameterise` changes them while the bus runs. None means left out.
 
     ident: the ident number, or `"ask"`: the master reads it from the diagnosis. Left out: the drive's, or that of its
         GSD file
@@ -175,23 +175,23 @@ class SlaveConfig:
     """One slave as configured and checked."""
 
     params: SlaveParams
-    #: what drive, GSD file or identifier octets say, without its own keys
+    #: the parameters by drive, GSD file or identifier octets, without the table's own keys
     known: SlaveParams
     profile: DriveProfile | None = None
     telegram: str | None = None
     options: Mapping[str, object] = field(default_factory=dict)
-    #: what only its simulated drive has: options and parameters by name
+    #: options and parameters by name that only its simulated drive has
     simulated: Mapping[str, object] = field(default_factory=dict)
-    #: as a slave, where its GSD file describes it
+    #: the simulated slave by its GSD file, None without one
     description: SlaveDescription | None = field(default=None, compare=False, repr=False)
-    #: what its GSD file says
+    #: the device of its GSD file
     device: Device | None = field(default=None, compare=False, repr=False)
     #: names for the process data
     input_fields: FieldMap = field(default_factory=FieldMap)
     output_fields: FieldMap = field(default_factory=FieldMap)
     #: the application makes the outputs octet by octet, also where there is a drive plugin
     raw: bool = False
-    #: the rates it knows, where manual or GSD file say so
+    #: its baud rates by manual or GSD file; empty: not known
     baud_rates: frozenset[int] = frozenset()
     notes: tuple[str, ...] = ()
 
@@ -236,8 +236,9 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
 
 
 def _changes(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of ``slave.params`` that keys of :class:`Changes` ``given`` in ``table`` change, held against its GSD
-    file. Raises ConfigError.
+    """The fields of ``slave.params`` that the keys ``given`` in ``table`` change, checked against its GSD file.
+
+    Raises ConfigError.
     """
     changes: dict[str, Any] = {}
     keys = keys_of(Changes)
@@ -259,9 +260,9 @@ def _changes(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -> dict
 
 
 def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
-    """``slave`` after ``changes``, held against its names for process data and its GSD file.
+    """``slave`` after ``changes``, checked against its names for process data and its GSD file.
 
-    Raises UsageError for a change there is not, ConfigError.
+    Raises UsageError for an unknown key, ConfigError.
     """
     keys = keys_of(Changes)
     unknown = sorted(set(changes) - set(keys))

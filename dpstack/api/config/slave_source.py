@@ -1,7 +1,7 @@
 """The base of a [[slave]] table: a known drive, a GSD file, a drive with its maker's GSD file, or octets.
 
-A remark names what a GSD file requires of its master and the configuration turns off: that is legal on the wire, and
-no use to the device.
+Also the remarks about a function that a GSD file requires of the master and that the configuration switches off: the
+bus allows this, but the device may not work.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from dpstack.profile import DriveProfile, TelegramSpec, registry
 
 #: the parameters of a slave before its own keys count, and the fields of a SlaveConfig that go with them
 Basis: TypeAlias = tuple[SlaveParams, dict[str, Any]]
-#: keys that mean something beside ``gsd`` only, and beside ``drive`` only
+#: keys that need the key ``gsd``, and keys that need the key ``drive``
 _GSD_KEYS: Final = ("modules", "parameters", "defaults")
 _REFERENCES: Final = ("reference_hz", "reference_rpm")
 _DRIVE_KEYS: Final = ("telegram", *_REFERENCES, "options", "simulated")
 _OTHER: Final = {Reading.REFS: Reading.CONST, Reading.CONST: Reading.REFS}
-#: so many octets are named where two readings of a file differ
+#: most octet numbers in a message about two readings of a file
 _SHOWN_OCTETS: Final = 8
 _ON: Final = "leave dpv1 out, or say dpv1 = true"
 
@@ -190,7 +190,9 @@ def read_gsd_slave(
         _set_parameters(table, parameters, others)
         note = _contradictions_note(reading, octets, others.octets())
     has_status = device.dpv1.slave and len(octets) >= DPV1_STATUS_LEN
-    fail_safe = device.fail_safe or device.dpv1.fail_safe_required  # what needs empty frames in Clear can take them
+    fail_safe = (
+        device.fail_safe or device.dpv1.fail_safe_required
+    )  # a device that needs empty frames in Clear can also receive them
     longest = device.max_diag_data_len
     with table.blaming():
         params = SlaveParams(
@@ -214,7 +216,7 @@ def read_gsd_slave(
 
 
 def _contradictions_note(reading: Reading, octets: bytes, others: bytes) -> str:
-    """The octets of Set_Prm in which defaults and constants of the file contradict each other, and the way out."""
+    """The text about the octets of Set_Prm in which defaults and constants of the file contradict each other."""
     pairs = enumerate(zip(octets, others, strict=True), SET_PRM_LEN + 1)
     differing = [str(number) for number, (mine, its) in pairs if mine != its]
     if not differing:

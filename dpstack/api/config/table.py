@@ -1,7 +1,7 @@
 """Typed reading of configuration tables; every error is one line: file and line, problem, remedy.
 
-A class states the keys of a table once: its annotations are types or ``Annotated[type, Key(...)]``, its docstring has a
-sentence for each key. The reader, its refusals and the tables of docs/configuration.md follow from the class.
+A class lists the keys of a table: its annotations are types or ``Annotated[type, Key(...)]``, its docstring has a
+sentence for each key. The reader, its error messages and the tables of docs/configuration.md follow from the class.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ class Gsd:
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """The values that a key takes beside its type. ``unit`` of its limits, where its name does not say it. ``hint``:
-    what to do about a value outside them. ``read`` takes the place of the reader of its type; it is called for a key
-    that has a value.
+    """The values that a key allows, besides its type. ``unit``: of the limits, where the key's name has none. ``hint``:
+    the remedy in the message about a value outside the limits. ``read``: the reader of a key that has a value, instead
+    of the reader of its type.
     """
 
     low: float = -math.inf
@@ -55,7 +55,7 @@ class Key:
 
 @functools.cache
 def keys_of(table: type) -> dict[str, Key]:
-    """The keys that the annotations of ``table`` state, in their order; a plain type is one without limits."""
+    """The keys by the annotations of ``table``, in their order; a plain type is a key without limits."""
     found = {}
     for name, hint in get_type_hints(table, include_extras=True).items():
         kind, key = get_args(hint) if get_origin(hint) is Annotated else (hint, Key())
@@ -65,8 +65,8 @@ def keys_of(table: type) -> dict[str, Key]:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The source of a configuration: its name for messages, the line numbers of its keys (None: no text), and the
-    ``file`` as an absolute path without links, None where it is none.
+    """The source of a configuration: its name in messages, the line numbers of its keys (None: no text), and the
+    ``file`` as an absolute path without links (None: no file).
     """
 
     name: str
@@ -74,7 +74,7 @@ class Source:
     file: Path | None = None
 
     def error(self, path: KeyPath, what: str, todo: str) -> ConfigError:
-        """``file:line: what; what to do``; without lines just the name."""
+        """The ConfigError ``file:line: what; todo``; without lines the name alone stands in front."""
         place = self.name
         if self.lines is not None:
             place += f":{self.line(path)}"
@@ -110,7 +110,7 @@ class Table:
 
     @contextlib.contextmanager
     def blaming(self, key: str | None = None, prefix: str = "") -> Iterator[None]:
-        """A ConfigError or PduError raised inside is raised anew as an error at ``key``."""
+        """Turn a ConfigError or PduError raised inside into an error at ``key``."""
         try:
             yield
         except (ConfigError, PduError) as error:
@@ -168,7 +168,7 @@ class Table:
         """The value as it stands, None when absent."""
         return self._data.get(key)
 
-    # the readers: of a key that has a value
+    # readers of a key that has a value
 
     def _typed(self, key: str, kinds: type | tuple[type, ...], wanted: str) -> Any:
         """The value where it is one of ``kinds``; ``wanted``: what it must be, for people. A bool is no number."""
@@ -183,7 +183,7 @@ class Table:
         self.fail(key, f"{key} = {value!r} is {kind}", f"it must be {wanted}")
 
     def text(self, key: str) -> str:
-        """A text that is not empty and stays on its line."""
+        """A text that is not empty and has no line ends or other control characters."""
         value: str = self._typed(key, str, "a text in quotes")
         if not value.strip():
             self.fail(key, f"{key} is empty", "give it a value or leave it out")

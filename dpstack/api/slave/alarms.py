@@ -69,26 +69,26 @@ class SlaveAlarm:
 
     @property
     def disappears(self) -> bool:
-        """True where a fault has gone; :attr:`slot_good` tells whether the slot has others."""
+        """True where a fault has gone; :attr:`slot_good` is False while the slot has other faults."""
         return self.specifier in (Specifier.DISAPPEARS, Specifier.DISAPPEARS_OTHERS)
 
     @property
     def slot_good(self) -> bool | None:
-        """True: the slot has no fault left; None: the alarm does not tell."""
+        """True: the slot has no fault left; None: the alarm does not contain this."""
         return None if self.specifier is Specifier.NONE else self.specifier is Specifier.DISAPPEARS
 
     async def acknowledge(self) -> None:
-        """Acknowledge it (with ``alarms()`` that is done already), and wait until the slave took it. Another listener
-        that does not have it yet is no longer waited for.
+        """Acknowledge the alarm (``alarms()`` does so by itself), and wait for the slave's confirmation. The
+        acknowledgement does not wait for listeners that have not read the alarm yet.
 
-        May be repeated. Raises AcyclicError and ServiceRefused where the slave refuses, SlaveFault when it left data
-        exchange before (its alarms are void then), UsageError, BusError.
+        May be repeated. Raises AcyclicError and ServiceRefused where the slave refuses, SlaveFault when the slave left
+        data exchange before (its alarms are void then), UsageError, BusError.
         """
         await self._bus_listeners.acknowledge(self)
 
 
 class _Listener(Stream[SlaveAlarm]):
-    """The unread alarms of one ``alarms()``. ``error``: why it ended, where the bus did not."""
+    """The unread alarms of one ``alarms()``. ``error``: the cause of its end, unless the bus has ended."""
 
     def __init__(self) -> None:
         super().__init__(None)
@@ -104,7 +104,7 @@ class AlarmStream(AsyncIterator[SlaveAlarm]):
         self._acknowledge = acknowledge
         self._listener = _Listener()
         listeners.listen(address, self._listener)
-        # a program may leave an ``async for`` without close(): the slave must not wait for it
+        # a program may leave an ``async for`` without close(): the slave must not wait for its acknowledgement
         self._leave = when_dropped(self, listeners.leave, address, self._listener)
 
     def close(self) -> None:
@@ -162,7 +162,7 @@ class AlarmListeners:
             self._order(HoldAlarms(address, False))
 
     def release(self, alarm: SlaveAlarm, listener: _Listener) -> None:
-        """``listener`` has given ``alarm`` to the application, or is gone."""
+        """``listener`` has passed ``alarm`` to the application, or has left."""
         if listener in alarm._keepers:
             alarm._keepers.remove(listener)
             if not alarm._keepers:
@@ -189,7 +189,7 @@ class AlarmListeners:
     # --- events of the machine ------------------------------------------------------------------------------------
 
     def handle_event(self, event: Event) -> bool:
-        """True for events that no other reader gets."""
+        """Handle an event of the master. True: no other reader gets it."""
         match event:
             case AlarmRaised(held=True):
                 self._raised(event)
@@ -243,6 +243,6 @@ class AlarmListeners:
     def _end_held(self, why: str, address: int | None = None) -> None:
         for key, alarm in tuple(self._held.items()):
             if address in (None, alarm.address):
-                alarm._keepers.clear()  # its number may be used again
+                alarm._keepers.clear()  # the number may stand for another alarm later
                 text = f"an alarm of slave {alarm.address} was not acknowledged: {why}"
                 self._done(*key, alarm._end or Outcome(ServiceFailure.LINE, text))

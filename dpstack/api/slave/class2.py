@@ -1,7 +1,7 @@
 """``bus.class2``: the services of a class 2 master, and its connections (MS2) to slaves.
 
-They work for the slaves of this bus and for those of others, and take no slave away from its master. Each is one
-request in time that is left in a token hold; it has one result or one error.
+The services reach the slaves of this bus and those of other masters, and take no slave away from its master. Each
+service is one request in the spare time of a token hold, with one result or one error.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ ReadsDiagnosis = Callable[[int], Awaitable[Diagnosis]]
 
 @dataclass(frozen=True, slots=True)
 class ProcessData:
-    """Inputs or outputs of a slave as it has them: ``octets``, and ``values`` by name where this bus names them."""
+    """Inputs or outputs read from a slave: ``octets``, and ``values`` by name where the configuration names them."""
 
     octets: bytes
     values: Mapping[str, Value] = field(default_factory=dict)
@@ -78,11 +78,11 @@ class ReadDiagnosis(Diagnosis):
 
 
 class Class2(Sealed):
-    """The class 2 services of one bus. A ``timeout`` in seconds counts from the call: others may be waiting before.
+    """The class 2 services of one bus. A ``timeout`` in seconds counts from the call, with the time in the queue.
 
-    All raise UsageError for impossible orders (another address range, a closed bus, 32 services waiting), SlaveTimeout
-    when no answer came in time, ServiceRefused when the slave refuses, SlaveFault for an impossible answer, BusError
-    when the port vanished meanwhile.
+    All services raise UsageError for impossible orders (another address range, a closed bus, 32 services waiting),
+    SlaveTimeout when no answer came in time, ServiceRefused when the slave refuses, SlaveFault for an impossible
+    answer, BusError when the port vanished meanwhile.
     """
 
     def __init__(self, bus: Host, slaves: Mapping[int, Slave], find: Callable[[str], Slave]) -> None:
@@ -92,7 +92,7 @@ class Class2(Sealed):
         self._seal(Class2)
 
     async def diagnosis(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ReadDiagnosis:
-        """Slave_Diag. (Of a slave in data exchange with this very master, the master takes notice of it too.)"""
+        """Slave_Diag. If the slave is in data exchange with this master, the master processes the diagnosis too."""
         return self._read_diagnosis(await self._read(slave, Service.DIAGNOSIS, timeout))
 
     async def config(self, slave: Slave | str | int, *, timeout: float = 5.0) -> Configuration:
@@ -100,11 +100,11 @@ class Class2(Sealed):
         return Configuration.of((await self._read(slave, Service.CONFIG, timeout)).outcome.data)
 
     async def inputs(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ProcessData:
-        """RD_Inp: the inputs that the slave gives its master; open while it is in data exchange with anybody."""
+        """RD_Inp: the inputs that the slave sends to its master. The slave must be in data exchange with a master."""
         return await self._process_data(slave, Service.INPUTS, timeout)
 
     async def outputs(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ProcessData:
-        """RD_Outp: the outputs that the slave has got from its master; open as RD_Inp is."""
+        """RD_Outp: the outputs that the slave has received. The slave must be in data exchange with a master."""
         return await self._process_data(slave, Service.OUTPUTS, timeout)
 
     async def set_address(
@@ -120,14 +120,14 @@ class Class2(Sealed):
     ) -> ReadDiagnosis:
         """Set_Slave_Add: give the slave at ``old`` (126: as delivered) the address ``new``, 0..125.
 
-        Before: ``ident`` is the slave's, nobody owns it, nobody answers at ``new``. Afterwards: the same device answers
-        at ``new``, nobody at ``old``; its diagnosis from there is returned. ``no_change``: it shall refuse any further
-        change (for good; only a reset at the device, if it has one, opens it again). ``rem_slave_data``: 0..240 octets
-        that mean something to the device only. A slave whose GSD file does not say Set_Slave_Add_supp = 1 (where this
-        bus has one with that ``ident``, at ``old`` or at ``new``) is asked with ``force`` only.
+        Checks before: the slave has ``ident`` and no master, and no station answers at ``new``. Checks after: the same
+        device answers at ``new``, and no station at ``old``. Returns the diagnosis read at ``new``. ``no_change``: the
+        slave shall refuse every further change (for good; only a reset at the device, if it has one, allows it again).
+        ``rem_slave_data``: 0..240 octets that only the device interprets. ``force`` is necessary if a slave of this bus
+        (at ``old``, at ``new`` or with that ``ident``) has a GSD file without Set_Slave_Add_supp = 1.
 
-        Raises as the others do. ServiceRefused with status "ignored": it was asked and kept its address. SlaveFault:
-        another device, owned by a master, ``new`` in use, or still somebody at ``old``.
+        Raises the errors of the other services. ServiceRefused with status "ignored": the slave kept its address.
+        SlaveFault: another device, a slave with a master, ``new`` in use, or a station that still answers at ``old``.
         """
         if self._bus.config.bus.read_only:
             raise UsageError("this bus is read-only: no slave gets another address; leave read_only out")
@@ -152,11 +152,12 @@ class Class2(Sealed):
     ) -> Connecting:
         """Open a class 2 connection (MS2) to any slave: ``async with bus.class2.connect(7) as connection``.
 
-        It needs no parameterisation and takes the slave away from nobody. ``send_timeout`` in seconds: the longest
-        silence, to be agreed on (default by baud rate); ``response_timeout``: for one service (default: its
-        C2_Response_Timeout). ``source``, ``destination``: API and access level, and octets of network and MAC address
-        where the end is not on this bus. ``timeout`` as of its services. Raises ServiceRefused (no connection left, or
-        none at all), ConnectionEnded (the slave aborts), SlaveTimeout, SlaveFault, UsageError, BusError.
+        The slave needs no parameters for it and stays with its master. ``send_timeout`` in seconds: the longest silence
+        that both ends agree on (default by baud rate); ``response_timeout``: limit for one service (default:
+        C2_Response_Timeout of the GSD file). ``source``, ``destination``: API and access level, and octets of network
+        and MAC address where the end is not on this bus. ``timeout``: as for its services. Raises ServiceRefused (all
+        connections of the slave are in use, or it has none), ConnectionEnded (the slave aborts), SlaveTimeout,
+        SlaveFault, UsageError, BusError.
         """
         address = self._address(slave)
         on_bus = self._slaves.get(address)
@@ -232,11 +233,11 @@ class Class2(Sealed):
 
     def _read_diagnosis(self, done: ServiceDone) -> ReadDiagnosis:
         found = Diagnosis.parse(done.outcome.data)
-        if found is None:  # judged before it came here
+        if found is None:  # the class 2 master has parsed it before
             raise PduError(f"slave {done.address}: {len(done.outcome.data)} octets are no diagnosis")
         known = self._slaves.get(done.address)
         if known is not None and known.setup.ident not in (found.ident, None):
-            known = None  # another device stands there
+            known = None  # another device has this address
         lines = block_texts(found) if known is None else known.setup.block_texts(found)
         plain = {one.name: getattr(found, one.name) for one in fields(found)}
         return ReadDiagnosis(**plain, diagnosis_texts=found.texts + lines)
@@ -250,12 +251,12 @@ def _initiate_address(what: str, given: bytes) -> Address:
 
 
 class Connection(Sealed, RecordAccess):
-    """An open connection. Its services queue, up to 32; it is kept alive until it is closed, or the bus is, or nothing
-    refers to it any more: slaves have few.
+    """An open connection. Up to 32 of its services wait in a queue. It ends when the program closes it or the bus, and
+    when the program has no reference to it any more: slaves have few connections.
 
-    All raise ConnectionEnded once it is over (also those under way), otherwise as :meth:`Slave.read` does:
-    AcyclicError, SlaveTimeout, SlaveFault, UsageError, BusError. ``timeout`` in seconds from the call (None: 10, longer
-    where C2_Response_Timeout is); a service that takes the slave longer ends the connection.
+    All services raise ConnectionEnded once the connection has ended (also services under way), otherwise the errors of
+    :meth:`Slave.read`: AcyclicError, SlaveTimeout, SlaveFault, UsageError, BusError. ``timeout`` in seconds from the
+    call (None: 10, longer where C2_Response_Timeout is); a service that takes the slave longer ends the connection.
     """
 
     def __init__(self, made: Connecting, done: InitiateDone, ending: ConnectionEnd) -> None:
@@ -271,7 +272,7 @@ class Connection(Sealed, RecordAccess):
             longest,
             f"it takes {longest} in one service (C2_Max_Data_Len, Max_Len_Data_Unit of Initiate): send less",
             made.order.response_ns,
-            asyncio.Lock(),  # the slave keeps the I&M calls of each connection apart
+            asyncio.Lock(),  # the slave handles the I&M calls of each connection separately
             done.token,
         )
         # a program may drop the connection without close()
@@ -296,7 +297,7 @@ class Connection(Sealed, RecordAccess):
 
     @property
     def server_sap(self) -> int:
-        """The SAP of the slave that serves it, 0..48."""
+        """The SAP of the slave for this connection, 0..48."""
         return self._done.server_sap
 
     @property
@@ -334,11 +335,11 @@ class Connection(Sealed, RecordAccess):
         return (await self._made.diagnosis(self.address)).ident
 
     async def ended(self) -> None:
-        """Wait until either side has ended it; then :attr:`reason` says why."""
+        """Wait until either end has ended the connection; :attr:`reason` has the cause."""
         await self._ending.ended.wait()
 
     async def close(self) -> None:
-        """End it by Abort, and wait until the slave has confirmed or is out of reach. May be repeated."""
+        """End the connection by Abort; wait until the slave has confirmed or no longer answers. May be repeated."""
         self._way.services.close_connection(self._done.token, self._ending)
         await self._ending.ended.wait()
 
@@ -359,7 +360,7 @@ class Connection(Sealed, RecordAccess):
             raise ConnectionEnded(self.address, text, abort=ending.over.abort)
         try:
             return await super()._order(order)
-        except UsageError as error:  # it ended before its event came
+        except UsageError as error:  # the connection ended, its event is still under way
             if not str(error).startswith(NO_CONNECTION):
                 raise
             raise ConnectionEnded(self.address, f"slave {self.address}: {error}") from None
@@ -367,9 +368,9 @@ class Connection(Sealed, RecordAccess):
 
 @dataclass(eq=False)
 class Connecting:
-    """A connection being opened: await it, or enter it with ``async with``, which closes it at the end.
+    """A connection that opens: await it, or enter it with ``async with``, which closes it at the end.
 
-    Once: a second time raises UsageError.
+    This works once; the second time raises UsageError.
     """
 
     services: Services
@@ -408,14 +409,14 @@ class Connecting:
         return Connection(self, done, ending)
 
     def _check(self) -> None:
-        """Raises UsageError for what the GSD file of the slave excludes."""
+        """Raises UsageError where the GSD file of the slave excludes the connection or its addresses."""
         who = f"slave {self.order.address} ({self.name})"
         if not self.limits.c2_read_write:
             raise UsageError(f"{who}: its GSD file says C2_Read_Write_supp = 0: it has no class 2 connections")
         try:
             pdu = self.order.request.build()
         except PduError:
-            return  # the machine refuses it with the reason
+            return  # the class 2 master refuses it with the reason
         longest = max(LEAST_INITIATE, self.limits.max_initiate_pdu_length)
         if self.limits.max_initiate_pdu_length and longest < len(pdu):
             raise UsageError(

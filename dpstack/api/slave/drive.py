@@ -22,11 +22,11 @@ from dpstack.errors import BusError, DpError, DriveError, DriveTimeout, Paramete
 from dpstack.profile import DriveCore, DriveStatus, ListedParam
 from dpstack.profile.model.jobs import LARGEST
 
-#: the plugin checks time-outs once a rotation; so many seconds later its answer is overdue
+#: seconds: the plugin checks time-outs once a rotation; after this time its answer is late
 _GRACE: Final = 0.25
-#: orders that go out although a set point before was refused
+#: orders that go out although the plugin has refused a set point before
 _STOPS: Final = ("stop", "quick_stop", "coast")
-#: kept notices of a drive
+#: most notices that a Drive keeps
 _NOTICES: Final = 5
 _tokens = itertools.count(1)
 
@@ -39,7 +39,7 @@ def declared_parameters(core: DriveCore) -> tuple[ListedParam, ...]:
 
 
 class DriveNotice(NamedTuple):
-    """One line of a drive plugin for the application; ``t_ns`` is the bus's time."""
+    """A line of text from a drive plugin to the application; ``t_ns``: bus time."""
 
     t_ns: int
     text: str
@@ -108,8 +108,8 @@ class Drive(Sealed, Readable):
     def speed(self) -> float:
         """The speed set point as a part of the reference (0.5 = 50 %); the actual value is ``status.speed``.
 
-        Assigning goes out in the next rotation. Raises UsageError outside the range. Where the plugin does not take it
-        all the same, the next order raises that (one that stops the drive goes out before).
+        An assigned set point goes out in the next rotation. Raises UsageError outside the range. If the plugin refuses
+        the set point, the next order raises the refusal (an order that stops the drive goes out before).
         """
         return self.status.setpoint
 
@@ -154,11 +154,11 @@ class Drive(Sealed, Readable):
         await self._order("quick_stop", timeout)
 
     async def coast(self, timeout: float = 5.0) -> None:
-        """Take the power off; the motor runs out."""
+        """Switch the output off; the motor coasts to a stop."""
         await self._order("coast", timeout)
 
     async def acknowledge(self, timeout: float = 20.0) -> None:
-        """Acknowledge a fault until it is gone (some drives lock it for 15 s). Raises DriveFault when it stays."""
+        """Acknowledge a fault until it is gone (some drives lock this for 15 s). Raises DriveFault when it stays."""
         await self._order("acknowledge", timeout)
 
     async def reached(self, timeout: float = 60.0, *, tolerance: float | None = None) -> None:
@@ -190,10 +190,10 @@ class Drive(Sealed, Readable):
     async def read_many(
         self, parameters: Sequence[int | str | ParameterPlace], *, timeout: float = 5.0
     ) -> list[ParameterValue | ParameterError]:
-        """Several parameters, each as :meth:`parameter`; in few requests where the way to the drive takes several.
+        """Read several parameters, as :meth:`parameter`, in few requests where one request can carry several.
 
-        One entry for each, in their order; what the drive refuses is the error in its place. Raises as :meth:`read`
-        for everything else.
+        Returns one entry for each parameter, in their order: the value, or the error of a parameter that the drive
+        refuses. Raises the other errors of :meth:`read`.
         """
         if isinstance(parameters, str) or not isinstance(parameters, Iterable):
             raise UsageError(f"parameters = {parameters!r} is no list: read_many([480, 'F26', ParameterPlace(...)])")
@@ -213,7 +213,7 @@ class Drive(Sealed, Readable):
 
     @property
     def per_request(self) -> int:
-        """How many parameters one request to the drive carries: several over record 47, else 1."""
+        """The number of parameters that one request can carry: several over record 47, else 1."""
         access = self._core.access
         return 1 if access is None else access.per_request
 
@@ -237,7 +237,7 @@ class Drive(Sealed, Readable):
     ) -> ParameterValue:
         """Write a parameter in its own unit; ``ram`` does not store it (EEPROMs wear out). Raises ParameterError.
 
-        What the drive confirmed is returned.
+        Returns the value that the drive has confirmed.
         """
         return _value(
             await self._order(
@@ -246,13 +246,13 @@ class Drive(Sealed, Readable):
         )
 
     async def read_map(self, timeout: float = 10.0) -> dict[str, object]:
-        """The process data map as the drive has it. Raises UsageError where a drive has none to be read."""
+        """Read the process data map of the drive. Raises UsageError where the drive has no map."""
         return _members(await self.order("read_map", timeout))
 
     async def write_map(
         self, *, inputs: str | None = None, outputs: str | None = None, timeout: float = 10.0
     ) -> dict[str, object]:
-        """Give the drive a process data map, checked before anything is sent; how it is written is the drive's."""
+        """Write a process data map, checked before the first request; the plugin knows how the drive takes it."""
         return _members(await self.order("write_map", timeout, inputs=inputs, outputs=outputs))
 
     async def order(self, op: str, timeout: float = 5.0, **args: object) -> object:
@@ -260,7 +260,7 @@ class Drive(Sealed, Readable):
         return (await self._order(op, timeout, **args)).get("value")
 
     async def statuses(self) -> AsyncIterator[DriveStatus]:
-        """Each new status; the latest wins, a slow reader never meets a backlog. Ends with the bus."""
+        """Each new status. A slow reader gets the latest one only. Ends with the bus."""
         reader = Stream(1, [self.status])
         if self._over:
             reader.end()
@@ -275,14 +275,14 @@ class Drive(Sealed, Readable):
     # --- from the bus -------------------------------------------------------------------------------------------
 
     def on_round(self) -> None:
-        """Called after each round: gives readers the status when the inputs are new."""
+        """After each round: give the readers the status when the inputs have changed."""
         inputs = self.slave.inputs
         if inputs is not self._seen and inputs != self._seen:
             self._seen = inputs
             self.publish_status()
 
     def on_payload(self, payload: Mapping[str, object], t_ns: int) -> None:
-        """``payload`` of the plugin at ``t_ns``."""
+        """Handle the ``payload`` that the plugin sent at ``t_ns``."""
         kind = payload.get("type")
         if kind == "result":
             token = payload.get("token")
@@ -354,7 +354,7 @@ class Drive(Sealed, Readable):
             raise DriveTimeout(self.name, f"drive {self.name}: {op}: {self._why_silent()}") from None
         finally:
             if self._pending.pop(token, None) is not None and not self._over:
-                # Cancelled, or out of patience: the plugin must not start the motor when nobody waits for it any more.
+                # the caller was cancelled or its time is over: the plugin must not start the motor later
                 with contextlib.suppress(UsageError, BusError):
                     self._bus.command(DriveCommand(self.slave.address, "cancel", {"order": token}, next(_tokens)))
         if refused is not None:

@@ -18,7 +18,7 @@ from dpstack.params import BusParams
 
 
 class Host(Protocol):
-    """A bus, see :class:`dpstack.api.bus.parts.BusBase`."""
+    """The bus as its slaves use it, see :class:`dpstack.api.bus.parts.BusBase`."""
 
     config: Config
     services: Services

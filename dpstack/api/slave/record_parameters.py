@@ -43,11 +43,13 @@ CarryOut = Callable[[ReadReq | WriteReq], Awaitable[bytes | Refused | Silent]]
 
 
 class RecordParameters:
-    """The drive called ``name`` behind ``carry_out``, in ``slot``; requests of several tasks come one after the other.
+    """The parameters of the drive ``name``, in ``slot``. ``carry_out`` carries out each Read and Write; requests of
+    several tasks wait for each other.
 
-    ``timeout`` in seconds, None: as long as every single answer is in time. What the drive refuses is an ErrorValue in
-    its place; all methods raise DriveTimeout where it does not answer, ParameterError where it has no record 47.
-    ``longest``: octets that one Read or Write takes, where ``limits`` does not say it.
+    ``timeout`` in seconds for the whole call; None: no limit besides that of each service. A parameter that the drive
+    refuses is an ErrorValue in the result. All methods raise DriveTimeout where the drive does not answer,
+    ParameterError where it has no record 47. ``longest``: octets that one Read or Write can carry, unless ``limits``
+    has them.
     """
 
     def __init__(
@@ -82,14 +84,16 @@ class RecordParameters:
     async def read(
         self, items: Sequence[Address | Item | int], *, timeout: float | None = None, progress: Progress | None = None
     ) -> list[Result]:
-        """A result for each, in as few requests as the drive takes; a number alone is a parameter that is no array."""
+        """Read ``items`` in as few requests as possible: one result for each. A plain number: a parameter, no array."""
         wanted = _wanted(items)
         return await self._run(lambda deadline: self._client.read(wanted, deadline, progress), timeout)
 
     async def change(
         self, items: Sequence[tuple[Address, Values]], *, timeout: float | None = None, progress: Progress | None = None
     ) -> list[Result]:
-        """Write; Values of format Zero where the drive took it. Raises ValueError for values that do not fit."""
+        """Write ``items``: Values of format Zero for each change that the drive accepts. Raises ValueError for values
+        that do not fit.
+        """
         if not all(isinstance(one, tuple) and [*map(type, one)] == [Address, Values] for one in items):
             raise UsageError(f"{items!r}: give a list of (Address(pnu), Values(format, (value,)))")
         return await self._run(lambda deadline: self._client.change(items, deadline, progress), timeout)
@@ -136,7 +140,7 @@ class RecordParameters:
                 service = next(transport)
                 while True:
                     data: bytes | Refused | Silent = b""
-                    if isinstance(service, Pause):  # nothing tells when the drive has done: it is asked again
+                    if isinstance(service, Pause):  # the drive does not signal its answer: ask again later
                         await asyncio.sleep(service.ns / NS_PER_S)
                     else:
                         data = await self._carry_out(service)

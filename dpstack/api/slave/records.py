@@ -73,8 +73,8 @@ class RecordAccess(abc.ABC):
     async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
         """Read a record of DP-V1: ``slot`` 0..254, ``index`` 0..255; up to ``length`` octets (None: all there are).
 
-        Services to a slave, or over a connection, go one after the other; the cycle goes on. The slave has its
-        C1_Response_Timeout, or C2_Response_Timeout.
+        Services to a slave, or over a connection, go one after the other; the cycle goes on. The time
+        limit of the slave is C1_Response_Timeout or C2_Response_Timeout.
         Raises AcyclicError (the slave refuses: class, code, text), ServiceRefused (it has no Read and Write),
         SlaveTimeout, SlaveFault (it left data exchange, or its answer is impossible), ConnectionEnded, UsageError,
         BusError.
@@ -143,10 +143,10 @@ class RecordAccess(abc.ABC):
         return RecordParameters(self.name, carry_out, slot, object=object, longest=self._way.longest)
 
     async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
-        """I&M ``number`` 0..4 of ``slot``: the call, then its answer. Raises as :meth:`read`.
+        """Read I&M ``number`` 0..4 of ``slot``: Write of the call, then Read of its answer. Raises as :meth:`read`.
 
-        A slave that is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel) is asked again for up to 2 s,
-        or ``timeout`` where that is shorter.
+        If the slave is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel), the call repeats for up to
+        2 s, or ``timeout`` where that is shorter.
         """
         if not 0 <= whole("number of I&M", number) <= 4:
             raise UsageError(f"there is no I&M{number}: 0..4")
@@ -175,7 +175,7 @@ class RecordAccess(abc.ABC):
 
     @contextlib.asynccontextmanager
     async def _calling(self, what: str, given: float | None) -> AsyncIterator[None]:
-        """Lock out other I&M calls to this slave; a negative answer is raised as one to ``what``."""
+        """Lock out other I&M calls to this slave; the error of a negative answer names ``what``."""
         way = self._way
         timeout = usual_timeout(way.response_ns) if given is None else given
         time_of(timeout)

@@ -85,7 +85,9 @@ class Services:
             raise
         if done.outcome.failure is not None:
             record = (done.slot, done.index) if isinstance(done, RecordDone) else None
-            if done.outcome.failure is ServiceFailure.CLOSED and not self._is_open():  # no fault of the slave
+            if (
+                done.outcome.failure is ServiceFailure.CLOSED and not self._is_open()
+            ):  # no fault of the slave
                 raise BusError(f"this bus was closed: {done.outcome.text}")
             raise error_of(done.address, done.title, done.outcome, record)
         return done
@@ -103,7 +105,7 @@ class Services:
         return event
 
     def close_connection(self, token: int, ending: ConnectionEnd) -> None:
-        """End the connection that ``token`` opened; ``ending`` tells when it is over."""
+        """End the connection that ``token`` opened, unless ``ending`` says that it has ended."""
         if self._is_open() and not ending.ended.is_set():
             with contextlib.suppress(DpError):  # the bus may have ended meanwhile
                 self._command(CloseConnection(token))
@@ -115,7 +117,7 @@ class Services:
             if ending is not None:
                 ending.over = event
                 ending.ended.set()
-            return False  # an event for all readers, too
+            return False  # all readers get this event, too
         if isinstance(event, ConnectionsClosed):
             return True
         if not isinstance(event, ServiceEnd | ControlSent | ControlFailed | PictureTaken | ScanDone):

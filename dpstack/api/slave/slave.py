@@ -72,7 +72,7 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def setup(self) -> SlaveParams:
-        """How the master parameterises it."""
+        """The parameters that the master sends to the slave."""
         return self._setup
 
     @property
@@ -86,9 +86,9 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def state(self) -> SlaveState:
-        """Where the master is with it; on a read-only bus what its diagnosis says of it and its own master.
+        """The state in which the master has the slave; on a read-only bus the state by its diagnosis.
 
-        OFFLINE while nobody keeps the bus running (its bus process was killed, or is stopped).
+        OFFLINE while the bus does not run (its bus process was killed, or is stopped).
         """
         if self._bus.runtime.not_running is not None and not self.deactivated:
             return SlaveState.OFFLINE
@@ -102,33 +102,33 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def found(self) -> Found | None:
-        """On a read-only bus the station found at its address: type, ident, state, owner."""
+        """On a read-only bus the station found at the slave's address: type, ident, state, master."""
         found = self._bus.view.bus().found
         return None if found is None else found.get(self.address)
 
     @property
     def deactivated(self) -> bool:
-        """True while it is out of service by :meth:`deactivate`."""
+        """True from :meth:`deactivate` to :meth:`activate`."""
         return self.snapshot.state is SlaveState.DEACTIVATED
 
     @property
     def synced(self) -> bool:
-        """True while it is in SYNC by this master's order."""
+        """True while the slave is in SYNC by an order of this master."""
         return self.address in self._bus.view.bus().synced
 
     @property
     def frozen(self) -> bool:
-        """True while it is in FREEZE by this master's order."""
+        """True while the slave is in FREEZE by an order of this master."""
         return self.address in self._bus.view.bus().frozen
 
     @property
     def ready_now(self) -> bool:
-        """True while it is in data exchange."""
+        """True while the slave is in data exchange."""
         return self.state is SlaveState.DATA_EXCHANGE
 
     @property
     def fault(self) -> Fault | None:
-        """Why it is not in data exchange; None when all is well or nothing is known yet."""
+        """The cause why the slave is not in data exchange; None without a fault, and while the cause is not known."""
         bus = self._bus.view.bus()
         if bus.found is None:
             return self.snapshot.fault
@@ -147,7 +147,7 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def diagnosis_texts(self) -> tuple[str, ...]:
-        """What :attr:`diagnosis` says, one line each: its bits, then its blocks in the words of the GSD file."""
+        """The texts of :attr:`diagnosis`, one line each: bits, then blocks with the texts of the GSD file."""
         diagnosis = self.diagnosis
         return () if diagnosis is None else diagnosis.texts + self.block_texts
 
@@ -164,7 +164,7 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def block_texts(self) -> tuple[str, ...]:
-        """What the blocks of :attr:`diagnosis` say, one line each, in the words of the GSD file."""
+        """The texts of the blocks of :attr:`diagnosis`, one line each, with the texts of the GSD file."""
         diagnosis = self.diagnosis
         return () if diagnosis is None else self.setup.block_texts(diagnosis)
 
@@ -181,7 +181,7 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def inputs_age(self) -> float | None:
-        """How long ago the inputs came, in seconds; None when there never were any."""
+        """The age of the inputs in seconds; None before the first ones."""
         age_ns = self._inputs_age_ns
         return None if age_ns is None else ns_to_s(age_ns)
 
@@ -223,8 +223,8 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def outputs_sent(self) -> bytes:
-        """The outputs that it is sent at this moment: :attr:`outputs` in Operate, zeros in Clear (nothing where it is
-        Fail_Safe), nothing outside data exchange.
+        """The outputs that the master sends at present: :attr:`outputs` in Operate, zeros in Clear (none to a
+        Fail_Safe slave), none outside data exchange.
         """
         bus = self._bus
         if bus.view.read_only or not self.ready_now:
@@ -337,11 +337,11 @@ class Slave(Sealed, RecordAccess):
         """Alarms from now on: an async iterator of :class:`~dpstack.api.slave.alarms.SlaveAlarm`, each one once, in
         order.
 
-        An alarm is acknowledged when it is handed over here (to everybody who listens), or with ``acknowledge=False``
-        by ``await alarm.acknowledge()``; until then the slave may raise no further one. It survives a slave that
-        leaves data exchange and comes back, and ends with the bus. While nobody listens alarms are acknowledged at
-        once. Which kinds there are is said by ``dpv1 = { alarms = [...] }``. Raises UsageError for a slave without
-        DP-V1 and a bus that is not open.
+        dpstack acknowledges an alarm when every listener has read it. With ``acknowledge=False`` the program does so by
+        ``await alarm.acknowledge()``; until then the slave may raise no further one. The iterator goes on when the
+        slave leaves data exchange and comes back, and ends with the bus. Without a listener dpstack acknowledges alarms
+        at once. ``dpv1 = { alarms = [...] }`` enables the kinds of alarms. Raises UsageError for a slave without DP-V1
+        and a bus that is not open.
         """
         self._bus.check_open()
         need_dpv1(self.setup, read_only=self._bus.view.read_only)
@@ -349,7 +349,7 @@ class Slave(Sealed, RecordAccess):
 
     def status_messages(self) -> Stream[Status]:
         """Status messages, module status, PrmCmdAck ... from now on (:class:`~dpstack.dp.pdu.alarm_blocks.Status`): an
-        async iterator; nobody acknowledges them, of a reader that does not read the oldest are dropped.
+        async iterator. Status messages have no acknowledgement; a slow reader loses the oldest.
 
         Raises UsageError for a slave without DP-V1 and a bus that is not open.
         """
@@ -359,7 +359,7 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def alarm_counts(self) -> AlarmCounts | None:
-        """What came of its alarms since the start; None for a slave that is not parameterised for DP-V1."""
+        """Counters of its alarms since the start; None for a slave that is not parameterised for DP-V1."""
         return self.snapshot.alarms
 
     @property
@@ -372,22 +372,22 @@ class Slave(Sealed, RecordAccess):
         return RecordWay(services, address, self.who, longest, limit, response_ns, services.im_calls[address])
 
     async def deactivate(self) -> None:
-        """Take it out of service: safe outputs for 50 ms, Unlock, then nothing is sent to it until :meth:`activate`.
+        """Take the slave out of service: safe outputs for 50 ms, Unlock, then no telegram until :meth:`activate`.
 
-        Returns when it has been ordered; the bus does not end before it is done. A drive's pending orders end with
-        DriveError.
+        Returns when the master has the order; the bus does not end before the master has carried it out. A drive's
+        pending orders end with DriveError.
         """
         await self._bus.order(DeactivateSlave(self.address))
 
     async def activate(self) -> None:
-        """Bring it up again; :meth:`ready` waits for that."""
+        """Start the slave again; :meth:`ready` waits for data exchange."""
         await self._bus.order(ActivateSlave(self.address))
 
     async def reparameterise(self, *, timeout: float | None = 5.0, **changes: Unpack[Changes]) -> None:
-        """Other parameters while the bus runs: safe outputs for 50 ms, Unlock, a new bring-up, data exchange.
+        """Change parameters while the bus runs: safe outputs for 50 ms, Unlock, a new bring-up, data exchange.
 
         ``changes`` are keys of [[slave]], in the units of a configuration, see :class:`Changes`. Raises ConfigError
-        before anything is changed (also where a named field would lie outside, or its GSD file does not have it),
+        before it changes anything (also where a named field would lie outside, or the GSD file excludes the change),
         UsageError for other lengths under a drive plugin, SlaveFault or SlaveTimeout as :meth:`ready`. A drive's
         pending orders end with DriveError. ``timeout`` in seconds.
         """
@@ -401,7 +401,7 @@ class Slave(Sealed, RecordAccess):
         self.config, self._setup = config, setup
 
     async def wait_state(self, *states: SlaveState, timeout: float | None = None) -> SlaveState:
-        """Wait until the slave is in one of ``states``. Raises SlaveTimeout that says where it is instead."""
+        """Wait until the slave is in one of ``states``. Raises SlaveTimeout with the state that it is in."""
         try:
             await self._bus.until(lambda: self.state in states, timeout)
         except TimeoutError:
@@ -411,9 +411,8 @@ class Slave(Sealed, RecordAccess):
     async def ready(self, timeout: float | None = 5.0) -> None:
         """Wait until the slave is in data exchange.
 
-        Raises UsageError for a deactivated slave, SlaveFault as soon as it refuses (parameters, configuration, ident,
-        owned by another master), SlaveTimeout with the reason when it is not there in
-        ``timeout`` seconds (None: no limit).
+        Raises UsageError for a deactivated slave, SlaveFault as soon as the slave refuses (parameters, configuration,
+        ident, another master), SlaveTimeout with the reason after ``timeout`` seconds (None: no limit).
         """
         try:
             await self._bus.until(self._is_ready, timeout)
