@@ -190,9 +190,8 @@ def read_gsd_slave(
         _set_parameters(table, parameters, others)
         note = _contradictions_note(reading, octets, others.octets())
     has_status = device.dpv1.slave and len(octets) >= DPV1_STATUS_LEN
-    fail_safe = (
-        device.fail_safe or device.dpv1.fail_safe_required
-    )  # a device that needs empty frames in Clear can also receive them
+    # a device that requires empty frames in Clear can receive them, too
+    fail_safe = device.fail_safe or device.dpv1.fail_safe_required
     longest = device.max_diag_data_len
     with table.blaming():
         params = SlaveParams(

@@ -85,9 +85,7 @@ class Services:
             raise
         if done.outcome.failure is not None:
             record = (done.slot, done.index) if isinstance(done, RecordDone) else None
-            if (
-                done.outcome.failure is ServiceFailure.CLOSED and not self._is_open()
-            ):  # no fault of the slave
+            if done.outcome.failure is ServiceFailure.CLOSED and not self._is_open():  # no fault of the slave
                 raise BusError(f"this bus was closed: {done.outcome.text}")
             raise error_of(done.address, done.title, done.outcome, record)
         return done
