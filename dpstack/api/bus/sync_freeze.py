@@ -46,7 +46,7 @@ async def _order_control(bus: BusBase, kind: type[T], groups: Groups, **what: bo
 
 
 def group_numbers(groups: Groups) -> tuple[int, ...]:
-    """Group group_numbers; empty for all slaves."""
+    """Group numbers; empty for all slaves."""
     given = (groups,) if isinstance(groups, int) else tuple(groups)
     return () if given == (0,) else given
 

@@ -84,8 +84,8 @@ def octets(text: str) -> tuple[str, bytes]:
     raise UsageError(f"{text!r} is not SLAVE=HEX; write it as 9=00FF")
 
 
-def whole_number(text: str, what: str = "whole_number number; write for instance 1") -> int:
-    """A whole_number number from 0 (slots, channels)."""
+def whole_number(text: str, what: str = "whole number; write for instance 1") -> int:
+    """A whole number from 0 (slots, channels)."""
     return within(text, decimal, 0, math.inf, what)
 
 

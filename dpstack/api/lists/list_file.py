@@ -1,6 +1,6 @@
 """File format of parameter lists: TOML, a head and one line an entry.
 
-Its two kinds are in :mod:`dpstack.api.lists.parameter_list` and :mod:`dpstack.api.lists.record_list`.
+There are two kinds: :mod:`dpstack.api.lists.parameter_list` and :mod:`dpstack.api.lists.record_list`.
 """
 
 from __future__ import annotations
@@ -11,26 +11,27 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, ClassVar, Final, Generic, NoReturn, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Final, Generic, NoReturn, Self, TypeVar
 
 from dpstack.api.config.toml import MAX_OCTETS, TomlError, quoted, read_toml
 from dpstack.api.files import AtomicFile, read_file
 from dpstack.errors import ConfigError
+from dpstack.profile import ListedParam
 
 _FORMAT: Final = "format = 1"
 _ENTRIES: Final = "parameters"
 
-#: a value: a number in its unit, a truth value, a text; octets that are nothing else as hex
+#: a value: a number in its unit, a truth value, a text; octets without another meaning as hex
 Element = int | float | bool | str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ListEntry(abc.ABC):
-    """One parameter of a list; without values and with the reason in ``unreadable`` where it could not be read.
+    """A parameter of a list. If it could not be read: without values, and ``unreadable`` is the reason.
 
     ``read_only``: an actual value or a property of the drive. ``KEYS``: the keys of its line in a file, with their
-    types (a whole number may stand for a float); ``VALUES``: those of its values; ``OMITTED``: keys that the line
-    leaves out at these values.
+    types (a float may be written as a whole number); ``VALUES``: the keys of its values; ``OMITTED``: keys that the
+    line leaves out at these values.
     """
 
     KEYS: ClassVar[Mapping[str, type]]
@@ -45,29 +46,28 @@ class ListEntry(abc.ABC):
     @property
     @abc.abstractmethod
     def place(self) -> Hashable:
-        """The key under which an entry is compared."""
+        """The key by which two lists are compared."""
 
     @property
     @abc.abstractmethod
     def label(self) -> str:
         """Name or number for messages."""
 
+    @property
+    def title_label(self) -> str:
+        """The label for people, with a title if it has one."""
+        return self.label
+
     def as_dict(self) -> dict[str, Any]:
-        """Plain data, without absent keys: its line of the file."""
+        """Plain data without absent keys, as in its line of the file."""
         absent = ("unreadable",) if self.unreadable is None else self.VALUES
         plain = {key: getattr(self, key) for key in self.KEYS if key not in absent}
         return {key: value for key, value in plain.items() if key not in self.OMITTED or value != self.OMITTED[key]}
 
 
-class ReadOnly(Protocol):
-    """A parameter of the drive or device that an entry is compared with."""
-
-    @property
-    def read_only(self) -> bool: ...
-
-
 E = TypeVar("E", bound=ListEntry)
-T = TypeVar("T", bound=ReadOnly)
+#: a parameter of the drive or device
+T = TypeVar("T", bound=ListEntry | ListedParam)
 D = TypeVar("D", bound="Difference[Any]")
 
 
@@ -75,9 +75,9 @@ D = TypeVar("D", bound="Difference[Any]")
 class SavedList(abc.ABC, Generic[E]):
     """The parameters of one drive or device, and the layout of their file.
 
-    ``PROGRAM`` makes such files, ``COMMENT`` is their first line; ``KIND`` stands in the head (None: it has none);
-    ``HEAD``: the other keys of the head, with their types; ``ENTRY``: the class of the entries; ``LINE``: an entry in
-    messages, before its number.
+    ``PROGRAM``: the command that makes such files; ``COMMENT``: their first line; ``KIND``: the value of ``kind`` in
+    the head (None: the head has none); ``HEAD``: the other keys of the head, with their types; ``ENTRY``: the class of
+    the entries; ``LINE``: the word for an entry in messages, before its number.
     """
 
     PROGRAM: ClassVar[str]
@@ -96,7 +96,7 @@ class SavedList(abc.ABC, Generic[E]):
     @classmethod
     @abc.abstractmethod
     def entry(cls, plain: object, where: str) -> E:
-        """One parameter from its line. Raises ConfigError naming ``where``."""
+        """The parameter of a line. Raises ConfigError naming ``where``."""
 
     @property
     def who(self) -> tuple[str, ...]:
@@ -112,32 +112,32 @@ class SavedList(abc.ABC, Generic[E]):
 
     def text(self) -> str:
         marks = [_FORMAT] if self.KIND is None else [_FORMAT, f"kind = {quoted(self.KIND)}"]
-        head = (f"{key} = {_toml(getattr(self, key), key)}" for key in self.HEAD)
+        head = (f"{key} = {_toml_text(getattr(self, key), key)}" for key in self.HEAD)
         lines = (
-            ", ".join(f"{key} = {_toml(value)}" for key, value in one.as_dict().items()) for one in self.parameters
+            ", ".join(f"{key} = {_toml_text(value)}" for key, value in one.as_dict().items()) for one in self.parameters
         )
         entries = (f"  {{ {line} }}," for line in lines)
         return "\n".join([f"# {self.COMMENT}", *marks, *head, f"{_ENTRIES} = [", *entries, "]", ""])
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """From a file. Raises ConfigError."""
+        """Read a list from a file. Raises ConfigError."""
         try:
             text = read_file(path, MAX_OCTETS).decode("utf-8")
         except UnicodeDecodeError:
-            raise ConfigError(f"{path}: not UTF-8 text; {cls._make()}") from None
+            raise ConfigError(f"{path}: not UTF-8 text; {cls._how_to_make()}") from None
         except (OSError, ValueError) as error:
             why = error.strerror if isinstance(error, OSError) else None
-            raise ConfigError(f"{path}: {why or error}; {cls._make()}") from None
+            raise ConfigError(f"{path}: {why or error}; {cls._how_to_make()}") from None
         return cls.parse(text, str(path))
 
     @classmethod
     def parse(cls, text: str, where: str = "parameters") -> Self:
-        """From a file's text. Raises ConfigError naming ``where`` and the entry."""
+        """Parse the text of a file. Raises ConfigError naming ``where`` and the entry."""
         try:
             head, _ = read_toml(text)
         except TomlError as error:
-            raise ConfigError(f"{where}: no TOML: {error}; {cls._make()}") from None
+            raise ConfigError(f"{where}: no TOML: {error}; {cls._how_to_make()}") from None
         stranger = f"is missing: this is no list of parameters of `{cls.PROGRAM}`"
         if (made := head.pop("format", None)) != 1 or type(made) is not int:
             cls.refuse(where, f"{_FORMAT} {stranger}")
@@ -160,7 +160,7 @@ class SavedList(abc.ABC, Generic[E]):
 
     @classmethod
     def check(cls, entry: object, where: str, needs: Sequence[str]) -> Mapping[str, Any]:
-        """``entry``, checked: it has all keys of ``needs`` and no unknown ones. Raises ConfigError naming ``where``."""
+        """Check that ``entry`` has all keys of ``needs`` and no unknown ones. Raises ConfigError naming ``where``."""
         if not isinstance(entry, Mapping):
             cls.refuse(where, "is no table")
         for key, value in entry.items():
@@ -182,12 +182,12 @@ class SavedList(abc.ABC, Generic[E]):
         raise ConfigError(f"{where}: {what}; correct the line, or make the file anew by `{cls.PROGRAM} ... dump`")
 
     @classmethod
-    def _make(cls) -> str:
+    def _how_to_make(cls) -> str:
         return f"make the file by `{cls.PROGRAM} ... dump`"
 
     @classmethod
     def file(cls, path: str | Path, *who: str) -> AtomicFile:
-        """The file for a list of :attr:`who`: only an earlier list of the same owner is replaced."""
+        """The file for a list of :attr:`who`. It replaces only an earlier list of the same owner."""
 
         def is_earlier(there: Path) -> bool:
             try:
@@ -198,14 +198,13 @@ class SavedList(abc.ABC, Generic[E]):
         return AtomicFile(path, is_earlier, f"earlier dump of {who[-1]}")
 
     def keep(self, file: AtomicFile) -> Path:
-        """Write it. Returns the path. Raises UsageError."""
+        """Write the list. Returns the path. Raises UsageError."""
         return file.keep(self.text().encode(), complete=self.complete)
 
 
 @dataclass(frozen=True, slots=True)
 class Difference(abc.ABC, Generic[E]):
-    """A parameter in a file, ``saved``, and as the drive or device has it, ``found``: its value, or why it cannot be
-    read."""
+    """A parameter in a file, ``saved``, and in the drive or device, ``found``."""
 
     saved: E
     found: E
@@ -213,12 +212,12 @@ class Difference(abc.ABC, Generic[E]):
     @property
     @abc.abstractmethod
     def is_none(self) -> bool:
-        """Both can be read and are the same."""
+        """Whether both are readable and equal."""
 
     @property
     @abc.abstractmethod
     def text(self) -> str:
-        """One line for people: both values."""
+        """A line for people with both values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +237,7 @@ class ListComparison(Generic[D, E]):
 def pairs_of(
     saved: Iterable[E], there: Mapping[Any, T], as_entry: Callable[[T], E], *, missing: str, read_only: bool
 ) -> tuple[list[tuple[E, T]], list[tuple[E, str]]]:
-    """The entries to be compared, each with its counterpart in ``there``, and the others with the reason.
+    """The entries to compare, each with its counterpart in ``there``, and all others, each with the reason.
 
     ``missing``: the reason for an entry without counterpart. Read-only entries are compared only with ``read_only``.
     """
@@ -261,25 +260,25 @@ def pairs_of(
 
 
 def is_same(one: Element, other: Element) -> bool:
-    """Equal to the last digit of the wire: a file keeps every digit of a value, people may write fewer."""
+    """Whether two values are equal, apart from digits that the wire does not have: people may write fewer."""
     if isinstance(one, str) or isinstance(other, str):
         return one == other
     return math.isclose(one, other, rel_tol=1e-9) or (math.isnan(one) and math.isnan(other))
 
 
 def time_now() -> str:
-    """As it stands in a list."""
+    """The current time in the format of a list."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-def shown(value: Element) -> str:
-    """A value for people."""
-    return repr(value) if isinstance(value, str) else _toml(value)
+def element_text(value: Element) -> str:
+    """The text of a value for people."""
+    return repr(value) if isinstance(value, str) else _toml_text(value)
 
 
-def _toml(value: object, key: str = "") -> str:
+def _toml_text(value: object, key: str = "") -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_toml, value))}]"
+        return f"[{', '.join(map(_toml_text, value))}]"
     return quoted(value) if isinstance(value, str) else f"0x{value:04X}" if key == "ident" else repr(value)

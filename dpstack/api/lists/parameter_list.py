@@ -1,6 +1,6 @@
 """``ParameterList``: the parameters of a drive, dumped into a file and compared with it, beside the cyclic data.
 
-The file is TOML, one line a parameter, fit for `diff`.
+The file is TOML with one line a parameter, so `diff` can compare two of them.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from dpstack.api.lists.list_file import Difference, ListComparison, ListEntry, S
 from dpstack.errors import ConfigError, DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import ListedParam, count_of
 
-#: after so many unanswered parameters in a row, the others will not be answered either
+#: number of parameters without an answer, one after the other, that ends a dump
 _SILENT: Final = 3
 
-#: called after each parameter: how many are read, of how many, the last one
+#: called after each parameter: number read, total number, the last one
 OnParameter = Callable[[int, int, "SavedParam"], None]
-#: fields of a declared parameter that its entry has, too
+#: fields that an entry takes from the declared parameter
 _DECLARED: Final = ("name", "number", "title", "subindex", "data_set", "index", "read_only")
-#: the key of a parameter: its name in lower case, and the data set or the element where there are several
+#: the key of a parameter: its name in lower case, its data set and its element, if it has several
 Place = tuple[str, int | None, int | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SavedParam(ListEntry):
-    """One parameter of a drive: ``value`` in ``unit``, or None."""
+    """A parameter of a drive: ``value`` in ``unit``, or None."""
 
     KEYS: ClassVar = {
         "name": str,
@@ -56,7 +56,7 @@ class SavedParam(ListEntry):
 
     @classmethod
     def of(cls, listed: ListedParam, found: ParameterValue | None = None, why: str | None = None) -> SavedParam:
-        """``found`` or the reason ``why`` not, of a parameter that the drive's plugin declares."""
+        """The entry of a parameter that the drive's plugin declares: its value ``found``, or the reason ``why`` not."""
         declared = {key: getattr(listed, key) for key in _DECLARED}
         if found is None:
             return cls(**declared, unreadable=why or listed.why_not or "it was not read")
@@ -81,7 +81,7 @@ class SavedParam(ListEntry):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterList(SavedList[SavedParam]):
-    """The parameters of one drive. ``drive`` is its type; ``complete``: False where the dump was cut short."""
+    """The parameters of one drive. ``drive``: its type; ``complete``: False after a dump that was interrupted."""
 
     PROGRAM = "dpstack drive"
     COMMENT = "Parameters of a drive; `dpstack drive CONFIG NAME compare FILE` tells where a drive differs."
@@ -96,7 +96,7 @@ class ParameterList(SavedList[SavedParam]):
 
     @classmethod
     def entry(cls, plain: object, where: str) -> SavedParam:
-        """A line with a name and a number, and a value or the reason why there is none."""
+        """The parameter of a line: name and number, and a value or the reason why it has none."""
         if isinstance(plain, Mapping) and type(plain.get("name")) is str:
             where = f"{where} ({plain['name']})"
         found = cls.check(plain, where, ("name", "number"))
@@ -105,10 +105,7 @@ class ParameterList(SavedList[SavedParam]):
         return SavedParam(**found)
 
     def save(self, path: str | Path) -> None:
-        """Into a file, whole or not at all; a file that is there must be an earlier list of the same drive.
-
-        Raises UsageError where it cannot be written.
-        """
+        """Write the list atomically into a new file, or over an earlier list of the same drive. Raises UsageError."""
         with self.file(path, *self.who) as file:
             self.keep(file)
 
@@ -120,13 +117,13 @@ def label(name: str, data_set: int | None, index: int | None) -> str:
 
 
 def value_text(value: float | int | None, unit: str) -> str:
-    """A value with its unit, as many digits as it has."""
+    """A value with its unit and all its digits."""
     return f"{value!r} {unit}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterValue:
-    """One parameter as the drive tells it: ``value`` in ``unit``, ``raw`` the integer on the wire."""
+    """A parameter read from the drive: ``value`` in ``unit``; ``raw``: the integer on the wire."""
 
     number: int
     name: str | None
@@ -161,7 +158,7 @@ class Listing(Protocol):
 
     @property
     def parameters(self) -> tuple[ListedParam, ...]:
-        """All that is to be read. Raises UsageError where the telegram has no parameter channel."""
+        """All declared parameters. Raises UsageError where the telegram has no parameter channel."""
 
 
 class ParameterDifference(Difference[SavedParam]):
@@ -186,20 +183,20 @@ Comparison = ListComparison[ParameterDifference, SavedParam]
 
 
 class Readable(Listing, Protocol):
-    """A drive whose parameters can be read: of this bus, or of another program's. Base class of both."""
+    """A drive whose parameters can be read. Base class of the drives of this bus, and of another program's bus."""
 
     @property
     def address(self) -> int: ...
 
     @property
     def per_request(self) -> int:
-        """The number of parameters that one request to the drive carries: several over record 47, else 1."""
+        """The number of parameters in one request to the drive: several over record 47, else 1."""
 
     @abc.abstractmethod
     async def read_many(
         self, parameters: Sequence[ParameterPlace], *, timeout: float = 5.0
     ) -> list[ParameterValue | ParameterError]:
-        """Some parameters; one that the drive refuses is the error in its place. Raises DriveTimeout, DriveError."""
+        """Read parameters; in place of one that the drive refuses is the error. Raises DriveTimeout, DriveError."""
 
     async def dump(
         self,
@@ -208,12 +205,12 @@ class Readable(Listing, Protocol):
         data_set: int | None = None,
         on_parameter: OnParameter | None = None,
     ) -> ParameterList:
-        """Read all declared parameters, as many by a request as it carries; ``data_set`` None: of all data sets.
+        """Read all declared parameters; ``data_set`` None: of all data sets. Instead of an unreadable one, the list has
+        the reason.
 
-        With ``path`` into that file, whole or not at all; cut short (cancelled, the drive lost), the parameters read so
-        far are kept in a file of that name with ``.part`` behind it, which the error has as a note. A parameter that
-        cannot be read is in it with the reason. An earlier dump of the same drive is replaced, no other file is. Raises
-        UsageError, DriveError.
+        ``path``: also write the list into this file, atomically, and over no file except an earlier dump of the same
+        drive. If the dump is interrupted (cancelled, drive lost), the parameters read up to then go into a file with
+        ``.part`` behind its name; a note of the error names it. Raises UsageError, DriveError.
         """
         wanted = _chosen(self, data_set)
         found: list[SavedParam] = []
@@ -240,10 +237,10 @@ class Readable(Listing, Protocol):
         read_only: bool = False,
         on_parameter: OnParameter | None = None,
     ) -> Comparison:
-        """Read the drive's parameters that are in ``saved`` (a list, or a file) and return where they differ.
+        """Read the drive's parameters that are in ``saved`` (a list, or a file), and return the differences.
 
-        Read-only parameters (actual values, properties) are compared only with ``read_only``. Raises ConfigError
-        for a file of another type of drive and for a value between two steps of its parameter, UsageError, DriveError.
+        ``read_only``: compare read-only parameters (actual values, properties), too. Raises ConfigError for a file of
+        another type of drive and for a value between two steps of its parameter, UsageError, DriveError.
         """
         listed = saved if isinstance(saved, ParameterList) else ParameterList.load(saved)
         wanted, skipped = _compared(self, listed, "the list" if listed is saved else str(saved), data_set, read_only)
@@ -254,7 +251,7 @@ class Readable(Listing, Protocol):
 
 
 def _kept(file: AtomicFile, part: ParameterList) -> str:
-    """A note about the file with the ``part`` of a list; if it cannot be written, the note says so."""
+    """Write ``part`` of a list into ``file``. Returns a note about it, also if that fails."""
     read = f"cut short: the {len(part.parameters)} parameters read so far are"
     try:
         return f"{read} in {part.keep(file)}"
@@ -277,7 +274,7 @@ def check_compare(drive: Listing, path: str | Path, *, data_set: int | None = No
 def _compared(
     drive: Listing, listed: ParameterList, where: str, data_set: int | None, read_only: bool
 ) -> tuple[list[tuple[SavedParam, ListedParam]], list[tuple[SavedParam, str]]]:
-    """The pairs to be compared, and the others with the reason. Raises as :meth:`Readable.compare`."""
+    """The pairs to compare, and all other entries, each with the reason. Raises as :meth:`Readable.compare`."""
     if listed.drive != drive.kind:
         raise ConfigError(
             f"{where} holds the parameters of a {listed.drive} ({listed.name}), {drive.name} is a {drive.kind}: "
@@ -292,7 +289,7 @@ def _compared(
 
 
 def _chosen(drive: Listing, data_set: int | None) -> list[ListedParam]:
-    """The parameters to be read. Raises UsageError for a data set that the drive does not have."""
+    """The parameters to read. Raises UsageError for a data set that the drive does not have."""
     listed = drive.parameters
     sets = sorted({one.data_set for one in listed if one.data_set is not None})
     if data_set is not None and data_set not in sets:
@@ -305,14 +302,14 @@ def _chosen(drive: Listing, data_set: int | None) -> list[ListedParam]:
 
 @dataclass(slots=True)
 class _Reading:
-    """Reads ``wanted`` parameters into ``found``, in their order. A parameter that the drive refuses goes in with the
-    reason; a lost drive raises."""
+    """Reads the parameters ``wanted`` into the list ``found``; of a refused one it keeps the reason. Raises DriveError
+    for a lost drive."""
 
     drive: Readable
     wanted: Sequence[ListedParam]
     found: list[SavedParam]
     on_parameter: OnParameter | None
-    #: parameters without an answer, one after the other
+    #: number of parameters without an answer, one after the other
     silent: int = 0
 
     async def read_all(self) -> None:
@@ -321,7 +318,7 @@ class _Reading:
             await self._read(self.wanted[at : at + size])
 
     async def _read(self, some: Sequence[ListedParam]) -> None:
-        """By one request; after a time-out by one each: one parameter may be the reason."""
+        """Read ``some`` by one request; after a time-out by one request each: a single parameter may be the cause."""
         places = [ParameterPlace(one.name, one.data_set, one.index) for one in some if one.why_not is None]
         answers: list[ParameterValue | DriveError] = []
         try:
@@ -349,7 +346,7 @@ class _Reading:
 
 
 def _check_step(saved: SavedParam, there: ListedParam, where: str) -> None:
-    """Raises ConfigError where the value lies between two that the drive can hold: no drive is ever equal to it."""
+    """Raises ConfigError if the value lies between two steps of the parameter: no drive can ever be equal to it."""
     if saved.value is None or saved.unit != there.unit or not there.per_unit:
         return
     try:

@@ -1,4 +1,4 @@
-"""``RecordList``: all parameters that a device lists (record 47, 980 to 989) in a file: TOML, one line a parameter."""
+"""``RecordList``: all parameters that a device lists (record 47, 980 to 989), in a file and compared with it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from dpstack.api.lists.list_file import (
     ListComparison,
     ListEntry,
     SavedList,
+    element_text,
     is_same,
     pairs_of,
-    shown,
     time_now,
 )
 from dpstack.errors import ConfigError
@@ -24,7 +24,7 @@ from dpstack.profile.record47 import ReadParameter
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ListedValues(ListEntry):
-    """One parameter of a device with all its ``values`` in ``format``, or without any."""
+    """A parameter of a device with all its ``values`` in ``format``, or without any."""
 
     KEYS: ClassVar = {"number": int, "name": str, "format": str, "values": list, "unreadable": str, "read_only": bool}
     VALUES = "values", "format"
@@ -55,16 +55,11 @@ class ListedValues(ListEntry):
         return f"parameter {self.number}" + (f" ({self.name})" if self.name else "")
 
     @property
-    def title_label(self) -> str:
-        """Its label has its name already."""
-        return self.label
-
-    @property
     def text(self) -> str:
-        """The values for people, or why there are none."""
+        """The values for people, or the reason why there are none."""
         if self.unreadable is not None:
             return f"cannot be read: {self.unreadable}"
-        return ", ".join(map(shown, self.values)) or "no value"
+        return ", ".join(map(element_text, self.values)) or "no value"
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> ListedValues:
@@ -74,7 +69,7 @@ class ListedValues(ListEntry):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordList(SavedList[ListedValues]):
-    """The parameters of one device, in the order of its list, read as a whole. ``ident``: its ident number."""
+    """The parameters of one device, in the order of its own list. ``ident``: its ident number."""
 
     PROGRAM = "dpstack acyclic"
     COMMENT = "Parameters of a device; `dpstack acyclic CONFIG ADDRESS compare FILE` tells where a device differs."
@@ -89,7 +84,7 @@ class RecordList(SavedList[ListedValues]):
 
     @classmethod
     def entry(cls, plain: Any, where: str) -> ListedValues:
-        """A line with a number, and values or the reason why there are none."""
+        """The parameter of a line: a number, and values or the reason why it has none."""
         if isinstance(plain, Mapping) and type(plain.get("number")) is int:
             where = f"{where} (parameter {plain['number']})"
         found = cls.check(plain, where, ("number",))
@@ -106,19 +101,19 @@ class RecordDifference(Difference[ListedValues]):
 
     @property
     def elements(self) -> tuple[int, ...]:
-        """Indexes, from 0, of the elements that differ or that one of the two does not have."""
+        """Indexes, from 0, of the elements that differ or are missing in one of the two."""
         saved, found = self.saved.values, self.found.values
         count, both = max(len(saved), len(found)), min(len(saved), len(found))
         return tuple(at for at in range(count) if at >= both or not is_same(saved[at], found[at]))
 
     @property
     def is_none(self) -> bool:
-        """All elements can be read and are the same, in the same format."""
+        """Whether all elements are readable and equal, and both formats are the same."""
         return not self.elements and self.found.unreadable is None and self.saved.format == self.found.format
 
     @property
     def text(self) -> str:
-        """One line for people: of an array those elements that differ."""
+        """A line for people; of an array with the differing elements only."""
         saved, found = self.saved, self.found
         if found.unreadable is None and saved.format != found.format:
             return f"{saved.label}: file {saved.text} as {saved.format}, device {found.text} as {found.format}"
@@ -143,8 +138,8 @@ def compared(
 ) -> RecordComparison:
     """The differences between the device and ``saved``, element by element.
 
-    Read-only parameters (actual values, properties) are compared only with ``read_only``. Raises ConfigError
-    for a list of another type of device.
+    ``read_only``: compare read-only parameters (actual values, properties), too. Raises ConfigError for a list of
+    another type of device.
     """
     if saved.ident != found.ident:
         raise ConfigError(

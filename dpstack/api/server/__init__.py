@@ -1,7 +1,7 @@
-"""Slaves served: user slaves, simulated ones, a whole virtual bench.
+"""Slaves in this program: the user's own, and simulated ones.
 
-- ``async_device``: Records of a slave served by async functions: each request is a task, whose end answers it
-- ``server``: The user's own slaves: made from a GSD file, and served on a real port or in a virtual world
+- ``async_device``: Async functions that serve the records of a slave: a task for each request
+- ``server``: The user's own slaves: made from a GSD file, served on a real port or in a virtual world
 - ``simulation``: Simulated slaves behind a real port (``dpstack sim``)
-- ``virtual_bench``: Simulated slaves that can be silenced and switched off and on; those of a bus in virtual time
+- ``virtual_bench``: Simulated slaves that commands silence and switch off and on; those of a bus in virtual time
 """

@@ -1,4 +1,4 @@
-"""Records of a slave served by async functions: each request is a task, whose end answers it."""
+"""Async functions that serve the records of a slave: a task for each request."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ T = TypeVar("T")
 
 
 class AsyncRecords:
-    """Serves records and Data_Transport by the functions of ``device``; a request without a function is refused."""
+    """Serves records and Data_Transport by the functions of ``device``. Refuses requests without a function."""
 
     def __init__(self, device: DpSlave) -> None:
         self._device = device
         self._tasks: set[asyncio.Task[None]] = set()
 
     def ask(self, request: RecordRequest) -> None:
-        """Start the function; the master polls meanwhile. Where it gives up, the function is cancelled."""
+        """Start the function; its result is the answer. Cancel it if the master gives up polling."""
         task = asyncio.get_running_loop().create_task(self._serve(request), name=request.title)
         self._tasks.add(task)
         request.abandoned = task.cancel
-        task.add_done_callback(lambda done: self._over(request, done))
+        task.add_done_callback(lambda done: self._on_done(request, done))
 
     def end(self) -> None:
-        """The slave is served no more: cancel the running functions."""
+        """The end of the slave: cancel the running functions."""
         for task in self._tasks:
             task.cancel()
 
-    def _over(self, request: RecordRequest, task: asyncio.Task[None]) -> None:
-        """Answer for a function that somebody else has cancelled, or its master would wait in vain."""
+    def _on_done(self, request: RecordRequest, task: asyncio.Task[None]) -> None:
+        """If other code has cancelled the function, answer with an error: the master still polls."""
         self._tasks.discard(task)
         if task.cancelled():
             request.fail(asyncio.CancelledError("what it awaited was cancelled"))
@@ -53,17 +53,17 @@ class AsyncRecords:
             return
         try:
             octets = () if isinstance(service, ReadReq) else (service.data,)
-            data = await _asked(name, function, service.slot, service.index, *octets)
+            data = await _result_of(name, function, service.slot, service.index, *octets)
             if not result:
                 data = b""
             if not isinstance(data, (bytes, bytearray)):
                 raise TypeError(f"{name} returned {type(data).__name__}, {result} is bytes")
             request.answer(bytes(data))
-        except Exception as error:  # the user's: answered and reported, nothing else is disturbed
+        except Exception as error:  # of the user's function: only this request fails
             request.fail(error)
 
 
-async def _asked(name: str, function: Callable[..., Awaitable[T]], *args: object) -> T:
+async def _result_of(name: str, function: Callable[..., Awaitable[T]], *args: object) -> T:
     with DEVICE_CALL:
         result = function(*args)
     if not isinstance(result, Awaitable):

@@ -1,4 +1,4 @@
-"""The user's own slaves: made from a GSD file, and served on a real port or in a virtual world."""
+"""The user's own slaves: made from a GSD file, served on a real port or in a virtual world."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def slave_from_gsd(
     name: str = "",
     **options: Unpack[SlaveOptions],
 ) -> DpSlave:
-    """The slave that the GSD file at ``path`` describes, doing what ``on_cycle(outputs, elapsed)`` does.
+    """A slave with the properties of the GSD file at ``path`` and the function ``on_cycle(outputs, elapsed)``.
 
-    ``modules``: names or reference numbers of those that are plugged, in slot order, "" for an empty slot; then it
-    accepts only this configuration. None: any that the file allows, and Get_Cfg returns ``config``, the file's preset,
-    or its first module. ``on_cycle`` must give inputs for each of them. ``options`` are those of :class:`DpSlave`. A
-    bundled drive's GSD file is found by the drive's name. Raises ConfigError.
+    ``modules``: names or reference numbers of the plugged modules, in slot order, "" for an empty slot; the slave then
+    accepts only this configuration. None: it accepts any that the file allows, and Get_Cfg returns ``config``, the
+    file's preset, or its first module. ``on_cycle`` has to return inputs for each of them. ``options``: those of
+    :class:`DpSlave`. ``path`` may be the name of a drive with a bundled GSD file. Raises ConfigError.
     """
     device = read_gsd(path).device
     try:
@@ -66,7 +66,7 @@ def slave_from_gsd(
 
 
 class ServedSlave(Sealed):
-    """One served slave. ``restart()`` and ``initial_reset()`` raise UsageError within its own functions."""
+    """A served slave. ``restart()`` and ``initial_reset()`` raise UsageError within its own functions."""
 
     def __init__(
         self, device: Device, address: int, fixed: bool, params: BusParams, patience: Patience, waiters: Waiters
@@ -81,7 +81,7 @@ class ServedSlave(Sealed):
         self.station = PassiveStation(address, self._app, params, patience=patience)
         #: the runtime of the station, set by the server
         self.runtime: Runtime | None = None
-        #: those of the server
+        #: the waiters of the server
         self._waiters = waiters
         self._over: BusError | None = None
         self._seal(ServedSlave)
@@ -105,7 +105,7 @@ class ServedSlave(Sealed):
 
     @property
     def address_fixed(self) -> bool:
-        """Whether No_Add_Chg was set: the address may be changed after an initial reset only."""
+        """Whether No_Add_Chg was set: only after an initial reset Set_Slave_Add changes the address again."""
         return self._app.address_fixed
 
     @property
@@ -120,17 +120,17 @@ class ServedSlave(Sealed):
 
     @property
     def outputs(self) -> bytes:
-        """The valid outputs: in Clear the safe ones; empty while not in data exchange."""
+        """The valid outputs: the safe ones in Clear; empty outside data exchange."""
         return self._app.outputs
 
     @property
     def inputs(self) -> bytes:
-        """The inputs the master reads; empty while not in data exchange."""
+        """The inputs that the master reads; empty outside data exchange."""
         return self._app.inputs
 
     @property
     def failure(self) -> str | None:
-        """The exception of its functions as text, None while they work; :meth:`restart` clears it."""
+        """The text of an exception in its functions, None without one; :meth:`restart` clears it."""
         return self._app.failure
 
     @property
@@ -144,9 +144,9 @@ class ServedSlave(Sealed):
         return ms2_of(self._app).free
 
     def abort_connection(self, sap: int, reason: int = 0) -> None:
-        """End its connection of class 2 at the server ``sap`` (of :attr:`connections`).
+        """End its connection of class 2 at ``sap`` (see :attr:`connections`).
 
-        Its master reads an Abort of the user with ``reason`` 0..15. Raises UsageError.
+        Its master receives an Abort of the user with ``reason`` 0..15. Raises UsageError.
         """
         ms2_of(self._app).abort(sap, reason, self._now())
 
@@ -155,21 +155,20 @@ class ServedSlave(Sealed):
         return self._app.stats
 
     def diagnosis(self) -> Diagnosis:
-        """The diagnosis that the master would read."""
+        """The diagnosis that a master would read now."""
         return self._app.diagnosis(self._now())
 
     def restart(self) -> None:
-        """Off and on again: outputs safe, Wait_Prm, no failure, the address kept where the device keeps it."""
+        """Switch it off and on: safe outputs, Wait_Prm, no failure; the address stays if the device stores it."""
         self._at_station(self._app.restart)
 
     def initial_reset(self) -> None:
-        """As delivered: like :meth:`restart`, with address 126 and Set_Slave_Add open."""
+        """Reset it to the state of delivery: like :meth:`restart`, with address 126 and Set_Slave_Add allowed."""
         self._at_station(self._app.initial_reset)
 
     async def reached(self, state: SlaveAppState, timeout: float | None = None) -> None:
-        """Wait until it is in ``state``, for ``timeout`` seconds. Raises SlaveTimeout with its state.
-
-        Raises BusError when it is served no more.
+        """Wait up to ``timeout`` seconds until it is in ``state``. Raises SlaveTimeout with its state, and BusError
+        after the end of the server.
         """
         try:
             await self._waiters.until(lambda: self._is_in(state), timeout)
@@ -191,8 +190,8 @@ class ServedSlave(Sealed):
 
         ``type`` 1..6 (:class:`~dpstack.AlarmType`) or 32..126, ``slot`` 0..254, ``specifier`` 0..3
         (:class:`~dpstack.Specifier`), ``data`` 0..59 octets; ``add_ack``: the master's user has to acknowledge it in
-        addition. It may be called at any time, any number of times at once; up to 32 alarms wait. Raises AlarmError
-        where it cannot be sent or ends otherwise, SlaveTimeout, UsageError, PduError for impossible values.
+        addition. Calls may overlap; the slave queues up to 32 alarms. Raises AlarmError if it cannot send the alarm or
+        the alarm ends without acknowledgement, SlaveTimeout, UsageError, PduError for impossible values.
         """
         alarm = Alarm(*_numbers(type, slot, specifier), data=octets("data", data), add_ack=add_ack)
         server = self._alarm_server()
@@ -206,7 +205,7 @@ class ServedSlave(Sealed):
         except TimeoutError:
             text = f"{what}: not acknowledged after {timeout} s; {_hint(raised)}"
             raise SlaveTimeout(self.address, text) from None
-        finally:  # cancelled or too late: withdraw an alarm that the master has not read yet
+        finally:  # after cancellation or time-out: withdraw an alarm that the master has not read yet
             raised.ended = None
             if raised.end is None:
                 server.withdraw(raised)
@@ -216,11 +215,11 @@ class ServedSlave(Sealed):
 
     def status(self, type: int, slot: int = 0, specifier: int = Specifier.NONE, data: bytes = b"") -> None:
         """Send a status message once, without acknowledgement: ``type`` 1..3, 30, 31 (:class:`~dpstack.StatusType`) or
-        32..126, the rest as of an alarm. Raises AlarmError where it cannot be sent, UsageError, PduError."""
+        32..126, the rest as for :meth:`alarm`. Raises AlarmError if it cannot be sent, UsageError, PduError."""
         self._alarm_server().status(Status(*_numbers(type, slot, specifier), octets("data", data)))
 
     def module_status(self, states: Sequence[ModuleState]) -> None:
-        """Send the state of its modules, slot 1 first; otherwise like :meth:`status`."""
+        """Send the states of its modules, slot 1 first, as :meth:`status`."""
         given = tuple(states) if isinstance(states, Iterable) else (states,)
         if not given or any(not isinstance(state, int) or state not in range(4) for state in given):
             raise UsageError(
@@ -235,7 +234,7 @@ class ServedSlave(Sealed):
         return server
 
     def switch_off(self, why: BusError, now: int) -> None:
-        """The end of serving: outputs safe."""
+        """The end of the server: safe outputs; later calls raise ``why``."""
         self._over = why
         if self._records is not None:
             self._records.end()
@@ -284,9 +283,9 @@ def _hint(raised: Raised) -> str:
 
 
 class SlaveServer(Sealed):
-    """Serves slaves as stations behind one port (or in ``world``); ``async with`` opens and closes it.
+    """Serves slaves as stations behind one port (or in ``world``). A context manager (``async with``).
 
-    On leaving, for whatever reason, all outputs go to their safe values. Raises ConfigError; PortError on entering.
+    Leaving sets all outputs to their safe values. Raises ConfigError; PortError on entering.
     """
 
     def __init__(
@@ -309,9 +308,9 @@ class SlaveServer(Sealed):
         for device in slaves.values():
             _check_rate(device, self.baud)
         params = BusParams.preset(self.baud)
-        #: called for every event, at once
+        #: callback for every event
         self.on_event = on_event
-        #: what stopped the server, a defect in dpstack; None while it works
+        #: the failure that stopped the server, a defect in dpstack; None without one
         self.failure: BusError | None = None
         self._waiters = Waiters()
         opened = None if port is None or world is not None else open_port(port, self.baud)
@@ -323,16 +322,16 @@ class SlaveServer(Sealed):
         if opened is not None:
             line = Multidrop([slave.station for slave in self.slaves], params, patience=patience)
             runtime: Runtime = AsyncioRuntime(opened, line, self._on_events, on_failure=self._failed)
-            self._take(runtime, *self.slaves)
+            self._attach(runtime, *self.slaves)
         elif world is not None:
             for slave in self.slaves:
-                self._take(VirtualRuntime(world, slave.station, self._on_events, on_failure=self._failed), slave)
+                self._attach(VirtualRuntime(world, slave.station, self._on_events, on_failure=self._failed), slave)
         self._seal(SlaveServer)
 
     def _sealed_name(self) -> str:
         return "slave server"
 
-    def _take(self, runtime: Runtime, *slaves: ServedSlave) -> None:
+    def _attach(self, runtime: Runtime, *slaves: ServedSlave) -> None:
         self._runtimes.append(runtime)
         for slave in slaves:
             slave.runtime = runtime
@@ -348,7 +347,7 @@ class SlaveServer(Sealed):
         return self._runtimes[0].port_name
 
     async def serve_forever(self) -> None:
-        """Wait, while the slaves are served, until the task is cancelled. Raises BusError when that ends."""
+        """Wait until a cancellation. Raises BusError when a failure has stopped the server."""
         await self._waiters.until(self._over, None)
 
     async def __aenter__(self) -> SlaveServer:
@@ -358,12 +357,12 @@ class SlaveServer(Sealed):
 
     async def __aexit__(self, *_: object) -> None:
         self._make_safe(BusError("the slaves are served no more"))
-        async with contextlib.AsyncExitStack() as all_of_them:  # a cancellation leaves none of them open
-            all_of_them.callback(self._tell_rest)
+        async with contextlib.AsyncExitStack() as runtimes:  # closes all of them despite a cancellation
+            runtimes.callback(self._publish_rest)
             for runtime in reversed(self._runtimes):
-                all_of_them.push_async_callback(runtime.close)
+                runtimes.push_async_callback(runtime.close)
 
-    def _tell_rest(self) -> None:
+    def _publish_rest(self) -> None:
         self._on_events([event for slave in self.slaves for event in slave.station.take_events()])
 
     def _on_events(self, events: list[Event]) -> None:
@@ -400,9 +399,9 @@ def serve_slave(
 ) -> SlaveServer:
     """Serve ``device`` as a slave: ``async with serve_slave(...) as server``, then ``server.slave``.
 
-    ``port`` and ``baud`` (bit/s) as everywhere, or ``world``, a simulated bus. ``address`` None: 126, for a slave that
-    gets its address by Set_Slave_Add; ``address_fixed``: with No_Add_Chg. ``on_event`` is called for every
-    event at once. Raises ConfigError; PortError on entering.
+    ``port`` and ``baud`` (bit/s) as for a master, or ``world``, a simulated bus. ``address`` None: 126, for a slave
+    that gets its address by Set_Slave_Add; ``address_fixed``: as after No_Add_Chg. ``on_event``: called for each event.
+    Raises ConfigError; PortError on entering.
     """
     if address is None:
         if not device.set_slave_add:

@@ -31,16 +31,15 @@ __all__ = [
     "sim_event_json",
 ]
 
-#: where neither the arguments nor the configuration name a rate
+#: the rate in bit/s where neither the arguments nor the configuration give one
 DEFAULT_BAUD: Final = 500_000
 
 
 class Simulation(Bench):
-    """All slaves of ``config`` as stations behind one ``port``; ``async with`` opens and closes it.
+    """All slaves of ``config`` as stations behind one ``port``. A context manager (``async with``).
 
-    ``port``: as everywhere, or "pty" for a new one, whose path is then ``port_name``. ``baud`` in bit/s, or "auto": the
-    slaves detect the rate, and search it again when the bus falls silent.
-    Raises ConfigError; PortError on entering.
+    ``port``: as for a master, or "pty" for a new one, whose path is then ``port_name``. ``baud`` in bit/s, or "auto":
+    the slaves detect the rate, and search again when the bus falls silent. Raises ConfigError; PortError on entering.
     """
 
     def __init__(self, config: Config, port: str, baud: int | Literal["auto"]) -> None:
@@ -49,18 +48,18 @@ class Simulation(Bench):
         if port == "virtual":
             raise ConfigError('port "virtual" has no other end; take "pty" or a device')
         self.config = config
-        #: called for every event, at once
+        #: callback for every event
         self.on_event: OnEvent | None = None
         if baud != AUTO and any(set_rate(slave) not in (None, baud) for slave in config.slaves):
-            # stations of one port share its receiver: this one would receive at the rate of the others
+            # the stations of a port share its receiver, so all have the same rate
             raise ConfigError("; ".join(rate_findings(config, baud)))
         rates = [DEFAULT_BAUD] if baud != AUTO else _common_rates(config)
-        # every adapter has the slowest rate, so that a failure to open means a missing port
+        # every adapter supports the slowest rate: if the port does not open at it, it does not exist
         start = baud if baud != AUTO else DEFAULT_BAUD if port == "pty" else min(rates)
         opened = port_of(config, start, port)
         patience = patience_of(opened)
         self._params = params = BusParams.preset(start)
-        #: T_SL in bit times that a real master needs for these slaves behind this port, 0: any T_SL will do
+        #: T_SL in bit times that a master needs for these slaves behind this port; 0: any T_SL is long enough
         self.t_sl = t_sl_of_answers(params, patience)
         self.slaves = tuple(SimulatedSlave(slave, params, patience) for slave in config.slaves)
         for slave in self.slaves:
@@ -76,7 +75,7 @@ class Simulation(Bench):
         if baud == AUTO:
             self._search = SearchingPort(
                 self._line,
-                self._watched,
+                self._any_watchdog_runs,
                 rates=rates,
                 slack_ns=patience.known_ns,
                 settle_ns=settle_ns_of(opened),
@@ -96,13 +95,13 @@ class Simulation(Bench):
 
     @property
     def baud(self) -> int | None:
-        """The rate in bit/s; None while it is searched."""
+        """The rate in bit/s; None during the search."""
         searching = self._search is not None and self._search.state is BaudState.SEARCH
         return None if searching else self._line.baud
 
     @property
     def never_found(self) -> str | None:
-        """Why the rate has not been detected up to now, for people; None when it was once, or was given."""
+        """For people the reason why the search has not found the rate yet; None without a search, or after it."""
         if self._search is None or self._was_found:
             return None
         result = self._search.in_vain(self.runtime.now())
@@ -166,7 +165,7 @@ class Simulation(Bench):
         call_on_event(self.on_event, event)
 
     async def failed(self, seconds: float | None = None) -> None:
-        """Wait for ``seconds`` (None: for ever). Raises BusError when the simulation fails meanwhile."""
+        """Wait for ``seconds`` (None: for ever). Raises BusError if the simulation fails in this time."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 await asyncio.shield(self._failure)
@@ -184,7 +183,7 @@ class Simulation(Bench):
         for event in events:
             self.publish(event)
 
-    def _watched(self) -> bool:
+    def _any_watchdog_runs(self) -> bool:
         """Whether the watchdog of any slave runs."""
         return any(slave.app.watchdog.time_ns and slave.powered for slave in self.slaves)
 
@@ -200,7 +199,7 @@ class Simulation(Bench):
 
 
 def _common_rates(config: Config) -> Sequence[int]:
-    """The rates that all slaves know: they share one receiver. Raises ConfigError."""
+    """The rates that all slaves support: they share one receiver. Raises ConfigError."""
     rates = [rate for rate in BAUD_RATES if all(rate in rates_of(slave) for slave in config.slaves)]
     if not rates:
         raise ConfigError("the slaves have no baud rate in common: simulate them on ports of their own")

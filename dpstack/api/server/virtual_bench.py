@@ -1,4 +1,4 @@
-"""Simulated slaves that can be silenced and switched off and on; those of a bus in virtual time."""
+"""Simulated slaves that commands silence and switch off and on; those of a bus in virtual time."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
 
 class Injected(Event):
-    """``dpstack ctl`` acted on a simulated slave or on the segment.
+    """A command of ``dpstack ctl`` to a simulated slave or to the segment.
 
-    ``address`` and ``name``: of the slave; None where it is the segment. ``args`` as typed.
+    ``address`` and ``name``: of the slave; None for the segment. ``args``: as typed.
     """
 
     command: str
@@ -41,7 +41,7 @@ class Injected(Event):
         return f"{who}: {' '.join((self.command, *args))} (dpstack ctl)"
 
     def as_dict(self, t: float) -> dict[str, object]:
-        """Its JSON line at ``t`` seconds."""
+        """The JSON line of the event at ``t`` seconds."""
         line: dict[str, object] = {"event": "injected", "t": round(t, 6)}
         if self.address is not None:
             line |= {"address": self.address, "name": self.name}
@@ -49,10 +49,8 @@ class Injected(Event):
 
 
 def device_of(slave: SlaveConfig) -> Device:
-    """The device that simulates ``slave``: of its drive, the I/O station by its ident number, or a loop-back device
-    (mirror) of outputs to inputs.
-
-    A mirror has the lengths, limits and services of the GSD file, where there is one.
+    """The device that simulates ``slave``: its drive, the I/O station (by the ident number), or a loop-back device
+    (mirror) of outputs to inputs, with the lengths, limits and services of the GSD file if it has one.
     """
     if slave.profile is not None:
         device = slave.profile.device(slave.telegram, {**slave.profile.shared(slave.options), **slave.simulated})
@@ -70,33 +68,33 @@ def device_of(slave: SlaveConfig) -> Device:
 
 
 def _own(slave: SlaveConfig, description: SlaveDescription) -> SlaveDescription:
-    """``description`` under the slave's own name, with the ident number that the table gives."""
+    """``description`` with the name of the slave, and with the ident number of its table if it has one."""
     ident = slave.params.ident
     return dataclasses.replace(description, name=slave.name, ident=description.ident if ident is None else ident)
 
 
 def silence_text(left_ns: int) -> str:
-    """Text of a silence for another ``left_ns``; NEVER: until a command ends it."""
+    """The text of a silence with ``left_ns`` to go; NEVER: until a command ends it."""
     return "silence until resume" if left_ns >= NEVER // 2 else f"silence for {ns_to_s(left_ns):.1f} s more"
 
 
 def rates_of(slave: SlaveConfig) -> Sequence[int]:
-    """The baud rates of the device; all where none are given."""
+    """The baud rates of the device; all rates where it gives none."""
     return sorted(slave.baud_rates) or BAUD_RATES
 
 
 def set_rate(slave: SlaveConfig) -> int | None:
-    """The rate that the device is set to; None where it detects the rate."""
+    """The rate to which the device is set; None where it detects the rate."""
     fixed = slave.profile is not None and slave.profile.rate_setting is not None
     return rates_of(slave)[0] if fixed else None
 
 
 class SimulatedSlave:
-    """One simulated slave: station, application and device, created again by :meth:`renew`.
+    """A simulated slave: station, application and device; :meth:`renew` creates them again.
 
-    It keeps an address of Set_Slave_Add. A drive keeps its EEPROM and takes its address from there; an I/O station
-    keeps its modules. ``searching``: it detects the baud rate, among those that the device knows. A device that cannot
-    do so stays at the rate that it is set to.
+    It keeps an address of Set_Slave_Add. A drive keeps its EEPROM and reads its address from there; an I/O station
+    keeps its modules. ``searching``: it detects the baud rate, among those of the device. A device that cannot detect
+    it stays at its set rate.
     """
 
     def __init__(
@@ -109,7 +107,7 @@ class SimulatedSlave:
         self._patience = patience
         self._searching = searching
         self.device: Device = device_of(config)
-        self._stand(params)
+        self._create_station(params)
 
     @property
     def name(self) -> str:
@@ -117,7 +115,7 @@ class SimulatedSlave:
 
     @property
     def kind(self) -> str:
-        """Its drive, the I/O station, or a mirror, for people."""
+        """The kind of the simulated device for people: its drive, the I/O station, or a mirror."""
         profile, description = self.config.profile, self.config.description
         if profile is not None:
             return profile.name
@@ -127,12 +125,12 @@ class SimulatedSlave:
 
     @property
     def address(self) -> int:
-        """Its station address now: Set_Slave_Add may have changed that of the configuration."""
+        """Its station address, which Set_Slave_Add may have changed."""
         return self.station.address
 
     def as_dict(self) -> dict[str, object]:
         """State and counters since it was switched on. ``watchdogs``: expiries of its watchdog. ``too_late``: answers
-        that were not sent because the next telegram had already begun.
+        that it did not send because the next telegram had already begun.
         """
         stats = self.app.stats
         return {
@@ -153,9 +151,9 @@ class SimulatedSlave:
             self._address = self._address if own is None else own
         if isinstance(before, IoStation) and isinstance(self.device, IoStation):
             self.device.inherit(before)
-        self._stand(params)
+        self._create_station(params)
 
-    def _stand(self, params: BusParams) -> None:
+    def _create_station(self, params: BusParams) -> None:
         own = set_rate(self.config)
         if own is not None and own != params.baud:
             params = BusParams.preset(own)
@@ -170,7 +168,7 @@ class SimulatedSlave:
 
 
 class Bench(ABC):
-    """Simulated slaves that commands can silence and switch off and on. The caller checks addresses."""
+    """Simulated slaves that commands silence and switch off and on. The caller checks addresses."""
 
     @property
     @abstractmethod
@@ -178,14 +176,14 @@ class Bench(ABC):
 
     @abstractmethod
     def silence(self, address: int, for_ns: int | None) -> None:
-        """Make a slave deaf and mute; None: until :meth:`resume`. A slave that is off stays off."""
+        """Keep a slave from receiving and sending for ``for_ns``; None: until :meth:`resume`. One that is off stays off."""
 
     @abstractmethod
     def resume(self, address: int) -> None: ...
 
     @abstractmethod
     def _silent_ns(self, address: int) -> int | None:
-        """The rest of a silence; None: the slave is not silenced."""
+        """The rest of a silence in ns; None without a silence."""
 
     @abstractmethod
     def _switch(self, address: int, on: bool) -> None: ...
@@ -198,13 +196,13 @@ class Bench(ABC):
         return self.units[address].device
 
     def power(self, address: int, on: bool) -> None:
-        """Switch a slave off at once, or on again; a drive keeps its EEPROM."""
+        """Switch a slave off or on; a drive keeps its EEPROM."""
         if on is not self.units[address].powered:
             self._switch(address, on)
             self.units[address].powered = on
 
     def injected(self, address: int) -> list[str]:
-        """Faults of the slave from outside that are not over."""
+        """The injected faults that act on the slave at this moment."""
         unit = self.units[address]
         left_ns = self._silent_ns(address) or 0
         found = ["power-off"] if not unit.powered else [silence_text(left_ns)] if left_ns > 0 else []
@@ -225,7 +223,7 @@ class VirtualBench(Bench):
         self._params = params or BusParams.preset(BAUD_RATES[0])
         self._searching = params is None
         self._units: dict[int, SimulatedSlave] = {}
-        self._silent: dict[int, int] = {}  # until when, in ns
+        self._silent: dict[int, int] = {}  # ends of the silences in ns
 
     def add(self, config: SlaveConfig) -> None:
         """Add a slave; it replaces one with the same address."""
@@ -271,7 +269,7 @@ class VirtualBench(Bench):
         return None if until is None else until - self._world.now
 
     def _end(self, address: int, until: int | None) -> None:
-        """End the silence that lasts ``until``, unless another one has replaced it."""
+        """End the silence with the end ``until``, unless another one has replaced it."""
         if until is not None and self._silent.get(address) == until:
             del self._silent[address]
             unit = self._units[address]
