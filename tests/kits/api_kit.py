@@ -12,6 +12,7 @@ from slave_kit import make_slave
 import dpstack
 from dpstack import DpSlave, SlaveDescription
 from dpstack.api.server.server import ServedSlave
+from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.user_slave import SlaveOptions
@@ -45,6 +46,21 @@ def in_virtual_time(test: Callable[P, Coroutine[Any, Any, None]]) -> Callable[P,
 
 def bus_of(*slaves: dict[str, object], **more: Any) -> dpstack.Bus:
     return dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves, **more)
+
+
+@contextlib.asynccontextmanager
+async def operating(*slaves: dict[str, object], **more: Any) -> AsyncIterator[dpstack.Bus]:
+    """A bus in Operate, with all slaves in data exchange."""
+    async with bus_of(*slaves, **more) as bus:
+        await bus.operate()
+        await bus.ready()
+        yield bus
+
+
+def bench_of(bus: dpstack.Bus) -> VirtualBench:
+    """The simulated slaves of a bus."""
+    assert bus.bench is not None
+    return bus.bench
 
 
 def slave_in(world: World, device: Device, address: int) -> tuple[PassiveStation, SlaveApp]:
@@ -96,8 +112,7 @@ async def running(drive: Mapping[str, object], baud: int = 500_000) -> AsyncIter
 
 def device_of(bus: dpstack.Bus, address: int) -> dpstack.profile.DriveDevice:
     """The simulated drive at ``address``."""
-    assert bus.bench is not None
-    device = bus.bench.device(address)
+    device = bench_of(bus).device(address)
     assert isinstance(device, dpstack.profile.DriveDevice)
     return device
 
@@ -112,10 +127,10 @@ async def trip(bus: dpstack.Bus, drive: dpstack.Drive, fault: str, text: str) ->
 
 async def off_and_on(bus: dpstack.Bus, address: int) -> None:
     """A simulated slave loses its power, which the master notices, and comes back into data exchange."""
-    assert bus.bench is not None
-    bus.bench.power(address, False)
+    bench = bench_of(bus)
+    bench.power(address, False)
     await bus.until(lambda: not bus.slave(address).ready_now, 5)
-    bus.bench.power(address, True)
+    bench.power(address, True)
     await bus.slave(address).ready()
 
 

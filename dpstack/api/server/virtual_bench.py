@@ -176,7 +176,7 @@ class Bench(ABC):
 
     @abstractmethod
     def silence(self, address: int, for_ns: int | None) -> None:
-        """Keep a slave from receiving and sending for ``for_ns``; None: until :meth:`resume`. One that is off stays off."""
+        """Silence a slave: it neither receives nor sends for ``for_ns``; None: until :meth:`resume`."""
 
     @abstractmethod
     def resume(self, address: int) -> None: ...

@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, in_virtual_time, stack_of, virtual
+from api_kit import HOIST, RAW, bus_of, in_virtual_time, stack_of
 
 import dpstack
 from dpstack.api.bus.events_json import event_json, severity_of
@@ -47,29 +47,26 @@ async def mirrored(slave: dpstack.Slave, octets: bytes) -> None:
     raise AssertionError(f"its inputs are {slave.inputs.hex()}")
 
 
-def test_the_bus_stays_in_clear_until_operate() -> None:
+@in_virtual_time
+async def test_the_bus_stays_in_clear_until_operate() -> None:
     told: list[Event] = []
-
-    async def program() -> None:
-        async with bus_of(RAW, on_event=told.append) as bus:
-            raw = bus.slave("raw")
-            raw.outputs = b"\x5a"
-            await bus.operate()
-            await mirrored(raw, b"\x5a")
-            suspend(bus, 5_000)
-            await mirrored(raw, b"\x00")
-            assert bus.mode is dpstack.Mode.CLEAR
-            assert isinstance(bus.forced_clear, Stalled)
-            status: Any = run_status(bus)["clear"]
-            assert status["since"] == pytest.approx(bus.seconds, abs=1)
-            assert status["because"].startswith("stall: slave 9 (raw) was not asked for 500")
-            await asyncio.sleep(0.5)
-            assert bus.mode is dpstack.Mode.CLEAR
-            await bus.operate()
-            await mirrored(raw, b"\x5a")
-            assert "clear" not in run_status(bus)
-
-    virtual(program())
+    async with bus_of(RAW, on_event=told.append) as bus:
+        raw = bus.slave("raw")
+        raw.outputs = b"\x5a"
+        await bus.operate()
+        await mirrored(raw, b"\x5a")
+        suspend(bus, 5_000)
+        await mirrored(raw, b"\x00")
+        assert bus.mode is dpstack.Mode.CLEAR
+        assert isinstance(bus.forced_clear, Stalled)
+        status: Any = run_status(bus)["clear"]
+        assert status["since"] == pytest.approx(bus.seconds, abs=1)
+        assert status["because"].startswith("stall: slave 9 (raw) was not asked for 500")
+        await asyncio.sleep(0.5)
+        assert bus.mode is dpstack.Mode.CLEAR
+        await bus.operate()
+        await mirrored(raw, b"\x5a")
+        assert "clear" not in run_status(bus)
     (stall,) = [event for event in told if isinstance(event, Stalled)]
     assert severity_of(stall) is Severity.ERROR
     line = event_json(stall, 1.5)
@@ -137,29 +134,26 @@ async def test_auto_clear_is_told_the_same_way() -> None:
 # --- the application watchdog -----------------------------------------------------------------------------------------
 
 
-def test_a_program_that_hangs_is_noticed() -> None:
+@in_virtual_time
+async def test_a_program_that_hangs_is_noticed() -> None:
     told: list[Event] = []
-
-    async def program() -> None:
-        async with bus_of(RAW, application_watchdog_ms=100, on_event=told.append) as bus:
-            raw = bus.slave("raw")
-            raw.outputs = b"\x5a"
-            await asyncio.sleep(0.3)  # not armed yet
-            await bus.operate()
-            for _ in range(8):
-                bus.alive()
-                await asyncio.sleep(0.08)
-            assert raw.inputs == b"\x5a"
-            await mirrored(raw, b"\x00")  # nobody says that it is alive
-            assert isinstance(bus.forced_clear, ApplicationSilent)
+    async with bus_of(RAW, application_watchdog_ms=100, on_event=told.append) as bus:
+        raw = bus.slave("raw")
+        raw.outputs = b"\x5a"
+        await asyncio.sleep(0.3)  # not armed yet
+        await bus.operate()
+        for _ in range(8):
             bus.alive()
-            await asyncio.sleep(0.3)
-            assert bus.mode is dpstack.Mode.CLEAR
-            await bus.operate()
-            bus.alive()
-            await mirrored(raw, b"\x5a")
-
-    virtual(program())
+            await asyncio.sleep(0.08)
+        assert raw.inputs == b"\x5a"
+        await mirrored(raw, b"\x00")  # nobody says that it is alive
+        assert isinstance(bus.forced_clear, ApplicationSilent)
+        bus.alive()
+        await asyncio.sleep(0.3)
+        assert bus.mode is dpstack.Mode.CLEAR
+        await bus.operate()
+        bus.alive()
+        await mirrored(raw, b"\x5a")
     assert [type(event) for event in told].count(ApplicationSilent) == 1
     (silent,) = [event for event in told if isinstance(event, ApplicationSilent)]
     modes = [event.mode for event in told if isinstance(event, ModeChanged)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import FAN, HOIST, RAW, bus_of, in_virtual_time, slave_in, stack_of, virtual
+from api_kit import FAN, HOIST, RAW, bus_of, in_virtual_time, slave_in, stack_of
 from slave_kit import make_slave
 from support import WorldFactory
 
@@ -282,7 +282,8 @@ async def test_a_plugin_that_raises_stops_its_drive_only(monkeypatch: pytest.Mon
 # --- slaves come and go ---------------------------------------------------------------------------------------------
 
 
-def test_what_the_plan_says_of_a_slave_that_is_added_is_told() -> None:
+@in_virtual_time
+async def test_what_the_plan_says_of_a_slave_that_is_added_is_told() -> None:
     """As at the start: notes of its table, its watchdog, its place in the round. What was told then is not repeated."""
     told: list[str] = []
 
@@ -290,13 +291,10 @@ def test_what_the_plan_says_of_a_slave_that_is_added_is_told() -> None:
         if isinstance(event, Notice) and event.source == "plan":
             told.append(event.text)
 
-    async def program() -> None:
-        async with bus_of(RAW | {"watchdog_ms": 0}, on_event=tell) as bus:
-            assert len(told) == 1
-            await bus.add_slave({"name": "far", "address": 20, "ident": 0x4321, "config": "20", "watchdog_ms": 0})
-            await bus.add_slave(FAN | {"watchdog_ms": 10})
-
-    virtual(program())
+    async with bus_of(RAW | {"watchdog_ms": 0}, on_event=tell) as bus:
+        assert len(told) == 1
+        await bus.add_slave({"name": "far", "address": 20, "ident": 0x4321, "config": "20", "watchdog_ms": 0})
+        await bus.add_slave(FAN | {"watchdog_ms": 10})
     assert told[0].startswith("plan: slave 9 (raw): its watchdog is off")
     far, ident, config, short = told[1:]
     assert ident.startswith("plan: slave 4 (fan): the ident number ")

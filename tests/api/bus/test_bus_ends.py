@@ -266,28 +266,25 @@ async def test_an_event_stream_may_be_closed_twice() -> None:
         stream.close()
 
 
-def test_the_port_is_released_when_the_end_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
+@in_virtual_time
+async def test_the_port_is_released_when_the_end_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
     closed: list[bool] = []
+    bus = bus_of(RAW)
+    await bus.open()
+    close = bus.runtime.close
 
-    async def program() -> None:
-        bus = bus_of(RAW)
-        await bus.open()
-        close = bus.runtime.close
+    async def watched() -> None:
+        await close()
+        closed.append(True)
 
-        async def watched() -> None:
-            await close()
-            closed.append(True)
-
-        monkeypatch.setattr(bus.runtime, "close", watched)
-        ending = asyncio.ensure_future(bus.close())
-        await asyncio.sleep(0.0001)
-        for task in asyncio.all_tasks() - {asyncio.current_task()}:
-            task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await ending
-        await asyncio.sleep(0)
-
-    virtual(program())
+    monkeypatch.setattr(bus.runtime, "close", watched)
+    ending = asyncio.ensure_future(bus.close())
+    await asyncio.sleep(0.0001)
+    for task in asyncio.all_tasks() - {asyncio.current_task()}:
+        task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await ending
+    await asyncio.sleep(0)
     assert closed == [True]
 
 

@@ -6,6 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
+from api_kit import RAW, bench_of, bus_of, device_of, in_virtual_time
 
 import dpstack
 from dpstack.api.bus.events_json import event_json
@@ -16,12 +17,9 @@ from dpstack.api.server.virtual_bench import Injected
 from dpstack.cli.commands import ctl
 from dpstack.dp.master.commands import Mode
 from dpstack.errors import UsageError
-from dpstack.profile import DriveDevice
 from dpstack.units import ns_to_s
 
-#: a mirror: its inputs are the outputs that it has
-RAW = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
-FAIL_SAFE = {
+FAIL_SAFE: dict[str, object] = {
     "name": "brake",
     "address": 10,
     "ident": 0x1235,
@@ -30,11 +28,13 @@ FAIL_SAFE = {
     "outputs": {"open": "bool@0.0"},
     "inputs": {"is_open": "bool@0.0"},
 }
-VALVE = {**RAW, "name": "valve", "address": 11, "outputs": {"open": "bool@0.0"}, "inputs": {"is_open": "bool@0.0"}}
-
-
-def bus_of(*slaves: dict[str, Any]) -> Any:
-    return dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves)
+VALVE: dict[str, object] = {
+    **RAW,
+    "name": "valve",
+    "address": 11,
+    "outputs": {"open": "bool@0.0"},
+    "inputs": {"is_open": "bool@0.0"},
+}
 
 
 def order(server: ControlServer, *words: str) -> object:
@@ -50,50 +50,46 @@ def shown(result: object, capsys: pytest.CaptureFixture[str]) -> list[str]:
 # --- outputs and masters -------------------------------------------------------------------------------------------
 
 
-def test_in_clear_it_shows_the_outputs_that_the_slave_has(capsys: pytest.CaptureFixture[str]) -> None:
-    async def program() -> None:
-        async with bus_of(RAW, FAIL_SAFE, VALVE) as bus:
+@in_virtual_time
+async def test_in_clear_it_shows_the_outputs_that_the_slave_has(capsys: pytest.CaptureFixture[str]) -> None:
+    async with bus_of(RAW, FAIL_SAFE, VALVE) as bus:
 
-            def told(address: int) -> dict[str, Any]:
-                slaves: Any = run_status(bus)["slaves"]
-                keys = ("inputs", "outputs", "held", "fields", "held_fields")
-                return {key: value for key, value in slaves[str(address)].items() if key in keys}
+        def told(address: int) -> dict[str, Any]:
+            slaves: Any = run_status(bus)["slaves"]
+            keys = ("inputs", "outputs", "held", "fields", "held_fields")
+            return {key: value for key, value in slaves[str(address)].items() if key in keys}
 
-            await bus.ready()
-            bus.slave("raw").outputs = b"\xa5"
-            bus.slave("brake")["open"] = True
-            bus.slave("valve")["open"] = True
-            await bus.rotated(bus.stats.rotations + 5)
-            assert bus.mode is Mode.CLEAR
-            assert told(9) == {"inputs": "00", "outputs": "00", "held": "a5"}
-            nothing = {"inputs": "00", "outputs": "", "held": "01", "held_fields": {"open": True}}
-            assert told(10) == {**nothing, "fields": {"is_open": False, "open": None}}
-            zeros = {"inputs": "00", "outputs": "00", "held": "01", "held_fields": {"open": True}}
-            assert told(11) == {**zeros, "fields": {"is_open": False, "open": False}}
-            assert "    outputs: none" in shown(run_status(bus), capsys)
-            await bus.operate()
-            await bus.rotated(bus.stats.rotations + 5)
-            assert told(9) == {"inputs": "a5", "outputs": "a5"}
-            assert told(10) == {"inputs": "01", "outputs": "01", "fields": {"is_open": True, "open": True}}
-            bus.bench.power(9, False)
-            await bus.until(lambda: not bus.slave(9).ready_now, 5)
-            assert (told(9)["outputs"], told(9)["held"]) == ("", "a5")
-            await bus.clear()
-            await bus.rotated(bus.stats.rotations + 5)
-            assert told(11)["outputs"] == "00"
-
-    dpstack.run_virtual(program())
+        await bus.ready()
+        bus.slave("raw").outputs = b"\xa5"
+        bus.slave("brake")["open"] = True
+        bus.slave("valve")["open"] = True
+        await bus.rotated(bus.stats.rotations + 5)
+        assert bus.mode is Mode.CLEAR
+        assert told(9) == {"inputs": "00", "outputs": "00", "held": "a5"}
+        nothing = {"inputs": "00", "outputs": "", "held": "01", "held_fields": {"open": True}}
+        assert told(10) == {**nothing, "fields": {"is_open": False, "open": None}}
+        zeros = {"inputs": "00", "outputs": "00", "held": "01", "held_fields": {"open": True}}
+        assert told(11) == {**zeros, "fields": {"is_open": False, "open": False}}
+        assert "    outputs: none" in shown(run_status(bus), capsys)
+        await bus.operate()
+        await bus.rotated(bus.stats.rotations + 5)
+        assert told(9) == {"inputs": "a5", "outputs": "a5"}
+        assert told(10) == {"inputs": "01", "outputs": "01", "fields": {"is_open": True, "open": True}}
+        bench_of(bus).power(9, False)
+        await bus.until(lambda: not bus.slave(9).ready_now, 5)
+        assert (told(9)["outputs"], told(9)["held"]) == ("", "a5")
+        await bus.clear()
+        await bus.rotated(bus.stats.rotations + 5)
+        assert told(11)["outputs"] == "00"
 
 
-def test_masters_are_stations_and_no_count(capsys: pytest.CaptureFixture[str]) -> None:
-    async def program() -> None:
-        async with bus_of(RAW) as bus:
-            await bus.ready()
-            status = run_status(bus)
-            assert (status["address"], status["masters"]) == (2, [2])
-            assert "masters: station 2 (this one)" in shown(status, capsys)
-
-    dpstack.run_virtual(program())
+@in_virtual_time
+async def test_masters_are_stations_and_no_count(capsys: pytest.CaptureFixture[str]) -> None:
+    async with bus_of(RAW) as bus:
+        await bus.ready()
+        status = run_status(bus)
+        assert (status["address"], status["masters"]) == (2, [2])
+        assert "masters: station 2 (this one)" in shown(status, capsys)
     assert shown({"address": 2, "masters": [2, 5]}, capsys)[1] == "masters: station 2 (this one), station 5"
 
 
@@ -109,105 +105,98 @@ DRIVES = [
 
 
 @pytest.mark.parametrize(("kind", "code", "keys"), DRIVES, ids=[one[0] for one in DRIVES])
-def test_a_trip_stays_in_status_until_it_is_acknowledged(kind: str, code: str, keys: dict[str, Any]) -> None:
-    async def program() -> None:
-        drive_of = {"name": "it", "address": 3, "drive": kind, **keys}
-        baud = 1_500_000 if kind == "imo-hd2" else 93_750  # which hears no other; at a low rate there is less to do
-        async with dpstack.open_bus(port="virtual", baud=baud, slaves=[drive_of]) as bus:
-            server = control_run(bus, "virtual")
-            assert bus.bench is not None
-            await bus.operate()
-            await bus.ready()
-            await bus.rotated(bus.stats.rotations + 30)
-            assert bus.bench.injected(3) == []
-            order(server, "trip", "it", code)
-            assert bus.bench.injected(3) == [f"trip {code}"]
-            drive = bus.drive("it")
-            await bus.until(lambda: drive.status.state == "fault", 5)
-            await bus.rotated(bus.stats.rotations + 30)
-            assert bus.bench.injected(3) == [f"trip {code}"]
-            if kind == "demag-dedrive":  # it cannot be acknowledged before, nor while contacts control it
-                await drive.write(412, 1)
-                await asyncio.sleep(16)
-            await drive.acknowledge()
-            await bus.rotated(bus.stats.rotations + 30)
-            assert bus.bench.injected(3) == []
-
-    dpstack.run_virtual(program())
+@in_virtual_time
+async def test_a_trip_stays_in_status_until_it_is_acknowledged(kind: str, code: str, keys: dict[str, Any]) -> None:
+    drive_of = {"name": "it", "address": 3, "drive": kind, **keys}
+    baud = 1_500_000 if kind == "imo-hd2" else 93_750  # which hears no other; at a low rate there is less to do
+    async with dpstack.open_bus(port="virtual", baud=baud, slaves=[drive_of]) as bus:
+        server = control_run(bus, "virtual")
+        bench = bench_of(bus)
+        await bus.operate()
+        await bus.ready()
+        await bus.rotated(bus.stats.rotations + 30)
+        assert bench.injected(3) == []
+        order(server, "trip", "it", code)
+        assert bench.injected(3) == [f"trip {code}"]
+        drive = bus.drive("it")
+        await bus.until(lambda: drive.status.state == "fault", 5)
+        await bus.rotated(bus.stats.rotations + 30)
+        assert bench.injected(3) == [f"trip {code}"]
+        if kind == "demag-dedrive":  # it cannot be acknowledged before, nor while contacts control it
+            await drive.write(412, 1)
+            await asyncio.sleep(16)
+        await drive.acknowledge()
+        await bus.rotated(bus.stats.rotations + 30)
+        assert bench.injected(3) == []
 
 
-def test_a_run_on_virtual_tells_orders_and_keeps_them_in_status(capsys: pytest.CaptureFixture[str]) -> None:
-    async def program() -> None:
-        station = {"name": "io", "address": 8, "gsd": "io-station", "modules": ["8 DI", "8 DO", "2 AI"]}
-        fan = {"name": "fan", "address": 4, "drive": "fuji-frenic", "telegram": "PPO3", "ident": "ask"}
-        events: list[Injected] = []
+@in_virtual_time
+async def test_a_run_on_virtual_tells_orders_and_keeps_them_in_status(capsys: pytest.CaptureFixture[str]) -> None:
+    station = {"name": "io", "address": 8, "gsd": "io-station", "modules": ["8 DI", "8 DO", "2 AI"]}
+    fan = {"name": "fan", "address": 4, "drive": "fuji-frenic", "telegram": "PPO3", "ident": "ask"}
+    events: list[Injected] = []
 
-        def on_event(event: object) -> None:
-            if isinstance(event, Injected):
-                events.append(event)
+    def on_event(event: object) -> None:
+        if isinstance(event, Injected):
+            events.append(event)
 
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[RAW, station, fan], on_event=on_event) as bus:
-            server = control_run(bus, "virtual")
-            await bus.ready()
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[RAW, station, fan], on_event=on_event) as bus:
+        server = control_run(bus, "virtual")
+        await bus.ready()
 
-            def injected(address: int) -> object:
-                slaves: Any = run_status(bus)["slaves"]
-                return slaves[str(address)].get("injected")
+        def injected(address: int) -> object:
+            slaves: Any = run_status(bus)["slaves"]
+            return slaves[str(address)].get("injected")
 
-            assert bus.bench is not None
-            device = bus.bench.device(4)
-            assert isinstance(device, DriveDevice)
-            load = device.motor.load
-            for words in (
-                "silence 9 2s",
-                "warn 4 0080",
-                "load fan 0.6",
-                "release 4 off",
-                "wire-break io 3 0 on",
-                "pull 8 2",
-            ):
-                order(server, *words.split())
-            assert injected(9) == ["silence for 2.0 s more"]
-            assert injected(4) == ["warn 0080", "load 0.6", "release off"]
-            assert injected(8) == ["pull 2", "wire-break 3 0 on"]
-            assert "injected: warn 0080; load 0.6; release off" in "\n".join(shown(run_status(bus), capsys))
-            await asyncio.sleep(1.5)
-            assert injected(9) == ["silence for 0.5 s more"]
-            await bus.slave(9).ready()
-            assert injected(9) is None
-            for words in (
-                "silence 9",
-                "warn 4 0",
-                f"load 4 {load}",
-                "release 4 on",
-                "wire-break 8 3 0 off",
-                "plug 8 2",
-            ):
-                order(server, *words.split())
-            assert injected(9) == ["silence until resume"]
-            assert (injected(4), injected(8)) == (None, None)
-            order(server, "resume", "9")
-            order(server, "power-off", "9")
-            assert injected(9) == ["power-off"]
-            order(server, "power-on", "9")
-            assert injected(9) is None
-            with pytest.raises(ValueError, match="is no alarm"):
-                order(server, "trip", "4", "nonsense")
-            assert injected(4) is None
-            assert len(events) == 15
-            assert events[0].text == "slave 9 (raw): silence 2s (dpstack ctl)"
-            assert event_json(events[4], 0.25) == {
-                "event": "injected",
-                "t": 0.25,
-                "address": 8,
-                "name": "io",
-                "command": "wire-break",
-                "args": ["io", "3", "0", "on"],
-                "text": "slave 8 (io): wire-break 3 0 on (dpstack ctl)",
-            }
-            assert sim_event_json(events[4], 0.25) == event_json(events[4], 0.25)
-
-    dpstack.run_virtual(program())
+        load = device_of(bus, 4).motor.load
+        for words in (
+            "silence 9 2s",
+            "warn 4 0080",
+            "load fan 0.6",
+            "release 4 off",
+            "wire-break io 3 0 on",
+            "pull 8 2",
+        ):
+            order(server, *words.split())
+        assert injected(9) == ["silence for 2.0 s more"]
+        assert injected(4) == ["warn 0080", "load 0.6", "release off"]
+        assert injected(8) == ["pull 2", "wire-break 3 0 on"]
+        assert "injected: warn 0080; load 0.6; release off" in "\n".join(shown(run_status(bus), capsys))
+        await asyncio.sleep(1.5)
+        assert injected(9) == ["silence for 0.5 s more"]
+        await bus.slave(9).ready()
+        assert injected(9) is None
+        for words in (
+            "silence 9",
+            "warn 4 0",
+            f"load 4 {load}",
+            "release 4 on",
+            "wire-break 8 3 0 off",
+            "plug 8 2",
+        ):
+            order(server, *words.split())
+        assert injected(9) == ["silence until resume"]
+        assert (injected(4), injected(8)) == (None, None)
+        order(server, "resume", "9")
+        order(server, "power-off", "9")
+        assert injected(9) == ["power-off"]
+        order(server, "power-on", "9")
+        assert injected(9) is None
+        with pytest.raises(ValueError, match="is no alarm"):
+            order(server, "trip", "4", "nonsense")
+        assert injected(4) is None
+        assert len(events) == 15
+        assert events[0].text == "slave 9 (raw): silence 2s (dpstack ctl)"
+        assert event_json(events[4], 0.25) == {
+            "event": "injected",
+            "t": 0.25,
+            "address": 8,
+            "name": "io",
+            "command": "wire-break",
+            "args": ["io", "3", "0", "on"],
+            "text": "slave 8 (io): wire-break 3 0 on (dpstack ctl)",
+        }
+        assert sim_event_json(events[4], 0.25) == event_json(events[4], 0.25)
 
 
 async def test_a_segment_tells_orders_and_keeps_them_in_status() -> None:

@@ -260,49 +260,46 @@ def no_room(file: AtomicFile, octets: bytes) -> None:
         raise UsageError(f"{file.path}: is full")
 
 
-def test_cut_short_it_keeps_what_was_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@in_virtual_time
+async def test_cut_short_it_keeps_what_was_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "it.toml"
     path.write_text(older := replace(LIST, drive="demag-dedrive", name="it").text())
+    async with bus_with("demag-dedrive") as bus:
+        await bus.operate()
+        it = bus.drive("it")
+        reached = asyncio.Event()
 
-    async def program() -> None:
-        async with bus_with("demag-dedrive") as bus:
-            await bus.operate()
-            it = bus.drive("it")
-            reached = asyncio.Event()
+        async def cut_short() -> list[str]:
+            reached.clear()
+            task = asyncio.ensure_future(it.dump(path, on_parameter=on_parameter))
+            await reached.wait()
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError) as cut:
+                await task
+            return cut.value.__notes__
 
-            async def cut_short() -> list[str]:
-                reached.clear()
-                task = asyncio.ensure_future(it.dump(path, on_parameter=on_parameter))
-                await reached.wait()
-                task.cancel()
-                with pytest.raises(asyncio.CancelledError) as cut:
-                    await task
-                return cut.value.__notes__
+        def on_parameter(number: int, count: int, _one: SavedParam) -> None:
+            assert count == 44
+            if number == 5:
+                reached.set()
 
-            def on_parameter(number: int, count: int, _one: SavedParam) -> None:
-                assert count == 44
-                if number == 5:
-                    reached.set()
-
-            assert await cut_short() == [f"cut short: the 5 parameters read so far are in {path}.part"]
-            kept = ParameterList.load(tmp_path / "it.toml.part")
-            assert (len(kept.parameters), kept.complete) == (5, False)
-            # there is no room for them: still what cut it short is what is raised, and nothing is said to be there
-            (tmp_path / "it.toml.part").unlink()
-            with monkeypatch.context() as patch:
-                patch.setattr(AtomicFile, "_write", no_room)
-                assert await cut_short() == [f"cut short: the 5 parameters read so far are lost: {path}: is full"]
-            assert list(tmp_path.iterdir()) == [path]
-            # the drive falls silent: not 39 time-outs, and the reason
-            assert bus.bench is not None
-            bus.bench.power(5, False)
-            began = bus.seconds
-            with pytest.raises(dpstack.DriveError, match="slave 5"):
-                await it.dump(path)
-            assert bus.seconds - began < 20
-        assert path.read_text() == older
-
-    virtual(program())
+        assert await cut_short() == [f"cut short: the 5 parameters read so far are in {path}.part"]
+        kept = ParameterList.load(tmp_path / "it.toml.part")
+        assert (len(kept.parameters), kept.complete) == (5, False)
+        # there is no room for them: still what cut it short is what is raised, and nothing is said to be there
+        (tmp_path / "it.toml.part").unlink()
+        with monkeypatch.context() as patch:
+            patch.setattr(AtomicFile, "_write", no_room)
+            assert await cut_short() == [f"cut short: the 5 parameters read so far are lost: {path}: is full"]
+        assert list(tmp_path.iterdir()) == [path]
+        # the drive falls silent: not 39 time-outs, and the reason
+        assert bus.bench is not None
+        bus.bench.power(5, False)
+        began = bus.seconds
+        with pytest.raises(dpstack.DriveError, match="slave 5"):
+            await it.dump(path)
+        assert bus.seconds - began < 20
+    assert path.read_text() == older
 
 
 class Mute:

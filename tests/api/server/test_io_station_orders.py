@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine
-from typing import Any
+import contextlib
+from collections.abc import AsyncIterator, Callable
 
 import pytest
-from api_kit import RAW, bus_of, virtual
+from api_kit import RAW, bench_of, in_virtual_time, operating
 
 import dpstack
 from dpstack import Im0
 from dpstack.api.config.config import slave_config
 from dpstack.api.control.commands import KINDS, find
 from dpstack.api.control.handlers import run_status, slave_handlers
-from dpstack.api.control.server import Handler
 from dpstack.api.server.virtual_bench import SimulatedSlave
 from dpstack.cli.commands import ctl
 from dpstack.errors import UsageError
@@ -27,18 +26,19 @@ IO: dict[str, object] = {
     "inputs": {"level": "i16@1"},
     "dpv1": {"alarms": []},
 }
-Program = Callable[[dpstack.Bus, "dict[str, Handler]"], Coroutine[Any, Any, None]]
 
 
-def plant(program: Program) -> None:
-    async def main() -> None:
-        async with bus_of(IO, RAW) as bus:
-            await bus.operate()
-            await bus.ready()
-            assert bus.bench is not None
-            await program(bus, slave_handlers(bus.bench))
+@contextlib.asynccontextmanager
+async def station(io: dict[str, object] = IO) -> AsyncIterator[tuple[dpstack.Bus, Callable[[str], object]]]:
+    """A bus with the I/O station, and the orders of ``dpstack ctl`` to it."""
+    async with operating(io, RAW) as bus:
+        handlers = slave_handlers(bench_of(bus))
 
-    virtual(main())
+        def order(text: str) -> object:
+            name, *args = text.split()
+            return handlers[name](args)
+
+        yield bus, order
 
 
 async def settled(bus: dpstack.Bus) -> dpstack.Slave:
@@ -51,29 +51,28 @@ def ext(slave: dpstack.Slave) -> str:
     return slave.diagnosis.ext.hex(" ").upper()
 
 
-def test_what_happens_to_it_reaches_the_master() -> None:
-    async def program(bus: dpstack.Bus, handlers: dict[str, Handler]) -> None:
+@in_virtual_time
+async def test_what_happens_to_it_reaches_the_master() -> None:
+    async with station() as (bus, order):
         left_out = "done, without an alarm: slave io: process alarm, slot 1: its master did not enable process alarms"
-        assert handlers["input"](["io", "1", "05"]) == (
-            f'{left_out} in Set_Prm; add "process" to alarms of [slave.dpv1] there'
-        )
-        assert handlers["input"](["8", "3", "01 02 03 04"]) is None
+        assert order("input io 1 05") == (f'{left_out} in Set_Prm; add "process" to alarms of [slave.dpv1] there')
+        assert order("input 8 3 01020304") is None
         slave = await settled(bus)
         assert slave.inputs.hex() == "0501020304"
-        handlers["wire-break"](["io", "3", "0", "on"])
+        order("wire-break io 3 0 on")
         slave = await settled(bus)
         assert slave.inputs.hex() == "057fff0304"
         assert ext(slave) == "05 82 00 00 10 42 04 82 40 A6"
-        handlers["wire-break"](["io", "3", "0", "off"])
-        handlers["pull"](["io", "1"])
+        order("wire-break io 3 0 off")
+        order("pull io 1")
         slave = await settled(bus)
         assert slave.inputs.hex() == "0001020304"
-        handlers["plug"](["io", "1", "16 DO"])
+        order("plug io 1 16DO")
         slave = await settled(bus)
         assert ext(slave).endswith("42 01")
-        handlers["pull"](["io", "1"])
-        handlers["plug"](["io", "1"])
-        handlers["parameter"](["io", "1", "02"])
+        order("pull io 1")
+        order("plug io 1")
+        order("parameter io 1 02")
         slave = await settled(bus)
         assert await slave.read(1, 1) == b"\x02"
         im = await slave.im(slot=2)
@@ -82,62 +81,53 @@ def test_what_happens_to_it_reaches_the_master() -> None:
         await slave.write(3, 1, b"\x00")
         assert await slave.read(3, 1) == b"\x00"
 
-    plant(program)
-
 
 @pytest.mark.parametrize("mode", [0, 3])
-def test_its_alarms_reach_the_program_in_order_and_are_acknowledged(mode: int) -> None:
-    async def main() -> None:
-        table = IO | {"dpv1": {"alarms": ["pull_plug", "process", "diagnostic", "update"], "alarm_mode": mode}}
-        async with bus_of(table) as bus:
-            await bus.operate()
-            await bus.ready()
-            assert bus.bench is not None
-            handlers = slave_handlers(bus.bench)
-            stream, messages = bus.slave("io").alarms(), bus.slave("io").status_messages()
-            for order in (
-                "input io 1 05",
-                "input io 1 0F",
-                "wire-break io 3 1 on",
-                "pull io 2",
-                "plug io 2 8DI",
-                "pull io 2",
-                "plug io 2",
-                "wire-break io 3 1 off",
-                "parameter io 1 02",
-            ):
-                name, *args = order.split()
-                assert handlers[name](args) is None
-            found = [await anext(stream) for _ in range(9)]
-            seen = [f"{alarm.type} {alarm.slot} {alarm.specifier.value} {alarm.data.hex()}" for alarm in found]
-            wanted = ["2 1 0 0505", "2 1 0 0a0f", "1 3 1 0106", "3 2 1 20", "4 2 3 10", "3 2 1 10", "4 2 2 20"]
-            wanted += ["1 3 2 0106", "6 1 0 02"]
-            if mode:
-                assert seen == wanted
-            assert sorted(seen) == sorted(wanted)
-            for kind in "123467":  # those of one type keep their order
-                assert [one for one in seen if one[0] == kind] == [one for one in wanted if one[0] == kind]
-            slots = [(await anext(messages)).text for _ in range(6)]
-            assert slots[0] == "module status: slot 3 data invalid"
-            assert slots[2] == "module status: slot 2 wrong module, slot 3 data invalid"
-            assert slots[5] == "module status: all modules ok"
-            await settled(bus)
-            counts = bus.slave("io").alarm_counts
-            assert counts is not None
-            assert (counts.raised, counts.acknowledged, counts.repeated, counts.too_many) == (9, 9, 0, 0)
-            device = bus.bench.device(8)
-            assert device.alarm_server is not None
-            assert device.alarm_server.pending == ()
-
-    virtual(main())
+@in_virtual_time
+async def test_its_alarms_reach_the_program_in_order_and_are_acknowledged(mode: int) -> None:
+    table = IO | {"dpv1": {"alarms": ["pull_plug", "process", "diagnostic", "update"], "alarm_mode": mode}}
+    async with station(table) as (bus, order):
+        stream, messages = bus.slave("io").alarms(), bus.slave("io").status_messages()
+        for text in (
+            "input io 1 05",
+            "input io 1 0F",
+            "wire-break io 3 1 on",
+            "pull io 2",
+            "plug io 2 8DI",
+            "pull io 2",
+            "plug io 2",
+            "wire-break io 3 1 off",
+            "parameter io 1 02",
+        ):
+            assert order(text) is None
+        found = [await anext(stream) for _ in range(9)]
+        seen = [f"{alarm.type} {alarm.slot} {alarm.specifier.value} {alarm.data.hex()}" for alarm in found]
+        wanted = ["2 1 0 0505", "2 1 0 0a0f", "1 3 1 0106", "3 2 1 20", "4 2 3 10", "3 2 1 10", "4 2 2 20"]
+        wanted += ["1 3 2 0106", "6 1 0 02"]
+        if mode:
+            assert seen == wanted
+        assert sorted(seen) == sorted(wanted)
+        for kind in "123467":  # those of one type keep their order
+            assert [one for one in seen if one[0] == kind] == [one for one in wanted if one[0] == kind]
+        slots = [(await anext(messages)).text for _ in range(6)]
+        assert slots[0] == "module status: slot 3 data invalid"
+        assert slots[2] == "module status: slot 2 wrong module, slot 3 data invalid"
+        assert slots[5] == "module status: all modules ok"
+        await settled(bus)
+        counts = bus.slave("io").alarm_counts
+        assert counts is not None
+        assert (counts.raised, counts.acknowledged, counts.repeated, counts.too_many) == (9, 9, 0, 0)
+        device = bench_of(bus).device(8)
+        assert device.alarm_server is not None
+        assert device.alarm_server.pending == ()
 
 
-def test_status_shows_its_slots(capsys: pytest.CaptureFixture[str]) -> None:
-    async def program(bus: dpstack.Bus, handlers: dict[str, Handler]) -> None:
+@in_virtual_time
+async def test_status_shows_its_slots(capsys: pytest.CaptureFixture[str]) -> None:
+    async with station() as (bus, order):
         bus.slave("io").outputs = b"\xa5"
-        for order in ("input io 1 05", "pull io 1", "wire-break io 3 1 on"):
-            name, *args = order.split()
-            handlers[name](args)
+        for text in ("input io 1 05", "pull io 1", "wire-break io 3 1 on"):
+            order(text)
         await settled(bus)
         status = run_status(bus)["slaves"]
         assert isinstance(status, dict)
@@ -162,23 +152,20 @@ def test_status_shows_its_slots(capsys: pytest.CaptureFixture[str]) -> None:
             "  3: module 2 AI, plugged 2 AI, state data invalid, inputs 00007fff, parameter 01, wire_breaks 1\n"
         )
 
-    plant(program)
 
-
-def test_switched_off_it_keeps_what_is_plugged() -> None:
-    async def program(bus: dpstack.Bus, handlers: dict[str, Handler]) -> None:
-        handlers["pull"](["io", "2"])
-        handlers["power-off"](["io"])
+@in_virtual_time
+async def test_switched_off_it_keeps_what_is_plugged() -> None:
+    async with station() as (bus, order):
+        order("pull io 2")
+        order("power-off io")
         await bus.until(lambda: not bus.slave("io").ready_now, 5)
-        handlers["power-on"](["io"])
+        order("power-on io")
         await bus.slave("io").ready(5)
         assert ext(await settled(bus)).endswith("42 02")
 
-    plant(program)
-
 
 @pytest.mark.parametrize(
-    ("order", "says"),
+    ("text", "says"),
     [
         ("pull raw 1", 'slave 9 (raw) is no I/O station; one has gsd = "io-station"'),
         ("trip io F1", "slave 8 (io) is no simulated drive: the I/O station"),
@@ -193,15 +180,14 @@ def test_switched_off_it_keeps_what_is_plugged() -> None:
         ("parameter io 1 80", "bits 80 have no meaning"),
     ],
 )
-def test_orders_that_cannot_be(order: str, says: str) -> None:
-    async def program(bus: dpstack.Bus, handlers: dict[str, Handler]) -> None:
-        name, *args = order.split()
+@in_virtual_time
+async def test_orders_that_cannot_be(text: str, says: str) -> None:
+    async with station() as (_, order):
+        name, *args = text.split()
         find("sim", KINDS["sim"], name).check(args)
         with pytest.raises((UsageError, ValueError)) as caught:
-            handlers[name](args)
+            order(text)
         assert says in str(caught.value)
-
-    plant(program)
 
 
 def test_what_the_simulation_calls_it() -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+import contextlib
+from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
-from api_kit import virtual
+from api_kit import in_virtual_time
 from slave_alarm_kit import OctetMaster, prm
 
 import dpstack
@@ -18,20 +19,20 @@ from dpstack.dp.slave.application import SlaveApp
 from dpstack.errors import ConfigError, PduError, SlaveTimeout, UsageError
 
 RIG = SlaveDescription.simple(0x0A35, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process", "diagnostic"))
-Program = Callable[[ServedSlave, OctetMaster], Coroutine[Any, Any, None]]
 
 
-def rig(program: Program, description: SlaveDescription = RIG, parameters: bytes | None = None) -> None:
-    async def main() -> None:
-        device = DpSlave(description, lambda outputs, elapsed: outputs)
-        async with dpstack.serve_slave(device, world=dpstack.World(), address=8) as server:
-            app = server.slave.station.responder
-            assert isinstance(app, SlaveApp)
-            master = OctetMaster(device, app)
-            master.start_with(prm() if parameters is None else parameters, device.configs[0], b"\x55")
-            await program(server.slave, master)
-
-    virtual(main())
+@contextlib.asynccontextmanager
+async def rig(
+    description: SlaveDescription = RIG, parameters: bytes | None = None
+) -> AsyncIterator[tuple[ServedSlave, OctetMaster]]:
+    """Slave 8 in data exchange with a master of octets."""
+    device = DpSlave(description, lambda outputs, elapsed: outputs)
+    async with dpstack.serve_slave(device, world=dpstack.World(), address=8) as server:
+        app = server.slave.station.responder
+        assert isinstance(app, SlaveApp)
+        master = OctetMaster(device, app)
+        master.start_with(prm() if parameters is None else parameters, device.configs[0], b"\x55")
+        yield server.slave, master
 
 
 async def raised(slave: ServedSlave, *args: Any, **keys: Any) -> asyncio.Task[None]:
@@ -41,8 +42,9 @@ async def raised(slave: ServedSlave, *args: Any, **keys: Any) -> asyncio.Task[No
     return task
 
 
-def test_it_is_over_when_it_is_acknowledged() -> None:
-    async def program(slave: ServedSlave, master: OctetMaster) -> None:
+@in_virtual_time
+async def test_it_is_over_when_it_is_acknowledged() -> None:
+    async with rig() as (slave, master):
         first = await raised(slave, AlarmType.PROCESS, 3, data=b"\xaa")
         second = await raised(slave, AlarmType.DIAGNOSIS, 3, Specifier.APPEARS, add_ack=True)
         assert master.fetch() == "05 02 03 00 AA"
@@ -54,18 +56,15 @@ def test_it_is_over_when_it_is_acknowledged() -> None:
         assert master.ack("03 02 00") == "5C 03 02 00"
         await first
 
-    rig(program)
 
-
-def test_status_messages() -> None:
-    async def program(slave: ServedSlave, master: OctetMaster) -> None:
+@in_virtual_time
+async def test_status_messages() -> None:
+    async with rig() as (slave, master):
         slave.status(StatusType.MESSAGE, 2, Specifier.DISAPPEARS, b"\x01\x02")
         slave.module_status([ModuleState.OK, ModuleState.MISSING])
         assert master.fetch() == "06 81 02 02 01 02"
         assert master.fetch() == "05 82 00 00 0C"
         assert not master.must_fetch
-
-    rig(program)
 
 
 @pytest.mark.parametrize(
@@ -76,17 +75,17 @@ def test_status_messages() -> None:
         (prm()[:7] + b"\0\0\0", AlarmType.PROCESS, "not in data exchange"),
     ],
 )
-def test_what_cannot_go_out_raises_at_once(parameters: bytes | None, kind: AlarmType, reason: str) -> None:
-    async def program(slave: ServedSlave, master: OctetMaster) -> None:
+@in_virtual_time
+async def test_what_cannot_go_out_raises_at_once(parameters: bytes | None, kind: AlarmType, reason: str) -> None:
+    async with rig(parameters=parameters) as (slave, _):
         with pytest.raises(AlarmError, match="slave rig: ") as caught:
             await slave.alarm(kind, 1)
         assert caught.value.reason == reason
 
-    rig(program, parameters=parameters)
 
-
-def test_leaving_data_exchange_and_the_end_of_serving() -> None:
-    async def program(slave: ServedSlave, master: OctetMaster) -> None:
+@in_virtual_time
+async def test_leaving_data_exchange_and_the_end_of_serving() -> None:
+    async with rig() as (slave, master):
         for leave in (slave.restart, lambda: master.prm(prm())):
             task = await raised(slave, AlarmType.PROCESS, 3)
             leave()
@@ -94,15 +93,14 @@ def test_leaving_data_exchange_and_the_end_of_serving() -> None:
                 await task
             assert caught.value.reason == "data exchange ended"
             master.start_with(prm(), RIG.configs[0], b"\x55")
-        last.append(await raised(slave, AlarmType.PROCESS, 3))
-
-    last: list[asyncio.Task[None]] = []
-    rig(program)
-    assert isinstance(last[0].exception(), AlarmError) or last[0].cancelled()
+        task = await raised(slave, AlarmType.PROCESS, 3)
+    with pytest.raises(AlarmError):
+        await task
 
 
-def test_a_time_limit_says_where_it_got_stuck() -> None:
-    async def program(slave: ServedSlave, master: OctetMaster) -> None:
+@in_virtual_time
+async def test_a_time_limit_says_where_it_got_stuck() -> None:
+    async with rig() as (slave, master):
         with pytest.raises(SlaveTimeout, match="its master has not fetched it"):
             await slave.alarm(AlarmType.PROCESS, 3, timeout=0.5)
         assert not master.must_fetch  # withdrawn
@@ -112,36 +110,30 @@ def test_a_time_limit_says_where_it_got_stuck() -> None:
             await task
         assert master.ack("03 02 08") == "5C 03 02 08"  # late, and right
 
-    rig(program)
 
-
-def test_cancelled_it_is_withdrawn() -> None:
-    async def program(slave: ServedSlave, master: OctetMaster) -> None:
+@in_virtual_time
+async def test_cancelled_it_is_withdrawn() -> None:
+    async with rig() as (slave, master):
         task = await raised(slave, AlarmType.PROCESS, 3)
         task.cancel()
         await asyncio.wait([task])
         assert task.cancelled()
         assert not master.must_fetch
 
-    rig(program)
 
-
-def test_misuse() -> None:
-    async def program(slave: ServedSlave, master: OctetMaster) -> None:
+@in_virtual_time
+async def test_misuse() -> None:
+    async with rig() as (slave, _):
         for args in ((9, 1), (2, 255), (2, 1, 4), (2, 1, 0, bytes(60))):
             with pytest.raises(PduError):
                 await slave.alarm(*args)
         with pytest.raises(PduError):
             slave.status(29)
-
-    async def without(slave: ServedSlave, master: OctetMaster) -> None:
+    async with rig(SlaveDescription.simple(0x0A35, inputs=1, outputs=1)) as (slave, _):
         with pytest.raises(UsageError, match="it has no DP-V1"):
             await slave.alarm(AlarmType.PROCESS, 1)
         with pytest.raises(UsageError, match="it has no DP-V1"):
             slave.status(1)
-
-    rig(program)
-    rig(without, SlaveDescription.simple(0x0A35, inputs=1, outputs=1))
 
 
 def test_descriptions() -> None:

@@ -6,6 +6,7 @@ import asyncio
 from typing import cast
 
 import pytest
+from api_kit import in_virtual_time
 from gsd_kit import FILES, device
 from octet_class2 import ABORT, INITIATE, RS, SC, Class2
 from octet_wire import PARAMS, Wire
@@ -139,7 +140,8 @@ async def test_a_slave_of_its_description_or_of_its_own_number() -> None:
         SlaveDescription.simple(1, inputs=1, outputs=1, ms2=50)
 
 
-def test_what_a_slave_says_no_to(world: WorldFactory) -> None:
+@in_virtual_time
+async def test_what_a_slave_says_no_to(world: WorldFactory) -> None:
     """The master reads why, as one who opens the connection and as one who has it."""
     refused: list[int] = []
     made = world()
@@ -149,22 +151,19 @@ def test_what_a_slave_says_no_to(world: WorldFactory) -> None:
             refused.append(master)
             raise RecordRefused(0xB6)
 
-    async def main() -> None:
-        slave = DpSlave(RIG, lambda outputs, elapsed: outputs, on_initiate=judge)
-        async with (
-            dpstack.serve_slave(slave, world=made, address=8) as server,
-            dpstack.open_bus(world=made, baud=500_000, address=5, gap=1) as bus,
-        ):
-            with pytest.raises(dpstack.ServiceRefused, match=r"slave 8 refuses Initiate: .*access denied"):
-                await bus.class2.connect(8)
-            assert refused == [5]
-            connection = await bus.class2.connect(8, profile_ident=7)
-            (served,) = server.slave.connections
-            server.slave.abort_connection(served.sap, 3)
-            await connection.ended()
-            assert connection.reason == "the slave aborted it: its user, reason 3"
-
-    dpstack.run_virtual(main())
+    slave = DpSlave(RIG, lambda outputs, elapsed: outputs, on_initiate=judge)
+    async with (
+        dpstack.serve_slave(slave, world=made, address=8) as server,
+        dpstack.open_bus(world=made, baud=500_000, address=5, gap=1) as bus,
+    ):
+        with pytest.raises(dpstack.ServiceRefused, match=r"slave 8 refuses Initiate: .*access denied"):
+            await bus.class2.connect(8)
+        assert refused == [5]
+        connection = await bus.class2.connect(8, profile_ident=7)
+        (served,) = server.slave.connections
+        server.slave.abort_connection(served.sap, 3)
+        await connection.ended()
+        assert connection.reason == "the slave aborted it: its user, reason 3"
 
 
 def test_from_a_gsd_file() -> None:
@@ -175,7 +174,8 @@ def test_from_a_gsd_file() -> None:
     assert slave.ms2 == 2
 
 
-def test_three_masters_at_once_beside_its_own(world: WorldFactory) -> None:
+@in_virtual_time
+async def test_three_masters_at_once_beside_its_own(world: WorldFactory) -> None:
     """Both ends of ours: connections of two stations and of its class 1 master, MS1 beside them; the cycle goes on."""
     plant = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, ms2=3)
     told: list[str] = []
@@ -200,34 +200,31 @@ def test_three_masters_at_once_beside_its_own(world: WorldFactory) -> None:
         for index in range(5):
             assert await bus.slave(9).read(7, index) == bytes((7, index))
 
-    async def main() -> None:
-        slave = DpSlave(plant, lambda outputs, elapsed: outputs, on_read=read)
+    slave = DpSlave(plant, lambda outputs, elapsed: outputs, on_read=read)
+    async with (
+        dpstack.serve_slave(slave, world=made, address=9, on_event=lambda event: told.append(event.text)) as server,
+        dpstack.open_bus(world=made, baud=500_000, gap=1, slaves=[plant.table(9)]) as owner,
+    ):
+        await owner.ready()
+        await owner.operate()
+        owner.slave(9).outputs = b"\x55"
         async with (
-            dpstack.serve_slave(slave, world=made, address=9, on_event=lambda event: told.append(event.text)) as server,
-            dpstack.open_bus(world=made, baud=500_000, gap=1, slaves=[plant.table(9)]) as owner,
+            dpstack.open_bus(world=made, baud=500_000, address=5) as one,
+            dpstack.open_bus(world=made, baud=500_000, address=6) as two,
         ):
-            await owner.ready()
-            await owner.operate()
-            owner.slave(9).outputs = b"\x55"
-            async with (
-                dpstack.open_bus(world=made, baud=500_000, address=5) as one,
-                dpstack.open_bus(world=made, baud=500_000, address=6) as two,
-            ):
-                await asyncio.gather(busy(owner, 1), busy(one, 2), busy(two, 3), records(owner))
-                with pytest.raises(dpstack.ServiceRefused):
-                    async with (
-                        one.class2.connect(9),
-                        one.class2.connect(9),
-                        two.class2.connect(9),
-                        owner.class2.connect(9),
-                    ):
-                        raise AssertionError("there are three connections")
-            assert most == 4  # side by side
-            found = owner.slave(9)
-            assert (found.ready_now, found.retries, found.timeouts, found.inputs) == (True, 0, 0, b"\x55")
-            assert server.slave.connections == ()
-            assert server.slave.connections_free == 3
-            assert server.slave.stats.connections == server.slave.stats.closed == 6
-
-    dpstack.run_virtual(main())
+            await asyncio.gather(busy(owner, 1), busy(one, 2), busy(two, 3), records(owner))
+            with pytest.raises(dpstack.ServiceRefused):
+                async with (
+                    one.class2.connect(9),
+                    one.class2.connect(9),
+                    two.class2.connect(9),
+                    owner.class2.connect(9),
+                ):
+                    raise AssertionError("there are three connections")
+        assert most == 4  # side by side
+        found = owner.slave(9)
+        assert (found.ready_now, found.retries, found.timeouts, found.inputs) == (True, 0, 0, b"\x55")
+        assert server.slave.connections == ()
+        assert server.slave.connections_free == 3
+        assert server.slave.stats.connections == server.slave.stats.closed == 6
     assert sum("its master aborted it: its user" in text for text in told) == 6

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from api_kit import virtual
+from api_kit import in_virtual_time
 from slave_kit import Bench
 
 import dpstack
@@ -63,50 +63,44 @@ def test_literally() -> None:
         assert (reply.status, reply.data.hex(" ").upper()) == (Resp.DL, response)
 
 
-def test_over_a_bus_by_both_classes_of_master() -> None:
+@in_virtual_time
+async def test_over_a_bus_by_both_classes_of_master() -> None:
     store = ParamStore(TABLE, {})
-
-    async def main() -> None:
-        world = dpstack.World()
-        async with (
-            dpstack.serve_slave(rig(store, busy_ms=3), world=world, address=9),
-            dpstack.open_bus(world=world, baud=500_000, slaves=[RIG.table(9)]) as bus,
-        ):
-            await bus.ready()
-            parameters = bus.slave(9).parameters()
-            assert await parameters.read([Address(965), Address(11)]) == [Values(6, (0x0328,)), ErrorValue(0)]
-            assert await parameters.change([(Address(10), Values(6, (75,)))]) == [Values(0x40)]
-            async with bus.class2.connect(9) as connection:
-                assert await connection.parameters().read([Address(10)]) == [Values(6, (75,))]
-            assert [one.pnu for one in await parameters.read_out()] == [10, 965]
-            assert await bus.slave(9).read(3, 4) == b"\x03\x04"  # the others go to the functions
-            assert bus.slave(9).state is SlaveState.DATA_EXCHANGE
-        assert store.value("ramp") == 7.5
-
-    virtual(main())
+    world = dpstack.World()
+    async with (
+        dpstack.serve_slave(rig(store, busy_ms=3), world=world, address=9),
+        dpstack.open_bus(world=world, baud=500_000, slaves=[RIG.table(9)]) as bus,
+    ):
+        await bus.ready()
+        parameters = bus.slave(9).parameters()
+        assert await parameters.read([Address(965), Address(11)]) == [Values(6, (0x0328,)), ErrorValue(0)]
+        assert await parameters.change([(Address(10), Values(6, (75,)))]) == [Values(0x40)]
+        async with bus.class2.connect(9) as connection:
+            assert await connection.parameters().read([Address(10)]) == [Values(6, (75,))]
+        assert [one.pnu for one in await parameters.read_out()] == [10, 965]
+        assert await bus.slave(9).read(3, 4) == b"\x03\x04"  # the others go to the functions
+        assert bus.slave(9).state is SlaveState.DATA_EXCHANGE
+    assert store.value("ramp") == 7.5
 
 
-def test_a_list_is_read_within_the_limits_that_the_drive_tells() -> None:
+@in_virtual_time
+async def test_a_list_is_read_within_the_limits_that_the_drive_tells() -> None:
     table = ParamTable(ParamSpec(number=n, name=f"p{n}", title="Word") for n in range(1, 60))
     limits = Limits(octets=56, parameters=4)
     server = ParameterServer(StoreParameters(ParamStore(table, {}), limits=limits), Rules(limits=limits))
     slave = DpSlave(RIG, lambda outputs, elapsed: bytes(1), parameters=TimedRecords(server))
-
-    async def main() -> None:
-        world = dpstack.World()
-        async with (
-            dpstack.serve_slave(slave, world=world, address=9),
-            dpstack.open_bus(world=world, baud=500_000, slaves=[RIG.table(9)]) as bus,
-        ):
-            await bus.ready()
-            parameters = bus.slave(9).parameters()
-            assert len(await parameters.read_out()) == 59
-            first = parameters.counters.requests
-            assert parameters.counters.split == 0  # nothing was tried in vain
-            await parameters.read_out()
-            assert parameters.counters.requests == 2 * first - 1  # asked for once
-
-    virtual(main())
+    world = dpstack.World()
+    async with (
+        dpstack.serve_slave(slave, world=world, address=9),
+        dpstack.open_bus(world=world, baud=500_000, slaves=[RIG.table(9)]) as bus,
+    ):
+        await bus.ready()
+        parameters = bus.slave(9).parameters()
+        assert len(await parameters.read_out()) == 59
+        first = parameters.counters.requests
+        assert parameters.counters.split == 0  # nothing was tried in vain
+        await parameters.read_out()
+        assert parameters.counters.requests == 2 * first - 1  # asked for once
 
 
 class Lengths:
@@ -126,7 +120,8 @@ class Lengths:
         self._server.ask(request)
 
 
-def test_no_request_is_longer_than_c1_max_data_len(tmp_path: Path) -> None:
+@in_virtual_time
+async def test_no_request_is_longer_than_c1_max_data_len(tmp_path: Path) -> None:
     gsd = tmp_path / "drive.gsd"
     gsd.write_text(
         "#Profibus_DP\nGSD_Revision = 5\nIdent_Number = 0x1234\n500_supp = 1\nMaxTsdr_500 = 100\nDPV1_Slave = 1\n"
@@ -136,18 +131,14 @@ def test_no_request_is_longer_than_c1_max_data_len(tmp_path: Path) -> None:
     table = ParamTable(ParamSpec(number=n, name=f"p{n}", title="Word", factory=n) for n in range(1, 40))
     records = Lengths(TimedRecords(ParameterServer(StoreParameters(ParamStore(table, {})))))
     slave = DpSlave(RIG, lambda outputs, elapsed: bytes(1), parameters=records)
-
-    async def main() -> None:
-        world = dpstack.World()
-        rigged = {"name": "rig", "address": 9, "gsd": str(gsd), "modules": [1]}
-        async with (
-            dpstack.serve_slave(slave, world=world, address=9),
-            dpstack.open_bus(world=world, baud=500_000, slaves=[rigged]) as bus,
-        ):
-            await bus.ready()
-            found = await bus.slave(9).parameters().read([Address(n) for n in range(1, 40)])
-            assert found == [Values(6, (n,)) for n in range(1, 40)]
-
-    virtual(main())
+    world = dpstack.World()
+    rigged = {"name": "rig", "address": 9, "gsd": str(gsd), "modules": [1]}
+    async with (
+        dpstack.serve_slave(slave, world=world, address=9),
+        dpstack.open_bus(world=world, baud=500_000, slaves=[rigged]) as bus,
+    ):
+        await bus.ready()
+        found = await bus.slave(9).parameters().read([Address(n) for n in range(1, 40)])
+        assert found == [Values(6, (n,)) for n in range(1, 40)]
     assert max(records.written) <= 64
     assert set(records.read) == {64}

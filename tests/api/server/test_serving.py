@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from api_kit import bus_of, virtual
+from api_kit import bus_of, in_virtual_time
 from far_ends import open_slave, until
 from octet_wire import framed
 from support import WorldFactory
@@ -35,133 +35,129 @@ def commissioned(**more: Any) -> DpSlave:
     return DpSlave(description, mirror, **more)
 
 
-def test_beside_a_master_in_one_world(world: WorldFactory) -> None:
-    async def program(w: World) -> None:
-        seen: list[str] = []
-        slave = DpSlave(RIG, lambda outputs, elapsed: bytes([outputs[0] + 1]), safe=b"\x0f", on_leave=left.append)
-        async with (
-            dpstack.serve_slave(slave, world=w, address=9, on_event=lambda e: seen.append(e.text)) as server,
-            bus_of(RIG.table(9), world=w) as bus,
-        ):
-            await bus.operate()
-            await server.slave.reached(DATA_EXCH, timeout=2)
-            bus.slave(9).outputs = b"\x41"
-            await bus.rotated(bus.stats.rotations + 3)
-            assert (server.slave.outputs, server.slave.inputs, bus.slave(9).inputs) == (b"\x41", b"\x42", b"\x42")
-            assert (server.slave.master, server.slave.address, server.slave.name) == (2, 9, "rig")
-            slave.diag = dpstack.UserDiag.of(dpstack.device_block(b"\x05"))
-            await bus.rotated(bus.stats.rotations + 5)
-            read = bus.slave(9).diagnosis
-            assert read is not None
-            assert read.ext == server.slave.diagnosis().ext == b"\x02\x05"
-        assert "rig): data_exchange" in " ".join(seen)
-
+@in_virtual_time
+async def test_beside_a_master_in_one_world(world: WorldFactory) -> None:
     left: list[Leave] = []
     w = world()
-    virtual(program(w))
+    seen: list[str] = []
+    slave = DpSlave(RIG, lambda outputs, elapsed: bytes([outputs[0] + 1]), safe=b"\x0f", on_leave=left.append)
+    async with (
+        dpstack.serve_slave(slave, world=w, address=9, on_event=lambda e: seen.append(e.text)) as server,
+        bus_of(RIG.table(9), world=w) as bus,
+    ):
+        await bus.operate()
+        await server.slave.reached(DATA_EXCH, timeout=2)
+        bus.slave(9).outputs = b"\x41"
+        await bus.rotated(bus.stats.rotations + 3)
+        assert (server.slave.outputs, server.slave.inputs, bus.slave(9).inputs) == (b"\x41", b"\x42", b"\x42")
+        assert (server.slave.master, server.slave.address, server.slave.name) == (2, 9, "rig")
+        slave.diag = dpstack.UserDiag.of(dpstack.device_block(b"\x05"))
+        await bus.rotated(bus.stats.rotations + 5)
+        read = bus.slave(9).diagnosis
+        assert read is not None
+        assert read.ext == server.slave.diagnosis().ext == b"\x02\x05"
+    assert "rig): data_exchange" in " ".join(seen)
     assert left
 
 
-def test_a_function_that_raises_stops_its_slave_only(world: WorldFactory) -> None:
-    async def program(w: World) -> None:
-        given: list[bytes] = []
-        events: list[object] = []
+@in_virtual_time
+async def test_a_function_that_raises_stops_its_slave_only(world: WorldFactory) -> None:
+    w = world()
+    given: list[bytes] = []
+    events: list[object] = []
 
-        def breaks(outputs: bytes, elapsed: int) -> bytes:
-            given.append(outputs)
-            if outputs == b"\x13":
-                raise ZeroDivisionError("13")
-            return outputs
+    def breaks(outputs: bytes, elapsed: int) -> bytes:
+        given.append(outputs)
+        if outputs == b"\x13":
+            raise ZeroDivisionError("13")
+        return outputs
 
-        slaves = {8: DpSlave(RIG, mirror), 9: DpSlave(RIG, breaks)}
-        async with (
-            dpstack.serve_slaves(slaves, world=w, on_event=events.append) as server,
-            bus_of(RIG.table(8) | {"name": "good"}, RIG.table(9) | {"name": "bad"}, world=w) as bus,
-        ):
-            good, bad = server.slaves
-            await bus.operate()
-            await bad.reached(DATA_EXCH, timeout=2)
-            bus.slave(9).outputs = b"\x13"
-            await bad.reached(WAIT_PRM, timeout=2)
-            assert given[-1] == b"\0"
-            assert bad.failure == "ZeroDivisionError: 13"
-            with pytest.raises(SlaveTimeout, match=r"slave 9 \(rig\) is still in .* its function failed"):
-                await bad.reached(DATA_EXCH, timeout=0.5)
-            read = bus.slave(9).diagnosis
-            assert read is not None
-            assert read.stat_diag
-            bus.slave(8).outputs = b"\x44"
-            await bus.rotated(bus.stats.rotations + 3)
-            assert good.outputs == b"\x44"
-            bus.slave(9).outputs = b"\x01"
-            bad.restart()
-            await bad.reached(DATA_EXCH, timeout=20)
-        assert [event.name for event in events if isinstance(event, DeviceFailed)] == ["rig"]
-
-    virtual(program(world()))
+    slaves = {8: DpSlave(RIG, mirror), 9: DpSlave(RIG, breaks)}
+    async with (
+        dpstack.serve_slaves(slaves, world=w, on_event=events.append) as server,
+        bus_of(RIG.table(8) | {"name": "good"}, RIG.table(9) | {"name": "bad"}, world=w) as bus,
+    ):
+        good, bad = server.slaves
+        await bus.operate()
+        await bad.reached(DATA_EXCH, timeout=2)
+        bus.slave(9).outputs = b"\x13"
+        await bad.reached(WAIT_PRM, timeout=2)
+        assert given[-1] == b"\0"
+        assert bad.failure == "ZeroDivisionError: 13"
+        with pytest.raises(SlaveTimeout, match=r"slave 9 \(rig\) is still in .* its function failed"):
+            await bad.reached(DATA_EXCH, timeout=0.5)
+        read = bus.slave(9).diagnosis
+        assert read is not None
+        assert read.stat_diag
+        bus.slave(8).outputs = b"\x44"
+        await bus.rotated(bus.stats.rotations + 3)
+        assert good.outputs == b"\x44"
+        bus.slave(9).outputs = b"\x01"
+        bad.restart()
+        await bad.reached(DATA_EXCH, timeout=20)
+    assert [event.name for event in events if isinstance(event, DeviceFailed)] == ["rig"]
 
 
-def test_a_function_cannot_restart_its_own_slave(world: WorldFactory) -> None:
-    async def program(w: World) -> None:
-        servers: list[dpstack.SlaveServer] = []
+@in_virtual_time
+async def test_a_function_cannot_restart_its_own_slave(world: WorldFactory) -> None:
+    w = world()
+    servers: list[dpstack.SlaveServer] = []
 
-        def restarts(outputs: bytes, elapsed: int) -> bytes:
-            if outputs == b"\x13":
-                servers[0].slave.restart()
-            return outputs
+    def restarts(outputs: bytes, elapsed: int) -> bytes:
+        if outputs == b"\x13":
+            servers[0].slave.restart()
+        return outputs
 
-        async with (
-            dpstack.serve_slave(DpSlave(RIG, restarts), world=w, address=8) as server,
-            bus_of(RIG.table(8), world=w) as bus,
-        ):
-            servers.append(server)
-            await bus.operate()
-            await server.slave.reached(DATA_EXCH, timeout=2)
-            bus.slave(8).outputs = b"\x13"
-            await server.slave.reached(WAIT_PRM, timeout=2)
-            assert "cannot be restarted or reset within its own function" in str(server.slave.failure)
-            bus.slave(8).outputs = b"\x01"
-            server.slave.restart()
-            await server.slave.reached(DATA_EXCH, timeout=20)
-
-    virtual(program(world()))
+    async with (
+        dpstack.serve_slave(DpSlave(RIG, restarts), world=w, address=8) as server,
+        bus_of(RIG.table(8), world=w) as bus,
+    ):
+        servers.append(server)
+        await bus.operate()
+        await server.slave.reached(DATA_EXCH, timeout=2)
+        bus.slave(8).outputs = b"\x13"
+        await server.slave.reached(WAIT_PRM, timeout=2)
+        assert "cannot be restarted or reset within its own function" in str(server.slave.failure)
+        bus.slave(8).outputs = b"\x01"
+        server.slave.restart()
+        await server.slave.reached(DATA_EXCH, timeout=20)
 
 
 @pytest.mark.parametrize("how", ["exit", "exception", "cancelled"])
-def test_outputs_are_safe_however_serving_ends(world: WorldFactory, how: str) -> None:
-    async def program(w: World) -> None:
-        given: list[bytes] = []
+@in_virtual_time
+async def test_outputs_are_safe_however_serving_ends(world: WorldFactory, how: str) -> None:
+    w = world()
+    given: list[bytes] = []
 
-        def log(outputs: bytes, elapsed: int) -> bytes:
-            given.append(outputs)
-            return outputs
+    def log(outputs: bytes, elapsed: int) -> bytes:
+        given.append(outputs)
+        return outputs
 
-        async def serve() -> None:
-            async with dpstack.serve_slave(DpSlave(RIG, log, safe=b"\x0f"), world=w, address=9) as server:
-                await server.slave.reached(DATA_EXCH, timeout=2)
-                await asyncio.sleep(0.5)
-                if how == "exception":
-                    raise ZeroDivisionError
-                if how == "cancelled":
-                    await server.serve_forever()
-            with pytest.raises(BusError, match="served no more"):
-                await server.slave.reached(DATA_EXCH, timeout=1)
-
-        async with bus_of(RIG.table(9), world=w) as bus:
-            await bus.operate()
-            bus.slave(9).outputs = b"\x77"
-            task = asyncio.ensure_future(serve())
+    async def serve() -> None:
+        async with dpstack.serve_slave(DpSlave(RIG, log, safe=b"\x0f"), world=w, address=9) as server:
+            await server.slave.reached(DATA_EXCH, timeout=2)
+            await asyncio.sleep(0.5)
+            if how == "exception":
+                raise ZeroDivisionError
             if how == "cancelled":
-                await asyncio.sleep(1)
-                task.cancel()
-            await asyncio.gather(task, return_exceptions=True)
-            assert given[-1] == b"\x0f"
-            assert b"\x77" in given
+                await server.serve_forever()
+        with pytest.raises(BusError, match="served no more"):
+            await server.slave.reached(DATA_EXCH, timeout=1)
 
-    virtual(program(world()))
+    async with bus_of(RIG.table(9), world=w) as bus:
+        await bus.operate()
+        bus.slave(9).outputs = b"\x77"
+        task = asyncio.ensure_future(serve())
+        if how == "cancelled":
+            await asyncio.sleep(1)
+            task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        assert given[-1] == b"\x0f"
+        assert b"\x77" in given
 
 
-def test_a_handler_that_raises_loses_no_event_and_does_not_stop_the_slave(world: WorldFactory) -> None:
+@in_virtual_time
+async def test_a_handler_that_raises_loses_no_event_and_does_not_stop_the_slave(world: WorldFactory) -> None:
     seen: list[str] = []
     told: list[str] = []
 
@@ -169,83 +165,77 @@ def test_a_handler_that_raises_loses_no_event_and_does_not_stop_the_slave(world:
         seen.append(event.text)
         raise ZeroDivisionError
 
-    async def program(w: World) -> None:
-        asyncio.get_running_loop().set_exception_handler(lambda _, context: told.append(context["message"]))
-        async with (
-            dpstack.serve_slave(DpSlave(RIG, mirror), world=w, address=9, on_event=on_event) as server,
-            bus_of(RIG.table(9), world=w) as bus,
-        ):
-            await bus.operate()
-            await server.slave.reached(DATA_EXCH, timeout=2)
-            server.slave.restart()
-            await bus.until(lambda: bus.slave(9).state is dpstack.SlaveState.DATA_EXCHANGE, 2)
-            assert server.slave.state is DATA_EXCH
-
-    virtual(program(world()))
+    w = world()
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: told.append(context["message"]))
+    async with (
+        dpstack.serve_slave(DpSlave(RIG, mirror), world=w, address=9, on_event=on_event) as server,
+        bus_of(RIG.table(9), world=w) as bus,
+    ):
+        await bus.operate()
+        await server.slave.reached(DATA_EXCH, timeout=2)
+        server.slave.restart()
+        await bus.until(lambda: bus.slave(9).state is dpstack.SlaveState.DATA_EXCHANGE, 2)
+        assert server.slave.state is DATA_EXCH
     assert told == [f"on_event raised at {text!r}" for text in seen]
     assert len(told) > 4
 
 
-def test_an_address_by_set_slave_add_is_kept_by_the_application(world: WorldFactory) -> None:
+@in_virtual_time
+async def test_an_address_by_set_slave_add_is_kept_by_the_application(world: WorldFactory) -> None:
     kept: list[tuple[int, bool, bytes]] = []
     events: list[object] = []
-
-    async def program(w: World) -> None:
-        slave = commissioned(on_address=lambda address, fixed, rest: kept.append((address, fixed, rest)))
-        async with dpstack.serve_slave(slave, world=w, on_event=events.append) as server:
-            assert server.slave.address == 126
-            w.inject(bytes.fromhex(framed(0xFE, 0x82, 0x6D, "37 3E 09 12 34 01 AA")), baud=500_000)
-            await asyncio.sleep(0.01)
-            assert (server.slave.address, server.slave.address_fixed) == (9, True)
-            async with bus_of(RIG.table(9), world=w) as bus:
-                await bus.operate()
-                await server.slave.reached(DATA_EXCH, timeout=2)
-            server.slave.restart()
-            assert server.slave.address == 9
-            server.slave.initial_reset()
-            assert (server.slave.address, server.slave.address_fixed) == (126, False)
-
-    virtual(program(world()))
+    w = world()
+    slave = commissioned(on_address=lambda address, fixed, rest: kept.append((address, fixed, rest)))
+    async with dpstack.serve_slave(slave, world=w, on_event=events.append) as server:
+        assert server.slave.address == 126
+        w.inject(bytes.fromhex(framed(0xFE, 0x82, 0x6D, "37 3E 09 12 34 01 AA")), baud=500_000)
+        await asyncio.sleep(0.01)
+        assert (server.slave.address, server.slave.address_fixed) == (9, True)
+        async with bus_of(RIG.table(9), world=w) as bus:
+            await bus.operate()
+            await server.slave.reached(DATA_EXCH, timeout=2)
+        server.slave.restart()
+        assert server.slave.address == 9
+        server.slave.initial_reset()
+        assert (server.slave.address, server.slave.address_fixed) == (126, False)
     assert kept == [(9, True, b"\xaa"), (126, False, b"")]
     assert [event.before for event in events if isinstance(event, AddressChanged)] == [126, 9]
 
 
 @pytest.mark.parametrize("wait", ["serve_forever", "reached"])
-def test_a_defect_of_ours_ends_serving_with_safe_outputs(
+@in_virtual_time
+async def test_a_defect_of_ours_ends_serving_with_safe_outputs(
     world: WorldFactory, monkeypatch: pytest.MonkeyPatch, wait: str
 ) -> None:
-    async def program(w: World) -> None:
-        given: list[bytes] = []
-
-        def log(outputs: bytes, elapsed: int) -> bytes:
-            given.append(outputs)
-            return outputs
-
-        async with dpstack.serve_slave(DpSlave(RIG, log, safe=b"\x0f"), world=w, address=8) as server:
-            for unit in ("3D 3E 80 01 01 0B 12 34 00", "3E 3E 10 20"):
-                w.inject(bytes.fromhex(framed(0x88, 0x82, 0x6D, unit)), baud=500_000)
-                await asyncio.sleep(0.01)
-            assert server.slave.state is DATA_EXCH
-            monkeypatch.setattr("dpstack.dp.slave.application.SlaveApp.serve", broken)
-            w.inject(bytes.fromhex(framed(0x88, 0x82, 0x6D, "3C 3E")), baud=500_000)
-            with pytest.raises(BusError, match=r"stopped by a defect in dpstack \(ZeroDivisionError: ours\)"):
-                await (server.serve_forever() if wait == "serve_forever" else server.slave.reached(WAIT_PRM, 5))
-            assert given == [b"\x0f"]
-            assert server.failure is not None
-
     def broken(self: object, request: object, now: int) -> None:
         raise ZeroDivisionError("ours")
 
-    virtual(program(world(referee=False)))
+    w = world(referee=False)
+    given: list[bytes] = []
+
+    def log(outputs: bytes, elapsed: int) -> bytes:
+        given.append(outputs)
+        return outputs
+
+    async with dpstack.serve_slave(DpSlave(RIG, log, safe=b"\x0f"), world=w, address=8) as server:
+        for unit in ("3D 3E 80 01 01 0B 12 34 00", "3E 3E 10 20"):
+            w.inject(bytes.fromhex(framed(0x88, 0x82, 0x6D, unit)), baud=500_000)
+            await asyncio.sleep(0.01)
+        assert server.slave.state is DATA_EXCH
+        monkeypatch.setattr("dpstack.dp.slave.application.SlaveApp.serve", broken)
+        w.inject(bytes.fromhex(framed(0x88, 0x82, 0x6D, "3C 3E")), baud=500_000)
+        with pytest.raises(BusError, match=r"stopped by a defect in dpstack \(ZeroDivisionError: ours\)"):
+            await (server.serve_forever() if wait == "serve_forever" else server.slave.reached(WAIT_PRM, 5))
+        assert given == [b"\x0f"]
+        assert server.failure is not None
 
 
-def test_nobody_speaks_to_it(world: WorldFactory) -> None:
-    async def program(w: World) -> None:
-        async with dpstack.serve_slave(DpSlave(RIG, mirror), world=w, address=9) as server:
-            with pytest.raises(SlaveTimeout, match="no master has spoken to it; check address, baud rate and cable"):
-                await server.slave.reached(DATA_EXCH, timeout=1)
-
-    virtual(program(world()))
+@in_virtual_time
+async def test_nobody_speaks_to_it(world: WorldFactory) -> None:
+    w = world()
+    async with dpstack.serve_slave(DpSlave(RIG, mirror), world=w, address=9) as server:
+        with pytest.raises(SlaveTimeout, match="no master has spoken to it; check address, baud rate and cable"):
+            await server.slave.reached(DATA_EXCH, timeout=1)
 
 
 @pytest.mark.parametrize(

@@ -5,17 +5,16 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import virtual
+from api_kit import device_of, in_virtual_time, operating
 
 import dpstack
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.server import ControlServer
 from dpstack.dp.pdu.alarm_blocks import AlarmType, Specifier
 from dpstack.errors import UsageError
-from dpstack.profile import DriveDevice
 
 ALONE = {"check_settings": False}
-HOIST = {
+HOIST: dict[str, object] = {
     "name": "hoist",
     "address": 3,
     "drive": "demag-dedrive",
@@ -23,9 +22,9 @@ HOIST = {
     "simulated": {"412": 1, "supply": "24v"},
     "options": ALONE,
 }
-FAN = {"name": "fan", "address": 4, "drive": "fuji-frenic", "telegram": "PPO1", "options": ALONE}
-SAW = {"name": "saw", "address": 5, "drive": "keb-f5", "telegram": "PCH+4/4", "options": ALONE}
-PUMP = {
+FAN: dict[str, object] = {"name": "fan", "address": 4, "drive": "fuji-frenic", "telegram": "PPO1", "options": ALONE}
+SAW: dict[str, object] = {"name": "saw", "address": 5, "drive": "keb-f5", "telegram": "PCH+4/4", "options": ALONE}
+PUMP: dict[str, object] = {
     "name": "pump",
     "address": 6,
     "drive": "ls-s100",
@@ -41,88 +40,69 @@ def order(server: ControlServer, text: str) -> object:
     return server._handlers[name](args)
 
 
-def device(bus: dpstack.Bus, address: int) -> DriveDevice:
-    assert bus.bench is not None
-    found = bus.bench.device(address)
-    assert isinstance(found, DriveDevice)
-    return found
-
-
-def test_orders_that_take_power_links_and_answers() -> None:
-    async def program() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[HOIST, FAN, SAW]) as bus:
-            server = control_run(bus, "virtual")
-            await bus.ready()
-            await bus.operate()
-            order(server, "parameter-error fan 104 3")
-            assert device(bus, 4).injected == ("parameter-error 104 3",)
-            await bus.drive("fan").write("F26", 15)  # asked again until it is taken
-            assert device(bus, 4).injected == ()
-            order(server, "parameter-error 3 104")
-            with pytest.raises(dpstack.ParameterError, match="error 104, fault while writing the EEPROM"):
-                await bus.drive("hoist").write(400, 4)
+@in_virtual_time
+async def test_orders_that_take_power_links_and_answers() -> None:
+    async with operating(HOIST, FAN, SAW) as bus:
+        server = control_run(bus, "virtual")
+        order(server, "parameter-error fan 104 3")
+        assert device_of(bus, 4).injected == ("parameter-error 104 3",)
+        await bus.drive("fan").write("F26", 15)  # asked again until it is taken
+        assert device_of(bus, 4).injected == ()
+        order(server, "parameter-error 3 104")
+        with pytest.raises(dpstack.ParameterError, match="error 104, fault while writing the EEPROM"):
             await bus.drive("hoist").write(400, 4)
-            order(server, "mains hoist off")
-            assert device(bus, 3).injected == ("mains off",)
-            with pytest.raises(dpstack.DriveTimeout, match="did not answer in its parameter channel"):
-                await bus.drive("hoist").read(400, timeout=0.5)
-            assert bus.drive("hoist").status.words == (0, 0)
-            order(server, "mains hoist on")
-            assert await bus.drive("hoist").read(400) == 4
-            order(server, "link saw off")
-            with pytest.raises(dpstack.ParameterError, match="error 6/2/0000"):
-                await bus.drive("saw").read("oP.3")
-            order(server, "link saw on")
-            order(server, "parameter-error saw busy 3")
-            assert await bus.drive("saw").read("oP.3") == 0
-            for text, says in (
-                ("mains saw off", "power-off"),
-                ("link fan off", "no link"),
-                ("parameter-error fan 5", "known: 11"),
-                ("parameter-error fan 104 0", "1 or more"),
-                ("parameter-error fan 104 often", "no whole number"),
-            ):
-                with pytest.raises((UsageError, ValueError), match=says):
-                    order(server, text)
+        await bus.drive("hoist").write(400, 4)
+        order(server, "mains hoist off")
+        assert device_of(bus, 3).injected == ("mains off",)
+        with pytest.raises(dpstack.DriveTimeout, match="did not answer in its parameter channel"):
+            await bus.drive("hoist").read(400, timeout=0.5)
+        assert bus.drive("hoist").status.words == (0, 0)
+        order(server, "mains hoist on")
+        assert await bus.drive("hoist").read(400) == 4
+        order(server, "link saw off")
+        with pytest.raises(dpstack.ParameterError, match="error 6/2/0000"):
+            await bus.drive("saw").read("oP.3")
+        order(server, "link saw on")
+        order(server, "parameter-error saw busy 3")
+        assert await bus.drive("saw").read("oP.3") == 0
+        for text, says in (
+            ("mains saw off", "power-off"),
+            ("link fan off", "no link"),
+            ("parameter-error fan 5", "known: 11"),
+            ("parameter-error fan 104 0", "1 or more"),
+            ("parameter-error fan 104 often", "no whole number"),
+        ):
+            with pytest.raises((UsageError, ValueError), match=says):
+                order(server, text)
 
-    virtual(program())
 
-
-def test_a_trip_of_the_ls_is_an_alarm_with_the_gsd_file_of_revision_5() -> None:
-    async def program() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
-            await bus.ready()
-            await bus.operate()
-            pump = bus.drive("pump")
-            alarms = bus.slave("pump").alarms()
-            device(bus, 6).trip("overcurrent")
-            came = await asyncio.wait_for(anext(alarms), 5)
-            assert (came.type, came.slot, came.specifier) == (AlarmType.DIAGNOSIS, 1, Specifier.APPEARS)
-            assert came.data == bytes.fromhex("00 0B")
-            async for status in pump.statuses():
-                if status.fault == "11 overcurrent":
-                    break
-            await pump.acknowledge()
-            gone = await asyncio.wait_for(anext(alarms), 5)
-            assert (gone.type, gone.slot, gone.specifier) == (AlarmType.DIAGNOSIS, 1, Specifier.DISAPPEARS)
-            assert await pump.read(965) == 0x0328  # record 47 beside it
-
-    virtual(program())
+@in_virtual_time
+async def test_a_trip_of_the_ls_is_an_alarm_with_the_gsd_file_of_revision_5() -> None:
+    async with operating(PUMP) as bus:
+        pump = bus.drive("pump")
+        alarms = bus.slave("pump").alarms()
+        device_of(bus, 6).trip("overcurrent")
+        came = await asyncio.wait_for(anext(alarms), 5)
+        assert (came.type, came.slot, came.specifier) == (AlarmType.DIAGNOSIS, 1, Specifier.APPEARS)
+        assert came.data == bytes.fromhex("00 0B")
+        async for status in pump.statuses():
+            if status.fault == "11 overcurrent":
+                break
+        await pump.acknowledge()
+        gone = await asyncio.wait_for(anext(alarms), 5)
+        assert (gone.type, gone.slot, gone.specifier) == (AlarmType.DIAGNOSIS, 1, Specifier.DISAPPEARS)
+        assert await pump.read(965) == 0x0328  # record 47 beside it
 
 
 @pytest.mark.parametrize(
     ("table", "writes"), [(HOIST, [(391, 9)]), (PUMP, [("COM-07", 9), ("COM-94", 1)])], ids=["demag", "ls"]
 )
-def test_an_address_that_acts_at_once(table: dict[str, object], writes: list[tuple[str | int, int]]) -> None:
-    async def program() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
-            await bus.ready()
-            await bus.operate()
-            drive = bus.drive(str(table["name"]))
-            for parameter, value in writes:
-                await drive.write(parameter, value)
-            await asyncio.sleep(0.5)
-            found = await bus.scan()
-            assert {station.address for station in found if station.ident is not None} == {9}
-
-    virtual(program())
+@in_virtual_time
+async def test_an_address_that_acts_at_once(table: dict[str, object], writes: list[tuple[str | int, int]]) -> None:
+    async with operating(table) as bus:
+        drive = bus.drive(str(table["name"]))
+        for parameter, value in writes:
+            await drive.write(parameter, value)
+        await asyncio.sleep(0.5)
+        found = await bus.scan()
+        assert {station.address for station in found if station.ident is not None} == {9}
