@@ -6,7 +6,13 @@ import driver_rig
 import pytest
 
 
-@pytest.fixture(params=["asyncio", "plain"])
-def each_driver(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The rig, and :func:`driver_rig.driver_on`, are with this driver."""
-    monkeypatch.setattr(driver_rig, "kind", request.param)
+@pytest.fixture(params=driver_rig.DRIVERS)
+def kind(request: pytest.FixtureRequest) -> str:
+    """The name of a driver."""
+    return str(request.param)
+
+
+@pytest.fixture
+def each_driver(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rig, and :func:`driver_rig.driver_on`, use this driver."""
+    monkeypatch.setattr(driver_rig, "kind", kind)

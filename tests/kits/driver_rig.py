@@ -1,4 +1,4 @@
-"""A machine that does as a test tells it, under each real-time driver on a memory line.
+"""A scripted machine under each real-time driver, on a line in memory.
 
 Tests are written for asyncio. The plain loop runs beside it, a slice of a millisecond at a time.
 """
@@ -11,6 +11,7 @@ from time import monotonic_ns
 from typing import Any
 
 from memory_port import memory_pair
+from support import KeepsEvents
 
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
@@ -26,8 +27,9 @@ TOKEN = bytes.fromhex("DC 02 02")
 REQUEST = bytes.fromhex("10 02 63 49 AE 16")
 BACKOFF = (NS_PER_MS, 4 * NS_PER_MS)
 
-#: The driver that is tested: "asyncio" or "plain"; see the fixture ``each_driver``.
+#: The driver that is tested, one of DRIVERS; the fixture ``each_driver`` sets it.
 kind = "asyncio"
+DRIVERS = ("asyncio", "plain")
 _SLICE_NS = 300_000
 
 
@@ -118,8 +120,22 @@ class Script:
     def did(self, what: str) -> list[tuple[Any, ...]]:
         return [entry for entry in self.log if entry[0] == what]
 
+    @property
+    def received(self) -> list[bytes]:
+        """The octets of all calls of ``receive``."""
+        return [octets for _, octets, _ in self.did("receive")]
 
-class Rig:
+    @property
+    def commands(self) -> list[Any]:
+        return [command for _, command in self.did("command")]
+
+
+def defect(*_arguments: object) -> None:
+    """A callback of the machine that fails."""
+    raise ZeroDivisionError("a defect")
+
+
+class Rig(KeepsEvents):
     """A driver on one end of a memory line, the test on the other."""
 
     def __init__(self, **options: Any) -> None:
@@ -130,9 +146,9 @@ class Rig:
         self.failures: list[Exception] = []
         chosen: dict[str, Any] = {"echo": Echo.OFF, "on_failure": self.failures.append, "backoff_ns": BACKOFF}
         chosen.update(options)
-        self.driver = driver_on(self.port, self.machine, self.told, **chosen)
+        self.driver = driver_on(self.port, self.machine, self.on_events, **chosen)
 
-    def told(self, events: list[Event]) -> None:
+    def on_events(self, events: list[Event]) -> None:
         assert events
         self.calls += 1
         self.events += events

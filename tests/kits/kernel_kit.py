@@ -8,7 +8,8 @@ driver, at any place a test likes: the line goes on meanwhile.
 from __future__ import annotations
 
 import select
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any, Final
 
@@ -202,6 +203,19 @@ class _Asyncio:
             if self._at - self.early_ns <= kernel.now:
                 self._at = NEVER
                 self._due()
+
+
+def held_up_at(pauses: Mapping[tuple[str, int], int], every: tuple[str, int] = ("", 0)) -> Callable[[str], int]:
+    """For ``Kernel.held_up``: the driver stands still for so many ms at these calls (kind, number from 1 on), and at
+    ``every`` call of one kind."""
+    calls: Counter[str] = Counter()
+
+    def held_up(done: str) -> int:
+        calls[done] += 1
+        usual = every[1] if done == every[0] else 0
+        return pauses.get((done, calls[done]), usual) * NS_PER_MS
+
+    return held_up
 
 
 class Driven:

@@ -7,7 +7,7 @@ import os
 import signal
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -72,6 +72,17 @@ def octet_slaves(*specs: str) -> Iterator[tuple[str, Responder]]:
 
 def bus_on(path: str, driver: Driver, *slaves: dict[str, object], **more: Any) -> dpstack.Bus:
     return dpstack.open_bus(port=path, baud=1_500_000, slaves=slaves, driver=driver, **UNHURRIED | more)
+
+
+@contextlib.asynccontextmanager
+async def ready_bus(
+    *slaves: dict[str, object], specs: Sequence[str] = (SPEC,), driver: Driver = "process", **more: Any
+) -> AsyncIterator[tuple[dpstack.Bus, Responder]]:
+    """A bus on a pty whose slaves are in data exchange, and at the other end the slaves of ``specs``."""
+    with octet_slaves(*specs) as (path, there):
+        async with bus_on(path, driver, *slaves, **more) as bus:
+            await bus.ready(60)
+            yield bus, there
 
 
 def runtime_of(bus: dpstack.Bus) -> ProcessRuntime:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import pytest
 from asker_kit import ANSWER, BAUD, SHORT, Asker
@@ -79,11 +79,6 @@ class Scene:
         return [octets for _, octets in self.kernel.written]
 
 
-@pytest.fixture(params=["asyncio", "plain"])
-def kind(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
 @pytest.fixture
 def scenes(kind: str) -> Iterator[Scenes]:
     scenes = Scenes(kind)
@@ -98,9 +93,9 @@ class Scenes:
         self._kind = kind
         self._open: list[tuple[Scene, pytest.MonkeyPatch]] = []
 
-    def play(self, plan: dict[int, bytes], exchanges: int, *, paced: bool = True, piece: int = 4) -> Scene:
+    def play(self, plan: dict[int, bytes], exchanges: int, **options: Any) -> Scene:
         patch = pytest.MonkeyPatch()
-        scene = Scene(self._kind, patch, paced=paced, piece=piece)
+        scene = Scene(self._kind, patch, **options)
         self._open.append((scene, patch))
         scene.plan = plan
         scene.run(exchanges)
@@ -108,12 +103,12 @@ class Scenes:
         patch.undo()
         return scene
 
-    def twice(self, plan: dict[int, bytes], exchanges: int, **options: int) -> tuple[Scene, Scene]:
+    def twice(self, plan: dict[int, bytes], exchanges: int, **options: Any) -> tuple[Scene, Scene]:
+        """With answers that are slept for once they are known, and without."""
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(answer_timing, "_EQUAL_ANSWERS", 1 << 30)
-            listening = self.play(plan, exchanges, paced=bool(options.get("paced", 1)), piece=options.get("piece", 4))
-        quiet = self.play(plan, exchanges, paced=bool(options.get("paced", 1)), piece=options.get("piece", 4))
-        return quiet, listening
+            listening = self.play(plan, exchanges, **options)
+        return self.play(plan, exchanges, **options), listening
 
     def close(self) -> None:
         for _, patch in self._open:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 from driver_rig import Rig, Script, driver_on
@@ -55,10 +54,6 @@ def up_to(rig: Rig, limit: int, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return taken
 
 
-def commands(machine: Script) -> list[Any]:
-    return [order for _, order in machine.did("command")]
-
-
 async def test_the_port_is_set_without_being_closed() -> None:
     async with Rig() as rig:
         rig.machine.baud = 187_500
@@ -67,7 +62,7 @@ async def test_the_port_is_set_without_being_closed() -> None:
         assert rig.far.line_baud() == 187_500
         assert rig.far.read_now() == b"\xe5"
         assert rig.events == []
-        assert commands(rig.machine) == [b"\xe5"]  # no LineDown, no LineUp
+        assert rig.machine.commands == [b"\xe5"]  # no LineDown, no LineUp
 
 
 async def test_at_once_when_it_is_opened() -> None:
@@ -80,13 +75,13 @@ async def test_at_once_when_it_is_opened() -> None:
 async def test_a_refused_rate_is_told_and_the_next_one_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
     machine = Choosy(500_000)
-    rig.driver = driver_on(rig.port, machine, rig.told, backoff_ns=(1, 1))
+    rig.driver = driver_on(rig.port, machine, rig.on_events, backoff_ns=(1, 1))
     taken = up_to(rig, 3_000_000, monkeypatch)
     async with rig:
         machine.rates = [12_000_000, 6_000_000, 3_000_000, 9_600]
         rig.driver.command(b"")
         assert taken == [3_000_000]
-        assert [order for order in commands(machine) if isinstance(order, RateRefused)] == [
+        assert [order for order in machine.commands if isinstance(order, RateRefused)] == [
             RateRefused("cannot do 12000000"),
             RateRefused("cannot do 6000000"),
         ]
@@ -95,7 +90,7 @@ async def test_a_refused_rate_is_told_and_the_next_one_taken(monkeypatch: pytest
 async def test_a_port_without_any_of_the_rates_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
     machine = Choosy(12_000_000, 6_000_000)
-    rig.driver = driver_on(rig.port, machine, rig.told)
+    rig.driver = driver_on(rig.port, machine, rig.on_events)
     up_to(rig, 500_000, monkeypatch)
     with pytest.raises(ConfigError, match="none of the rates is left"):
         await rig.driver.open()
@@ -105,24 +100,24 @@ async def test_a_port_without_any_of_the_rates_cannot_be_opened(monkeypatch: pyt
 async def test_a_port_that_loses_all_its_rates_is_lost_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
     machine = Choosy(500_000)
-    rig.driver = driver_on(rig.port, machine, rig.told, backoff_ns=(1, 1))
+    rig.driver = driver_on(rig.port, machine, rig.on_events, backoff_ns=(1, 1))
     async with rig:
         up_to(rig, 500_000, monkeypatch)
         machine.baud = 12_000_000
         rig.driver.command(b"")
-        (lost,) = [event for event in rig.events if isinstance(event, PortLost)]
+        (lost,) = rig.events_of(PortLost)
         assert lost.reason == "none of the rates is left"
         machine.baud = 187_500  # while it is away it is not followed
-        await until(lambda: any(isinstance(event, PortBack) for event in rig.events), "the port is back")
+        await until(lambda: bool(rig.events_of(PortBack)), "the port is back")
         assert rig.port.baud == 187_500
-        assert [type(order) for order in commands(machine)[-2:]] == [LineDown, LineUp]
+        assert [type(order) for order in machine.commands[-2:]] == [LineDown, LineUp]
         assert rig.driver.failed is None
 
 
 async def test_a_lost_port_comes_back_at_the_rate_it_could_do() -> None:
     rig = Rig()
     machine = Choosy(500_000)
-    rig.driver = driver_on(rig.port, machine, rig.told, backoff_ns=(1, 1))
+    rig.driver = driver_on(rig.port, machine, rig.on_events, backoff_ns=(1, 1))
     async with rig:
         rig.port.unplug()
         await until(lambda: bool(rig.events), "the loss")

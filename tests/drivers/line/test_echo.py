@@ -16,28 +16,78 @@ ANSWER = bytes.fromhex("68 0B 0B 68 E3 82 08 3E 3C 02 05 00 FF 0C DA D3 16")
 TOKEN = bytes.fromhex("DC 02 02")
 
 
-def test_an_echo_in_pieces_is_held_back_until_it_is_whole() -> None:
-    echo = EchoFilter(Echo.AUTO)
-    echo.sent(REQUEST)
-    assert [echo.strip(REQUEST[n : n + 1]) for n in range(10)] == [b""] * 10
-    assert echo.strip(REQUEST[10:] + ANSWER) == ANSWER
-    assert echo.state is Echo.ON
+#: rule: mode, telegrams sent, (octets heard, octets that remain) in order, mode at the end, echoes lost
+CASES: dict[str, tuple[Echo, list[bytes], list[tuple[bytes, bytes]], Echo, int]] = {
+    "an echo in pieces is held back until it is whole": (
+        Echo.AUTO,
+        [REQUEST],
+        [*((REQUEST[n : n + 1], b"") for n in range(10)), (REQUEST[10:] + ANSWER, ANSWER)],
+        Echo.ON,
+        0,
+    ),
+    "an answer that begins like the request is given back whole": (
+        Echo.AUTO,
+        [REQUEST],
+        [(ANSWER[:1], b""), (ANSWER[1:], ANSWER), (b"\xe5", b"\xe5")],
+        Echo.AUTO,
+        0,
+    ),
+    "a short acknowledgement proves nothing": (
+        Echo.AUTO,
+        [b"\xe5"],
+        [(b"\xe5" + TOKEN, b"\xe5" + TOKEN)],
+        Echo.AUTO,
+        0,
+    ),
+    "an echo may come after the next telegram was sent": (
+        Echo.ON,
+        [TOKEN, REQUEST],
+        [(TOKEN + REQUEST[:4], b""), (REQUEST[4:] + ANSWER, ANSWER)],
+        Echo.ON,
+        0,
+    ),
+    "an echo that never came is counted and the next one removed": (
+        Echo.ON,
+        [TOKEN, REQUEST],
+        [(REQUEST + ANSWER, ANSWER)],
+        Echo.ON,
+        1,
+    ),
+    # an adapter with a latency timer: the two tokens of a claim come back in one piece
+    "two echoes may come in one piece": (
+        Echo.AUTO,
+        [TOKEN, TOKEN],
+        [(TOKEN + TOKEN, b""), (ANSWER, ANSWER)],
+        Echo.ON,
+        0,
+    ),
+    "the first whole echo proves it while the next one is under way": (
+        Echo.AUTO,
+        [TOKEN, REQUEST],
+        [(TOKEN, b"")],
+        Echo.ON,
+        0,
+    ),
+    "after a proof the next echo is removed too": (
+        Echo.AUTO,
+        [TOKEN, REQUEST],
+        [(TOKEN, b""), (REQUEST + ANSWER, ANSWER)],
+        Echo.ON,
+        0,
+    ),
+}
 
 
-def test_an_answer_that_begins_like_the_request_is_given_back_whole() -> None:
-    echo = EchoFilter(Echo.AUTO)
-    echo.sent(REQUEST)
-    assert echo.strip(ANSWER[:1]) == b""
-    assert echo.strip(ANSWER[1:]) == ANSWER
-    assert echo.strip(b"\xe5") == b"\xe5"
+@pytest.mark.parametrize("case", CASES)
+def test_the_echo_is_removed_and_nothing_else(case: str) -> None:
+    mode, sent, heard, at_end, lost = CASES[case]
+    echo = EchoFilter(mode)
+    for telegram in sent:
+        echo.sent(telegram)
+    assert [echo.strip(octets) for octets, _ in heard] == [remain for _, remain in heard]
+    assert echo.state is at_end
+    assert echo.lost == lost
     assert echo.release() == b""
-
-
-def test_a_short_acknowledgement_proves_nothing() -> None:
-    echo = EchoFilter(Echo.AUTO)
-    echo.sent(b"\xe5")
-    assert echo.strip(b"\xe5" + TOKEN) == b"\xe5" + TOKEN
-    assert echo.state is Echo.AUTO
 
 
 def test_three_other_answers_say_that_there_is_none() -> None:
@@ -74,23 +124,6 @@ def test_with_echo_only_the_answers_remain_however_they_are_cut(
     assert echo.lost == 0
 
 
-def test_an_echo_that_comes_after_the_next_telegram_was_sent() -> None:
-    echo = EchoFilter(Echo.ON)
-    echo.sent(TOKEN)
-    echo.sent(REQUEST)
-    assert echo.strip(TOKEN + REQUEST[:4]) == b""
-    assert echo.strip(REQUEST[4:] + ANSWER) == ANSWER
-    assert echo.lost == 0
-
-
-def test_an_echo_that_never_came_is_counted_and_the_next_one_removed() -> None:
-    echo = EchoFilter(Echo.ON)
-    echo.sent(TOKEN)
-    echo.sent(REQUEST)
-    assert echo.strip(REQUEST + ANSWER) == ANSWER
-    assert echo.lost == 1
-
-
 @pytest.mark.parametrize("damaged", [0, 3, 10])
 def test_a_damaged_echo_is_counted_and_passed_on(damaged: int) -> None:
     echo = EchoFilter(Echo.ON)
@@ -109,7 +142,7 @@ async def test_an_echo_is_recognised_told_and_removed() -> None:
             rig.driver.command(TOKEN)
             rig.far.write(TOKEN + answer)
             await rig.settle()
-        assert [entry[1] for entry in rig.machine.did("receive")] == [b"\xe5", REQUEST]
+        assert rig.machine.received == [b"\xe5", REQUEST]
         assert rig.driver.echo is Echo.ON
         assert ["echo" in event.text for event in rig.events] == [True]
 
@@ -121,7 +154,7 @@ async def test_a_line_without_echo_is_recognised_too() -> None:
             rig.driver.command(TOKEN)
             rig.far.write(REQUEST)
             await rig.settle()
-        assert [entry[1] for entry in rig.machine.did("receive")] == [REQUEST] * 5
+        assert rig.machine.received == [REQUEST] * 5
         assert rig.driver.echo is Echo.OFF
 
 
@@ -134,24 +167,4 @@ async def test_octets_held_for_an_echo_are_given_back_when_a_deadline_is_due() -
         assert not rig.machine.did("receive")
         rig.driver.command(NS_PER_MS)
         await until(lambda: bool(rig.machine.did("wake")), "the deadline")
-        assert [entry[1] for entry in rig.machine.did("receive")] == [REQUEST[:2]]
-
-
-def test_two_telegrams_are_sent_before_the_first_echo_comes() -> None:
-    """An adapter with a latency timer: the two tokens of a claim come back in one piece."""
-    echo = EchoFilter(Echo.AUTO)
-    echo.sent(TOKEN)
-    echo.sent(TOKEN)
-    assert echo.strip(TOKEN + TOKEN) == b""
-    assert echo.state is Echo.ON
-    assert echo.strip(ANSWER) == ANSWER
-
-
-def test_the_first_whole_echo_proves_it_while_the_next_one_is_under_way() -> None:
-    echo = EchoFilter(Echo.AUTO)
-    echo.sent(TOKEN)
-    echo.sent(REQUEST)
-    assert echo.strip(TOKEN) == b""
-    assert echo.state is Echo.ON
-    assert echo.release() == b""
-    assert echo.strip(REQUEST + ANSWER) == ANSWER
+        assert rig.machine.received == [REQUEST[:2]]

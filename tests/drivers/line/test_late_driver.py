@@ -6,8 +6,7 @@ system, in between two of them, for longer than any slot time.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -16,7 +15,7 @@ import pytest
 from asker_kit import ANSWER, BAUD, Asker
 from hypothesis import given
 from hypothesis import strategies as st
-from kernel_kit import Driven, Kernel
+from kernel_kit import Driven, Kernel, held_up_at
 from property_kit import examples
 
 from dpstack.fdl.active.station import ActiveStation
@@ -105,21 +104,12 @@ class Bus:
         return [outcome for outcome in self.outcomes if not isinstance(outcome, Telegram)]
 
 
-@pytest.fixture(params=["asyncio", "plain"])
-def kind(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
-def after_every(what: str, ns: int) -> Callable[[str], int]:
-    return lambda done: ns if done == what else 0
-
-
 @pytest.mark.parametrize("what", ["nothing", "octets", "write", "woken"])
 @pytest.mark.parametrize("late_us", [0, 5_000, 40_000])
 def test_held_up_at_the_same_place_every_time(kind: str, what: str, late_us: int) -> None:
     """For 120 ms, which is more than two slot times with their slack. A look before the answer was there, and a pause
     after it, was taken for the silence of the slave, and the request repeated."""
-    bus = Bus(kind, [Answer(late_us=late_us)] * 30, after_every(what, 120 * NS_PER_MS))
+    bus = Bus(kind, [Answer(late_us=late_us)] * 30, held_up_at({}, every=(what, 120)))
     assert bus.failed == []
     assert (bus.station.retries, bus.station.late) == (0, 0)
     assert bus.asked > LEARNED + 30
@@ -127,20 +117,8 @@ def test_held_up_at_the_same_place_every_time(kind: str, what: str, late_us: int
 
 def test_held_up_after_an_order_of_the_application(kind: str) -> None:
     """An order is another occasion at which the line is read before a deadline is judged."""
-    bus = Bus(kind, [Answer(late_us=30_000)] * 10, after_every("nothing", 200 * NS_PER_MS))
+    bus = Bus(kind, [Answer(late_us=30_000)] * 10, held_up_at({}, every=("nothing", 200)))
     assert (bus.failed, bus.station.retries) == ([], 0)
-
-
-def at_calls(pauses: Mapping[tuple[str, int], int], every: tuple[str, int]) -> Callable[[str], int]:
-    """Held up at these calls of the system (kind and number), for so many ms, and at every call of one kind."""
-    calls: Counter[str] = Counter()
-
-    def held_up(done: str) -> int:
-        calls[done] += 1
-        usual = every[1] if done == every[0] else 0
-        return pauses.get((done, calls[done]), usual) * NS_PER_MS
-
-    return held_up
 
 
 #: where it is held up
@@ -174,6 +152,6 @@ def test_an_answer_that_is_there_in_time_is_met_wherever_the_driver_is_held_up(
     every: tuple[str, int],
 ) -> None:
     """Every split, gaps, noise around it, timers that call too early, clocks that jump: asked once, answered."""
-    bus = Bus(driver, answers, at_calls(pauses, every), paced=paced, early_ns=early_us * NS_PER_US)
+    bus = Bus(driver, answers, held_up_at(pauses, every), paced=paced, early_ns=early_us * NS_PER_US)
     assert bus.failed == []
     assert (bus.station.retries, bus.station.late, bus.station.timeouts) == (0, 0, 0)

@@ -8,7 +8,7 @@ from time import monotonic_ns
 from typing import Any
 
 import pytest
-from driver_rig import BACKOFF, REQUEST, TOKEN, Rig, Script, driver_on
+from driver_rig import BACKOFF, REQUEST, TOKEN, Rig, Script, defect, driver_on
 from far_ends import PtyFarEnd, until
 from memory_port import MemoryPort
 
@@ -32,7 +32,7 @@ async def test_octets_go_to_the_machine_and_its_answer_to_the_line() -> None:
         rig.machine.on_receive = lambda _chunk, _now: rig.machine.tx.append(TOKEN)
         rig.far.write(REQUEST)
         await rig.settle()
-        assert [entry[1] for entry in rig.machine.did("receive")] == [REQUEST]
+        assert rig.machine.received == [REQUEST]
         assert rig.far.read_now() == TOKEN
         assert rig.calls == 0
 
@@ -49,7 +49,7 @@ async def test_a_transmission_is_over_when_written_where_no_wire_gives_it_time()
 async def test_a_transmission_takes_its_time_on_a_wire() -> None:
     rig = Rig()
     rig.port.paced = True
-    rig.driver = driver_on(rig.port, rig.machine, rig.told)
+    rig.driver = driver_on(rig.port, rig.machine, rig.on_events)
     async with rig:
         before = monotonic_ns()
         rig.driver.command(REQUEST)
@@ -95,7 +95,8 @@ async def test_one_deadline_may_set_the_next() -> None:
         await until(lambda: len(rig.machine.did("wake")) == 20, "all deadlines")
 
 
-async def test_a_late_timer_reads_the_port_before_it_judges() -> None:
+@pytest.mark.parametrize("occasion", ["the timer", "an order"])
+async def test_after_the_loop_was_held_up_the_port_is_read_before_deadlines_are_judged(occasion: str) -> None:
     async with Rig() as rig:
 
         def answered(_chunk: bytes, _now: int) -> None:
@@ -103,30 +104,16 @@ async def test_a_late_timer_reads_the_port_before_it_judges() -> None:
 
         rig.machine.on_receive = answered
         rig.driver.command(20 * NS_PER_MS)
+        rig.far.write(TOKEN)
         end = monotonic_ns() + 25 * NS_PER_MS
         while monotonic_ns() < end:  # the application holds the loop up: deadline and answer are both there afterwards
             pass
-        rig.far.write(TOKEN)
-        rig.driver._timer_due()
+        if occasion == "the timer":
+            rig.driver._timer_due()
+        else:
+            rig.driver.command("something")
         assert not rig.machine.did("wake")
-        assert [entry[1] for entry in rig.machine.did("receive")] == [TOKEN]
-
-
-async def test_an_order_after_the_loop_was_held_up_reads_the_port_before_deadlines_are_judged() -> None:
-    async with Rig() as rig:
-
-        def answered(_chunk: bytes, _now: int) -> None:
-            rig.machine.deadline = NEVER
-
-        rig.machine.on_receive = answered
-        rig.driver.command(20 * NS_PER_MS)
-        rig.far.write(TOKEN)
-        end = monotonic_ns() + 25 * NS_PER_MS
-        while monotonic_ns() < end:  # the application holds the loop up, and then gives an order
-            pass
-        rig.driver.command("something")
-        assert not rig.machine.did("wake")
-        assert [entry[1] for entry in rig.machine.did("receive")] == [TOKEN]
+        assert rig.machine.received == [TOKEN]
 
 
 async def test_endless_near_deadlines_leave_the_loop_its_turns() -> None:
@@ -197,10 +184,6 @@ async def test_misuse_raises_at_once() -> None:
 
 async def test_a_defect_of_the_machine_stops_the_driver_and_is_told() -> None:
     async with Rig() as rig:
-
-        def defect(_chunk: bytes, _now: int) -> None:
-            raise ZeroDivisionError("a defect")
-
         rig.machine.on_receive = defect
         rig.far.write(TOKEN)
         await rig.settle()
@@ -220,10 +203,6 @@ async def test_a_defect_without_an_owner_goes_to_the_loops_handler() -> None:
     reported: list[dict[str, Any]] = []
     asyncio.get_running_loop().set_exception_handler(lambda _loop, context: reported.append(context))
     async with Rig(on_failure=None) as rig:
-
-        def defect(_now: int) -> None:
-            raise ZeroDivisionError("a defect")
-
         rig.machine.on_wake = defect
         rig.driver.command(NS_PER_MS)
         await until(lambda: bool(reported), "the report")
@@ -254,7 +233,7 @@ async def test_a_lost_port_is_told_and_opened_again() -> None:
         rig.port.plug()
         await until(lambda: len(rig.events) == 3, "the return")
         assert isinstance(rig.events[2], PortBack)
-        assert [entry[1] for entry in rig.machine.did("command")] == [LineDown("pulled out"), TOKEN, LineUp()]
+        assert rig.machine.commands == [LineDown("pulled out"), TOKEN, LineUp()]
         rig.driver.command(REQUEST)
         assert rig.far.read_now() == REQUEST
 
@@ -263,24 +242,24 @@ async def test_what_a_port_cannot_do_is_named_once_however_often_it_comes_back()
     rig = Rig()
     rig.port.notices = ["has no parity bit"]
 
-    def count(kind: type[Event], text: str = "") -> int:
-        return sum(isinstance(event, kind) and text in event.text for event in rig.events)
+    def count(text: str) -> int:
+        return sum(text in notice.text for notice in rig.events_of(Notice))
 
     async def come_back() -> None:
-        before = count(PortBack)
+        before = len(rig.events_of(PortBack))
         rig.port.unplug("pulled out")
         rig.port.plug()
-        await until(lambda: count(PortBack) == before + 1, "the return")
+        await until(lambda: len(rig.events_of(PortBack)) == before + 1, "the return")
 
     async with rig:
         assert rig.events[0].text == f"{rig.port.name}: has no parity bit"
         await come_back()
         await come_back()
-        assert count(Notice, "no parity") == 1
+        assert count("no parity") == 1
         rig.port.notices = ["has no parity bit", "its latency timer stays at 16 ms"]  # another adapter
         await come_back()
         await come_back()
-        assert (count(Notice, "no parity"), count(Notice, "latency timer")) == (1, 1)
+        assert (count("no parity"), count("latency timer")) == (1, 1)
 
 
 async def test_a_lost_port_may_be_closed() -> None:
@@ -289,15 +268,11 @@ async def test_a_lost_port_may_be_closed() -> None:
         await until(lambda: bool(rig.events), "the loss")
     rig.port.plug()
     await asyncio.sleep(0.005)
-    assert not any(isinstance(event, PortBack) for event in rig.events)
+    assert not rig.events_of(PortBack)
 
 
 async def test_a_machine_that_fails_over_the_loss_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
     async with Rig() as rig:
-
-        def defect(_self: Script, _command: object, _now: int) -> None:
-            raise ZeroDivisionError("a defect")
-
         monkeypatch.setattr(Script, "command", defect)
         rig.port.unplug()
         await until(lambda: bool(rig.failures), "the failure")
@@ -305,10 +280,6 @@ async def test_a_machine_that_fails_over_the_loss_is_a_defect(monkeypatch: pytes
 
 async def test_a_driver_that_was_stopped_while_its_port_is_away_does_not_take_it_back() -> None:
     async with Rig() as rig:
-
-        def defect(_now: int) -> None:
-            raise ZeroDivisionError("a defect")
-
         rig.port.unplug()
         await until(lambda: bool(rig.events), "the loss")
         rig.machine.on_wake = defect
@@ -317,16 +288,12 @@ async def test_a_driver_that_was_stopped_while_its_port_is_away_does_not_take_it
         rig.port.plug()
         await asyncio.sleep(0.01)
         assert not rig.port._is_open
-        assert not any(isinstance(event, PortBack) for event in rig.events)
+        assert not rig.events_of(PortBack)
 
 
 async def test_a_port_class_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     async with Rig() as rig:
-
-        def broken(_self: MemoryPort) -> None:
-            raise ZeroDivisionError("in a port")
-
-        monkeypatch.setattr(MemoryPort, "open_now", broken)
+        monkeypatch.setattr(MemoryPort, "open_now", defect)
         rig.port.unplug()
         await until(lambda: bool(rig.failures), "the failure")
 
@@ -406,7 +373,7 @@ async def test_octets_thrown_away_are_told_at_the_first_and_when_there_are_ten_t
             rig.driver.command(1)  # a deadline that is over at once: the driver looks before the machine judges it
             assert looks - before <= 8  # with four looks each time it would never come back
             await rig.settle()
-            told = [event.message for event in rig.events if isinstance(event, Notice)]
+            told = [notice.message for notice in rig.events_of(Notice)]
         assert [int(text.split(", ")[1].split()[0]) for text in told] == [1_000, 10_000]
         assert told[0].startswith(
             "the line brings octets faster than this computer can look at them, 1000 were thrown away"

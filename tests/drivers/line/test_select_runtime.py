@@ -27,6 +27,7 @@ from dpstack.drivers.runtime import PortBack, PortLost
 from dpstack.errors import PortError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
+from dpstack.machine import Machine
 from dpstack.params import BusParams
 from dpstack.ports import Port, open_port
 from dpstack.ports.pyserial import PySerialPort
@@ -56,6 +57,14 @@ def run_until(loop: SelectLoop, condition: Callable[[], bool]) -> None:
     loop.call_soon(look)
     loop.run()
     assert condition()
+
+
+def opened(loop: SelectLoop, port: Port, machine: Machine, events: list[Event] | None = None) -> SelectRuntime:
+    """A driver in ``loop`` on ``port``; it tries a lost port again at once."""
+    on_events = list[Event]().extend if events is None else events.extend
+    driver = SelectRuntime(port, machine, on_events, echo=Echo.OFF, backoff_ns=BACKOFF)
+    driver.open(loop)
+    return driver
 
 
 def test_an_answer_is_expected_when_the_last_alike_came() -> None:
@@ -90,9 +99,8 @@ def test_what_is_remembered_of_requests_is_bounded() -> None:
 def test_the_driver_tells_its_loop_when_an_answer_is_expected(loop: SelectLoop) -> None:
     near, far = memory_pair(500_000)
     machine = Script()
-    driver = SelectRuntime(near, machine, lambda _events: None, echo=Echo.OFF)
     far.open_now()
-    driver.open(loop)
+    driver = opened(loop, near, machine)
     driver.command(REQUEST)
     assert loop.expected_at == NEVER
     far.write(TOKEN)
@@ -116,8 +124,7 @@ def test_a_driver_without_budget_waits_by_timer_and_is_never_early(loop: SelectL
             machine.deadline = now + 10 * NS_PER_US
 
     machine.on_wake = again
-    driver = SelectRuntime(near, machine, lambda _events: None, echo=Echo.OFF)
-    driver.open(loop)
+    driver = opened(loop, near, machine)
     driver.command(10 * NS_PER_US)
     run_until(loop, lambda: len(machine.did("wake")) == 30)
     assert all(now >= deadline for _, deadline, now in machine.did("wake"))
@@ -141,8 +148,7 @@ def test_at_every_rate_a_bus_goes_on_when_the_budget_is_used_up(baud: int) -> No
         params, [SlaveParams(address=3, name="s", ident=0x0696, config=b"\xf3\xf1")], MasterSettings(watchdog_ms=1000)
     )
     station = ActiveStation(params, [master], patience=patience_of(port), now=monotonic_ns())
-    driver = SelectRuntime(port, station, lambda _events: None, echo=Echo.OFF)
-    driver.open(loop)
+    driver = opened(loop, port, station)
     driver._count_spinning(1, monotonic_ns())  # as after a spin that was the last
     with Responder(driver.port_name, ["3:0696:f3f1:12:12"]):
         driver.command(GoOnline())
@@ -184,8 +190,7 @@ def test_a_lost_connection_is_made_again_while_the_loop_goes_on(
 ) -> None:
     line = SlowLine(monkeypatch)
     machine, events = Script(), list[Event]()
-    driver = SelectRuntime(line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
-    driver.open(loop)
+    driver = opened(loop, line.port, machine, events)
     line.far.hang_up()
     run_until(loop, lambda: any(isinstance(event, PortLost) for event in events))
     turns = 0
@@ -213,8 +218,7 @@ def test_a_connection_that_comes_about_too_late_is_closed(
 ) -> None:
     line = SlowLine(monkeypatch)
     events = list[Event]()
-    driver = SelectRuntime(line.port, Script(), events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
-    driver.open(loop)
+    driver = opened(loop, line.port, Script(), events)
     line.far.hang_up()
 
     def connecting() -> list[threading.Thread]:
@@ -238,8 +242,7 @@ def test_a_connection_that_comes_about_too_late_is_closed(
 def test_opened_again_while_an_old_attempt_connects(loop: SelectLoop, monkeypatch: pytest.MonkeyPatch) -> None:
     line = SlowLine(monkeypatch)
     events, machine = list[Event](), Script()
-    driver = SelectRuntime(line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
-    driver.open(loop)
+    driver = opened(loop, line.port, machine, events)
     line.far.hang_up()
     run_until(loop, lambda: driver._connecting is not None)
     driver.close()
@@ -257,8 +260,7 @@ def test_notices_of_the_port_are_told_at_open(loop: SelectLoop) -> None:
     events = list[Event]()
     near, _far = memory_pair(500_000)
     near.notices = ["has no parity bit"]
-    driver = SelectRuntime(near, Script(), events.extend)
-    driver.open(loop)
+    driver = opened(loop, near, Script(), events)
     assert [event.text for event in events if isinstance(event, Notice)] == [f"{near.name}: has no parity bit"]
     driver.close()
     driver.close()

@@ -5,14 +5,12 @@ The slave is made of octets: its watchdog takes its outputs back, and it writes 
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable
 from itertools import pairwise
 from typing import Final
 
 import pytest
-from kernel_kit import Driven, Kernel
-from octet_slave import SC, sd1, sd2
+from kernel_kit import Driven, Kernel, held_up_at
+from octet_slave import SC, frame, sd1, sd2
 
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import Blocked, Stalled
@@ -89,7 +87,7 @@ class Plant:
         self._heard = now
         if not octets[4] & 0x80:
             self.given.append((now, octets[7:-2]))
-            return sd2_plain(b"\x00\x00") if self._state == "data_exchange" else sd1(2, 3, 0x03)
+            return frame(b"\x02\x03\x08\x00\x00") if self._state == "data_exchange" else sd1(2, 3, 0x03)
         match octets[7]:
             case 60:
                 ready = self._state == "data_exchange"
@@ -103,33 +101,12 @@ class Plant:
         return sd1(2, 3, 0x03)
 
 
-def sd2_plain(data: bytes) -> bytes:
-    body = bytes((2, 3, 0x08)) + data
-    return bytes((0x68, len(body), len(body), 0x68)) + body + bytes((sum(body) & 0xFF, 0x16))
-
-
-@pytest.fixture(params=["asyncio", "plain"])
-def kind(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
-def once(what: str, number: int, ns: int) -> Callable[[str], int]:
-    """Held up for ``ns`` at the call ``number`` of that kind."""
-    calls: Counter[str] = Counter()
-
-    def held_up(done: str) -> int:
-        calls[done] += 1
-        return ns if (done, calls[done]) == (what, number) else 0
-
-    return held_up
-
-
 @pytest.mark.parametrize("what", ["nothing", "octets", "write", "woken"])
 @pytest.mark.parametrize("number", [1, 2, 3, 4])
 def test_stopped_anywhere_nothing_old_goes_out(kind: str, what: str, number: int) -> None:
     plant = Plant(kind)
     began = plant.kernel.now
-    plant.kernel.held_up = once(what, number, 900 * NS_PER_MS)
+    plant.kernel.held_up = held_up_at({(what, number): 900})
     plant.run(3_000)
     plant.close()
     resumed = max((b for a, b in gaps(plant) if b - a > 800 * NS_PER_MS), default=0)
@@ -153,7 +130,7 @@ def test_a_request_whose_answer_was_lost_meanwhile_is_not_repeated(kind: str) ->
     """Held up while the answer is waited for, and no answer is there afterwards: the repetition would be old."""
     plant = Plant(kind)
     plant.mute = True
-    plant.kernel.held_up = once("write", 1, 900 * NS_PER_MS)
+    plant.kernel.held_up = held_up_at({("write", 1): 900})
     begin = len(plant.given)
     plant.run(950)
     plant.mute = False
@@ -167,7 +144,7 @@ def test_a_request_whose_answer_was_lost_meanwhile_is_not_repeated(kind: str) ->
 @pytest.mark.parametrize("ms", [20, 100, 150])
 def test_a_shorter_pause_changes_nothing(kind: str, ms: int) -> None:
     plant = Plant(kind)
-    plant.kernel.held_up = once("woken", 5, ms * NS_PER_MS)
+    plant.kernel.held_up = held_up_at({("woken", 5): ms})
     plant.run(1_000)
     plant.close()
     assert plant.master.mode is Mode.OPERATE
@@ -177,7 +154,7 @@ def test_a_shorter_pause_changes_nothing(kind: str, ms: int) -> None:
 
 def test_resume_sends_the_old_outputs_again(kind: str) -> None:
     plant = Plant(kind, after_stall="resume")
-    plant.kernel.held_up = once("woken", 5, 900 * NS_PER_MS)
+    plant.kernel.held_up = held_up_at({("woken", 5): 900})
     plant.run(4_000)
     plant.close()
     assert plant.master.mode is Mode.OPERATE

@@ -15,7 +15,19 @@ from pathlib import Path
 
 import pytest
 from far_ends import until
-from process_kit import LAMPS, LAMPS_SPEC, SPEC, VALVES, bus_on, eventually, octet_slaves, process_of, runs, runtime_of
+from process_kit import (
+    LAMPS,
+    LAMPS_SPEC,
+    SPEC,
+    VALVES,
+    bus_on,
+    eventually,
+    octet_slaves,
+    process_of,
+    ready_bus,
+    runs,
+    runtime_of,
+)
 from support_responder import Responder
 
 import dpstack
@@ -111,19 +123,17 @@ async def test_the_bus_process_is_killed() -> None:
 
 
 async def test_the_bus_process_is_told_to_end() -> None:
-    with octet_slaves(SPEC) as (path, there):
-        async with bus_on(path, "process", VALVES) as bus:
-            await bus.ready(60)
-            await bus.operate()
-            bus.slave(4).outputs = b"\x11\x22"
-            await until(lambda: bus.slave(4).inputs == b"\x11\x22", "its mirror")
-            for of_a_terminal in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):  # the application's
-                os.kill(process_of(bus), of_a_terminal)
-            os.kill(process_of(bus), signal.SIGTERM)
-            with pytest.raises(BusError, match=r"has ended: it was told to end \(SIGTERM\); outputs were set to their"):
-                await bus.rotated(None, 20)
-            await until(lambda: there.slaves[4].outputs in AFTER, "safe values")
-            await until(lambda: there.slaves[4].control == b"\x02\x00", "Clear")
+    async with ready_bus(VALVES) as (bus, there):
+        await bus.operate()
+        bus.slave(4).outputs = b"\x11\x22"
+        await until(lambda: bus.slave(4).inputs == b"\x11\x22", "its mirror")
+        for of_a_terminal in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):  # the application's
+            os.kill(process_of(bus), of_a_terminal)
+        os.kill(process_of(bus), signal.SIGTERM)
+        with pytest.raises(BusError, match=r"has ended: it was told to end \(SIGTERM\); outputs were set to their"):
+            await bus.rotated(None, 20)
+        await until(lambda: there.slaves[4].outputs in AFTER, "safe values")
+        await until(lambda: there.slaves[4].control == b"\x02\x00", "Clear")
 
 
 async def test_ctrl_c_while_the_bus_process_starts() -> None:
@@ -161,15 +171,12 @@ async def test_its_last_words_are_heard_by_who_asks_in_a_handler() -> None:
 
 async def test_a_bus_process_that_hangs_at_the_end_is_killed_and_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
-    with octet_slaves(SPEC) as (path, _there):
-        async with bus_on(
-            path, "process", VALVES | {"watchdog_ms": 500}, on_event=lambda e: told.append(e.text)
-        ) as bus:
-            await bus.ready(60)
-            monkeypatch.setattr("dpstack.drivers.process.channel.LIMIT_NS", 50_000_000)
-            monkeypatch.setattr("dpstack.drivers.process.channel._AGAIN_NS", 10_000_000)
-            os.kill(process_of(bus), signal.SIGSTOP)
-        assert not runs(process_of(bus))
+    slave = VALVES | {"watchdog_ms": 500}
+    async with ready_bus(slave, on_event=lambda event: told.append(event.text)) as (bus, _there):
+        monkeypatch.setattr("dpstack.drivers.process.channel.LIMIT_NS", 50_000_000)
+        monkeypatch.setattr("dpstack.drivers.process.channel._AGAIN_NS", 10_000_000)
+        os.kill(process_of(bus), signal.SIGSTOP)
+    assert not runs(process_of(bus))
     assert told[-1] == (
         "bus process: it did not answer at the end of the bus and was killed: the end was not in order. The slaves' "
         "watchdogs make their outputs safe within 500 ms"
@@ -235,18 +242,16 @@ async def test_the_end_of_a_bus_that_was_never_opened() -> None:
 
 async def test_an_application_that_does_not_read_for_a_while() -> None:
     """Its loop is held up while slaves come and go: the bus goes on, and it learns the latest state."""
-    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
-        async with bus_on(path, "process", VALVES, LAMPS) as bus:
-            await bus.ready(60)
-            await bus.operate()
-            exchanges = there.slaves[4].exchanges
-            gone = there.slaves.pop(5)
-            eventually(lambda: there.slaves[4].exchanges > exchanges + 50, "the bus goes on")
-            there.slaves[5] = gone
-            gone.prm_ok = gone.cfg_ok = False
-            await bus.until(lambda: not bus.slave("lamps").ready_now, 20)
-            await bus.slave("lamps").ready(20)
-            assert bus.slave("valves").ready_now
+    async with ready_bus(VALVES, LAMPS, specs=(SPEC, LAMPS_SPEC)) as (bus, there):
+        await bus.operate()
+        exchanges = there.slaves[4].exchanges
+        gone = there.slaves.pop(5)
+        eventually(lambda: there.slaves[4].exchanges > exchanges + 50, "the bus goes on")
+        there.slaves[5] = gone
+        gone.prm_ok = gone.cfg_ok = False
+        await bus.until(lambda: not bus.slave("lamps").ready_now, 20)
+        await bus.slave("lamps").ready(20)
+        assert bus.slave("valves").ready_now
 
 
 async def test_a_plugin_that_cannot_be_imported_there(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -265,9 +270,8 @@ def test_it_runs_in_a_thread_of_the_application() -> None:
     """The bus process ends with the thread that started it only when its loop is over, too."""
 
     async def program() -> None:
-        with octet_slaves(SPEC) as (path, _there):
-            async with bus_on(path, "process", VALVES) as bus:
-                await bus.ready(60)
+        async with ready_bus(VALVES):
+            pass
 
     failed: list[BaseException] = []
 

@@ -21,6 +21,7 @@ from process_kit import (
     eventually,
     octet_slaves,
     process_of,
+    ready_bus,
     runtime_of,
     stopped,
 )
@@ -38,6 +39,8 @@ from dpstack.errors import BusError, OrderDropped
 from dpstack.profile import State
 from dpstack.trace import Event, Severity
 
+#: a slave whose watchdog does not expire while the bus process is stopped
+UNWATCHED: dict[str, object] = VALVES | {"watchdog_ms": 30_000}
 OLD, NEW = b"\x11\x22", b"\x33\x44"
 
 
@@ -71,93 +74,89 @@ def never_send(_channel: Channel, order: object, _answer: object) -> None:
 
 async def test_the_slaves_of_a_killed_bus_process_are_offline_at_once() -> None:
     told: list[dict[str, object] | None] = []
-    with octet_slaves(SPEC, LAMPS_SPEC) as (path, _there):
-        slaves = (VALVES | {"watchdog_ms": 300}, LAMPS | {"watchdog_ms": 0})
-        bus = bus_on(path, "process", *slaves, on_event=lambda event: told.append(event_json(event, 0)))
-        async with bus:
-            await bus.ready(60)
-            await bus.operate()
-            await bus.rotated(bus.stats.rotations + 3, 60)
-            # the counters come now and then: only what was read before it dies is there afterwards
-            eventually(lambda: bus.stats.rotation_us["p50"] > 0, "the counters have rotations")
-            valves = bus.slave("valves")
-            assert is_valid(valves)
-            assert not is_stale(bus)
-            before = len(told)
-            os.kill(process_of(bus), signal.SIGKILL)
-            with pytest.raises(BusError, match="SIGKILL"):
-                await bus.rotated(None)
-            # told at once, before the notice that says why
-            states = [line for line in told[before:] if line is not None]
-            assert [(line.get("name"), line.get("state")) for line in states[:2]] == [
-                ("valves", "offline"),
-                ("lamps", "offline"),
-            ]
-            assert [line["event"] for line in states] == ["slave", "slave", "notice"]
-            assert valves.state is dpstack.SlaveState.OFFLINE
-            assert not is_valid(valves)
-            assert not bus.slave("lamps").inputs_valid  # no watchdog, and younger than 1 s
-            assert valves.inputs_age is not None
-            assert valves.fault is not None
-            assert "killed by SIGKILL" in valves.fault.text
-            stats = bus.stats
-            assert stats.stale
-            assert stats.stations[4].answers > 0
-            assert stats.rotation_us["p50"] > 0
+    slaves = (VALVES | {"watchdog_ms": 300}, LAMPS | {"watchdog_ms": 0})
+    async with ready_bus(
+        *slaves, specs=(SPEC, LAMPS_SPEC), on_event=lambda event: told.append(event_json(event, 0))
+    ) as (bus, _there):
+        await bus.operate()
+        await bus.rotated(bus.stats.rotations + 3, 60)
+        # the counters come now and then: only what was read before it dies is there afterwards
+        eventually(lambda: bus.stats.rotation_us["p50"] > 0, "the counters have rotations")
+        valves = bus.slave("valves")
+        assert is_valid(valves)
+        assert not is_stale(bus)
+        before = len(told)
+        os.kill(process_of(bus), signal.SIGKILL)
+        with pytest.raises(BusError, match="SIGKILL"):
+            await bus.rotated(None)
+        # told at once, before the notice that says why
+        states = [line for line in told[before:] if line is not None]
+        assert [(line.get("name"), line.get("state")) for line in states[:2]] == [
+            ("valves", "offline"),
+            ("lamps", "offline"),
+        ]
+        assert [line["event"] for line in states] == ["slave", "slave", "notice"]
+        assert valves.state is dpstack.SlaveState.OFFLINE
+        assert not is_valid(valves)
+        assert not bus.slave("lamps").inputs_valid  # no watchdog, and younger than 1 s
+        assert valves.inputs_age is not None
+        assert valves.fault is not None
+        assert "killed by SIGKILL" in valves.fault.text
+        stats = bus.stats
+        assert stats.stale
+        assert stats.stations[4].answers > 0
+        assert stats.rotation_us["p50"] > 0
 
 
 async def test_a_stopped_bus_process_is_silent_and_nothing_old_goes_out_when_it_goes_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     told: list[Event] = []
-    with octet_slaves(SPEC) as (path, there):
-        bus = bus_on(path, "process", VALVES | {"watchdog_ms": 30_000}, on_event=told.append)
-        async with bus:
-            await bus.ready(60)
-            await bus.operate()
-            valves = bus.slave("valves")
-            valves.outputs = b"\x01\x02"
-            await until(lambda: valves.inputs == b"\x01\x02", "its mirror")
-            await bus.rotated(bus.stats.rotations + 3, 60)
-            before = len(told)
-            with outputs_seen(there) as seen, stopped(process_of(bus)):
-                valves.outputs = OLD
-                await bus.until(lambda: any(isinstance(event, OutputsDropped) for event in told), 60)
-                await until(lambda: valves.state is dpstack.SlaveState.OFFLINE, "the silence")
-                assert not is_valid(valves)  # younger than its watchdog
-                assert valves.outputs == b"\x01\x02"
-                assert not bus.snapshot.in_ring
-                assert not bus.snapshot.las
-                assert bus.mode is dpstack.Mode.OFFLINE
-                assert valves.fault is not None
-                assert "no sign of life" in valves.fault.text
-                status = run_status(bus)["slaves"]
-                assert isinstance(status, dict)
-                assert (status["4"]["state"], status["4"]["inputs_valid"]) == ("offline", False)
-                with monkeypatch.context() as patch:
-                    patch.setattr(Channel, "_send", never_send)
-                    stats = bus.stats
-                assert stats.stale
-                assert stats.age > 0.9
-                assert stats.rotations > 0
-                assert stats.rotation_us["p50"] > 0
-                assert stats.stations[4].answers > 0
-                valves.outputs = NEW
-                with pytest.raises(OrderDropped, match=r"the outputs of slave 4 \(valves\) will not go out"):
-                    await bus.outputs_taken()
-                with pytest.raises(OrderDropped, match="has shown no sign of life"):
-                    await bus.clear()
-            await valves.ready(60)
-            await bus.until(lambda: any(isinstance(event, BusProcessBack) for event in told), 60)
+    async with ready_bus(UNWATCHED, on_event=told.append) as (bus, there):
+        await bus.operate()
+        valves = bus.slave("valves")
+        valves.outputs = b"\x01\x02"
+        await until(lambda: valves.inputs == b"\x01\x02", "its mirror")
+        await bus.rotated(bus.stats.rotations + 3, 60)
+        before = len(told)
+        with outputs_seen(there) as seen, stopped(process_of(bus)):
+            valves.outputs = OLD
+            await bus.until(lambda: any(isinstance(event, OutputsDropped) for event in told), 60)
+            await until(lambda: valves.state is dpstack.SlaveState.OFFLINE, "the silence")
+            assert not is_valid(valves)  # younger than its watchdog
             assert valves.outputs == b"\x01\x02"
-            await bus.rotated(bus.stats.rotations + 3, 60)
-            assert is_valid(valves)
-            assert not is_stale(bus)
-            assert not {OLD, NEW} & seen
-            await bus.operate()
+            assert not bus.snapshot.in_ring
+            assert not bus.snapshot.las
+            assert bus.mode is dpstack.Mode.OFFLINE
+            assert valves.fault is not None
+            assert "no sign of life" in valves.fault.text
+            status = run_status(bus)["slaves"]
+            assert isinstance(status, dict)
+            assert (status["4"]["state"], status["4"]["inputs_valid"]) == ("offline", False)
+            with monkeypatch.context() as patch:
+                patch.setattr(Channel, "_send", never_send)
+                stats = bus.stats
+            assert stats.stale
+            assert stats.age > 0.9
+            assert stats.rotations > 0
+            assert stats.rotation_us["p50"] > 0
+            assert stats.stations[4].answers > 0
             valves.outputs = NEW
-            await bus.outputs_taken()
-            await until(lambda: valves.inputs == NEW, "its mirror")
+            with pytest.raises(OrderDropped, match=r"the outputs of slave 4 \(valves\) will not go out"):
+                await bus.outputs_taken()
+            with pytest.raises(OrderDropped, match="has shown no sign of life"):
+                await bus.clear()
+        await valves.ready(60)
+        await bus.until(lambda: any(isinstance(event, BusProcessBack) for event in told), 60)
+        assert valves.outputs == b"\x01\x02"
+        await bus.rotated(bus.stats.rotations + 3, 60)
+        assert is_valid(valves)
+        assert not is_stale(bus)
+        assert not {OLD, NEW} & seen
+        await bus.operate()
+        valves.outputs = NEW
+        await bus.outputs_taken()
+        await until(lambda: valves.inputs == NEW, "its mirror")
     events = told[before:]
     silent = next(event for event in events if isinstance(event, BusProcessSilent))
     back = next(event for event in events if isinstance(event, BusProcessBack))
@@ -179,22 +178,20 @@ async def test_a_stopped_bus_process_is_silent_and_nothing_old_goes_out_when_it_
 
 async def test_an_order_that_is_not_taken_in_time_is_never_carried_out() -> None:
     """Given before anybody could know that the bus process is stopped."""
-    with octet_slaves(SPEC) as (path, there):
-        async with bus_on(path, "process", VALVES | {"watchdog_ms": 30_000}) as bus:
-            await bus.ready(60)
-            refused = pytest.raises(OrderDropped, match="did not take the order within 1000 ms")
-            with outputs_seen(there) as seen, stopped(process_of(bus)), refused:
-                await bus.operate()
-            await bus.until(lambda: runtime_of(bus).not_running is None, 60)
-            await bus.ready(60)
-            await bus.rotated(bus.stats.rotations + 3, 60)
-            assert bus.mode is dpstack.Mode.CLEAR
-            assert seen <= {bytes(2)}
+    async with ready_bus(UNWATCHED) as (bus, there):
+        refused = pytest.raises(OrderDropped, match="did not take the order within 1000 ms")
+        with outputs_seen(there) as seen, stopped(process_of(bus)), refused:
+            await bus.operate()
+        await bus.until(lambda: runtime_of(bus).not_running is None, 60)
+        await bus.ready(60)
+        await bus.rotated(bus.stats.rotations + 3, 60)
+        assert bus.mode is dpstack.Mode.CLEAR
+        assert seen <= {bytes(2)}
 
 
 async def test_ctl_outputs_says_ok_only_for_what_the_bus_process_has_taken() -> None:
     with octet_slaves(SPEC) as (path, there):
-        async with bus_on(path, "process", VALVES | {"watchdog_ms": 30_000}) as bus:
+        async with bus_on(path, "process", UNWATCHED) as bus:
             await bus.ready(60)
             await bus.operate()
             handlers = control_run(bus, path)._handlers
@@ -217,28 +214,24 @@ async def test_orders_that_the_socket_does_not_take_are_sent_when_the_bus_proces
 ) -> None:
     """Orders that end something have no time limit: half a frame in the socket is followed by its other half."""
     monkeypatch.setattr("dpstack.drivers.process.channel._AGAIN_NS", 10_000_000)
-    with octet_slaves(SPEC) as (path, _there):
-        async with bus_on(path, "process", VALVES | {"watchdog_ms": 30_000}) as bus:
-            await bus.ready(60)
-            with stopped(process_of(bus)):
-                await until(lambda: runtime_of(bus).not_running is not None, "the silence")
-                for number in range(8):
-                    with pytest.raises(BusError, match="it carries the order out if it goes on"):
-                        await bus.order(DriveCommand(4, "cancel", {"long": "x" * 100_000}, number))
-            await bus.ready(60)
-            await bus.rotated(bus.stats.rotations + 3, 60)
-            await bus.operate()
+    async with ready_bus(UNWATCHED) as (bus, _there):
+        with stopped(process_of(bus)):
+            await until(lambda: runtime_of(bus).not_running is not None, "the silence")
+            for number in range(8):
+                with pytest.raises(BusError, match="it carries the order out if it goes on"):
+                    await bus.order(DriveCommand(4, "cancel", {"long": "x" * 100_000}, number))
+        await bus.ready(60)
+        await bus.rotated(bus.stats.rotations + 3, 60)
+        await bus.operate()
 
 
 async def test_who_waits_for_rounds_of_a_silent_bus_process_is_told_when_it_goes_on() -> None:
-    with octet_slaves(SPEC) as (path, _there):
-        async with bus_on(path, "process", VALVES | {"watchdog_ms": 30_000}) as bus:
-            await bus.ready(60)
-            with stopped(process_of(bus)):
-                await until(lambda: runtime_of(bus).not_running is not None, "the silence")
-                waiting = asyncio.ensure_future(bus.rotated(bus.stats.rotations + 3, 60))
-                await asyncio.sleep(0)
-            await waiting
+    async with ready_bus(UNWATCHED) as (bus, _there):
+        with stopped(process_of(bus)):
+            await until(lambda: runtime_of(bus).not_running is not None, "the silence")
+            waiting = asyncio.ensure_future(bus.rotated(bus.stats.rotations + 3, 60))
+            await asyncio.sleep(0)
+        await waiting
 
 
 async def test_the_drives_of_a_stopped_bus_process_do_not_look_alive(
@@ -274,11 +267,9 @@ async def test_the_end_of_a_bus_whose_process_is_stopped_says_what_the_slaves_do
 ) -> None:
     monkeypatch.setattr("dpstack.drivers.process.channel._AGAIN_NS", 10_000_000)
     told: list[str] = []
-    with octet_slaves(SPEC) as (path, _there):
-        slave = VALVES | {"watchdog_ms": 500}
-        async with bus_on(path, "process", slave, on_event=lambda event: told.append(event.text)) as bus:
-            await bus.ready(60)
-            os.kill(process_of(bus), signal.SIGSTOP)
-            await until(lambda: not bus.slave("valves").ready_now, "the silence")
+    slave = VALVES | {"watchdog_ms": 500}
+    async with ready_bus(slave, on_event=lambda event: told.append(event.text)) as (bus, _there):
+        os.kill(process_of(bus), signal.SIGSTOP)
+        await until(lambda: not bus.slave("valves").ready_now, "the silence")
     assert "The slaves' watchdogs make their outputs safe within 500 ms" in told[-1]
     assert "it did not answer at the end of the bus and was killed" in told[-1]

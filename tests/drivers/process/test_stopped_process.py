@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from api_kit import FAN, bus_of, in_virtual_time
 from far_ends import until
-from process_kit import VALVES, bus_on, octet_slaves, process_of, runtime_of, stopped
+from process_kit import VALVES, process_of, ready_bus, runtime_of, stopped
 
 import dpstack
 from dpstack.api.config.config import make_config
@@ -172,45 +172,42 @@ def fan_octets() -> str:
 
 
 async def test_no_public_call_waits_for_a_stopped_bus_process() -> None:
-    with octet_slaves(fan_octets(), "5:1234:2111:2:2,records=1") as (path, _there):
-        unwatched: dict[str, object] = {"watchdog_ms": 30_000}
-        async with bus_on(path, "process", FAN | unwatched, RIG | unwatched) as bus:
-            await bus.ready(60)
-            with stopped(process_of(bus)):
-                with nothing_blocks():
-                    used = await use_everything(bus)
-                await silence(bus)
-                with nothing_blocks():
-                    assert await use_everything(bus) == used
-            assert {"Bus.stats", "Slave.inputs", "Drive.speed", "Drive.start", "Class2.connect"} <= used
-            # all that was ordered was dropped: nothing old happens when it goes on
-            await bus.ready(60)
-            assert bus.mode is dpstack.Mode.CLEAR
-            assert [slave.name for slave in bus.slaves] == ["fan", "valves"]
-            await until(lambda: bus.drive("fan").speed == 0, "the set point is the one from before")
+    unwatched: dict[str, object] = {"watchdog_ms": 30_000}
+    specs = (fan_octets(), "5:1234:2111:2:2,records=1")
+    async with ready_bus(FAN | unwatched, RIG | unwatched, specs=specs) as (bus, _there):
+        with stopped(process_of(bus)):
+            with nothing_blocks():
+                used = await use_everything(bus)
+            await silence(bus)
+            with nothing_blocks():
+                assert await use_everything(bus) == used
+        assert {"Bus.stats", "Slave.inputs", "Drive.speed", "Drive.start", "Class2.connect"} <= used
+        # all that was ordered was dropped: nothing old happens when it goes on
+        await bus.ready(60)
+        assert bus.mode is dpstack.Mode.CLEAR
+        assert [slave.name for slave in bus.slaves] == ["fan", "valves"]
+        await until(lambda: bus.drive("fan").speed == 0, "the set point is the one from before")
 
 
 async def test_a_set_point_is_read_back_at_once_and_one_that_was_not_taken_is_raised() -> None:
     told: list[str] = []
-    with octet_slaves(fan_octets()) as (path, _there):
-        slave = FAN | {"watchdog_ms": 30_000}
-        async with bus_on(path, "process", slave, on_event=lambda event: told.append(event.text)) as bus:
-            await bus.ready(60)
-            fan = bus.drive("fan")
-            fan.speed = 0.5
-            assert (fan.speed, fan.status.setpoint) == (0.5, 0.5)
-            await until(lambda: not fan._setpoints, "the plugin has it")
-            assert (fan.speed, fan.status.setpoint) == (0.5, 0.5)
-            with pytest.raises(UsageError, match="drive fan"):
-                fan.speed = 99
-            with stopped(process_of(bus)):
-                fan.speed = 0.75
-                assert fan.speed == 0.75
-                await silence(bus)
-            await until(lambda: fan.speed == 0.5, "it was not taken")
-            assert any("DriveCommand was not carried out: the bus process took the order" in text for text in told)
-            with pytest.raises(dpstack.OrderDropped, match="too late and dropped it"):
-                await fan.start(60)
+    slave = FAN | {"watchdog_ms": 30_000}
+    async with ready_bus(slave, specs=(fan_octets(),), on_event=lambda event: told.append(event.text)) as (bus, _there):
+        fan = bus.drive("fan")
+        fan.speed = 0.5
+        assert (fan.speed, fan.status.setpoint) == (0.5, 0.5)
+        await until(lambda: not fan._setpoints, "the plugin has it")
+        assert (fan.speed, fan.status.setpoint) == (0.5, 0.5)
+        with pytest.raises(UsageError, match="drive fan"):
+            fan.speed = 99
+        with stopped(process_of(bus)):
+            fan.speed = 0.75
+            assert fan.speed == 0.75
+            await silence(bus)
+        await until(lambda: fan.speed == 0.5, "it was not taken")
+        assert any("DriveCommand was not carried out: the bus process took the order" in text for text in told)
+        with pytest.raises(dpstack.OrderDropped, match="too late and dropped it"):
+            await fan.start(60)
 
 
 @in_virtual_time

@@ -9,7 +9,7 @@ import stat
 import subprocess
 import sys
 import termios
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from functools import partial
 from pathlib import Path
 from time import monotonic_ns
@@ -38,6 +38,15 @@ def _stations(segment: Segment) -> list[FarEnd]:
 def _leave(stations: list[FarEnd]) -> None:
     for station in stations:
         station.hang_up()
+
+
+@contextlib.asynccontextmanager
+async def joined(stations: int, directory: Path, **options: Any) -> AsyncIterator[tuple[Segment, list[FarEnd]]]:
+    """A segment, and a file at each of its stations."""
+    async with Segment(stations, directory, **options) as segment:
+        files = _stations(segment)
+        yield segment, files
+        _leave(files)
 
 
 #: writes without end to the descriptor it is told: a process, because a thread would take this one's time
@@ -78,23 +87,19 @@ def _wait_for_octets(segment: Segment, number: int) -> None:
 
 
 async def test_all_others_hear_what_one_sends(directory: Path) -> None:
-    async with Segment(4, directory) as segment:
-        stations = _stations(segment)
+    async with joined(4, directory) as (_segment, stations):
         for sender in stations:
             sender.send(TELEGRAM)
             for station in stations:
                 if station is not sender:
                     assert await station.recv(len(TELEGRAM)) == TELEGRAM
         assert all(station.take() == b"" for station in stations)
-        _leave(stations)
 
 
 async def test_with_echo_the_sender_too(directory: Path) -> None:
-    async with Segment(2, directory, echo=True) as segment:
-        stations = _stations(segment)
+    async with joined(2, directory, echo=True) as (_segment, stations):
         stations[0].send(TELEGRAM)
         assert [await station.recv(len(TELEGRAM)) for station in stations] == [TELEGRAM, TELEGRAM]
-        _leave(stations)
 
 
 async def test_the_links_come_and_go(directory: Path) -> None:
@@ -163,8 +168,7 @@ def test_impossible_segments(bad: dict[str, Any]) -> None:
 
 
 async def test_a_station_that_leaves_and_returns_finds_no_old_octets(directory: Path) -> None:
-    async with Segment(2, directory) as segment:
-        one, other = _stations(segment)
+    async with joined(2, directory) as (segment, (one, other)):
         one.send(TELEGRAM)
         await until(lambda: segment._stations[1].stats.received == len(TELEGRAM), "the delivery")
         other.hang_up()
@@ -176,7 +180,6 @@ async def test_a_station_that_leaves_and_returns_finds_no_old_octets(directory: 
         assert await back.recv(5) == b"fresh"
         back.send(b"answer")
         assert await one.recv(6) == b"answer"
-        _leave([one, back])
 
 
 async def test_octets_sent_just_before_leaving_are_still_forwarded(directory: Path) -> None:
@@ -190,8 +193,7 @@ async def test_octets_sent_just_before_leaving_are_still_forwarded(directory: Pa
 
 async def test_a_station_that_does_not_read_costs_octets_only(directory: Path) -> None:
     told_of: list[str] = []
-    async with Segment(3, directory, on_notice=told_of.append) as segment:
-        one, lazy, busy = _stations(segment)
+    async with joined(3, directory, on_notice=told_of.append) as (segment, (one, _lazy, busy)):
         got = 0
         for _ in range(300):
             one.send(bytes(250))
@@ -207,12 +209,10 @@ async def test_a_station_that_does_not_read_costs_octets_only(directory: Path) -
         octets = {"sent": 75_000, "received": 0, "dropped": 0, "overrun": 0}
         assert stations[0] == {"path": segment.paths[0], **octets, "telegrams": 0, "damaged": 0, "erased": 0}
         assert told_of == ["station 1 of the segment takes no more: what it does not read is dropped"]
-        _leave([one, lazy, busy])
 
 
 async def test_stations_at_other_rates_read_nonsense(directory: Path) -> None:
-    async with Segment(3, directory, baud=500_000, seed=7) as segment:
-        one, same, other = _stations(segment)
+    async with joined(3, directory, baud=500_000, seed=7) as (_segment, (one, same, other)):
         set_rate(one.fd, termios.B500000)  # as the segment's own: 'same' has set none
         set_rate(other.fd, termios.B1500000)
         for _ in range(20):
@@ -223,24 +223,20 @@ async def test_stations_at_other_rates_read_nonsense(directory: Path) -> None:
         other.take()
         one.send(TELEGRAM)
         assert await other.recv(len(TELEGRAM)) == TELEGRAM
-        _leave([one, same, other])
 
 
 async def test_a_station_at_another_rate_gets_what_a_uart_samples_and_no_damaged_octets(directory: Path) -> None:
-    async with Segment(2, directory, baud=500_000) as segment:
-        one, other = _stations(segment)
+    async with joined(2, directory, baud=500_000) as (segment, (one, other)):
         set_rate(other.fd, termios.B1500000)
         # 68: a break, then FC with a bad stop bit; 05: three bits of space, of mark, of space, mark: 1C (by hand)
         one.send(b"\x68\x05\x05")
         assert await other.recv(2) == b"\x1c\x1c"
         await until(lambda: segment._stations[0].stats.sent == 3, "forwarded")
         assert other.take() == b""
-        _leave([one, other])
 
 
 async def test_noise_damages_octets_for_all_alike(directory: Path) -> None:
-    async with Segment(3, directory, error_rate=0.01, seed=3) as segment:
-        stations = _stations(segment)
+    async with joined(3, directory, error_rate=0.01, seed=3) as (segment, stations):
         sent = bytes(range(250)) * 20
         for first in range(0, len(sent), 250):
             stations[0].send(sent[first : first + 250])
@@ -257,7 +253,6 @@ async def test_noise_damages_octets_for_all_alike(directory: Path) -> None:
         stations[0].send(TELEGRAM)
         assert await stations[1].recv(len(TELEGRAM)) == TELEGRAM
         assert segment.stats()["damaged"] == damaged
-        _leave(stations)
 
 
 def _count(value: object) -> int:
@@ -267,8 +262,7 @@ def _count(value: object) -> int:
 
 async def test_the_segment_knows_which_telegrams_it_damaged(directory: Path) -> None:
     """Each telegram that differs at a receiver, and no other; one that vanished wholly leaves no trace there."""
-    async with Segment(2, directory, error_rate=0.02, seed=5) as segment:
-        one, other = _stations(segment)
+    async with joined(2, directory, error_rate=0.02, seed=5) as (segment, (one, other)):
         sender, receiver = (station.stats for station in segment._stations)
         damaged = erased = 0
         for number in range(300):
@@ -284,7 +278,6 @@ async def test_the_segment_knows_which_telegrams_it_damaged(directory: Path) -> 
             erased += not got
         assert (sender.telegrams, sender.damaged, sender.erased) == (300, damaged, erased)
         assert erased > 0
-        _leave([one, other])
 
 
 def _has_sent(stats: StationStats, octets: int) -> bool:
@@ -295,8 +288,7 @@ async def test_an_endless_writer_leaves_their_turn_to_the_others(directory: Path
     """Station 0 floods from another process; 1 and 2 go on talking, what 3 does not read is counted."""
     told_of: list[str] = []
     request = bytes.fromhex("10 02 63 49 AE 16")
-    async with Segment(4, directory, on_notice=told_of.append) as segment:
-        endless, one, other, lazy = _stations(segment)
+    async with joined(4, directory, on_notice=told_of.append) as (segment, (endless, one, other, _lazy)):
 
         def got_through() -> bool:
             one.send(request)
@@ -311,14 +303,12 @@ async def test_an_endless_writer_leaves_their_turn_to_the_others(directory: Path
             await until(lambda: segment._stations[3].stats.dropped > 0, "nobody reads")
         assert "station 3 of the segment takes no more: what it does not read is dropped" in told_of
         assert len(told_of) == len(set(told_of))
-        _leave([endless, one, other, lazy])
 
 
 async def test_a_telegram_beside_an_endless_writer_arrives_at_a_station_that_reads(directory: Path) -> None:
     """The writer is first each time and has more to say than a pty holds; the other one's telegrams all get through."""
     request = bytes.fromhex("10 02 63 49 AE 16")
-    async with Segment(3, directory) as segment:
-        endless, one, other = _stations(segment)
+    async with joined(3, directory) as (segment, (endless, one, other)):
         stats = [station.stats for station in segment._stations]
         for _ in range(4):
             taken = stats[2].received
@@ -332,12 +322,10 @@ async def test_a_telegram_beside_an_endless_writer_arrives_at_a_station_that_rea
             assert request in got
             await until(lambda: not segment._unread, "the rest of the flood")
             await other.recv(stats[2].received - taken - len(got))
-        _leave([endless, one, other])
 
 
 async def test_a_station_whose_pty_was_full_hears_again_once_it_has_read(directory: Path) -> None:
-    async with Segment(2, directory) as segment:
-        one, lazy = _stations(segment)
+    async with joined(2, directory) as (segment, (one, lazy)):
         heard = segment._stations[1].stats
         for number in range(2):
             taken, sent = heard.received, segment._stations[0].stats.sent
@@ -350,13 +338,11 @@ async def test_a_station_whose_pty_was_full_hears_again_once_it_has_read(directo
             one.send(TELEGRAM)
             assert await lazy.recv(len(TELEGRAM)) == TELEGRAM, number
             assert heard.dropped == 0
-        _leave([one, lazy])
 
 
 async def test_what_a_paced_wire_cannot_take_is_dropped_and_told_once(directory: Path) -> None:
     told_of: list[str] = []
-    async with Segment(2, directory, baud=93_750, paced=True, on_notice=told_of.append) as segment:
-        endless, other = _stations(segment)
+    async with joined(2, directory, baud=93_750, paced=True, on_notice=told_of.append) as (segment, (endless, _other)):
         wire = segment._wire
         assert wire is not None
         with flood(endless.fd):
@@ -367,7 +353,6 @@ async def test_what_a_paced_wire_cannot_take_is_dropped_and_told_once(directory:
         assert told_of == [
             "station 0 of the segment sends faster than 93.75 kbit/s: what the wire cannot take is dropped"
         ]
-        _leave([endless, other])
 
 
 @pytest.mark.parametrize(
