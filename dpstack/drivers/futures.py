@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 
-async def outlast(future: asyncio.Future[Any]) -> None:
+async def wait_through_cancellation(future: asyncio.Future[Any]) -> None:
     """Wait until ``future`` is done, through any number of cancellations; then re-raise the cancellation, if any.
 
     ``future`` itself is not cancelled and keeps its exception. ``task.cancelling()`` counts every request as usual. Of
@@ -27,10 +27,10 @@ async def outlast(future: asyncio.Future[Any]) -> None:
         raise cancelled
 
 
-async def whole(doing: Coroutine[Any, Any, T]) -> T:
+async def run_through_cancellation(doing: Coroutine[Any, Any, T]) -> T:
     """Do all of ``doing`` in a task of its own, through any number of cancellations; then re-raise the cancellation."""
     task = asyncio.ensure_future(doing)
-    await outlast(task)
+    await wait_through_cancellation(task)
     return task.result()
 
 

@@ -149,7 +149,7 @@ class Runtime(Protocol):
         Returns why safe values and Clear could not be sent; empty after success.
         """
 
-    def forsake(self) -> None:
+    def release_after_fork(self) -> None:
         """In the child of a fork: release its copies of line, timers and sockets without effect on the parent."""
 
     def command(self, command: object) -> None:

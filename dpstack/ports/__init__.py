@@ -33,19 +33,10 @@ from __future__ import annotations
 import sys
 
 from dpstack.errors import PortError
-from dpstack.ports.base import Delivery, Loop, OnData, OnLost, Pending, Port
+from dpstack.ports.base import Delivery, Loop, Pending, Port
 from dpstack.ports.posix import importing_pyserial
 
-__all__ = [
-    "Delivery",
-    "Loop",
-    "OnData",
-    "OnLost",
-    "Pending",
-    "Port",
-    "PortError",
-    "open_port",
-]
+__all__ = ["Delivery", "Loop", "Pending", "Port", "open_port"]
 
 
 def open_port(

@@ -149,14 +149,14 @@ class Port(ABC):
         if loop is not None and not loop.is_closed():
             self._stop(loop)
 
-    def forsake(self) -> None:
+    def release_after_fork(self) -> None:
         """In the child of a fork: release this copy. Line, settings and loop belong to the parent."""
         self._loop = None
         self._on_data = self._on_lost = None
 
-    def hush(self, quiet: bool) -> bool:
+    def pause_reading(self, paused: bool) -> bool:
         """Pause delivery (the system keeps what arrives) or resume it; False where this port cannot do so."""
-        return not quiet
+        return not paused
 
     def _drop(self) -> bool:
         """Count a telegram that the line did not accept; always False."""

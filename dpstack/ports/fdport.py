@@ -71,9 +71,9 @@ class FdPort(Port):
         self.detach()
         self._release()
 
-    def forsake(self) -> None:
+    def release_after_fork(self) -> None:
         """Close the child's copy of the descriptor, and nothing else."""
-        super().forsake()
+        super().release_after_fork()
         self._release()
 
     def _release(self) -> None:
@@ -98,10 +98,10 @@ class FdPort(Port):
         if self._fd >= 0:
             loop.remove_reader(self._fd)
 
-    def hush(self, quiet: bool) -> bool:
+    def pause_reading(self, paused: bool) -> bool:
         if self._loop is None:
             return False
-        (self._stop if quiet else self._start)(self._loop)
+        (self._stop if paused else self._start)(self._loop)
         return True
 
     def _readable(self) -> None:

@@ -42,11 +42,11 @@ class PtyMaster:
         self._poll = select.poll()
         self._poll.register(self.fd, 0)  # POLLHUP comes unasked
 
-    def deserted(self) -> bool:
+    def has_no_opener(self) -> bool:
         """Whether nobody has the other end open."""
         return bool(self._poll.poll(0))
 
-    def forget(self) -> None:
+    def discard_unread(self) -> None:
         """Throw away the unread octets of the last opener, so that the next one finds no stale octets."""
         with contextlib.suppress(OSError, termios.error):
             slave = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -120,14 +120,14 @@ class PtyPort(FdPort):
     def _close_fd(self, fd: int) -> None:
         self._master = None
         watch, self._watch = self._watch, None
-        if watch is not None:  # of a forsaken port, which was not detached
+        if watch is not None:  # of a port released after a fork, which was not detached
             watch.close()
         os.close(fd)
 
     def _start(self, loop: Loop) -> None:
         if self._master is None:
             return
-        if self._master.deserted():
+        if self._master.has_no_opener():
             self._begin_watch(loop)
         else:
             loop.add_reader(self._fd, self._readable)
@@ -141,7 +141,7 @@ class PtyPort(FdPort):
         if self._loop is None or self._master is None:
             return
         self._loop.remove_reader(self._fd)
-        self._master.forget()
+        self._master.discard_unread()
         self._begin_watch(self._loop)
 
     def _begin_watch(self, loop: Loop) -> None:
@@ -163,7 +163,7 @@ class PtyPort(FdPort):
 
     def _returned(self) -> bool:
         """Whether somebody has opened the other end meanwhile."""
-        if self._master is None or self._master.deserted():
+        if self._master is None or self._master.has_no_opener():
             return False
         self._resume()
         return True

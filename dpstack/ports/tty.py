@@ -164,10 +164,10 @@ class TtyPort(FdPort):
             raise BlockingIOError  # nothing but marks
         return octets
 
-    def forsake(self) -> None:
+    def release_after_fork(self) -> None:
         # the lock and the settings belong to the open file, which is the parent's
         self._tuning = None
-        super().forsake()
+        super().release_after_fork()
 
     def close(self) -> None:
         self.detach()

@@ -39,7 +39,7 @@ from dpstack.dp.master.events import (
 from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, SurveyOrder, view_of
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
-from dpstack.drivers.futures import outlast, whole
+from dpstack.drivers.futures import run_through_cancellation, wait_through_cancellation
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.fdl.commands import DetachUser, GoOnline
 from dpstack.fdl.events import AddressCollision, RingJoined
@@ -151,7 +151,7 @@ class Bus(Sealed, BusBase):
         if self.is_left or await self._ordered_end.elsewhere():
             return
         ending = self._begin_end()
-        await outlast(ending)
+        await wait_through_cancellation(ending)
         if not ending.cancelled():
             ending.result()
 
@@ -275,7 +275,7 @@ class Bus(Sealed, BusBase):
         if any(other.name == config.name for other in others):
             raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
         setup = self.fitting(config)
-        slave = await whole(self._add(config, setup))
+        slave = await run_through_cancellation(self._add(config, setup))
         for note in (*config.notes, *new_plan_texts(self.config, self.plan, others, setup)):
             self.notice("plan", note, Severity.WARNING)
         return slave
@@ -298,7 +298,7 @@ class Bus(Sealed, BusBase):
         the same address waits for it.
         """
         address = slave.address if isinstance(slave, Slave) else self.slave(slave).address
-        await whole(self._remove(address))
+        await run_through_cancellation(self._remove(address))
 
     async def _remove(self, address: int) -> None:
         await self.order(RemoveSlave(address))

@@ -25,7 +25,7 @@ from typing import Final
 
 from dpstack.api.bus.parts import BusBase
 from dpstack.dp.master.commands import Mode
-from dpstack.drivers.futures import outlast
+from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.line.shutdown import EndSteps, at_slaves
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.text import printable
@@ -169,7 +169,7 @@ class OrderedEnd:
                 with contextlib.suppress(DpError):  # a failed step must not hold up the program
                     ordered = bus.runtime.order(order)
                     with contextlib.suppress(asyncio.CancelledError):
-                        await outlast(ordered)
+                        await wait_through_cancellation(ordered)
                     ordered.result()
                     held_up = False
                     while not steps.done and (left := steps.wait_until(begun, rotation) - bus.runtime.now()) > 0:
@@ -202,7 +202,7 @@ class OrderedEnd:
         timer = loop.call_later(seconds, _set, step)
         try:
             with contextlib.suppress(asyncio.CancelledError):
-                await outlast(step)
+                await wait_through_cancellation(step)
         finally:
             timer.cancel()
             self._step = None
@@ -284,7 +284,7 @@ class OrderedEnd:
         if loop.is_running():
             ending = asyncio.wrap_future(asyncio.run_coroutine_threadsafe(self._close(), loop))
             limit = running.call_later(self._bus.end_limit_s, ending.cancel)
-            await outlast(ending)
+            await wait_through_cancellation(ending)
             limit.cancel()
             if ending.cancelled():
                 raise BusError(
@@ -304,11 +304,11 @@ class OrderedEnd:
 
     # --- the child of a fork --------------------------------------------------------------------------------------
 
-    def forsake(self) -> None:
+    def release_after_fork(self) -> None:
         """In the child of a fork: forget the bus without effect on the parent."""
         bus = self._bus
         _replace_epoll(self._wake_fd)
-        bus.runtime.forsake()
+        bus.runtime.release_after_fork()
         text = "this process was forked from the one that runs the bus, which goes on there: open a bus of its own"
         bus.leave(UsageError(text))
         self._forget()
@@ -403,7 +403,7 @@ def _replace_epoll(watched_fd: int) -> None:
 
 def _in_child() -> None:
     for end in list(_open):
-        end.forsake()
+        end.release_after_fork()
 
 
 def _at_exit() -> None:

@@ -25,7 +25,7 @@ from dpstack.dp.process_data import Field, Value
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import need_dpv1
-from dpstack.drivers.futures import whole
+from dpstack.drivers.futures import run_through_cancellation
 from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
 from dpstack.text import octets_text
@@ -391,7 +391,7 @@ class Slave(Sealed, RecordAccess):
         UsageError for other lengths under a drive plugin, SlaveFault or SlaveTimeout as :meth:`ready`. A drive's
         pending orders end with DriveError. ``timeout`` in seconds.
         """
-        await whole(self._change(changed(self.config, changes)))
+        await run_through_cancellation(self._change(changed(self.config, changes)))
         if not self.deactivated:
             await self.ready(timeout)
 

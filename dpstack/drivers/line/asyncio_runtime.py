@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from time import monotonic_ns
 
-from dpstack.drivers.futures import ActsAtOnce, outlast
+from dpstack.drivers.futures import ActsAtOnce, wait_through_cancellation
 from dpstack.drivers.line.line_runtime import LineRuntime
 from dpstack.drivers.line.rate import ReopenAttempts
 from dpstack.drivers.line.shutdown import end_on_port
@@ -48,7 +48,7 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
         try:
             if task is not None:
                 task.cancel()
-                await outlast(task)
+                await wait_through_cancellation(task)
         finally:
             self._end(was_open)
 
@@ -72,18 +72,18 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
         self._left = why or None
         return why
 
-    def forsake(self) -> None:
+    def release_after_fork(self) -> None:
         self._left = IN_PARENT
-        super().forsake()
+        super().release_after_fork()
 
     def _expect(self, at: int, sleep_until: int) -> None:
         if sleep_until:
-            if not self._sleep_until and not self._port.hush(True):
+            if not self._sleep_until and not self._port.pause_reading(True):
                 return
             if sleep_until < self._armed:
                 self._arm(sleep_until)
         elif self._sleep_until:
-            self._port.hush(False)
+            self._port.pause_reading(False)
         self._sleep_until = sleep_until
 
     def _timer_due(self) -> None:
@@ -95,7 +95,7 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
         elif sleep_until < self._deadline:
             self._armed = NEVER  # before the step, which may arm it again
             self._sleep_until = 0
-            self._port.hush(False)
+            self._port.pause_reading(False)
             self._step(self._drain())
         else:
             super()._timer_due()

@@ -171,9 +171,9 @@ class LineRuntime(ABC):
         if was_open and self.failed is None:
             self._dispatch(self._machine.take_events())
 
-    def forsake(self) -> None:
+    def release_after_fork(self) -> None:
         """In the child of a fork: stop, without effect on line, timer and loop of the parent."""
-        self._port.forsake()
+        self._port.release_after_fork()
         self._halt()
 
     def command(self, command: object) -> None:

@@ -159,7 +159,7 @@ class SelectLoop:
         """A deadline that can be set repeatedly; none is set yet."""
         return Alarm(self._alarms, callback, NEVER, lasts=True)
 
-    def hush(self, fd: int | None, until: int) -> None:
+    def ignore_until(self, fd: int | None, until: int) -> None:
         """Do not wake up for octets at the descriptor ``fd`` before ``until`` (ns); 0: wake up for all octets.
 
         A loop that is awake for another reason still calls the reader.

@@ -70,7 +70,7 @@ class SelectRuntime(LineRuntime):
     def _expect(self, at: int, sleep_until: int) -> None:
         loop = self._loop
         loop.expected_at = at
-        loop.hush(self._port.fd, sleep_until)
+        loop.ignore_until(self._port.fd, sleep_until)
 
     def _count_spinning(self, spun_ns: int, now: int) -> None:
         budget = self._loop.budget

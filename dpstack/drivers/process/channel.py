@@ -24,7 +24,7 @@ from functools import partial
 from time import monotonic_ns
 from typing import Final
 
-from dpstack.drivers.futures import outlast
+from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.process.messages import (
     FROM_TERMINALS,
     Answer,
@@ -164,7 +164,7 @@ class Channel:
         over: asyncio.Future[None] = loop.create_future()
         self._when_ended(partial(over.set_result, None))
         with contextlib.suppress(asyncio.CancelledError):
-            await outlast(over)
+            await wait_through_cancellation(over)
 
     def _when_ended(self, then: Callable[[], object]) -> None:
         """Call ``then()`` when the process has ended, or :data:`_END_S` are over."""
@@ -189,7 +189,7 @@ class Channel:
                 process.wait(_END_S)
         return process is None or process.poll() is not None
 
-    def forsake(self) -> None:
+    def release_after_fork(self) -> None:
         """In the child of a fork: the process and the loop are the parent's."""
         self._gone = UsageError("the bus process belongs to the parent of this process")
         sock, self._sock = self._sock, None
@@ -232,7 +232,7 @@ class Channel:
             answer.set_exception(error)
         return answer
 
-    def tell(self, order: Order) -> None:
+    def send(self, order: Order) -> None:
         """Send ``order``; ``on_refused`` is called if the bus process refuses or drops it.
 
         Raises UsageError before the start of the bus process, OrderDropped while it is silent, its end's reason later.
@@ -240,7 +240,7 @@ class Channel:
         self._send(order, None)
 
     def send_unless_full(self, order: Order) -> None:
-        """Send ``order`` without an answer, unless the bus process has stopped reading. Raises as :meth:`tell`."""
+        """Send ``order`` without an answer, unless the bus process has stopped reading. Raises as :meth:`send`."""
         if not self.silent_ns() and (self._outbox is None or not self._outbox.waiting):
             self._send(order, None)
             self._sent.pop(self._number, None)

@@ -27,7 +27,7 @@ from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveStat
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
-from dpstack.drivers.futures import outlast
+from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.line.shutdown import at_slaves
 from dpstack.drivers.process import channel
 from dpstack.drivers.process.messages import CloseBus, News, SetUp, TakeOutputs, checked_arguments, event_of, typed
@@ -140,11 +140,11 @@ class ProcessRuntime:
             if line.is_open:
                 closing = self.order(CloseBus())
                 with contextlib.suppress(asyncio.CancelledError):
-                    await outlast(closing)
+                    await wait_through_cancellation(closing)
                 if not closing.cancelled() and closing.exception() is None:
                     final = dataclasses.replace(typed(closing.result(), Counters), t_ns=0)
                 line.hang_up(UsageError("the bus is closed"))
-                await outlast(asyncio.ensure_future(line.ended()))
+                await wait_through_cancellation(asyncio.ensure_future(line.ended()))
         finally:
             if line.release():
                 text = killed_at_the_end(self._watchdogs())
@@ -164,11 +164,11 @@ class ProcessRuntime:
         self._close_image()
         return "" if ended else f"the bus process (pid {self.pid}) has not ended yet"
 
-    def forsake(self) -> None:
+    def release_after_fork(self) -> None:
         """In the child of a fork: close the child's copies of the descriptors that lead to the bus process."""
         self._not_running = IN_PARENT
         self._set_offline(IN_PARENT)
-        self._channel.forsake()
+        self._channel.release_after_fork()
         if self._image is not None:
             self._image.close()
             self._image = None
@@ -192,7 +192,7 @@ class ProcessRuntime:
             self._channel.send_unless_full(command)
             return
         self._publish_soon()
-        self._channel.tell(_sendable(command))
+        self._channel.send(_sendable(command))
 
     def order(self, command: object) -> asyncio.Future[object]:
         """Send an order; the future is done when the machines have carried it out, and holds their exception if any.

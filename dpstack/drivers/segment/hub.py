@@ -227,7 +227,7 @@ class Segment:
             if (station is sender and not self.echo) or station.silent_until > now:
                 continue
             if not station.present:
-                if station.master.deserted():
+                if station.master.has_no_opener():
                     continue
                 station.present = True
             reading = station.master.baud() or self.baud

@@ -62,7 +62,7 @@ class SegmentStation:
         """Note that no program has the station's pty open any more."""
         if self.present:
             self.present = False
-            self.master.forget()
+            self.master.discard_unread()
             self._telegrams.reset()
             self._damaged = self._arrived = False
 

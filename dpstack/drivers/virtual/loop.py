@@ -27,8 +27,8 @@ _TURNS: Final = 1_000
 _NUDGE_NS: Final = 100_000
 #: World events between two polls of real file descriptors (signals, sockets).
 _EVENTS_PER_POLL: Final = 500
-#: A paced loop catches up at most this much; beyond it virtual time falls behind. It never skips.
-_DEBT_NS: Final = 50 * NS_PER_MS
+#: At real time a simulated bus catches up at most this much; beyond it virtual time falls behind. It never skips.
+DEBT_NS: Final = 50 * NS_PER_MS
 
 _Ready = list[tuple[selectors.SelectorKey, int]]
 
@@ -242,8 +242,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         real = time.monotonic_ns()
         if self._origin_ns is None or not self.paced:
             self._origin_ns = real - self._at_ns
-        elif real - self._origin_ns - self._at_ns > _DEBT_NS:
-            self._origin_ns = real - self._at_ns - _DEBT_NS
+        elif real - self._origin_ns - self._at_ns > DEBT_NS:
+            self._origin_ns = real - self._at_ns - DEBT_NS
 
     def _allowed(self) -> int:
         """Virtual time up to which a held loop may run now."""

@@ -15,7 +15,7 @@ from typing import Final
 from dpstack.drivers.futures import ActsAtOnce
 from dpstack.drivers.line.port_latency import PortLatency
 from dpstack.drivers.runtime import IN_PARENT, BehindRealTime, OnEvents, OnFailure
-from dpstack.drivers.virtual.loop import VirtualLoop
+from dpstack.drivers.virtual.loop import DEBT_NS, VirtualLoop
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.interface import BusStation
 from dpstack.sim.world import World
@@ -26,8 +26,6 @@ from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ns_to_s
 _TICK_NS: Final = NS_PER_MS
 _LONG_TICK_NS: Final = 10 * NS_PER_MS
 _PORTION_NS: Final = 4 * NS_PER_MS
-#: The bus catches up at most this much.
-_DEBT_NS: Final = 50 * NS_PER_MS
 _EVENTS_PER_LOOK: Final = 16
 #: Bus time by real time: below _SLOW the bus falls behind, above _KEEPS_UP it keeps up again.
 _SLOW: Final = 0.9
@@ -62,13 +60,13 @@ class VirtualRuntime(ActsAtOnce):
         self._station = station
         self._on_events = on_events
         self._clockwork: _Clockwork | None = None
-        self._forsaken = False
+        self._in_child = False
         self._behind_at_open_ns = 0
         self._behind_ns = 0  # at the closing
 
     @property
     def not_running(self) -> str | None:
-        if self._forsaken:
+        if self._in_child:
             return IN_PARENT
         failed = self._clockwork is not None and self._clockwork.failed
         return "the simulated bus was stopped by a defect in dpstack" if failed else None
@@ -109,10 +107,10 @@ class VirtualRuntime(ActsAtOnce):
         """Empty: the world stands still with its loop, and no real slave has outputs."""
         return ""
 
-    def forsake(self) -> None:
+    def release_after_fork(self) -> None:
         """In the child of a fork: its copy of the world stands still."""
         self._clockwork = None
-        self._forsaken = True
+        self._in_child = True
 
     def command(self, command: object) -> None:
         """Hand an order to the station and let it act at once. Raises UsageError when not open, BusError when a defect
@@ -252,8 +250,8 @@ class _Clockwork:
     # --- in an ordinary loop ---
     def _tick(self) -> None:
         real = monotonic_ns()
-        if real - self._origin_ns - self.now > _DEBT_NS:
-            self._origin_ns = real - self.now - _DEBT_NS
+        if real - self._origin_ns - self.now > DEBT_NS:
+            self._origin_ns = real - self.now - DEBT_NS
         self._until_ns = real + _PORTION_NS
         self._events = 0
         stopped = self.run(max(self.now, real - self._origin_ns), self._enough)

@@ -33,7 +33,7 @@ NOTICE = Notice(t_ns=0, source="test", message="nothing")
 
 #: what begins the end of a bus, or is its own call to a drive
 NOT_CALLED: dict[type, set[str]] = {
-    dpstack.Bus: {"open", "close", "hurry", "leave", "at_exit", "forsake"},
+    dpstack.Bus: {"open", "close", "hurry", "leave"},
     dpstack.Drive: {"end", "on_payload", "on_refused"},
     dpstack.Slave: set(),
     Class2: set(),
@@ -132,7 +132,10 @@ async def use_everything(bus: dpstack.Bus) -> set[str]:
     objects: tuple[object, ...] = (bus, *bus.slaves, *bus.drives, bus.class2)
     for one in objects:
         kind = type(one)
-        assert set(given[kind]) | NOT_CALLED[kind] <= {name for name, _ in public(kind)} | {"at_exit", "forsake"}
+        assert set(given[kind]) | NOT_CALLED[kind] <= {name for name, _ in public(kind)} | {
+            "at_exit",
+            "release_after_fork",
+        }
         for name, member in public(kind):
             if name in NOT_CALLED[kind]:
                 continue

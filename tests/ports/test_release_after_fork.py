@@ -21,7 +21,7 @@ async def test_a_forked_child_lets_go_without_touching_loop_or_line(kind: str) -
     port.attach(loop, lambda _octets: None, lambda _reason: None)
     fd = port.fd
     assert fd is not None
-    port.forsake()
+    port.release_after_fork()
     assert port.fd is None
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(fd)
