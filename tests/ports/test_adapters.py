@@ -129,7 +129,7 @@ def test_a_port_without_any_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     far.hang_up()
 
 
-def test_what_is_no_port_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_probe_refuses_devices_that_are_no_ports(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(PortError, match="another device"):
         probe("/dev/null")
     monkeypatch.setattr("sys.platform", "darwin")

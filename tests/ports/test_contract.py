@@ -130,7 +130,7 @@ class PortContract:
         assert port.dropped == 1
         assert not heard.lost
 
-    async def test_a_loss_is_told_once_with_its_reason(self, both: tuple[Port, Any], heard: Heard) -> None:
+    async def test_a_loss_is_reported_once_with_its_reason(self, both: tuple[Port, Any], heard: Heard) -> None:
         if not self.tells_loss:
             return
         port, far = both
@@ -158,7 +158,7 @@ class PortContract:
         far.send(b"\xdc\x02\x02")
         assert await heard.wait(3) == b"\xdc\x02\x02"
 
-    async def test_what_it_says_of_itself(self, both: tuple[Port, Any]) -> None:
+    async def test_its_attributes_describe_the_port(self, both: tuple[Port, Any]) -> None:
         port = both[0]
         assert port.delivery is self.delivery
         assert port.paced is self.paced

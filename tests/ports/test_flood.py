@@ -48,7 +48,7 @@ def test_a_far_end_that_never_stops_does_not_hold_the_caller() -> None:
     assert port.discarded == 16 * 65_536
 
 
-def test_what_fits_is_handed_over_whole() -> None:
+def test_octets_within_the_bound_are_all_delivered() -> None:
     chunks = [bytes(CHUNK)] * 10 + [b"\xe5"]
     port = Line(lambda _size: chunks.pop(0))
     assert len(port.read_now()) == 10 * CHUNK + 1

@@ -51,7 +51,7 @@ def test_a_chunk_without_ff_is_not_copied() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 255), st.booleans())), st.data())
-def test_what_a_tty_does_is_undone(characters: list[tuple[int, bool]], data: st.DataObject) -> None:
+def test_the_marks_of_a_tty_are_undone(characters: list[tuple[int, bool]], data: st.DataObject) -> None:
     wire = bytearray()
     for octet, good in characters:
         if not good:

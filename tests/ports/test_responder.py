@@ -54,7 +54,7 @@ def test_bring_up_exchange_and_repeat(far: PtyFarEnd) -> None:
     ("keys", "status"),
     [("refuse=prm", "42 05 00 ff"), ("refuse=cfg", "06 0d 00 ff"), ("owner=7", "00 04 00 07")],
 )
-def test_what_a_slave_may_refuse(far: PtyFarEnd, keys: str, status: str) -> None:
+def test_refused_parameters_and_configurations_show_in_the_diagnosis(far: PtyFarEnd, keys: str, status: str) -> None:
     responder = Responder(far.path, [f"{SPEC},{keys}"])
     assert responder.feed(PRM) == SC
     assert responder.feed(CFG) == SC

@@ -156,7 +156,7 @@ async def test_a_missing_port_names_those_that_exist(monkeypatch: pytest.MonkeyP
     assert "no serial adapter is plugged in" in text
 
 
-async def test_what_is_no_tty_is_named(tmp_path: Path) -> None:
+async def test_a_device_that_is_no_tty_is_named(tmp_path: Path) -> None:
     file = tmp_path / "notes.txt"
     file.write_text("hello")
     assert "but a file" in await _refused(TtyPort(str(file), 9600))
@@ -174,7 +174,7 @@ async def test_what_is_no_tty_is_named(tmp_path: Path) -> None:
         (errno.EMFILE, PortError, "cannot be opened (Too many open files)"),
     ],
 )
-async def test_what_the_system_refuses(
+async def test_refusals_of_the_system_name_a_remedy(
     far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch, number: int, kind: type[PortError], says: str
 ) -> None:
     def refuse(*_args: object) -> int:

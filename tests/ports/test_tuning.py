@@ -38,7 +38,7 @@ def test_an_ftdi_is_made_quick_and_left_as_it_was(driver: FakeDriver, tmp_path: 
     tuning.restore()
 
 
-def test_what_was_quick_before_is_left_alone(driver: FakeDriver, tmp_path: Path) -> None:
+def test_settings_that_were_quick_before_are_kept(driver: FakeDriver, tmp_path: Path) -> None:
     folder = plug_in(tmp_path, "ttyUSB0", latency=1)
     driver.flags = 0x2040
     tuning = Tuning(7, Adapter("/dev/ttyUSB0", tmp_path))
@@ -88,7 +88,7 @@ def test_rs485_is_left_alone_where_that_is_asked_for(
     far.hang_up()
 
 
-def test_what_a_driver_has_not_is_said_once_in_one_line(driver: FakeDriver, tmp_path: Path) -> None:
+def test_missing_abilities_of_a_driver_are_named_in_one_line(driver: FakeDriver, tmp_path: Path) -> None:
     driver.flags = driver.rs485 = driver.counts = None
     tuning = Tuning(7, Adapter("/dev/ttyS4", tmp_path))
     assert tuning.notices == [
@@ -98,7 +98,7 @@ def test_what_a_driver_has_not_is_said_once_in_one_line(driver: FakeDriver, tmp_
     tuning.restore()
 
 
-def test_what_is_refused_is_said_with_what_to_do(driver: FakeDriver, tmp_path: Path) -> None:
+def test_each_refused_setting_is_a_notice_with_a_remedy(driver: FakeDriver, tmp_path: Path) -> None:
     folder = plug_in(tmp_path, "ttyUSB0")
     (folder / "latency_timer").chmod(0o444)
     (folder / "event_char").unlink()
@@ -155,7 +155,7 @@ def test_a_port_tunes_an_adapter_and_leaves_a_pty_alone(
     far.hang_up()
 
 
-def test_what_sysfs_tells(tmp_path: Path) -> None:
+def test_driver_usb_identity_and_latency_come_from_sysfs(tmp_path: Path) -> None:
     plug_in(tmp_path, "ttyUSB0", usb="10C4:EA60", driver="cp210x", latency=None)
     adapter = Adapter("/dev/ttyUSB0", tmp_path)
     assert (adapter.driver, adapter.usb, adapter.latency_ms()) == ("cp210x", "10c4:ea60", None)

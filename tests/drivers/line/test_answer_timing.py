@@ -137,7 +137,7 @@ def test_an_answer_wakes_up_once_or_twice_and_the_next_telegram_is_no_later(
 
 
 @pytest.mark.parametrize("piece", [7, 11, 21])
-def test_what_comes_in_few_pieces_is_listened_for(scenes: Scenes, piece: int) -> None:
+def test_an_answer_in_few_pieces_wakes_the_driver_for_each_piece(scenes: Scenes, piece: int) -> None:
     """As behind an adapter: a look of its own would be one wake-up more."""
     quiet, listening = scenes.twice({}, 30, piece=piece)
     assert quiet.kernel.written == listening.kernel.written
@@ -179,7 +179,7 @@ def gaps(scene: Scene) -> list[int]:
     return [after - before for (before, _), (after, _) in pairwise(scene.kernel.written)]
 
 
-def test_a_silent_slave_is_given_its_slot_time_and_not_more(scenes: Scenes) -> None:
+def test_a_silent_slave_is_asked_again_after_its_slot_time(scenes: Scenes) -> None:
     """Asked again after T_SL and the slack (HOST), however soon an answer was looked for."""
     quiet, listening = scenes.twice({40: b""}, 45)
     waits = [scene.asked[40] - scene.asked[39] for scene in (quiet, listening)]
@@ -189,7 +189,7 @@ def test_a_silent_slave_is_given_its_slot_time_and_not_more(scenes: Scenes) -> N
     assert abs(waits[0] - waits[1]) <= 2 * LATE_NS
 
 
-def test_who_answered_otherwise_is_listened_for_until_it_is_known_again(scenes: Scenes) -> None:
+def test_after_another_answer_every_piece_wakes_the_driver_until_answers_are_alike_again(scenes: Scenes) -> None:
     scene = scenes.play({40: SHORT, 41: SHORT}, 80)
     assert scene.wakeups(38) <= 3
     assert scene.wakeups(42) >= 5
@@ -211,7 +211,7 @@ def learned(answers: AnswerTiming, request: bytes, pieces: int = 6, times: int =
     return answers.sleep_until
 
 
-def test_nobody_listens_before_the_soonest_end_of_a_known_answer() -> None:
+def test_the_driver_sleeps_until_the_soonest_end_of_a_known_answer() -> None:
     assert 10_800_000 < learned(AnswerTiming(), REQUEST) < 11_000_000
 
 
@@ -232,7 +232,7 @@ def test_four_answers_alike_make_one_known() -> None:
         b"\xe5",
     ],
 )
-def test_after_what_nobody_answers_everything_is_listened_to(octets: bytes) -> None:
+def test_after_telegrams_without_answer_the_driver_does_not_sleep(octets: bytes) -> None:
     """A ring of masters lives on tokens heard at once, a slave on requests heard at once."""
     assert not is_answered(octets[:7])
     assert learned(AnswerTiming(), octets, times=50) == 0
@@ -243,7 +243,7 @@ def test_requests_to_one_station_are_answered(octets: str) -> None:
     assert is_answered(bytes.fromhex(octets))
 
 
-def test_what_is_known_is_learned_anew_now_and_then() -> None:
+def test_known_answers_are_learned_anew_now_and_then() -> None:
     """The soonest of many is taken for the usual one, and who is not listened for cannot be seen to be sooner."""
     answers = AnswerTiming()
     looked = 0
@@ -257,7 +257,7 @@ def test_what_is_known_is_learned_anew_now_and_then() -> None:
     assert 4 < looked < 40
 
 
-def test_octets_that_nobody_listened_for_tell_nothing_of_a_ports_lateness() -> None:
+def test_octets_that_arrive_during_the_sleep_are_not_counted_as_late() -> None:
     answers = AnswerTiming()
     assert answers.received(4, 100) == 4
     assert answers.received(4, 200) == 8

@@ -46,7 +46,7 @@ class InPieces:
             await asyncio.sleep(0.0005)
 
 
-async def test_a_bus_goes_on_when_nobody_listens_until_an_answer_should_be_over() -> None:
+async def test_a_bus_runs_while_its_driver_sleeps_during_known_answers() -> None:
     far, user = InPieces(), Asker()
     port = open_port(far.end.path, BAUD)
     params = BusParams.preset(BAUD, address=2, gap=0, max_retry=15)  # a busy computer may let the far end wait

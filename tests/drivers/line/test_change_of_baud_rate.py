@@ -72,7 +72,7 @@ async def test_at_once_when_it_is_opened() -> None:
         assert rig.port.baud == 19_200
 
 
-async def test_a_refused_rate_is_told_and_the_next_one_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_refused_rate_is_reported_and_the_machine_chooses_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
     machine = Choosy(500_000)
     rig.driver = driver_on(rig.port, machine, rig.on_events, backoff_ns=(1, 1))

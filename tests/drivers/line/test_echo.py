@@ -136,7 +136,7 @@ def test_a_damaged_echo_is_counted_and_passed_on(damaged: int) -> None:
 
 
 @pytest.mark.usefixtures("each_driver")
-async def test_an_echo_is_recognised_told_and_removed() -> None:
+async def test_an_echo_is_recognised_reported_and_removed() -> None:
     async with Rig(echo=Echo.AUTO) as rig:
         for answer in (b"\xe5", REQUEST):
             rig.driver.command(TOKEN)
@@ -159,7 +159,7 @@ async def test_a_line_without_echo_is_recognised_too() -> None:
 
 
 @pytest.mark.usefixtures("each_driver")
-async def test_octets_held_for_an_echo_are_given_back_when_a_deadline_is_due() -> None:
+async def test_octets_held_back_for_an_echo_reach_the_machine_at_a_deadline() -> None:
     async with Rig(echo=Echo.AUTO) as rig:
         rig.driver.command(REQUEST)
         rig.far.write(REQUEST[:2])

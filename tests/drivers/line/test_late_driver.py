@@ -143,7 +143,7 @@ ANSWERS: Final = st.builds(
     pauses=st.dictionaries(st.tuples(KINDS, st.integers(1, 30)), st.integers(1, 400), max_size=20),
     every=st.tuples(KINDS, st.sampled_from([0, 0, 3, 55, 300])),
 )
-def test_an_answer_that_is_there_in_time_is_met_wherever_the_driver_is_held_up(
+def test_an_answer_in_time_counts_wherever_the_driver_is_held_up(
     driver: str,
     paced: bool,
     early_us: int,

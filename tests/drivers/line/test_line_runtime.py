@@ -141,7 +141,7 @@ async def test_events_are_handed_over_after_the_step_and_only_when_there_are_som
         assert rig.events == [notice]
 
 
-async def test_what_is_told_last_is_not_lost_at_close() -> None:
+async def test_the_last_events_are_dispatched_at_close() -> None:
     rig = Rig()
     notice = Notice(t_ns=1, source="test", message="goodbye")
     async with rig:
@@ -182,7 +182,7 @@ async def test_misuse_raises_at_once() -> None:
         rig.driver.command(TOKEN)
 
 
-async def test_a_defect_of_the_machine_stops_the_driver_and_is_told() -> None:
+async def test_a_defect_of_the_machine_stops_the_driver_and_is_reported() -> None:
     async with Rig() as rig:
         rig.machine.on_receive = defect
         rig.far.write(TOKEN)
@@ -220,7 +220,7 @@ async def test_a_machine_that_never_settles_is_a_defect() -> None:
         assert "does not settle" in str(rig.failures[0])
 
 
-async def test_a_lost_port_is_told_and_opened_again() -> None:
+async def test_a_lost_port_is_reported_and_opened_again() -> None:
     async with Rig() as rig:
         rig.port.unplug("pulled out")
         await until(lambda: len(rig.events) >= 2, "the loss")
@@ -238,7 +238,7 @@ async def test_a_lost_port_is_told_and_opened_again() -> None:
         assert rig.far.read_now() == REQUEST
 
 
-async def test_what_a_port_cannot_do_is_named_once_however_often_it_comes_back() -> None:
+async def test_a_notice_of_the_port_is_reported_once_for_all_openings() -> None:
     rig = Rig()
     rig.port.notices = ["has no parity bit"]
 
@@ -291,14 +291,14 @@ async def test_a_driver_that_was_stopped_while_its_port_is_away_does_not_take_it
         assert not rig.events_of(PortBack)
 
 
-async def test_a_port_class_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_port_class_that_fails_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     async with Rig() as rig:
         monkeypatch.setattr(MemoryPort, "open_now", defect)
         rig.port.unplug()
         await until(lambda: bool(rig.failures), "the failure")
 
 
-async def test_dropped_telegrams_are_told_by_powers_of_ten() -> None:
+async def test_dropped_telegrams_are_reported_by_powers_of_ten() -> None:
     async with Rig() as rig:
         for _ in range(500):
             rig.driver.command(bytes(250))
@@ -354,7 +354,7 @@ def test_patience_follows_the_kind_of_port() -> None:
 # --- a line that is never silent --------------------------------------------------------------------------------------
 
 
-async def test_octets_thrown_away_are_told_at_the_first_and_when_there_are_ten_times_as_many(
+async def test_discarded_octets_are_reported_by_powers_of_ten(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async with Rig() as rig:

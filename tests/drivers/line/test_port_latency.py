@@ -14,7 +14,9 @@ from dpstack.units import NS_PER_MS
     ("p999_ms", "known", "unknown"),
     [(0, 20, 2), (0.1, 20, 2), (4, 20, 4), (10, 30, 10), (16, 48, 16), (30, 60, 20), (9_000, 60, 20)],
 )
-def test_three_times_what_was_measured_within_limits(p999_ms: float, known: int, unknown: int) -> None:
+def test_the_patience_is_three_times_the_measured_latency_within_limits(
+    p999_ms: float, known: int, unknown: int
+) -> None:
     patience = measured(round(p999_ms * NS_PER_MS))
     assert patience == Patience(
         known_ns=known * NS_PER_MS,
@@ -25,7 +27,7 @@ def test_three_times_what_was_measured_within_limits(p999_ms: float, known: int,
     )
 
 
-def test_it_is_derived_after_a_thousand_answers_and_then_now_and_again() -> None:
+def test_the_patience_is_derived_after_1000_answers_and_then_every_10000() -> None:
     told: list[tuple[int, int]] = []
     lateness = PortLatency(lambda patience, now: told.append((patience.known_ns // NS_PER_MS, now)))
     now = 0
@@ -42,7 +44,7 @@ def test_it_is_derived_after_a_thousand_answers_and_then_now_and_again() -> None
     assert lateness.histogram.min_ns == 2 * NS_PER_MS
 
 
-def test_without_anybody_to_tell_it_only_counts() -> None:
+def test_without_a_callback_latencies_are_only_counted() -> None:
     lateness = PortLatency()
     for _ in range(FIRST + 1):
         lateness.add_answer(1, 0, 5)

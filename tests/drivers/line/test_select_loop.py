@@ -53,7 +53,9 @@ def run(loop: SelectLoop) -> None:
     hang.cancel()
 
 
-def test_what_is_readable_is_told_until_it_is_read(loop: SelectLoop, pair: tuple[socket.socket, socket.socket]) -> None:
+def test_a_reader_is_called_until_all_octets_are_read(
+    loop: SelectLoop, pair: tuple[socket.socket, socket.socket]
+) -> None:
     near, far = pair
     calls: list[bytes] = []
 
@@ -82,7 +84,7 @@ def test_a_hang_up_is_readable(loop: SelectLoop, pair: tuple[socket.socket, sock
     assert got == [b""]
 
 
-def test_a_descriptor_is_told_when_it_takes_octets_again(
+def test_a_writer_is_called_when_the_descriptor_takes_octets_again(
     loop: SelectLoop, pair: tuple[socket.socket, socket.socket]
 ) -> None:
     near, far = pair
@@ -111,7 +113,7 @@ def test_a_descriptor_is_told_when_it_takes_octets_again(
     assert not loop.remove_writer(near.fileno())
 
 
-def test_who_is_removed_in_the_same_turn_is_not_called(loop: SelectLoop) -> None:
+def test_a_reader_removed_in_the_same_turn_is_not_called(loop: SelectLoop) -> None:
     pairs = [socket.socketpair() for _ in range(2)]
     called: list[int] = []
 
@@ -220,7 +222,7 @@ def test_calls_of_the_next_turn_keep_their_order_and_let_others_have_theirs(
     assert "never" not in told
 
 
-def test_what_a_callback_raises_is_told_and_stops_nothing(loop: SelectLoop, failures: Failures) -> None:
+def test_an_exception_of_a_callback_is_reported_and_stops_nothing(loop: SelectLoop, failures: Failures) -> None:
     def broken() -> None:
         raise ValueError("the callback's own")
 
@@ -232,7 +234,7 @@ def test_what_a_callback_raises_is_told_and_stops_nothing(loop: SelectLoop, fail
     assert isinstance(error, ValueError)
 
 
-def test_nobody_told_prints_it(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_report_function_an_exception_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     loop = SelectLoop()
 
     def broken() -> None:
@@ -277,7 +279,9 @@ def test_a_signal_wakes_it(loop: SelectLoop) -> None:
     assert signal.getsignal(signal.SIGUSR1) is signal.SIG_DFL
 
 
-def test_idle_time_is_told_with_its_end(loop: SelectLoop, pair: tuple[socket.socket, socket.socket]) -> None:
+def test_on_idle_is_called_with_the_end_of_the_idle_time(
+    loop: SelectLoop, pair: tuple[socket.socket, socket.socket]
+) -> None:
     near, far = pair
     told: list[int] = []
     loop.on_idle = lambda _now, until: told.append(until)
@@ -310,7 +314,7 @@ class Counting(Budget):
         super().slept(ns, now)
 
 
-def test_who_owes_rest_gets_it_whatever_is_due() -> None:
+def test_a_forced_rest_comes_before_all_that_is_due() -> None:
     budget = Counting()
     loop = SelectLoop(budget=budget)
     end = monotonic_ns() + 20 * NS_PER_MS
@@ -328,7 +332,7 @@ def test_who_owes_rest_gets_it_whatever_is_due() -> None:
 
 
 @pytest.mark.parametrize("sleeps", [True, False])
-def test_a_descriptor_that_was_closed_is_told_and_waited_for_no_more(
+def test_a_descriptor_closed_without_being_removed_is_reported_and_dropped(
     loop: SelectLoop, failures: Failures, pair: tuple[socket.socket, socket.socket], sleeps: bool
 ) -> None:
     near, far = pair

@@ -80,7 +80,7 @@ def test_an_answer_is_expected_when_the_last_alike_came() -> None:
     assert answers.sent(REQUEST, 50_000) == 55_000
 
 
-def test_who_does_not_answer_is_expected_no_more() -> None:
+def test_after_a_silence_no_answer_is_expected() -> None:
     answers = AnswerTiming()
     answers.sent(REQUEST, 1_000)
     answers.received(6, 5_000)
@@ -88,7 +88,7 @@ def test_who_does_not_answer_is_expected_no_more() -> None:
     assert answers.sent(REQUEST, 20_000) == NEVER
 
 
-def test_what_is_remembered_of_requests_is_bounded() -> None:
+def test_the_number_of_remembered_requests_is_bounded() -> None:
     answers = AnswerTiming()
     for number in range(5_000):
         answers.received(6, 10 * number - 5)
@@ -256,7 +256,7 @@ def test_opened_again_while_an_old_attempt_connects(loop: SelectLoop, monkeypatc
     line.far.shut()
 
 
-def test_notices_of_the_port_are_told_at_open(loop: SelectLoop) -> None:
+def test_notices_of_the_port_are_reported_at_open(loop: SelectLoop) -> None:
     events = list[Event]()
     near, _far = memory_pair(500_000)
     near.notices = ["has no parity bit"]

@@ -191,7 +191,7 @@ def test_a_short_sleep_changes_nothing(kind: str, monkeypatch: pytest.MonkeyPatc
     assert plant.given[-1][1] == RUN
 
 
-def test_the_clocks_of_this_computer_are_told_apart() -> None:
+def test_the_time_of_system_sleep_never_runs_backwards() -> None:
     """However long it slept: less never comes after more."""
     first = suspended_ns()
     assert first > -50 * NS_PER_MS

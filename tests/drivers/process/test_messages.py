@@ -235,7 +235,7 @@ def test_names_that_are_no_error_of_a_text_alone(name: str) -> None:
     assert type(m.error_of((name, "text"))) is BusError
 
 
-def test_frames_cost_what_they_are_long() -> None:
+def test_reading_frames_takes_linear_time() -> None:
     octets = m.framed(m.News(answer=m.Answer(1, value="x" * 200)))
 
     def work_of(n: int) -> Callable[[], object]:

@@ -122,7 +122,7 @@ async def test_the_bus_process_is_killed() -> None:
         assert there.slaves[5].outputs == b"\x11"
 
 
-async def test_the_bus_process_is_told_to_end() -> None:
+async def test_sigterm_ends_the_bus_process_in_order() -> None:
     async with ready_bus(VALVES) as (bus, there):
         await bus.operate()
         bus.slave(4).outputs = b"\x11\x22"
@@ -148,7 +148,7 @@ async def test_ctrl_c_while_the_bus_process_starts() -> None:
         await bus.close()
 
 
-async def test_its_last_words_are_heard_by_who_asks_in_a_handler() -> None:
+async def test_an_event_handler_gets_the_reason_of_the_end_of_the_bus_process() -> None:
     failed: list[str] = []
     with octet_slaves(SPEC) as (path, _there):
 
@@ -169,7 +169,7 @@ async def test_its_last_words_are_heard_by_who_asks_in_a_handler() -> None:
     assert "told to end (SIGTERM)" in failed[0]
 
 
-async def test_a_bus_process_that_hangs_at_the_end_is_killed_and_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_bus_process_that_hangs_at_the_end_is_killed_and_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
     slave = VALVES | {"watchdog_ms": 500}
     async with ready_bus(slave, on_event=lambda event: told.append(event.text)) as (bus, _there):
@@ -223,7 +223,7 @@ def test_the_application_is_killed(then: str) -> None:
         port.close()
 
 
-async def test_a_port_that_cannot_be_opened_is_told_as_always(tmp_path: Path) -> None:
+async def test_a_port_that_cannot_be_opened_raises_as_with_the_asyncio_driver(tmp_path: Path) -> None:
     with pytest.raises(PortError, match="nowhere"):
         await bus_on(str(tmp_path / "nowhere"), "process", VALVES).open()
     with octet_slaves(SPEC) as (path, _there):

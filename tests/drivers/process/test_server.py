@@ -32,7 +32,7 @@ def is_full(outbox: m.Outbox) -> bool:
     return outbox.full
 
 
-def test_nobody_reads_what_the_bus_process_tells() -> None:
+def test_an_application_that_does_not_read_bounds_the_outbox() -> None:
     """Bounded: beyond the limit it says so, and what somebody waits for is still taken."""
     loop = SelectLoop()
     ours, theirs = socket.socketpair()
@@ -129,7 +129,7 @@ def test_sigterm_to_both_leaves_the_end_to_the_application(rig: Rig) -> None:
     rig.closed = True
 
 
-def test_events_beyond_the_bound_are_dropped_counted_and_told(rig: Rig) -> None:
+def test_events_beyond_the_bound_are_dropped_counted_and_reported(rig: Rig) -> None:
     event = Notice(t_ns=1, source="x" * 1000, message="y")
     for _ in range(2_000):
         rig.host.on_events([event])
@@ -155,7 +155,7 @@ def test_events_beyond_the_bound_are_dropped_counted_and_told(rig: Rig) -> None:
     assert [m.event_of(event) for event in owed] == [answer]
 
 
-def test_the_last_words_are_not_dropped(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_reason_of_the_end_is_never_dropped(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """An application that begins to read when the bus process hangs up is told why it did."""
     hangs_up = threading.Event()
 
@@ -256,7 +256,7 @@ def test_an_order_after_its_time_limit_is_dropped_and_its_number_shows_that_it_w
     assert modes == [Mode.CLEAR]
 
 
-def test_outputs_after_their_time_limit_are_dropped_and_that_is_told(rig: Rig) -> None:
+def test_outputs_after_their_time_limit_are_dropped_and_reported(rig: Rig) -> None:
     asked(rig, 1, AddSlave(SlaveParams(address=4, name="v", ident=1, config=b"\x20\x10")))
     late = time.monotonic_ns()
     rig.image.outputs.write({4: Outputs(late, b"\x11")})
@@ -276,7 +276,7 @@ def outputs_of(rig: Rig) -> bytes:
     return rig.host._master.handlers[4].image.outputs
 
 
-def test_it_shows_that_it_lives_whatever_the_application_does(rig: Rig) -> None:
+def test_the_heartbeat_goes_on_whatever_the_application_does(rig: Rig) -> None:
     before = rig.image.words[Word.HEARTBEAT]
     run_until(rig, lambda: rig.image.words[Word.HEARTBEAT] > before + 100_000_000)
     counters = rig.image.counters.read_new()
@@ -284,7 +284,7 @@ def test_it_shows_that_it_lives_whatever_the_application_does(rig: Rig) -> None:
     assert counters.t_ns > before
 
 
-def test_it_tells_everything_anew_to_an_application_that_found_it_silent(rig: Rig) -> None:
+def test_an_application_that_found_the_bus_process_silent_gets_the_whole_state_anew(rig: Rig) -> None:
     asked(rig, 1, AddSlave(SlaveParams(address=4, name="v", ident=1, config=b"\x20\x10")))
     told = len(rig.got)
     rig.image.words[Word.SILENCES] = 7

@@ -93,7 +93,7 @@ def test_126_slaves_with_all_the_octets_there_can_be(memory: int, both: tuple[Sh
     assert os.fstat(memory).st_size == SIZE
 
 
-def test_a_reader_gets_what_is_new_and_keeps_the_rest(both: tuple[SharedImage, SharedImage]) -> None:
+def test_a_reader_gets_the_newest_picture_once(both: tuple[SharedImage, SharedImage]) -> None:
     image, there = both
     assert there.inputs.read_new() is None  # nobody has written yet
     image.inputs.write(picture(b"one"))
@@ -106,7 +106,7 @@ def test_a_reader_gets_what_is_new_and_keeps_the_rest(both: tuple[SharedImage, S
     assert there.inputs.read_new() == picture(b"")
 
 
-def test_a_writer_that_died_in_the_middle_holds_nobody_up(memory: int, both: tuple[SharedImage, SharedImage]) -> None:
+def test_a_half_written_picture_blocks_no_reader(memory: int, both: tuple[SharedImage, SharedImage]) -> None:
     image, there = both
     image.inputs.write(picture(b"whole"))
     assert there.inputs.read_new() == picture(b"whole")
@@ -143,7 +143,7 @@ def test_no_picture_is_ever_torn(memory: int) -> None:
     image.close()
 
 
-def test_who_takes_outputs_says_so_before_they_are_read(both: tuple[SharedImage, SharedImage]) -> None:
+def test_the_number_of_taken_outputs_is_set_before_they_are_read(both: tuple[SharedImage, SharedImage]) -> None:
     """An application that takes outputs back and then sees an older number knows that nobody will send them."""
     image, there = both
     assert there.take_outputs() is None

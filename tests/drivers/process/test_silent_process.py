@@ -189,7 +189,7 @@ async def test_an_order_that_is_not_taken_in_time_is_never_carried_out() -> None
         assert seen <= {bytes(2)}
 
 
-async def test_ctl_outputs_says_ok_only_for_what_the_bus_process_has_taken() -> None:
+async def test_ctl_outputs_succeeds_only_after_the_bus_process_has_taken_them() -> None:
     with octet_slaves(SPEC) as (path, there):
         async with bus_on(path, "process", UNWATCHED) as bus:
             await bus.ready(60)
@@ -225,7 +225,7 @@ async def test_orders_that_the_socket_does_not_take_are_sent_when_the_bus_proces
         await bus.operate()
 
 
-async def test_who_waits_for_rounds_of_a_silent_bus_process_is_told_when_it_goes_on() -> None:
+async def test_a_wait_for_rounds_ends_when_a_silent_bus_process_goes_on() -> None:
     async with ready_bus(UNWATCHED) as (bus, _there):
         with stopped(process_of(bus)):
             await until(lambda: runtime_of(bus).not_running is not None, "the silence")
@@ -262,7 +262,7 @@ def is_running(drive: dpstack.Drive) -> bool:
     return drive.status.running
 
 
-async def test_the_end_of_a_bus_whose_process_is_stopped_says_what_the_slaves_do(
+async def test_the_end_of_a_bus_with_a_stopped_process_reports_the_watchdogs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("dpstack.drivers.process.channel._AGAIN_NS", 10_000_000)

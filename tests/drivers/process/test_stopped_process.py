@@ -56,7 +56,7 @@ def arguments(bus: dpstack.Bus) -> dict[type, dict[str, tuple[Any, ...]]]:
             "remove": ("valves",),
             "rotated": (None,),
             "slave": ("fan",),
-            "tell": (NOTICE,),
+            "publish": (NOTICE,),
             "until": (lambda: False,),
         },
         dpstack.Slave: {

@@ -60,7 +60,7 @@ def test_one_spin_is_bounded_until_something_is_done() -> None:
     assert budget.left_ns() == SPIN_AT_ONCE_NS
 
 
-def test_what_was_used_up_comes_back() -> None:
+def test_a_used_up_budget_comes_back() -> None:
     budget, now = Budget(), 0
     while budget.may_spin(now):
         now += 50_000
@@ -68,7 +68,7 @@ def test_what_was_used_up_comes_back() -> None:
     assert budget.may_spin(now + 200 * NS_PER_MS)
 
 
-def test_who_always_works_must_rest_a_twelfth_and_who_sleeps_owes_nothing() -> None:
+def test_a_process_that_always_works_rests_a_twelfth_and_one_that_sleeps_does_not() -> None:
     budget, now, slept = Budget(rests=True), 5 * NS_PER_S, 0
     budget.begin(now)
     begin = now
@@ -95,7 +95,7 @@ def test_sleep_is_not_saved_up() -> None:
     assert budget.forced_sleep_ns(now + 10 * NS_PER_MS) > 0
 
 
-def test_an_ordinary_process_owes_no_rest() -> None:
+def test_an_ordinary_process_is_not_forced_to_rest() -> None:
     budget = Budget()
     budget.begin(0)
     if not is_real_time():

@@ -54,7 +54,7 @@ def ask(as_nobody: bool, priority: int) -> dict[str, Any]:
     return found
 
 
-def test_without_rights_each_refusal_says_what_to_do() -> None:
+def test_without_rights_each_refusal_names_a_remedy() -> None:
     found = ask(as_nobody=True, priority=0)
     notices = found["notices"]
     assert [notice.split(":")[0] for notice in notices] == [
@@ -76,7 +76,7 @@ def test_a_priority_within_the_limit_is_taken() -> None:
     assert found["priority"] == most
 
 
-def test_what_is_permitted_here_is_taken_or_told() -> None:
+def test_each_right_is_taken_or_its_refusal_reported() -> None:
     found = ask(as_nobody=False, priority=-1)
     notices = " ".join(found["notices"])
     assert found["fifo"] or "real-time priority" in notices

@@ -86,7 +86,7 @@ def _wait_for_octets(segment: Segment, number: int) -> None:
     assert poll.poll(60_000)
 
 
-async def test_all_others_hear_what_one_sends(directory: Path) -> None:
+async def test_all_stations_receive_the_octets_of_every_other_station(directory: Path) -> None:
     async with joined(4, directory) as (_segment, stations):
         for sender in stations:
             sender.send(TELEGRAM)
@@ -225,7 +225,7 @@ async def test_stations_at_other_rates_read_nonsense(directory: Path) -> None:
         assert await other.recv(len(TELEGRAM)) == TELEGRAM
 
 
-async def test_a_station_at_another_rate_gets_what_a_uart_samples_and_no_damaged_octets(directory: Path) -> None:
+async def test_a_station_at_another_rate_receives_the_octets_that_its_uart_samples(directory: Path) -> None:
     async with joined(2, directory, baud=500_000) as (segment, (one, other)):
         set_rate(other.fd, termios.B1500000)
         # 68: a break, then FC with a bad stop bit; 05: three bits of space, of mark, of space, mark: 1C (by hand)
@@ -340,7 +340,7 @@ async def test_a_station_whose_pty_was_full_hears_again_once_it_has_read(directo
             assert heard.dropped == 0
 
 
-async def test_what_a_paced_wire_cannot_take_is_dropped_and_told_once(directory: Path) -> None:
+async def test_octets_beyond_the_capacity_of_a_paced_wire_are_dropped_and_reported_once(directory: Path) -> None:
     told_of: list[str] = []
     async with joined(2, directory, baud=93_750, paced=True, on_notice=told_of.append) as (segment, (endless, _other)):
         wire = segment._wire

@@ -34,7 +34,7 @@ def paced(speeds: list[float]) -> list[BehindRealTime]:
     return told
 
 
-def test_it_is_told_once_and_again_when_it_changes_much() -> None:
+def test_falling_behind_is_reported_once_and_again_when_the_speed_changes_much() -> None:
     told = paced([1.0, 0.95, 0.4, 0.42, 0.25, 0.15, 0.21, 0.5, 0.92, 1.0, 1.0, 0.5])
     speeds = [(round(one.bus_ns / one.real_ns, 2), one.keeps_up) for one in told]
     assert speeds == [(0.4, False), (0.15, False), (0.5, False), (1.0, True), (0.5, False)]
@@ -53,7 +53,7 @@ def test_it_is_told_once_and_again_when_it_changes_much() -> None:
     assert severity_of(told[3]) is Severity.INFO
 
 
-def test_a_bus_that_keeps_up_tells_nothing() -> None:
+def test_a_bus_that_keeps_up_reports_nothing() -> None:
     assert paced([1.0, 0.96, 1.04, 0.91]) == []
 
 

@@ -67,7 +67,7 @@ def test_timeouts_queues_and_tasks_are_those_of_asyncio() -> None:
     assert run(main()) == [("got 0", 2), ("got 1", 4), ("got 2", 6), ("nothing more", 6.25), ("in time", 15.75)]
 
 
-def test_waiting_for_ever_is_told() -> None:
+def test_waiting_for_ever_raises() -> None:
     async def main() -> None:
         await asyncio.Event().wait()
 
@@ -77,7 +77,7 @@ def test_waiting_for_ever_is_told() -> None:
         run(main(), paced=True)
 
 
-def test_waiting_for_a_world_in_which_nothing_happens_is_told() -> None:
+def test_waiting_for_a_world_without_events_raises() -> None:
     async def main() -> None:
         attach(World())
         await asyncio.Event().wait()

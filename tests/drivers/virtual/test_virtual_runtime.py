@@ -116,7 +116,7 @@ async def test_in_an_ordinary_loop_the_world_goes_at_real_time() -> None:
     plant.check()
 
 
-async def test_in_an_ordinary_loop_what_was_missed_is_not_skipped() -> None:
+async def test_in_an_ordinary_loop_missed_bus_time_is_not_skipped() -> None:
     plant = Plant()
     await plant.bring_up()
     before = plant.runtime.now()
@@ -198,7 +198,7 @@ def test_two_runtimes_share_one_world(virtual: bool) -> None:
 
 
 @pytest.mark.parametrize("virtual", [True, False])
-def test_a_defect_stops_the_world_and_is_told(virtual: bool) -> None:
+def test_a_defect_stops_the_world_and_is_reported(virtual: bool) -> None:
     async def main() -> None:
         failures: list[Exception] = []
         told = asyncio.Event()
@@ -233,7 +233,7 @@ def test_without_on_failure_a_virtual_loop_raises_it() -> None:
         run(main())
 
 
-async def test_without_on_failure_an_ordinary_loops_handler_is_told() -> None:
+async def test_without_on_failure_the_handler_of_an_ordinary_loop_is_called() -> None:
     contexts: list[dict[str, object]] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, context: contexts.append(context))
     runtime = VirtualRuntime(World(), Breaks(plan=[(1, b"")]), list.clear)
@@ -264,7 +264,7 @@ def test_an_event_handler_that_raises_does_not_stop_the_bus() -> None:
     assert [context["message"] for context in contexts] == ["virtual: the application's event handler raised"]
 
 
-async def test_misuse_is_told() -> None:
+async def test_misuse_raises() -> None:
     runtime = VirtualRuntime(World(), Dummy(), list.clear)
     with pytest.raises(UsageError, match="virtual is not open"):
         runtime.command(GoOnline())
