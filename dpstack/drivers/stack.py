@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final, Protocol
 
 from dpstack.dp.acyclic.class2 import Class2
 from dpstack.dp.acyclic.queue import Acyclic
@@ -25,11 +25,8 @@ from dpstack.fdl.interface import LinkStats, LinkUser
 from dpstack.fdl.livelist import LiveList, live_allowance
 from dpstack.params import BusParams
 from dpstack.phy.patience import Patience
+from dpstack.stats import Histogram
 from dpstack.units import NS_PER_MS, NS_PER_S
-
-if TYPE_CHECKING:
-    from dpstack.drivers.line.line_runtime import LineRuntime
-    from dpstack.drivers.virtual.runtime import VirtualRuntime
 
 #: a read-only bus asks the whole live list and the diagnosis of each slave anew so often
 _LIST_PERIOD: Final = 10 * NS_PER_S
@@ -68,6 +65,23 @@ def _watcher(spec: StackSpec) -> Scanner:
     return Scanner(own, live, period_ns=_DIAGNOSIS_PERIOD, wanted=[slave.address for slave in spec.slaves])
 
 
+class Latency(Protocol):
+    histogram: Histogram
+
+
+class Line(Protocol):
+    """The driver that keeps the machines of a bus running."""
+
+    @property
+    def lateness(self) -> Latency: ...
+
+    def damage(self) -> dict[str, int]:
+        """Octets that arrived damaged, by cause."""
+
+    def now(self) -> int:
+        """The time in ns."""
+
+
 class Stack:
     """The machines of ``spec`` and their snapshots. A :class:`~dpstack.drivers.snapshots.View`.
 
@@ -75,7 +89,7 @@ class Stack:
     read-only bus a guard refuses every request that could write. Raises ConfigError.
     """
 
-    line: LineRuntime | VirtualRuntime
+    line: Line
 
     def __init__(self, spec: StackSpec) -> None:
         params, read_only = spec.params, spec.master.read_only
