@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from octet_wire import PARAMS, Wire, framed
-from slave_kit import CFG, MASTER, PRM, SLAVE, Bench, make_slave
+from slave_kit import CFG, MASTER, SLAVE, Bench, make_slave
 
 from dpstack.dp.pdu.diag_blocks import (
     NO_DIAG,
@@ -225,15 +225,6 @@ def test_a_repeated_request_gets_the_same_diagnosis_again_on_the_wire() -> None:
     second = wire.ask(framed(0x88, 0x82, 0x5D, "3C 3E"))
     assert second == framed(0x82, 0x88, 0x08, "3E 3C 08 04 00 02 0A 35 02 02").upper()
     assert wire.ask("68 04 04 68 08 02 7D 55 DC 16") == "68 04 04 68 02 08 08 55 67 16"  # DL
-
-
-def test_a_new_owner_reads_the_diagnosis_too() -> None:
-    _, bench = saying(UserDiag.of(device_block(b"\x01")))
-    assert bench.dx().status is Resp.DH
-    bench.diag()
-    assert bench.dx().status is Resp.DL
-    bench.up(PRM)
-    assert bench.dx().status is Resp.DH
 
 
 def test_a_device_that_returns_no_diagnosis_fails_alone() -> None:

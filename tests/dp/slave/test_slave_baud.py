@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import pytest
-from baud_rig import ANSWER, STATUS, TOKEN, OctetLine
+from baud_rig import OctetLine
 from bus_kit import IDENT, PPO1, setup
 from support import MS, S, WorldFactory
 
@@ -118,35 +118,6 @@ def test_a_slave_that_is_not_asked_keeps_the_rate_as_long_as_others_talk(world: 
     w.run_for(5 * S)
     assert state_of(searching) is BaudState.CONTROL
     assert searching.baud == 500_000
-
-
-def test_deaf_and_mute_until_the_rate_is_found() -> None:
-    station = slave(5, rates=(500_000,))
-    wire = OctetLine(station)
-    wire.hear(STATUS[5])
-    wire.hear(b"")
-    assert wire.sent == []
-    wire.hear(STATUS[5])
-    assert state_of(station) is BaudState.CONTROL
-    wire.hear(STATUS[5])  # the first one it is asked
-    wire.hear(b"")
-    assert wire.sent == [ANSWER[5]]
-    assert [type(event).__name__ for event in station.take_events()] == ["BaudStateChanged"]
-
-
-def test_octets_that_are_no_telegrams_do_not_keep_the_rate() -> None:
-    station = slave(5, rates=(500_000,))
-    wire = OctetLine(station)
-    for _ in range(3):
-        wire.hear(TOKEN)
-    assert state_of(station) is BaudState.CONTROL
-    for _ in range(10):
-        wire.hear(TOKEN, 100 * MS)
-    assert state_of(station) is BaudState.CONTROL
-    wire.hear(b"\x00", 100 * MS)
-    wire.hear(b"\x00", 10 * MS)
-    assert state_of(station) is BaudState.SEARCH
-    assert wire.sent == []
 
 
 def test_a_port_that_returns_begins_the_search_anew() -> None:

@@ -126,12 +126,6 @@ def test_chk_cfg(start: SlaveAppState, unit: str, state: SlaveAppState, diagnosi
     assert slave.diagnosis() == diagnosis
 
 
-def test_chk_cfg_before_set_prm_changes_nothing() -> None:
-    slave = Slave()
-    assert slave.ask(CFG) == SC
-    assert slave.diagnosis() == "02 05 00 FF 0A 35"
-
-
 @pytest.mark.parametrize("start", [WAIT_CFG, DATA_EXCH])
 @pytest.mark.parametrize("unit", [PRM, UNLOCK, "3D 3E 00 01 01 37 0A 35 00", "3D 3E", CFG, "3E 3E 11"])
 def test_requests_of_another_master_change_nothing(unit: str, start: SlaveAppState) -> None:
@@ -186,7 +180,10 @@ def test_saps_that_are_not_open(sap: int, state: SlaveAppState) -> None:
         ("3A 3E 02 00", 127, 2, True),
         ("3A 3E 02 02", 127, 2, True),  # group 2 is the slave's
         ("3A 3E 02 02", 8, 2, True),  # to the slave alone
+        ("3A 3E 02 03", 127, 2, True),
+        ("3A 3E 02 FF", 127, 2, True),
         ("3A 3E 02 01", 127, 2, False),  # another group
+        ("3A 3E 02 FD", 127, 2, False),
         ("3A 3E 00 00", 127, 2, False),
         ("3A 3E C1 00", 127, 2, False),  # reserved bits
         ("3A 3E 02", 127, 2, False),  # one octet
@@ -205,20 +202,3 @@ def test_global_control(unit: str, da: int, sa: int, clear: bool) -> None:
     slave.wire.ask(framed(0xFF, 0x82, 0x46, "3A 3E 00 00"))
     assert not slave.app.clear
     assert slave.exchange("01 02") == answer("FE")
-
-
-@pytest.mark.parametrize("state", [WAIT_PRM, WAIT_CFG])
-def test_global_control_before_data_exchange_is_dropped(state: SlaveAppState) -> None:
-    slave = Slave().to(state)
-    slave.wire.ask(framed(0xFF, 0x82, 0x46, "3A 3E 02 00"))
-    slave.ask(PRM)
-    slave.ask(CFG)
-    assert not slave.app.clear
-
-
-def test_sync_and_freeze_that_are_not_supported_do_nothing() -> None:
-    slave = Slave().to(DATA_EXCH)
-    slave.wire.ask(framed(0xFF, 0x82, 0x46, "3A 3E 28 00"))
-    assert slave.exchange("01 02") == answer("FE")
-    assert slave.app.outputs == b"\1\2"
-    assert slave.diagnosis() == "00 0C 00 02 0A 35"

@@ -170,16 +170,6 @@ def test_clear_and_sync_in_one_telegram(plant: Plant) -> None:
     assert plant.take() == []
 
 
-def test_the_un_ones_win_on_the_wire(plant: Plant) -> None:
-    """docs/protocol.md#global_control: sync with unsync is unsync, freeze with unfreeze is unfreeze."""
-    plant.control(SYNC)
-    plant.round("22 22")
-    plant.control("3C")
-    assert [change[2] for change in plant.take()] == ["22 22"] * 3
-    plant.round("33 33")
-    assert [change[2] for change in plant.take()] == ["33 33"] * 3
-
-
 def test_leaving_data_exchange_ends_the_modes(plant: Plant) -> None:
     plant.control("28")
     plant.ask(3, "3D 3E B8 0A 0A 0B 0A 35 01")

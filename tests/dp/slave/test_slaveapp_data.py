@@ -156,18 +156,9 @@ def test_a_device_without_sync_or_freeze_ignores_it(mode: bytes) -> None:
     bench.up()
     bench.dx()
     bench.control(mode)
-    assert bench.diag()[1] == 0x0C
+    assert bench.diag() == bytes.fromhex("00 0C 00 02 0A 35")
     bench.dx(b"\x77")
     assert bench.app.outputs == b"\x77"
-
-
-@pytest.mark.parametrize(("mask", "meant"), [(0, True), (2, True), (3, True), (0xFF, True), (1, False), (0xFD, False)])
-def test_groups(mask: int, meant: bool) -> None:
-    """The slave is in group 2 (mask 02)."""
-    bench = Bench().up()
-    bench.dx()
-    bench.control(bytes((0x02, mask)))
-    assert bench.app.clear is meant
 
 
 def test_group_ident_only_with_lock_req() -> None:

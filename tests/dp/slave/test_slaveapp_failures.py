@@ -20,45 +20,30 @@ DURING = {
     "leave": "leaving (new parameters)",
     "ext_diag": "Data_Exchange",
 }
-CALLS = list(DURING)
 
 
-def walk(bench: Bench) -> None:
-    """Through everything a device is told."""
+@pytest.mark.parametrize("call", DURING)
+def test_a_broken_device_waits_in_wait_cfg_until_restarted(call: str) -> None:
+    bench = Bench()
+    bench.recorder.broken = call
+    # all the calls that a device gets
     bench.prm()
     bench.cfg()
     bench.dx()
     bench.dx()
-    bench.control(CLEAR)
-    bench.control(OPERATE)
-    bench.control(SYNC)
+    for command in (CLEAR, OPERATE, SYNC):
+        bench.control(command)
     bench.diag()
     bench.prm()
-
-
-@pytest.mark.parametrize("call", CALLS)
-def test_a_broken_device(call: str) -> None:
-    bench = Bench()
-    bench.recorder.broken = call
-    walk(bench)
     failures = [event for event in bench.app.take_events() if isinstance(event, DeviceFailed)]
-    assert len(failures) == 1
-    assert failures[0].during == DURING[call]
+    assert [failure.during for failure in failures] == [DURING[call]]
     origin = "ext_diag()" if call == "ext_diag" else "_call()"
     assert failures[0].origin.startswith(f"{origin}, slave_kit.py line ")
     assert f"(ZeroDivisionError: the device is broken in {origin}" in failures[0].text
     assert "restart" in failures[0].text
-    assert bench.app.failure == "ZeroDivisionError: the device is broken"
-    assert bench.app.stats.failures == 1
+    assert (bench.app.failure, bench.app.stats.failures) == ("ZeroDivisionError: the device is broken", 1)
     assert bench.app.state is not SlaveAppState.DATA_EXCH
     assert bench.app.outputs == b""
-
-
-@pytest.mark.parametrize("call", CALLS)
-def test_a_broken_device_waits_in_wait_cfg_until_restarted(call: str) -> None:
-    bench = Bench()
-    bench.recorder.broken = call
-    walk(bench)
     bench.recorder.take()
     for _ in range(3):  # the master tries again and again: accepted, never ready, and the device left alone
         bench.prm()
@@ -83,19 +68,6 @@ def test_an_exception_in_an_exchange_clears_the_outputs() -> None:
     assert (bench.app.state, bench.app.master, bench.app.outputs) == (SlaveAppState.WAIT_PRM, None, b"")
     assert bench.recorder.take() == ["operate", "exchange 11", "exchange 22", "leave failure"]
     assert bench.diag() == bytes.fromhex("02 07 00 FF 0A 35")
-
-
-@pytest.mark.parametrize("frozen", [False, True])
-@pytest.mark.parametrize("length", [0, 2])
-def test_inputs_of_the_wrong_length_are_the_device_s_failure(length: int, frozen: bool) -> None:
-    bench = Bench().up()
-    bench.dx()
-    if frozen:
-        bench.control(b"\x08\x00")
-    bench.recorder.input_len = length
-    assert bench.dx() == RS_REPLY
-    assert bench.app.failure == f"ValueError: it returned {length} input octets, its configuration has 1"
-    assert bench.texts()[0].endswith("its configuration has 1); correct and restart it")
 
 
 def test_a_failing_leave_after_a_watchdog_is_reported_too() -> None:

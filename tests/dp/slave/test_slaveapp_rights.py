@@ -95,6 +95,7 @@ def test_chk_cfg_before_set_prm_changes_nothing() -> None:
     bench = Bench()
     assert bench.cfg() == SC_REPLY
     assert bench.app.state is WAIT_PRM
+    assert bench.diag() == bytes.fromhex("02 05 00 FF 0A 35")
     assert "nobody has parameterised the slave" in bench.texts()[0]
 
 
