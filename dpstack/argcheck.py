@@ -9,7 +9,7 @@ from typing import Any
 from dpstack.errors import UnknownAttribute, UsageError
 
 
-def whole(what: str, value: Any, error: type[Exception] = UsageError) -> int:
+def whole_number(what: str, value: Any, error: type[Exception] = UsageError) -> int:
     """``value`` where it is a whole number; the caller checks ranges. Raises ``error``."""
     if isinstance(value, bool) or not isinstance(value, int):
         raise error(f"{what} = {value!r} is no whole number: give one, 47 or 0x2F for instance")

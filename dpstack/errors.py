@@ -183,7 +183,7 @@ class SlaveTimeout(SlaveError, TimeoutError):
 
 
 class RecordRefused(DpError):
-    """What a function that serves records raises to refuse one: ``code_1`` is Error_Code_1, class and code.
+    """A function that serves records raises it to refuse a request: ``code_1`` is Error_Code_1, class and code.
 
     0xB0 invalid index, 0xB2 invalid slot, 0xB5 state conflict, 0xB6 access denied ...
     (``dpstack.dpv1.pdu.error_codes.Code``); ``code_2``: one's own. Both are octets; raises UsageError for anything

@@ -37,7 +37,7 @@ class Order:
 
     @property
     def ends(self) -> bool:
-        """It ends something: a driver carries it out however late it comes."""
+        """True if the order ends something: a driver carries it out however late it comes."""
         return self.ENDS
 
 

@@ -7,7 +7,7 @@ from enum import Enum
 
 
 class Novelty(Enum):
-    """Whether a remark has to be reported."""
+    """Result of :meth:`ReportOnce.novelty`: whether to report a remark."""
 
     NEW = "new"
     LAST = "last"  # new, and the last one that is reported

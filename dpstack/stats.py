@@ -14,7 +14,7 @@ _SUB_BITS: Final = 8  # 256 buckets an octave: values are kept to 0.4 %
 class Histogram:
     """Counts of durations in ns in logarithmic buckets (relative width 2^-8), minimum and maximum exact.
 
-    ``buckets`` are its own affair.
+    ``buckets`` is internal.
     """
 
     count: int = 0

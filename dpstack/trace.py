@@ -29,11 +29,11 @@ class Event:
 
     A derived class needs no decorator: it becomes a frozen dataclass with keyword arguments by itself. It has a
     ``TEMPLATE`` of its :attr:`text`, in which ``{e.name}`` stands for an attribute of the event, or ``_text()`` where
-    the words depend on the attributes. ``OWED``: see :attr:`owed`.
+    the words depend on the attributes. ``MUST_ARRIVE``: see :attr:`must_arrive`.
     """
 
     TEMPLATE: ClassVar[str]
-    OWED: ClassVar[bool] = False
+    MUST_ARRIVE: ClassVar[bool] = False
 
     t_ns: int
 
@@ -50,9 +50,9 @@ class Event:
         return self.TEMPLATE.format(e=self)
 
     @property
-    def owed(self) -> bool:
-        """The answer to a command that somebody waits for: it must not be dropped."""
-        return self.OWED
+    def must_arrive(self) -> bool:
+        """True for the answer to a command that a caller waits for: a driver must not drop it."""
+        return self.MUST_ARRIVE
 
 
 class Notice(Event):

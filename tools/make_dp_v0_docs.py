@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from dpstack.dp.pdu.diag_bits import FLAGS, Does, Flag
+from dpstack.dp.pdu.diag_bits import FLAGS, Flag, Reaction
 
 TARGET: Final = Path(__file__).resolve().parent.parent / "docs" / "dp-v0.md"
 ROWS: Final = Path(__file__).resolve().with_name("dp_v0_rows.toml")
@@ -52,7 +52,7 @@ sets one of them, the master ignores it and reports it once. These tests cover e
 
 _REST: Final = (
     "| 2, 2 | (always 1) | slave | "
-    + f"{Does.TELLS.value} | {Does.TELLS.value} | if it is missing, this is reported once | |",
+    + f"{Reaction.REPORTS.value} | {Reaction.REPORTS.value} | if it is missing, this is reported once | |",
     "| octet 4 | Master_Add | slave | another master's slave is never parameterised (fault `locked`) | the same | "
     "own address + 128 and the address of the asking master are tolerated | is owned by master 7 |",
     "| octets 5, 6 | Ident | slave | another device is never parameterised (fault `wrong_ident`) | the same | "

@@ -6,14 +6,14 @@ from typing import Final
 
 from dpstack.units import NS_PER_MS, NS_PER_S
 
-#: from the order to the end of a service, the time that others take included, unless the caller gives another one
+#: time-out of a service from the order to its end, other services before it included; the caller may give another one
 SERVICE_TIMEOUT: Final = 10 * NS_PER_S
 #: how long a slave works at a service at most, where its GSD file has no C1_Response_Timeout or C2_Response_Timeout
 RESPONSE_TIMEOUT: Final = NS_PER_S
 #: a service that takes the slave all its time has so much more
 _MARGIN: Final = NS_PER_S
 
-#: so many polls in as many token holds, then with pauses that grow up to the last
+#: so many polls follow one another in each token hold; these pauses come before the later ones, the last pause for ever
 _EAGER: Final = 4
 _PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
 

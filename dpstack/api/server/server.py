@@ -11,7 +11,7 @@ from typing import Unpack
 from dpstack.api.gsd_info import read_gsd
 from dpstack.api.server.async_device import AsyncRecords
 from dpstack.api.streams import OnEvent, Waiters, call_on_event
-from dpstack.argcheck import Sealed, octets, whole
+from dpstack.argcheck import Sealed, octets, whole_number
 from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Specifier, Status, module_status
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, SlaveAppStats
@@ -273,7 +273,7 @@ class ServedSlave(Sealed):
 
 
 def _numbers(type: int, slot: int, specifier: int) -> tuple[int, int, int]:
-    return whole("type", type), whole("slot", slot), whole("specifier", specifier)
+    return whole_number("type", type), whole_number("slot", slot), whole_number("specifier", specifier)
 
 
 def _hint(raised: Raised) -> str:

@@ -17,7 +17,7 @@ from dpstack.api.slave.records import RecordAccess, RecordWay, usual_timeout
 from dpstack.api.slave.services import ConnectionEnd, Services, time_of
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import when_dropped
-from dpstack.argcheck import Sealed, octets, whole
+from dpstack.argcheck import Sealed, octets, whole_number
 from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService, Service, ServiceDone
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
@@ -131,7 +131,7 @@ class Class2(Sealed):
         """
         if self._bus.config.bus.read_only:
             raise UsageError("this bus is read-only: no slave gets another address; leave read_only out")
-        whole("old", old), whole("new", new)
+        whole_number("old", old), whole_number("new", new)
         if not force:
             self._check_settable(old, new, ident)
         services = self._bus.services

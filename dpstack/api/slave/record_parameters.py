@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from typing import TypeVar
 
-from dpstack.argcheck import whole
+from dpstack.argcheck import whole_number
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.errors import DriveError, DriveFault, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import CommandError
@@ -62,7 +62,7 @@ class RecordParameters:
         limits: Limits | None = None,
         longest: int = MAX_RECORD,
     ) -> None:
-        whole("slot", slot), whole("object", object)
+        whole_number("slot", slot), whole_number("object", object)
         self._name = name
         self._carry_out = carry_out
         known = Limits(octets=longest) if limits is None else limits

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, TypeVar
 
 from dpstack.api.slave.record_parameters import RecordParameters
 from dpstack.api.slave.services import Services, time_of
-from dpstack.argcheck import octets, whole
+from dpstack.argcheck import octets, whole_number
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.master.orders import RecordDone, RecordOrder
 from dpstack.dpv1.pdu.error_codes import AGAIN, Decode
@@ -79,7 +79,7 @@ class RecordAccess(abc.ABC):
         SlaveTimeout, SlaveFault (it left data exchange, or its answer is impossible), ConnectionEnded, UsageError,
         BusError.
         """
-        wanted = self._way.longest if length is None else whole("length", length)
+        wanted = self._way.longest if length is None else whole_number("length", length)
         return await self._carry_out(Function.READ, slot, index, timeout, length=wanted)
 
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
@@ -104,8 +104,8 @@ class RecordAccess(abc.ABC):
         order = RecordOrder(
             way.services.token(),
             function,
-            whole("slot", slot),
-            whole("index", index),
+            whole_number("slot", slot),
+            whole_number("index", index),
             length,
             data,
             time_of(usual_timeout(way.response_ns) if timeout is None else timeout),
@@ -148,7 +148,7 @@ class RecordAccess(abc.ABC):
         If the slave is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel), the call repeats for up to
         2 s, or ``timeout`` where that is shorter.
         """
-        if not 0 <= whole("number of I&M", number) <= 4:
+        if not 0 <= whole_number("number of I&M", number) <= 4:
             raise UsageError(f"there is no I&M{number}: 0..4")
         what = f"I&M{number} of slot {slot}"
         async with self._calling(what, timeout):

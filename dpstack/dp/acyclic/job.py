@@ -76,7 +76,7 @@ class ServiceEnd(Event, abc.ABC):
     address: int
     outcome: Outcome
 
-    OWED = True
+    MUST_ARRIVE = True
 
     @property
     @abc.abstractmethod

@@ -133,7 +133,7 @@ class ForcedClear(Event):
     """The master goes to Clear by itself, and stays there until Operate is ordered."""
 
     #: each one waits for an order of the application
-    OWED = True
+    MUST_ARRIVE = True
 
     @property
     def why(self) -> str:
@@ -225,7 +225,7 @@ class ControlSent(Event):
     ``missed``: slaves of its groups that were not in data exchange and did not take it.
     """
 
-    OWED = True
+    MUST_ARRIVE = True
 
     token: int
     missed: tuple[int, ...] = ()
@@ -238,7 +238,7 @@ class ControlSent(Event):
 class PictureTaken(Event):
     """The inputs of every slave of the groups by address, each from an exchange after the order ``token`` was sent."""
 
-    OWED = True
+    MUST_ARRIVE = True
 
     token: int
     inputs: dict[int, bytes]
@@ -250,7 +250,7 @@ class PictureTaken(Event):
 class ControlFailed(Event):
     """The order ``token`` ended without being carried out to its end; ``address`` is of the slave that was missing."""
 
-    OWED = True
+    MUST_ARRIVE = True
     TEMPLATE = "master: Global_Control was not carried out: {e.reason}"
 
     token: int
@@ -278,7 +278,7 @@ class DriveEvent(SlaveEvent):
         return f"drive {self.address} ({self.name}): {said}"
 
     @property
-    def owed(self) -> bool:
+    def must_arrive(self) -> bool:
         """The result of an order."""
         return self.payload.get("type") == "result"
 

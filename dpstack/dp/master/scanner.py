@@ -110,7 +110,7 @@ class ScanDone(Event):
     found: tuple[Found, ...] = ()
     unreadable: tuple[int, ...] = ()
 
-    OWED = True
+    MUST_ARRIVE = True
 
     TEMPLATE = "live list complete: {e.stations} stations besides this one"
 

@@ -16,7 +16,7 @@ from typing import Final
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.events import Fault, FaultKind, SlaveState
 from dpstack.dp.master.slave_states import Trigger
-from dpstack.dp.pdu.diag_bits import FLAG, FLAGS, Does, SetBy, weightiest
+from dpstack.dp.pdu.diag_bits import FLAG, FLAGS, Reaction, SetBy, weightiest
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.services import SERVICE_NAMES
 from dpstack.dp.slave_params import SlaveParams
@@ -57,10 +57,10 @@ class OddAnswers:
 
 #: what the master does -> what the state table calls it
 _EVENT: Final = {
-    Does.TELLS: Trigger.DIAG_READY,
-    Does.WAITS: Trigger.DIAG_WAIT,
-    Does.PARAMETERISES: Trigger.DIAG_PRM_REQ,
-    Does.REFUSES: Trigger.DIAG_REFUSED,
+    Reaction.REPORTS: Trigger.DIAG_READY,
+    Reaction.WAITS: Trigger.DIAG_WAIT,
+    Reaction.PARAMETERISES: Trigger.DIAG_PRM_REQ,
+    Reaction.REFUSES: Trigger.DIAG_REFUSED,
 }
 #: the master's own bits, octets 1 and 2: a slave's are not believed
 _MASTERS: Final = tuple(

@@ -39,7 +39,7 @@ class RedState(IntFlag):
     OUTPUT_HOLD_TIME = 0x40
 
 
-#: function and two states; a third one is not used
+#: octets of function and two states; the octet of a third state is not used
 _LEAST: Final = 3
 
 
@@ -84,7 +84,7 @@ HEAD: Final = 4
 MAX_DATA: Final = 59
 #: sequence numbers
 SEQUENCES: Final = 32
-#: types of alarm and status that are the maker's own
+#: the manufacturer's types of alarm and status
 VENDOR: Final = range(32, 127)
 
 
@@ -99,7 +99,7 @@ class AlarmType(IntEnum):
     UPDATE = 6
 
 
-#: keys of DPV1_Status_2's bits; vendor types have one in common
+#: the key of :data:`~dpstack.dp.pdu.dpv1_status.ALARMS` that enables a type; all vendor types share one
 _ENABLED_BY: Final[Mapping[int, str]] = {
     AlarmType.DIAGNOSIS: "diagnostic",
     AlarmType.PROCESS: "process",

@@ -1,6 +1,6 @@
 """The bits of the diagnosis as one table: who sets each, how the master reacts, the texts for the user.
 
-The judging (:mod:`dpstack.dp.master.verdicts`) works from this table, and docs/dp-v0.md is written from it. Facts:
+The master judges by this table (:mod:`dpstack.dp.master.verdicts`), and docs/dp-v0.md is written from it. Facts:
 docs/protocol.md#slave_diag, docs/protocol.md#what-a-diagnosis-means.
 """
 
@@ -17,10 +17,10 @@ class SetBy(Enum):
     MASTER = "master"
 
 
-class Does(Enum):
+class Reaction(Enum):
     """The master's reaction to the bit, the most serious one last. docs/dp-v0.md prints the values."""
 
-    TELLS = "reports it, goes on"
+    REPORTS = "reports it, goes on"
     WAITS = "reads the diagnosis again until the bit is 0"
     PARAMETERISES = "begins again with Set_Prm"
     REFUSES = "fault; tries again after 1 to 10 s"
@@ -37,15 +37,15 @@ class Flag(NamedTuple):
     mask: int
     name: str
     set_by: SetBy
-    bring_up: Does | None
-    exchange: Does | None
+    bring_up: Reaction | None
+    exchange: Reaction | None
     text: str
     remedy: str = ""
     note: str = ""
 
 
 _S, _M = SetBy.SLAVE, SetBy.MASTER
-_T, _W, _P, _R = Does
+_T, _W, _P, _R = Reaction
 
 #: Status 2 bit 2 should always be 1; some slaves leave it 0, which has no effect.
 ALWAYS_ONE: Final = 0x04
@@ -113,6 +113,6 @@ FLAGS: Final = (
 FLAG: Final = {flag.name: flag for flag in FLAGS}
 
 
-def weightiest(reactions: tuple[Does | None, ...]) -> Does:
+def weightiest(reactions: tuple[Reaction | None, ...]) -> Reaction:
     """The most serious one of the reactions to the bits of one diagnosis."""
-    return max(filter(None, reactions), key=tuple(Does).index, default=Does.TELLS)
+    return max(filter(None, reactions), key=tuple(Reaction).index, default=Reaction.REPORTS)

@@ -2,9 +2,9 @@
 
 Layouts: docs/protocol.md#diagnosis-blocks.
 
-Lengths in what is read come from the slave and may lie: a block that announces more than is left holds what is left,
-one that announces nothing ends the splitting; both are a finding in words, never an exception. A slave application
-makes its diagnosis beyond the slave's own fault bits from the same blocks.
+The slave announces the length of each block, and the lengths may be wrong: a block that is longer than the rest is cut,
+a block without octets ends the splitting. Both become a finding in words, never an exception. The application of a
+slave builds its diagnosis from the same blocks.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ class UserDiag:
     """The part of a slave's diagnosis that its application sets, as a whole.
 
     ``ext``: the octets after the six fixed ones. ``fault``: Ext_Diag, there is something wrong (False: ``ext`` is a
-    mere message). ``stat``: Stat_Diag, no valid data at present. ``overflow``: more than what is said here.
+    mere message). ``stat``: Stat_Diag, no valid data at present. ``overflow``: there is more than fits.
     """
 
     ext: bytes = b""

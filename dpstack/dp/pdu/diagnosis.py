@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.pdu.diag_bits import ALWAYS_ONE, FLAG, FLAGS, Does, Flag, SetBy
+from dpstack.dp.pdu.diag_bits import ALWAYS_ONE, FLAG, FLAGS, Flag, Reaction, SetBy
 from dpstack.dp.pdu.diag_blocks import Block, split_blocks
 from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, adapted
 from dpstack.errors import PduError
@@ -84,9 +84,9 @@ class Diagnosis:
         deals with itself: states and faults of the slave report them.
         """
         found = self.findings
-        if exchanging and any(flag.exchange in (Does.PARAMETERISES, Does.REFUSES) for flag in found):
+        if exchanging and any(flag.exchange in (Reaction.PARAMETERISES, Reaction.REFUSES) for flag in found):
             exchanging = False  # it is about to be brought up again
-        told = (Does.TELLS, Does.WAITS) if exchanging else (Does.TELLS,)
+        told = (Reaction.REPORTS, Reaction.WAITS) if exchanging else (Reaction.REPORTS,)
         return tuple(flag for flag in found if flag.remedy and (flag.exchange if exchanging else flag.bring_up) in told)
 
     @property

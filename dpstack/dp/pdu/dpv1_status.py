@@ -69,7 +69,7 @@ class Dpv1:
             raise ConfigError(f"records of {self.c1_max_data_len} octets; {MAX_RECORD} are possible")
 
     def apply(self, octets: bytearray) -> None:
-        """Put it into the user parameters, whose first three octets are DPV1_Status. Raises ConfigError."""
+        """Write DP-V1 into the user parameters, whose first three octets are DPV1_Status. Raises ConfigError."""
         set_bit(octets, 0, DPV1_ENABLE, True)
         if self.alarms is None:
             for name in self.required_alarms:
@@ -85,7 +85,7 @@ class Dpv1:
             self._structure(octets)
 
     def _structure(self, octets: bytearray) -> None:
-        """With Prm_Structure all behind DPV1_Status is blocks: what was none becomes one of type 0x81 (user_prm).
+        """With Prm_Structure only blocks follow DPV1_Status: other octets become a block of type 0x81 (user_prm).
 
         Octets that stand there with the bit set, and those of a GSD file that requires the structure, are blocks.
         """

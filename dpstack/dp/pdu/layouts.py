@@ -106,27 +106,27 @@ REST: Final[Any] = cs.Bytewise(cs.GreedyBytes)
 
 
 def bits(count: int) -> Any:
-    """A number of so many bits."""
+    """A number of ``count`` bits."""
     return cs.BitsInteger(count)
 
 
 def flags(names: str) -> tuple[Any, ...]:
-    """One bit each, most significant first."""
+    """Fields of one bit each, the most significant first."""
     return tuple(name / cs.Flag for name in names.split())
 
 
 def octets(count: int) -> Any:
-    """So many octets as they are."""
+    """``count`` octets as bytes."""
     return cs.Bytewise(cs.Bytes(count))
 
 
 def array(count: int, field: Any) -> Any:
-    """So many of ``field``, as a list."""
+    """``count`` times ``field``, as a list."""
     return cs.Array(count, field)
 
 
 def fixed(count: int, value: int = 0) -> Any:
-    """So many bits that are always ``value`` when sent, and may be anything when received."""
+    """``count`` bits that are always ``value`` when sent, and may be anything when received."""
     return cs.Default(cs.BitsInteger(count), value)
 
 

@@ -10,5 +10,5 @@
 - ``prm_cfg_check``: Checks of Set_Prm and Chk_Cfg at a slave
 - ``services``: The services of a slave that are not cyclic: reading, Set_Prm, Chk_Cfg, Set_Slave_Add
 - ``state``: State, lock, watchdog and address of a slave application, and its steps through the table of states
-- ``state_table``: The states of a DP slave as tables: who may use which service, and which event leads where
+- ``state_table``: The states of a DP slave as tables: access to each service, and the transitions
 """

@@ -1,10 +1,10 @@
-"""The DP slave: the application of a passive station, around a device that somebody wrote.
+"""The DP slave: the application of a passive station around a device.
 
-It answers Data_Exchange and heeds Global_Control and time; the other services are in
-:mod:`dpstack.dp.slave.services`, what state and lock make of them in :mod:`dpstack.dp.slave.state`, the tables in
-:mod:`dpstack.dp.slave.state_table`. Cyclic data are in :mod:`dpstack.dp.slave.cyclic_data`, the judging of parameters
-in :mod:`dpstack.dp.slave.prm_cfg_check`, fault bits in :mod:`dpstack.dp.slave.diagnosis`; what is done with the data is
-the device's.
+:class:`SlaveApp` answers Data_Exchange, carries out Global_Control and keeps the deadlines. The device, written by its
+author, processes the data. The other services are in :mod:`dpstack.dp.slave.services`, state, lock and watchdog in
+:mod:`dpstack.dp.slave.state`, the tables of states in :mod:`dpstack.dp.slave.state_table`, cyclic data in
+:mod:`dpstack.dp.slave.cyclic_data`, checks of parameters and configuration in :mod:`dpstack.dp.slave.prm_cfg_check`,
+fault bits in :mod:`dpstack.dp.slave.diagnosis`.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ class SlaveApp(SlaveCore):
             self.fail("Global_Control", error, now)
 
     def wake_at(self) -> int:
-        """The watchdog, the services of the device, or what the device itself wants."""
+        """The next deadline of the watchdog, of the device's services, or of the device itself."""
         at = self.watchdog.at
         if self._timed:
             for service in self._timed:
@@ -183,7 +183,7 @@ class SlaveApp(SlaveCore):
         return wanted if wanted < at else at
 
     def tick(self, now: int) -> None:
-        """Judge the watchdog and the services of the device, let the device have its time."""
+        """Check the watchdog and the deadlines of the device's services, then call ``tick`` of the device."""
         for service in self._timed:
             if service.at <= now:
                 service.tick(now)

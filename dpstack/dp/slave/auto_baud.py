@@ -1,12 +1,14 @@
 """Slaves that find the baud rate by themselves, as nearly all do.
 
-A machine around what listens at one rate, deaf to the bus until the rate is found, and again once it is lost. Around
-one station, or around all the simulated slaves of one port: one receiver, so one search for all.
+:class:`Searching` is a machine around a listener, which gets no octets until the rate is found, nor after the rate is
+lost. The listener is one station, or all the simulated slaves of one port: these share a receiver, so they share the
+search.
 
-It listens at one rate after the other (BAUD_SEARCH); once the rate is found it watches that telegrams keep coming
-(BAUD_CONTROL); parameterised with the watchdog on, that watches the master instead (DP_MODE). States and transitions
-are those of the VPC3+ (docs/protocol.md#baud-search): a watchdog that expires leads back to BAUD_CONTROL, silence there
-to BAUD_SEARCH; with the watchdog off losing the rate restarts the search, but the slave stays in Data_Exchange.
+The machine listens at one rate after the other (BAUD_SEARCH). Once the rate is found, it watches that telegrams keep
+coming (BAUD_CONTROL). With the watchdog of Set_Prm on, this one watches the master instead (DP_MODE). States and
+transitions are those of the VPC3+ (docs/protocol.md#baud-search): a watchdog that expires leads back to BAUD_CONTROL,
+silence there to BAUD_SEARCH; with the watchdog off losing the rate restarts the search, but the slave stays in
+Data_Exchange.
 """
 
 from __future__ import annotations
@@ -95,7 +97,7 @@ class Searching(abc.ABC):
         self._listener.sent(at)
 
     def wake(self, now: int) -> None:
-        """Judge the search or the silence; applications have their time in every state."""
+        """Check the search or the silence; the deadlines of applications count in every state."""
         self._listener.wake(now)
         if self.state is BaudState.SEARCH:
             self._begun(now).wake(now)
@@ -103,7 +105,7 @@ class Searching(abc.ABC):
             return
         watched = self._watched()
         if watched is not (self.state is BaudState.DP_MODE):
-            # the time without a watchdog over it begins, or ends, here
+            # the watch over silence begins, or ends, here
             self._last_telegram = now
             self._reach(BaudState.DP_MODE if watched else BaudState.CONTROL, now)
         elif not watched and now >= self._last_telegram + self._control_ns:

@@ -35,7 +35,7 @@ class CyclicData:
         self.synced = False
         self.frozen = False
         self.plain = False
-        self._received = self.outputs  # what the next SYNC passes on
+        self._received = self.outputs  # the next SYNC passes them on
         self._clear = False  # Global_Control said Clear
         self.void = False
         self._started = False  # operate() of the device was called
@@ -56,13 +56,13 @@ class CyclicData:
         fresh = self._sample(now)
         if not self.frozen:
             self.inputs = fresh
-        self._judge()
+        self._set_plain()
         return self.inputs
 
     def control(self, command: GlobalControl, now: int) -> None:
         """A Global_Control that concerns this slave (docs/protocol.md#global_control): each further SYNC or FREEZE
         acts."""
-        if self.plain:  # the slave application's short way leaves it to us to note what came last
+        if self.plain:  # the slave application does not store the outputs of plain exchanges here
             self._received = self.outputs
         self._clear = command.clear
         if command.clear:
@@ -76,7 +76,7 @@ class CyclicData:
             fresh = self._sample(now)
             if samples or not self.frozen:
                 self.inputs = fresh
-        self._judge()
+        self._set_plain()
 
     def _switch_sync(self, command: GlobalControl) -> bool:
         """Enter or leave the mode; True when the outputs received last go to the device now."""
@@ -116,7 +116,7 @@ class CyclicData:
             raise wrong_inputs(inputs, self.input_len)
         return inputs
 
-    def _judge(self) -> None:
+    def _set_plain(self) -> None:
         self.plain = self._started and not (self.void or self.synced or self.frozen)
 
 

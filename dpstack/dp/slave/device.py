@@ -104,6 +104,6 @@ class DpV0Device:
     def tick(self, now: int) -> int | None:
         """The time asked for has come. An address where the slave restarts by itself and stands there from then on."""
 
-    def leaves_default(self, *methods: str) -> bool:
-        """Whether the device has these methods as they are here; then the slave need not call them."""
+    def overrides_none(self, *methods: str) -> bool:
+        """True if the device overrides none of ``methods``; then the slave need not call them."""
         return all(getattr(getattr(self, name), "__func__", None) is getattr(DpV0Device, name) for name in methods)

@@ -31,7 +31,7 @@ class DiagState:
         self._read_by_owner = NO_DIAG
         self._offered: UserDiag | None = None  # in an answer that the owner may not have received
         self.prm_fault = self.cfg_fault = self.not_supported = False
-        is_plain = device.leaves_default("user_diag", "ext_diag")
+        is_plain = device.overrides_none("user_diag", "ext_diag")
         self.user: Callable[[], UserDiag] | None = None if is_plain else device.user_diag
         self._messages = messages
         self.silent = self.user is None and messages is None

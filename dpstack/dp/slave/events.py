@@ -29,7 +29,7 @@ class SlaveAppEvent(Event):
 
 
 class SlaveAppStateChanged(SlaveAppEvent):
-    """The slave reached another state. ``master``: who has locked it."""
+    """The slave reached another state. ``master``: address of the master that has locked it."""
 
     state: SlaveAppState
     why: AppTrigger

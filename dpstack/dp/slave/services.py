@@ -1,6 +1,7 @@
 """The services of a slave that are not cyclic: reading, Set_Prm, Chk_Cfg, Set_Slave_Add.
 
-Who may use which when is in :mod:`dpstack.dp.slave.state_table`; here is what each does once it is let in.
+Each function carries out one service. In which state and for which master a service is open:
+:mod:`dpstack.dp.slave.state_table`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """State, lock, watchdog and address of a slave application, and its steps through the table of states.
 
-Whatever leaves data exchange, and whatever the
-device raises, goes through here, so that outputs and lock are given up in one place. The time a device asks for, its
-``wake_at`` and ``tick``, is kept from hanging or breaking the bus.
+Every way out of data exchange and every exception of the device go through :class:`SlaveCore`, which gives up outputs
+and lock in one place. :class:`DeviceClock` calls ``wake_at`` and ``tick`` of the device, so that a faulty device can
+neither hang nor stop the bus.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dpstack.units import NEVER, NOW
 
 
 class SlaveAddress:
-    """Where one slave stands on the bus. ``fixed``: Set_Slave_Add is closed."""
+    """The station address of one slave. ``fixed``: Set_Slave_Add is closed."""
 
     def __init__(self, device: DpV0Device, report: Report, fixed: bool) -> None:
         self._device = device
@@ -36,7 +36,7 @@ class SlaveAddress:
 
     @property
     def open(self) -> bool:
-        """Whether Set_Slave_Add is served at all."""
+        """True while the slave serves Set_Slave_Add."""
         return self._device.set_slave_add and not self.fixed
 
     def judge(self, wanted: SetSlaveAdd) -> str | None:
@@ -48,12 +48,12 @@ class SlaveAddress:
         return None
 
     def keep(self, address: int | None) -> None:
-        """Stand at ``address`` from the next restart on: the station has it from the beginning, or a parameter of the
-        device sets it."""
+        """Use ``address`` from the next restart on: it is the first one of the station, or a parameter of the device
+        sets it."""
         self.kept = (address, self.kept[1])
 
     def restart(self) -> None:
-        """Switched on again: what was not kept is gone."""
+        """The slave is switched on again: use the address that was kept."""
         address, self.fixed = self.kept
         if address is not None:
             self._report.readdress(address)
@@ -91,7 +91,7 @@ class Watchdog:
         self.at = now + time_ns if time_ns else NEVER
 
     def expired(self, now: int) -> bool:
-        """Whether the time is over; otherwise the deadline moves on."""
+        """True when the time is over; otherwise the deadline moves on."""
         if self.at > now:
             return False
         self.at = self.last_request + self.time_ns
@@ -101,7 +101,8 @@ class Watchdog:
 class SlaveCore:
     """One slave application, as :class:`~dpstack.dp.slave.application.SlaveApp` and its services share it.
 
-    ``master``: who has locked the slave. ``failure``: what failed in the device, None while it works. ``data``: only in
+    ``master``: address of the master that has locked the slave. ``failure``: the exception of the device, None while it
+    works. ``data``: only in
     data exchange. ``group``: Group_Ident. ``services``: those of the device, beyond DP-V0.
     """
 
@@ -153,7 +154,7 @@ class SlaveCore:
             self.report.station.set_min_tsdr(bits)
 
     def restart(self, now: int) -> None:
-        """Off and on again: nothing kept but the address, a failure forgotten."""
+        """Switch the slave off and on: only its address is kept, a failure is forgotten."""
         self.step(AppTrigger.POWER_ON, now, Leave.POWER_OFF)
         self.end_services("the slave was switched off", now)
         self.failure = None
@@ -225,7 +226,7 @@ class DeviceClock:
         self._error: Exception | None = None
         #: Called after each step of the slave: the time in ns at which :meth:`tick` is wanted. None: the device states
         #: it in ``due_at``. Exceptions go to :meth:`failed`.
-        self.due = None if device.leaves_default("wake_at") else device.wake_at
+        self.due = None if device.overrides_none("wake_at") else device.wake_at
 
     def failed(self, error: Exception) -> int:
         """``due`` raised ``error``: :meth:`tick`, which knows the time, will raise it. Returns when it is wanted."""

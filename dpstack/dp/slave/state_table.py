@@ -1,4 +1,4 @@
-"""The states of a DP slave as tables: who may use which service, and what leads where, with the clause per row.
+"""The states of a DP slave as tables: access to each service, and the transitions, with the clause of each row.
 
 Facts: docs/protocol.md#slave-states, docs/protocol.md#services-by-state; the manuals named here:
 docs/protocol.md#sources. Decisions where the sources leave something open: docs/decisions/slave.md#states-of-a-slave.
@@ -51,7 +51,7 @@ _DECIDED: Final = "docs/decisions/slave.md#states-of-a-slave"
 class Access(NamedTuple):
     """In which states a service is open, and whether only the master that locked the slave may use it.
 
-    What is not open is answered with RS (an SDN is dropped).
+    The slave answers RS to a service that is not open, and drops an SDN.
     """
 
     name: str

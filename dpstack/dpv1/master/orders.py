@@ -160,7 +160,7 @@ class ConnectionOver(Event):
     abort: tuple[int, int, int] | None = None
     ordered: bool = False
 
-    OWED = True
+    MUST_ARRIVE = True
 
     TEMPLATE = "slave {e.address}: class 2 connection (server SAP {e.server_sap}) is over: {e.reason}"
 
@@ -168,7 +168,7 @@ class ConnectionOver(Event):
 class ConnectionsClosed(Event):
     """The end of CloseConnections: no slave holds anything for this master any more, as far as could be done."""
 
-    OWED = True
+    MUST_ARRIVE = True
     TEMPLATE = "no class 2 connection is open any more"
 
 
@@ -204,7 +204,7 @@ class AlarmRaised(SlaveEvent):
     texts: tuple[str, ...] = ()
 
     @property
-    def owed(self) -> bool:
+    def must_arrive(self) -> bool:
         """The slave waits for its acknowledgement."""
         return self.held
 
@@ -215,7 +215,7 @@ class AlarmRaised(SlaveEvent):
 class AlarmDone(SlaveEvent):
     """The one end of the alarm ``number``: the slave took its acknowledgement, or why there is none."""
 
-    OWED = True
+    MUST_ARRIVE = True
 
     number: int
     outcome: Outcome

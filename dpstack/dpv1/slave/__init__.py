@@ -5,11 +5,11 @@
 - ``description_from_gsd``: The description of a slave from its GSD file
 - ``device``: The base class of a device with DP-V1: its records, alarms and class 2 connections
 - ``loopback_device``: Devices that mirror their outputs to their inputs: the simulation of a slave without a drive
-- ``ms1``: MS1 of a slave: requests come in, records answer now or later, the master polls for the answer
-- ``ms2_connection``: One class 2 connection at the slave, from Initiate to its end
+- ``ms1``: MS1 of a slave: the master sends a request, a record answers now or later, the master polls for it
+- ``ms2_connection``: A class 2 connection at the slave, from Initiate to its end
 - ``ms2_states``: The states of one class 2 connection at the slave as a table: trigger, action, source
-- ``record_requests``: One request for a record and the way of its answer, the same for MS1 and MS2
-- ``record_table``: Records that a slave has without a function of its own: a table of octets, and I&M at index 255
+- ``record_requests``: A request for a record and its answer, the same for MS1 and MS2
+- ``record_table``: Ready-made records of a slave: a table of octets, and I&M at index 255
 - ``resource_manager``: MS2 of a slave: the resource manager at SAP 49, the connections that it gives out
 - ``user_slave``: The slave that a user builds: a description and one function from outputs and elapsed time to inputs
 """

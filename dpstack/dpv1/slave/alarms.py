@@ -1,7 +1,7 @@
 """Alarms and status messages of a slave: raised by its application, shown in the diagnosis, alarms acknowledged.
 
-One alarm stands in the diagnosis at a time, and one status message beside it. A new one stays
-until the slave's own master has fetched it; then the next takes its place. An alarm is over when it is acknowledged.
+The diagnosis holds one alarm at a time and one status message beside it. Each stays until the slave's own master has
+fetched it; then the next takes its place. An alarm is over when it is acknowledged.
 
 Facts: docs/protocol.md#alarms. Decisions where the sources leave something open:
 docs/decisions/alarms.md#alarms-at-the-slave.
@@ -58,7 +58,7 @@ class Raised:
         self.alarm = alarm
         self.end: AlarmEnd | None = None
         self.ended: Callable[[], object] | None = None
-        #: an answer to the master held it
+        #: True once an answer to a master contained the alarm
         self.offered = False
 
     def finish(self, end: AlarmEnd) -> None:
@@ -130,7 +130,7 @@ class AlarmServer:
         return raised
 
     def withdraw(self, raised: Raised) -> None:
-        """The application does not wait for it any more: remove it, unless the master has been shown it."""
+        """Remove an alarm that the application no longer waits for, unless an answer to a master contained it."""
         if raised in self._waiting:
             self._waiting.remove(raised)
             raised.finish(AlarmEnd.WITHDRAWN)

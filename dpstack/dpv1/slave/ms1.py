@@ -1,4 +1,4 @@
-"""MS1 of a slave: requests come in, records answer now or later, the master polls for the answer.
+"""MS1 of a slave: the master sends a request, a record answers now or later, the master polls for the answer.
 
 Decisions where the sources leave something open: docs/decisions/services.md#ms1-at-the-slave.
 """
@@ -39,7 +39,7 @@ class Ms1Server(SlaveService):
         self._enabled = False  # by Set_Prm
         self._report = report
         self._request: RecordRequest | None = None
-        self._answer: bytes | None = None  # to what no application is asked
+        self._answer: bytes | None = None  # of requests that no application gets
         self._asker: Asker | None = None
 
     def handlers(self) -> dict[int | None, Handler]:

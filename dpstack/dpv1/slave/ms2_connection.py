@@ -1,4 +1,4 @@
-"""One class 2 connection at the slave, from Initiate to its end. Its table of states: ms2_states."""
+"""A class 2 connection at the slave, from Initiate to its end. Its table of states: ms2_states."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class ConnectionClosed(SlaveAppEvent):
 
 
 class Offer(Enum):
-    """How far the master of a connection has come to its server SAP, which the resource manager names."""
+    """Progress of a master from the resource manager to its server SAP."""
 
     WAITING = "not fetched from the resource manager yet"
     FETCHED = "fetched"
@@ -89,7 +89,7 @@ class ServerConnection:
         return self.last_request + patience * self.send_timeout_ns
 
     def is_of(self, sa: int, ssap: int | None) -> bool:
-        """Whether that is its master, the only one that the SAP is open for."""
+        """True for the master of this connection: its server SAP is open for no other one."""
         return sa == self.asker.master and ssap == self.ssap
 
     # --- its beginning --------------------------------------------------------------------------------------------
@@ -112,7 +112,7 @@ class ServerConnection:
             with DEVICE_CALL:
                 self._device.initiate(self.asker.master, wanted)
         except Exception as error:
-            self._unwanted(error, now)
+            self._refuse_as_device(error, now)
             return
         # the shorter time-out is not refused, the longer of both counts (VPC3+)
         self.send_timeout_ns = max(self.send_timeout_ns, wanted.send_timeout_ns)
@@ -122,8 +122,8 @@ class ServerConnection:
         who = self.asker
         self._report.emit(ConnectionOpened, now, master=who.master, sap=who.sap, send_timeout_ns=self.send_timeout_ns)
 
-    def _unwanted(self, error: Exception, now: int) -> None:
-        """Refused by the device: the negative response is its answer, and all that is left of it."""
+    def _refuse_as_device(self, error: Exception, now: int) -> None:
+        """The device raised ``error``: refuse Initiate by a negative response."""
         if isinstance(error, RecordRefused):
             negative = Negative(Function.INITIATE, error.code_1 & 0xFF, error.code_2 & 0xFF)
             reason = f"its function: {negative.text}"
@@ -169,11 +169,11 @@ class ServerConnection:
                 self._request = None
                 self.state = State.ANSWERED
         match TABLE[self.state, Ms2Trigger.POLL].act:
-            case Act.GIVE:
+            case Act.ANSWER:
                 self.state = State.OPEN
                 answer, self._answer = self._answer, None
                 return answer
-            case Act.LOOK:
+            case Act.ANSWER_IF_READY:
                 if now - self._last_sign >= self.send_timeout_ns // WORKING_SHARE:
                     self._last_sign = now
                     return IDLE
@@ -194,7 +194,7 @@ class ServerConnection:
 
     @property
     def free(self) -> bool:
-        """Nothing is left of it."""
+        """True when the connection is over and no answer waits to be fetched."""
         return self.state is State.OVER and self._answer is None
 
     def abort(self, reason: int, now: int) -> None:
@@ -203,7 +203,7 @@ class ServerConnection:
         self.last_request = now
 
     def end(self, why: str, now: int, abort: Abort | None = None) -> None:
-        """It is over; its master may fetch ``abort``; None: nothing is sent."""
+        """End the connection. Its master may fetch ``abort``; None: nothing is sent."""
         if self.state is not State.OVER:
             self.state = State.OVER
             self.asker.open = False

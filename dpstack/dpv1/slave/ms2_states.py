@@ -33,8 +33,8 @@ class Ms2Trigger(Enum):
 
 class Act(Enum):
     ACKNOWLEDGE = "SC"
-    GIVE = "the answer"
-    LOOK = "the answer if there is one by now, else SC or Idle"
+    ANSWER = "the answer"
+    ANSWER_IF_READY = "the answer if there is one by now, else SC or Idle"
     SERVE = "hand the service to the application"
     ANSWER_IDLE = "Idle as the answer"
     FREE = "over, the connection is free"
@@ -62,14 +62,14 @@ TABLE: Final[dict[tuple[State, Ms2Trigger], Row]] = {
     (_O, Ms2Trigger.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
     (_O, Ms2Trigger.UNREADABLE): Row(Act.REQUEST_PDU, "VPC3+; ProSoft: an invalid request PDU"),
     (_O, Ms2Trigger.SILENCE): Row(Act.TIMEOUT, "VPC3+: after twice the send time-out"),
-    (_W, Ms2Trigger.POLL): Row(Act.LOOK, _MS2),
+    (_W, Ms2Trigger.POLL): Row(Act.ANSWER_IF_READY, _MS2),
     (_W, Ms2Trigger.SERVICE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
     (_W, Ms2Trigger.IDLE): Row(Act.ACKNOWLEDGE, f"{_DECIDED}; VPC3+ ignores it"),
     (_W, Ms2Trigger.ABORT): Row(Act.FREE, "VPC3+: in every state"),
     (_W, Ms2Trigger.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft"),
     (_W, Ms2Trigger.UNREADABLE): Row(Act.REQUEST_PDU, "ProSoft"),
     (_W, Ms2Trigger.SILENCE): Row(Act.TIMEOUT, "VPC3+: after the send time-out"),
-    (_A, Ms2Trigger.POLL): Row(Act.GIVE, _MS2),
+    (_A, Ms2Trigger.POLL): Row(Act.ANSWER, _MS2),
     (_A, Ms2Trigger.SERVICE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
     (_A, Ms2Trigger.IDLE): Row(Act.ACKNOWLEDGE, f"{_DECIDED}; VPC3+ ignores it"),
     (_A, Ms2Trigger.ABORT): Row(Act.FREE, "VPC3+: in every state"),

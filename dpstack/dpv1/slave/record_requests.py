@@ -1,6 +1,6 @@
-"""One request for a record and the way its answer goes: the same for MS1 and MS2, whoever asks.
+"""A request for a record and its answer, the same for MS1 and MS2.
 
-An application answers a request now or later, once; the server that made it hands the answer out when it is polled.
+An application answers a request once, now or later. The server (MS1 or MS2) sends the answer when the master polls.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class RecordRequest:
         self.failure: str | None = None
 
     def answer(self, data: bytes = b"") -> None:
-        """It is done. ``data``: of a Read, cut to the length that was asked for, or of a Data_Transport. Raises
+        """Answer positively. ``data``: of a Read, cut to the length that was asked for, or of a Data_Transport. Raises
         PduError where they are longer than any record."""
         service = self.service
         if len(data) > MAX_RECORD:
@@ -64,12 +64,12 @@ class RecordRequest:
         self._respond(service.response(data))
 
     def refuse(self, code_1: int, code_2: int = 0) -> None:
-        """No: ``code_1`` is class and code (:class:`~dpstack.dpv1.pdu.error_codes.Code`), ``code_2`` the device's
-        own."""
+        """Answer negatively: ``code_1`` is class and code (:class:`~dpstack.dpv1.pdu.error_codes.Code`), ``code_2`` the
+        device's own."""
         self._respond(Negative(self.service.function, code_1 & 0xFF, code_2 & 0xFF))
 
     def fail(self, error: BaseException) -> None:
-        """A function raised: RecordRefused names the answer, anything else is a read or write error, and reported."""
+        """Answer for a function that raised ``error``: as RecordRefused says, else a read or write error, reported."""
         if isinstance(error, RecordRefused):
             self.refuse(error.code_1, error.code_2)
             return
@@ -79,7 +79,7 @@ class RecordRequest:
         self.refuse(Code.READ_ERROR if isinstance(self.service, ReadReq) else Code.WRITE_ERROR)
 
     def drop(self) -> None:
-        """The answer is not wanted any more."""
+        """Drop the request: the master does not want the answer any more."""
         self.open = False
         if self.response is None and self.abandoned is not None:
             self.abandoned()

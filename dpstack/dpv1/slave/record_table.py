@@ -1,6 +1,6 @@
-"""Records that a slave has without a function of its own: a table of octets, and I&M at index 255.
+"""Ready-made records of a slave: a table of octets, and I&M at index 255.
 
-Both answer requests (:class:`~dpstack.dpv1.slave.record_requests.Records`), whoever asks: MS1 or a class 2 connection.
+Both answer the requests of MS1 and of class 2 connections (:class:`~dpstack.dpv1.slave.record_requests.Records`).
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from weakref import WeakKeyDictionary
 
-from dpstack.argcheck import whole
+from dpstack.argcheck import whole_number
 from dpstack.dp.pdu.layouts import MAX_SLOT
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build_call, number_of, parse_call
@@ -19,7 +19,7 @@ from dpstack.errors import PduError
 
 
 class RecordTable:
-    """Records that just stand there: (slot, index) -> octets; ``writable`` may be written, in their length."""
+    """Records in a table: (slot, index) -> octets; ``writable`` may be written, in their length."""
 
     def __init__(self, records: Mapping[tuple[int, int], bytes], writable: Iterable[tuple[int, int]] = ()) -> None:
         self.records = dict(records)
@@ -50,7 +50,7 @@ class ByIndex:
         self._others = others
 
     def ask(self, request: RecordRequest) -> None:
-        """By whoever has the index."""
+        """Hand the request to the server of its index."""
         ask_records(request, self._served.get(request.service.index, self._others))
 
 
@@ -62,7 +62,7 @@ class ImRecords:
     """I&M at index 255, everything else handed on to ``others``.
 
     ``records``: I&M0 and whichever else there are, for every slot alike or by slot (0..254; others are refused). I&M1
-    to 4 can be written: ``changed`` is told slot and record first, and refuses by raising. The bits of
+    to 4 can be written: ``changed`` is called with slot and record before, and refuses by raising. The bits of
     ``Im0.supported`` follow from what there is. Raises PduError for what does not fit.
     """
 
@@ -73,7 +73,7 @@ class ImRecords:
         self._slots: dict[int | None, dict[int, Im]] = {}
         if isinstance(records, Mapping):
             for slot, found in records.items():
-                if not 0 <= whole("slot of I&M", slot, PduError) <= MAX_SLOT:
+                if not 0 <= whole_number("slot of I&M", slot, PduError) <= MAX_SLOT:
                     raise PduError(f"I&M of slot {slot}: slots are 0..{MAX_SLOT}")
                 self._slots[slot] = _of_one_slot(found)
         else:
@@ -91,9 +91,9 @@ class ImRecords:
         return self._slots.get(None) or self._slots.get(slot) or {}
 
     def ask(self, request: RecordRequest) -> None:
-        """I&M at once; what is no call goes on."""
+        """Answer I&M at once, hand on all other requests."""
         service = request.service
-        called = self._called.setdefault(request.asker, {})  # each who asks has calls of its own
+        called = self._called.setdefault(request.asker, {})  # each asker has calls of its own
         if service.index != IM_INDEX:
             self._hand_on(request)
         elif isinstance(service, WriteReq):

@@ -75,7 +75,7 @@ class Ms2Server(SlaveService):
 
     @property
     def free(self) -> int:
-        """How many can be given out now."""
+        """The number of connections that are free."""
         return self._device.ms2 - len(self.connections)
 
     def handlers(self) -> dict[int | None, Handler]:
@@ -90,24 +90,24 @@ class Ms2Server(SlaveService):
         if not self._device.ms2:
             return None
         if not octets:
-            return self._offered(sa, ssap)
+            return self._offer_reply(sa, ssap)
         for one in self._offers(sa, ssap):
             if one.state is State.OVER:
                 self._take_back(one, now)  # the fault of an earlier Initiate is no answer to this one
-        sap = self._next(sa, ssap, now)
+        sap = self._free_sap(sa, ssap, now)
         if sap is None:
             return None
         connection = ServerConnection(Asker(sa, sap), ssap, self._device, self._report, now)
         self._connections[sap] = connection
         connection.initiate(octets, now)
         self._watch(connection)
-        return self._offered(sa, ssap) if self._device.ms2_at_once else SC_REPLY
+        return self._offer_reply(sa, ssap) if self._device.ms2_at_once else SC_REPLY
 
     def _offers(self, sa: int, ssap: int | None) -> list[ServerConnection]:
         """The connections of a master that has not used the server SAP since its Initiate."""
         return [one for one in self._connections.values() if one.offer is not Offer.USED and one.is_of(sa, ssap)]
 
-    def _offered(self, sa: int, ssap: int | None) -> Reply:
+    def _offer_reply(self, sa: int, ssap: int | None) -> Reply:
         """The server SAP for a master; that of each Initiate once, then the last one."""
         offers = self._offers(sa, ssap)
         if not offers:
@@ -116,7 +116,7 @@ class Ms2Server(SlaveService):
         connection.offer = Offer.FETCHED
         return Reply(Resp.DL, ResourceManagerRes(connection.asker.sap, least_send_timeout(self._report.baud)).build())
 
-    def _next(self, sa: int, ssap: int | None, now: int) -> int | None:
+    def _free_sap(self, sa: int, ssap: int | None, now: int) -> int | None:
         """A free server SAP, or that of a connection whose Abort, or whose offer, its master has not fetched."""
         if not self._free:
             unused = [one for one in self._connections.values() if one.state is State.OVER]
@@ -169,7 +169,7 @@ class Ms2Server(SlaveService):
         self._watch(connection)
 
     def end(self, why: str, now: int) -> None:
-        """Every connection is over, without an Abort: no master could fetch it."""
+        """End every connection without an Abort: no master could fetch it."""
         for connection in list(self._connections.values()):
             connection.end(why, now)
             self._give_back(connection)

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from functools import partial
 from typing import Any, Protocol, TypedDict, Unpack
 
-from dpstack.argcheck import Sealed, functions, octets, whole
+from dpstack.argcheck import Sealed, functions, octets, whole_number
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.pdu.diagnosis import FIXED_LEN
 from dpstack.dp.pdu.prm_blocks import PrmBlock
@@ -46,7 +46,7 @@ class OnIm(Protocol):
 #: :class:`~dpstack.errors.RecordRefused`.
 OnRead = Callable[[int, int], Awaitable[bytes]]
 OnWrite = Callable[[int, int, bytes], Awaitable[None]]
-#: what Data_Transport brings, from slot, index and octets to octets, up to 240 each way
+#: serves Data_Transport: from slot, index and octets to octets, up to 240 each way
 OnTransport = Callable[[int, int, bytes], Awaitable[bytes]]
 #: judges an Initiate of a master of class 2; it raises :class:`~dpstack.errors.RecordRefused` to refuse it
 OnInitiate = Callable[[int, InitiateReq], None]
@@ -72,32 +72,32 @@ class SlaveOptions(TypedDict, total=False):
 
 
 class DpSlave(Sealed, Device):
-    """A slave of the type ``description`` that does what ``on_cycle(outputs, elapsed)`` does.
+    """A slave of the type ``description`` whose inputs are the result of ``on_cycle(outputs, elapsed)``.
 
-    ``on_cycle`` takes the outputs in the length of the configuration in use, ``elapsed`` in ns since data exchange
-    began, and returns the inputs in their length. It is called in every Data_Exchange, at SYNC and FREEZE, and
-    **with the safe outputs** as soon as the real ones end for whatever reason: Clear, an empty frame, watchdog, any way
-    out of data exchange. ``safe``: these octets, default zeros; only where all configurations have that length.
-    ``config``: what Get_Cfg says until a master has configured the slave: the modules that are plugged in.
+    ``on_cycle`` gets the outputs in the length of the configuration in use and ``elapsed``, the ns since data exchange
+    began; it returns the inputs in their length. It is called in every Data_Exchange, at SYNC and FREEZE, and
+    **with the safe outputs** as soon as the real ones end: at Clear, an empty frame, the watchdog, any way out of data
+    exchange. ``safe``: these octets, default zeros; only where all configurations have that length. ``config``: the
+    answer to Get_Cfg until a master has configured the slave: the modules that are plugged in.
 
-    ``on_prm(user_prm)`` judges user parameters: a reason to refuse them, or None; ``on_blocks(blocks)`` does so with
-    the structured ones of a DP-V1 slave (empty where there are none; lengths that lie are refused before).
-    ``on_address`` keeps the address that Set_Slave_Add gives; without it the slave has its old one after a restart.
-    ``on_leave(reason)`` is told why data exchange ended. What any of them raises takes this slave out of data exchange,
-    with safe outputs and Stat_Diag, until it is restarted; nothing else is disturbed.
+    ``on_prm(user_prm)`` judges user parameters: it returns a reason to refuse them, or None; ``on_blocks(blocks)`` does
+    so with the structured ones of a DP-V1 slave (empty where there are none; wrong lengths are refused before).
+    ``on_address`` keeps the address of Set_Slave_Add; without it the slave has its old one after a restart.
+    ``on_leave(reason)`` is called with the reason why data exchange ended. An exception of any of them takes this slave
+    out of data exchange, with safe outputs and Stat_Diag, until it is restarted; nothing else is disturbed.
 
     ``on_read`` and ``on_write`` serve the records of DP-V1, ``on_transport`` the Data_Transport of class 2
-    (:func:`dpstack.serve_slave` runs them), one at a time for each who asks: what they raise is answered and told,
-    nothing else ends; they are cancelled when the master gives up. ``on_initiate(master, wanted)`` may refuse a
-    connection of class 2 by RecordRefused (a negative response). ``ms2``: so many connections of class 2, default the
-    description's. ``im`` is its I&M: I&M0, and those of I&M1 to 4 that a master may write, for every slot alike or as a
-    table slot -> I&M. ``on_im(slot, record)`` keeps what a master writes of it where it survives a restart; what it
-    raises is answered (RecordRefused: as it says), and nothing is changed. ``parameters`` serves record 47, the
-    parameter channel of PROFIdrive (:class:`dpstack.profile.record47.TimedRecords`), instead of these functions.
-    ``alarm_server`` is where a slave with DP-V1 raises alarms and tells status messages
-    (:class:`~dpstack.dpv1.slave.alarms.AlarmServer`); served, it has them as async calls.
+    (:func:`dpstack.serve_slave` runs them), one at a time for each master or connection. Their exceptions are answered
+    and reported, nothing else ends; they are cancelled when the master gives up. ``on_initiate(master, wanted)`` may
+    refuse a connection of class 2 by RecordRefused (a negative response). ``ms2``: the number of connections of class
+    2, default the description's. ``im``: I&M0, and those of I&M1 to 4 that a master may write, for every slot alike or
+    as a table slot -> I&M. ``on_im(slot, record)`` keeps a record of I&M that a master writes where it survives a
+    restart; an exception is answered (RecordRefused: as it says), and nothing is changed. ``parameters`` serves record
+    47, the parameter channel of PROFIdrive (:class:`dpstack.profile.record47.TimedRecords`), instead of these
+    functions. By ``alarm_server`` a slave with DP-V1 raises alarms and sends status messages
+    (:class:`~dpstack.dpv1.slave.alarms.AlarmServer`); a served slave has them as async calls.
 
-    Set :attr:`diag`, as a whole and whenever something changes, to what the slave shall say in its diagnosis.
+    Set :attr:`diag`, as a whole and whenever something changes, to the slave's own part of its diagnosis.
     Raises ConfigError.
     """
 
@@ -147,7 +147,7 @@ class DpSlave(Sealed, Device):
         self.on_read = options.get("on_read")
         self.on_write = options.get("on_write")
         self.on_transport = options.get("on_transport")
-        self.ms2 = description.ms2 if ms2 is None else whole(f"{who}: ms2", ms2, ConfigError)
+        self.ms2 = description.ms2 if ms2 is None else whole_number(f"{who}: ms2", ms2, ConfigError)
         self.ms2_max_len = description.ms2_max_len
         self.ms2_max_initiate = description.ms2_max_initiate
         check_ms2(who, self.ms2, self.ms2_max_len, self.ms2_max_initiate)

@@ -277,7 +277,7 @@ class Host:
         if any(isinstance(event, DriveEvent) for event in events):
             self._publish_drives()
         if self._outbox.full:
-            kept = [event for event in events if event.owed]
+            kept = [event for event in events if event.must_arrive]
             self._dropped += len(events) - len(kept)
             if not kept and answer is None and over is None:  # answers and the last words come in any case
                 return

@@ -22,7 +22,7 @@ import contextlib
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from dpstack.argcheck import octets, whole
+from dpstack.argcheck import octets, whole_number
 from dpstack.dp.pdu.alarm_blocks import Alarm, AlarmType, ModuleState, Specifier, module_status
 from dpstack.dp.pdu.diag_blocks import UserDiag, channel_block, identifier_block
 from dpstack.dp.pdu.dpv1_status import DPV1_STATUS_LEN
@@ -132,7 +132,10 @@ class IoStation(DpSlave):
     def wire_break(self, slot: int, channel: int, broken: bool) -> str | None:
         """Break the wire of an analogue input channel, 0 or 1, or repair it."""
         place = self._slot(slot)
-        if not place.module.analogue_inputs or not 0 <= whole("channel", channel, ValueError) < place.module.channels:
+        if (
+            not place.module.analogue_inputs
+            or not 0 <= whole_number("channel", channel, ValueError) < place.module.channels
+        ):
             raise ValueError(f"{place.text} has no analogue input channel {channel}; channels count from 0")
         before = place.faults
         place.broken = place.broken | {channel} if broken else place.broken - {channel}
@@ -215,7 +218,7 @@ class IoStation(DpSlave):
         return inputs
 
     def _slot(self, number: int) -> Slot:
-        place = self.slots[number - 1] if 1 <= whole("slot", number, ValueError) <= len(self.slots) else None
+        place = self.slots[number - 1] if 1 <= whole_number("slot", number, ValueError) <= len(self.slots) else None
         if place is None:
             known = ", ".join(place.text for place in self._configured)
             raise ValueError(f"there is no module in slot {number}; there are: {known}")
@@ -298,7 +301,7 @@ def _described(config: bytes, name: str, parameters: int) -> SlaveDescription:
 
 
 def _unknown_bits(place: Slot, octet: int) -> str | None:
-    whole("parameter octet", octet, ValueError)
+    whole_number("parameter octet", octet, ValueError)
     if place.module.prm is None:
         return f"{place.text} has no parameters"
     if octet & ~place.module.mask:

@@ -27,7 +27,7 @@ from scripted_link import (
 
 from dpstack.dp.master.commands import DeactivateSlave
 from dpstack.dp.master.events import SlaveDiagnosis, SlaveState
-from dpstack.dp.pdu.diag_bits import FLAGS, Does, SetBy
+from dpstack.dp.pdu.diag_bits import FLAGS, Reaction, SetBy
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.model import Device, Diagnosis, DiagText
 
@@ -99,10 +99,10 @@ def test_each_bit_in_data_exchange(flag: Any) -> None:
     assert [r.dsap for r in made if r.da == 3] == [None, 60]  # at once
     state, valid = bus.state(3), bus.image.valid
     wanted: tuple[SlaveState, bool] = {
-        Does.TELLS: (SlaveState.DATA_EXCHANGE, True),
-        Does.WAITS: (SlaveState.DATA_EXCHANGE, False),
-        Does.PARAMETERISES: (SlaveState.DIAGNOSIS, False),
-        Does.REFUSES: (SlaveState.FAULT, False),
+        Reaction.REPORTS: (SlaveState.DATA_EXCHANGE, True),
+        Reaction.WAITS: (SlaveState.DATA_EXCHANGE, False),
+        Reaction.PARAMETERISES: (SlaveState.DIAGNOSIS, False),
+        Reaction.REFUSES: (SlaveState.FAULT, False),
     }[flag.exchange]
     assert (state, valid) == wanted
     diagnosis = bus.master.handlers[3].diagnosis
