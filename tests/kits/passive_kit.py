@@ -1,4 +1,4 @@
-"""A passive station on a bench: requests in literal octets of master 2 to station 3, the time chosen by the test."""
+"""Test bench for passive stations: requests of master 2 to station 3 in literal octets, at times of the test."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from dpstack.fdl.codec import decode
 from dpstack.fdl.interface import BusStation, Reply, StationControl
+from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Resp, Telegram
 from dpstack.machine import pump
@@ -68,26 +69,32 @@ class Application:
 
 
 class Bench:
-    """Delivers requests at chosen times and pumps between them; ``sent`` are (start in ns, hex)."""
+    """Delivers requests to ``port`` at chosen times and pumps between them; ``sent`` are (start in ns, hex)."""
 
-    def __init__(self, station: PassiveStation, how: str) -> None:
-        self.station = station
+    def __init__(self, port: PassiveStation | Multidrop, how: str) -> None:
+        self.port = port
+        self.station = port if isinstance(port, PassiveStation) else port.stations[0]
         self.how = how
         self.now = 0
         self.sent: list[tuple[int, str]] = []
-        self.octet_ns = station.line.t_stall_ns // 3
+        self.octet_ns = port.line.t_stall_ns // 3
 
     def _transmit(self, octets: bytes, now: int) -> int:
         self.sent.append((now, octets.hex(" ").upper()))
         return now + len(octets) * self.octet_ns
 
     def _pump(self, chunk: bytes, now: int) -> None:
-        deadline = pump(self.station, chunk, now, self._transmit)
+        deadline = pump(self.port, chunk, now, self._transmit)
         while deadline <= now:
-            deadline = pump(self.station, b"", now, self._transmit)
+            deadline = pump(self.port, b"", now, self._transmit)
+
+    def poke(self) -> None:
+        """A deadline changed from outside."""
+        if isinstance(self.port, Multidrop):
+            self.port.poke()
 
     def run_until(self, at: int) -> None:
-        while (deadline := self.station.wake_at()) <= at:
+        while (deadline := self.port.wake_at()) <= at:
             self.now = max(self.now, deadline)
             self._pump(b"", self.now)
         self.now = at
@@ -118,7 +125,8 @@ class Bench:
         return [text for _, text in self.sent[before:]]
 
 
-HOWS = ["octets", "bytewise", "telegram"]
+#: the ways to a station: octets in one chunk or one by one, whole telegrams, one by one through a port of several
+HOWS = ["octets", "bytewise", "telegram", "multidrop"]
 
 
 def build(
@@ -130,10 +138,12 @@ def build(
     patience: Patience = EXACT,
 ) -> tuple[Bench, Application]:
     application = Application(replies)
-    station = PassiveStation(3, application, BusParams.preset(baud), t_sdr=t_sdr, patience=patience)
+    params = BusParams.preset(baud)
+    station = PassiveStation(3, application, params, t_sdr=t_sdr, patience=patience)
     bus_station: BusStation = station  # the contract holds
     assert bus_station.address == 3
-    return Bench(station, how), application
+    port = Multidrop([station], params, patience=patience) if how == "multidrop" else station
+    return Bench(port, how), application
 
 
 def times(start: int = 100_000) -> Iterable[int]:

@@ -10,7 +10,9 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from dpstack.dpv1.describe import render
+from dpstack.fdl.interface import BusStation
 from dpstack.fdl.telegram import Telegram
+from dpstack.sim.token_watch import Rule
 from dpstack.sim.world import World
 from dpstack.trace import Event
 from dpstack.units import NEVER, chars_to_ns
@@ -39,9 +41,27 @@ class WorldFactory:
     def __init__(self) -> None:
         self.worlds: list[World] = []
 
-    def __call__(self, *, seed: int = 0, start_ns: int = 0, referee: bool = True, keep: int = 400) -> World:
+    def __call__(
+        self,
+        *stations: BusStation,
+        seed: int = 0,
+        start_ns: int = 0,
+        referee: bool = True,
+        keep: int = 400,
+        token_rules: bool = True,
+        expect: Iterable[Rule] = (),
+    ) -> World:
+        """A world with ``stations``. ``token_rules`` False: for scripted stations without a ring.
+
+        ``expect``: rules of the referee that the stations must break.
+        """
         made = World(seed=seed, start_ns=start_ns, referee=referee, keep=keep)
         self.worlds.append(made)
+        if made.referee is not None:
+            made.referee.token_rules = token_rules
+            made.referee.expect(*expect)
+        for station in stations:
+            made.add(station)
         return made
 
     def check(self) -> None:

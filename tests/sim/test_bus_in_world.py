@@ -10,8 +10,7 @@ from support import MS, S, WorldFactory
 
 from dpstack.dp.master.events import SlaveState
 from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOffline, GoOnline
-from dpstack.fdl.telegram import Kind
+from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.sim.token_watch import Rule
 from dpstack.trace import WireEntry
@@ -163,32 +162,6 @@ def test_masters_find_each_other_and_share_one_token(world: WorldFactory, addres
     referee = world.worlds[0].referee
     assert referee is not None
     assert referee.tokens.ring == set(addresses)
-
-
-def test_the_token_is_claimed_when_its_holder_is_switched_off(world: WorldFactory) -> None:
-    stations, run_for = masters(world, 2, 7, 12)
-    w = world.worlds[0]
-    # in the middle of a token, so that nobody has it
-    while True:
-        w.step()
-        entry = list(w.log)[-1]
-        if entry.octets[:1] == bytes([Kind.SD4]) and entry.sender == "2":
-            break
-    w.run_for(bits_to_ns(40, 500_000))
-    w.remove(stations[1])
-    run_for(3 * S)
-    assert [station.las for station in (stations[0], stations[2])] == [frozenset((2, 12))] * 2
-
-
-def test_a_master_leaves_and_comes_back(world: WorldFactory) -> None:
-    stations, run_for = masters(world, 2, 7)
-    w = world.worlds[0]
-    w.command(stations[1], GoOffline())
-    run_for(2 * S)
-    assert stations[0].las == {2}
-    w.command(stations[1], GoOnline())
-    run_for(3 * S)
-    assert stations[0].las == stations[1].las == {2, 7}
 
 
 @pytest.mark.parametrize("seed", range(3))

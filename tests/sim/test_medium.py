@@ -26,13 +26,9 @@ ASKED = Telegram(Kind.SD1, 5, 2, 0x49)
 
 
 def test_a_telegram_reaches_its_addressee_whole(world: WorldFactory) -> None:
-    w = world()
-    assert w.referee is not None
-    w.referee.token_rules = False
     asking = Dummy(2, hears_all=True, plan=[(MS, ASK)])
     asked, other, listener = Dummy(5), Dummy(6), Dummy(7, hears_all=True)
-    for station in (asking, asked, other, listener):
-        w.add(station)
+    w = world(asking, asked, other, listener, token_rules=False)
     w.run_until(2 * MS)
     end = MS + 66 * BIT
     assert asking.ends == [end]
@@ -47,13 +43,9 @@ def test_a_telegram_reaches_its_addressee_whole(world: WorldFactory) -> None:
 
 
 def test_a_broadcast_reaches_all_but_the_sender(world: WorldFactory) -> None:
-    w = world()
-    assert w.referee is not None
-    w.referee.token_rules = False
     sender = Dummy(2, hears_all=True, plan=[(0, ALL)])
     others = [Dummy(5), Dummy(6), Dummy(3, hears_all=True), Dummy(6)]
-    for station in (sender, *others):
-        w.add(station)
+    w = world(sender, *others, token_rules=False)
     w.run_until(MS)
     expected = [(13 * 11 * BIT, Telegram(Kind.SD2, 127, 2, 0x46, 58, 62, b"\x00\x00"))]
     assert [station.heard for station in others] == [expected] * 4
@@ -61,14 +53,9 @@ def test_a_broadcast_reaches_all_but_the_sender(world: WorldFactory) -> None:
 
 
 def test_two_stations_with_one_address_both_hear_and_collide_when_they_answer(world: WorldFactory) -> None:
-    w = world()
-    assert w.referee is not None
-    w.referee.token_rules = False
-    w.referee.expect(Rule.COLLISION)
     master = Dummy(2, hears_all=True, plan=[(0, ASK)])
     twins = [Dummy(5, reply=(11 * BIT, ANSWER)), Dummy(5, reply=(11 * BIT, ANSWER))]
-    for station in (master, *twins):
-        w.add(station)
+    w = world(master, *twins, token_rules=False, expect=[Rule.COLLISION])
     w.run_until(MS)
     assert [len(twin.heard) for twin in twins] == [1, 1]
     assert not master.heard
@@ -77,13 +64,9 @@ def test_two_stations_with_one_address_both_hear_and_collide_when_they_answer(wo
 
 
 def test_a_station_that_changes_its_address_is_found_at_the_new_one(world: WorldFactory) -> None:
-    w = world()
-    assert w.referee is not None
-    w.referee.token_rules = False
     master = Dummy(2, hears_all=True, plan=[(0, ASK), (MS, ASK)])
     station = Dummy(6)
-    w.add(master)
-    w.add(station)
+    w = world(master, station, token_rules=False)
     w.run_until(MS // 2)
     assert not station.heard
     station.address = 5
@@ -94,10 +77,8 @@ def test_a_station_that_changes_its_address_is_found_at_the_new_one(world: World
 
 
 def test_octets_that_are_no_telegram_go_one_by_one_to_everybody(world: WorldFactory) -> None:
-    w = world()
     stations = [Dummy(2, hears_all=True), Dummy(5)]
-    for station in stations:
-        w.add(station)
+    w = world(*stations)
     w.run_until(MS)
     w.inject(b"\x10\x05\xff")
     w.run_until(2 * MS)
@@ -108,9 +89,8 @@ def test_octets_that_are_no_telegram_go_one_by_one_to_everybody(world: WorldFact
 
 
 def test_an_injected_telegram_is_heard_like_a_stations(world: WorldFactory) -> None:
-    w = world()
     station = Dummy(5)
-    w.add(station)
+    w = world(station)
     w.inject(ASK, sender="foreign")
     w.run_until(MS)
     assert station.heard == [(66 * BIT, ASKED)]
@@ -120,13 +100,9 @@ def test_an_injected_telegram_is_heard_like_a_stations(world: WorldFactory) -> N
 def test_another_rate_gets_what_it_samples_of_the_waveform_whatever_the_seed(world: WorldFactory) -> None:
     texts = []
     for seed in (1, 2):
-        w = world(seed=seed)
-        assert w.referee is not None
-        w.referee.token_rules = False
-        w.add(Dummy(2, plan=[(number * MS, DATA) for number in range(20)], hears_all=True))
+        sender = Dummy(2, plan=[(number * MS, DATA) for number in range(20)], hears_all=True)
         right, wrong = Dummy(5), Dummy(5, baud=1_500_000)
-        w.add(right)
-        w.add(wrong)
+        w = world(sender, right, wrong, seed=seed, token_rules=False)
         w.run_until(20 * MS)
         assert len(right.heard) == 20
         assert not wrong.heard
@@ -139,9 +115,8 @@ def test_another_rate_gets_what_it_samples_of_the_waveform_whatever_the_seed(wor
 
 
 def test_a_station_whose_rate_changes_hears_at_the_new_one(world: WorldFactory) -> None:
-    w = world()
     station = Dummy(5, baud=1_500_000)
-    w.add(station)
+    w = world(station)
     w.inject(ASK, baud=500_000)
     w.run_until(MS)
     assert not station.heard
@@ -153,18 +128,13 @@ def test_a_station_whose_rate_changes_hears_at_the_new_one(world: WorldFactory) 
 
 
 def test_a_collision_leaves_complete_octets_and_garbles_the_rest(world: WorldFactory) -> None:
-    w = world(seed=5)
-    assert w.referee is not None
-    w.referee.token_rules = False
-    w.referee.expect(Rule.COLLISION)
     first = Dummy(2, plan=[(0, DATA)])
     second = Dummy(5, plan=[(3 * 11 * BIT + 5, ANSWER)])
     listener = Dummy(9, hears_all=True)
-    for station in (listener, first, second):
-        w.add(station)
+    w = world(listener, first, second, seed=5, token_rules=False, expect=[Rule.COLLISION])
     w.run_until(MS)
     assert not listener.heard
-    # three octets were complete; they are told when the collision begins
+    # three octets were complete; the listener gets them when the collision begins
     assert listener.octets[0] == (3 * 11 * BIT + 5, DATA[:3])
     garbled = listener.octets[1:]
     assert garbled
@@ -175,39 +145,25 @@ def test_a_collision_leaves_complete_octets_and_garbles_the_rest(world: WorldFac
 
 
 def test_a_third_transmission_prolongs_the_collision(world: WorldFactory) -> None:
-    w = world(seed=1)
-    assert w.referee is not None
-    w.referee.token_rules = False
-    w.referee.expect(Rule.COLLISION)
-    w.add(Dummy(2, plan=[(0, ASK)]))
-    w.add(Dummy(3, plan=[(BIT, ASK)]))
-    w.add(Dummy(4, plan=[(60 * BIT, DATA * 3)]))
+    senders = Dummy(2, plan=[(0, ASK)]), Dummy(3, plan=[(BIT, ASK)]), Dummy(4, plan=[(60 * BIT, DATA * 3)])
     listener = Dummy(9, hears_all=True)
-    w.add(listener)
+    w = world(*senders, listener, seed=1, token_rules=False, expect=[Rule.COLLISION])
     w.run_until(MS)
     assert not listener.heard
     assert 150 * BIT < listener.octets[-1][0] <= (60 + 33 * 11) * BIT
 
 
 def test_a_start_edge_at_the_same_instant_holds_no_station_back(world: WorldFactory) -> None:
-    w = world()
-    assert w.referee is not None
-    w.referee.token_rules = False
-    w.referee.expect(Rule.COLLISION)
     stations = [Dummy(address, hears_all=True, plan=[(MS, TOKEN)]) for address in (2, 3, 4)]
-    for station in stations:
-        w.add(station)
+    w = world(*stations, token_rules=False, expect=[Rule.COLLISION])
     w.run_until(2 * MS)
     assert [station.ends for station in stations] == [[MS + 33 * BIT]] * 3
     assert [station.edges for station in stations] == [[]] * 3  # all three were sending already
 
 
 def test_a_station_does_not_hear_while_it_sends(world: WorldFactory) -> None:
-    w = world()
-    assert w.referee is not None
-    w.referee.token_rules = False
     sender = Dummy(5, hears_all=True, plan=[(0, DATA)])
-    w.add(sender)
+    w = world(sender, token_rules=False)
     w.call_at(10 * BIT, lambda: w.inject(ASK))
     w.run_until(MS)
     assert not sender.heard
@@ -216,10 +172,7 @@ def test_a_station_does_not_hear_while_it_sends(world: WorldFactory) -> None:
 
 def test_looking_up_a_receiver_does_not_cost_more_with_more_slaves(world: WorldFactory) -> None:
     def touched(slaves: int) -> int:
-        w = world()
-        assert w.referee is not None
-        w.referee.token_rules = False
-        w.add(Dummy(2, hears_all=True, plan=[(MS, ASK), (2 * MS, DATA)]))
+        w = world(Dummy(2, hears_all=True, plan=[(MS, ASK), (2 * MS, DATA)]), token_rules=False)
         stations = [_Counting(address) for address in range(5, 5 + slaves)]
         for station in stations:
             w.add(station)
@@ -248,11 +201,8 @@ def test_a_station_is_found_under_its_new_address_at_once(world: WorldFactory) -
             super().telegram(telegram, now)
             self.address = 5
 
-    w = world()
-    assert w.referee is not None
-    w.referee.token_rules = False
     station = Obeys(6)
-    w.add(station)
+    w = world(station, token_rules=False)
     w.inject(bytes.fromhex("10 06 02 49 51 16"))
     w.run_until(MS)
     w.inject(ASK)

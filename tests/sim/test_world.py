@@ -19,14 +19,6 @@ ASK = bytes.fromhex("10 05 02 49 50 16")
 DATA = bytes.fromhex("68 05 05 68 05 02 7D AB CD FC 16")
 
 
-def quiet(world: WorldFactory, *, seed: int = 0) -> World:
-    """A world whose referee cares for timing only."""
-    made = world(seed=seed)
-    assert made.referee is not None
-    made.referee.token_rules = False
-    return made
-
-
 # --- time ---
 def test_run_until_ends_at_the_given_time(world: WorldFactory) -> None:
     w = world(start_ns=7)
@@ -74,7 +66,7 @@ def test_run_stops_after_the_event_that_was_waited_for(world: WorldFactory) -> N
 
 
 def test_octets_come_before_orders_and_timers_of_the_same_instant(world: WorldFactory) -> None:
-    w = quiet(world)
+    w = world(token_rules=False)
     order: list[str] = []
 
     class Watch(Dummy):
@@ -96,9 +88,8 @@ def test_octets_come_before_orders_and_timers_of_the_same_instant(world: WorldFa
 
 
 def test_a_station_is_woken_at_its_deadline_and_not_at_one_it_gave_up(world: WorldFactory) -> None:
-    w = world()
     station = Dummy(5, plan=[(10, b"")])
-    w.add(station)
+    w = world(station)
     station.plan = [(3, b"")]
     w.poke(station)
     station.plan = [(20, b"")]
@@ -114,7 +105,7 @@ def test_a_station_is_woken_at_its_deadline_and_not_at_one_it_gave_up(world: Wor
 
 # --- stations ---
 def test_events_are_handed_on_as_they_happen(world: WorldFactory) -> None:
-    w = quiet(world)
+    w = world(token_rules=False)
     got: list[Event] = []
     station = Dummy(5)
     w.add(station, on_events=got.extend)
@@ -128,14 +119,13 @@ def test_events_are_handed_on_as_they_happen(world: WorldFactory) -> None:
 
 
 def test_events_nobody_wants_are_taken_away(world: WorldFactory) -> None:
-    w = world()
     station = Dummy(5, events=[Notice(t_ns=0, source="x", message="y")])
-    w.add(station)
+    world(station)
     assert station.events == []
 
 
 def test_commands_act_at_once(world: WorldFactory) -> None:
-    w = quiet(world)
+    w = world(token_rules=False)
 
     class Obeys(Dummy):
         def command(self, command: object, now: int) -> None:
@@ -150,7 +140,7 @@ def test_commands_act_at_once(world: WorldFactory) -> None:
 
 
 def test_names_in_the_log(world: WorldFactory) -> None:
-    w = quiet(world)
+    w = world(token_rules=False)
     w.add(Dummy(2, plan=[(0, ASK)]), name="master")
     w.add(Dummy(3, plan=[(MS, ASK)]))
     w.run_until(2 * MS)
@@ -172,18 +162,15 @@ def test_misuse_raises_with_a_reason(world: WorldFactory) -> None:
 
 
 def test_a_machine_that_sends_while_it_sends_is_a_defect(world: WorldFactory) -> None:
-    w = quiet(world)
-    w.add(Dummy(2, plan=[(0, ASK), (BIT, ASK)]))
+    w = world(Dummy(2, plan=[(0, ASK), (BIT, ASK)]), token_rules=False)
     with pytest.raises(RuntimeError, match=r"station 2 sends .* while it is still sending"):
         w.run_until(MS)
 
 
 def test_a_station_unplugged_in_the_middle_of_its_telegram(world: WorldFactory) -> None:
-    w = quiet(world)
     sender = Dummy(2, plan=[(0, DATA), (MS, DATA)])
     receiver = Dummy(5)
-    w.add(receiver)
-    w.add(sender)
+    w = world(receiver, sender, token_rules=False)
     w.run_until(4 * 11 * BIT + 100)
     w.remove(sender)
     w.run_until(2 * MS)
@@ -198,9 +185,8 @@ def test_a_station_unplugged_in_the_middle_of_its_telegram(world: WorldFactory) 
 
 
 def test_a_receiver_unplugged_while_it_would_hear(world: WorldFactory) -> None:
-    w = quiet(world)
     receiver = Dummy(5)
-    w.add(receiver)
+    w = world(receiver, token_rules=False)
     w.inject(DATA)
     w.call_at(10 * BIT, lambda: w.remove(receiver))
     w.run_until(MS)
@@ -208,8 +194,7 @@ def test_a_receiver_unplugged_while_it_would_hear(world: WorldFactory) -> None:
 
 
 def test_a_station_plugged_in_during_a_telegram_does_not_hear_it(world: WorldFactory) -> None:
-    w = quiet(world)
-    w.add(Dummy(2, plan=[(0, ASK), (MS, ASK)]))
+    w = world(Dummy(2, plan=[(0, ASK), (MS, ASK)]), token_rules=False)
     late = Dummy(5)
     w.call_at(10 * BIT, lambda: w.add(late))
     w.run_until(2 * MS)
@@ -230,7 +215,7 @@ def sending(w: World, count: int = 3) -> Dummy:
 
 
 def test_no_station_hears_a_dropped_transmission(world: WorldFactory) -> None:
-    w = quiet(world)
+    w = world(token_rules=False)
     w.faults.drop(from_2, times=2)
     receiver = sending(w)
     w.run_until(3 * MS)
@@ -241,7 +226,7 @@ def test_no_station_hears_a_dropped_transmission(world: WorldFactory) -> None:
 
 
 def test_a_chosen_octet_is_damaged(world: WorldFactory) -> None:
-    w = quiet(world)
+    w = world(token_rules=False)
     w.faults.damage(lambda tx: tx.octets == DATA, octet=-2)
     w.faults.damage(lambda tx: tx.octets == DATA, octet=7, flips=0b110)
     receiver = sending(w)
@@ -255,7 +240,7 @@ def test_a_chosen_octet_is_damaged(world: WorldFactory) -> None:
 def test_damage_anywhere_is_decided_by_the_seed(world: WorldFactory) -> None:
     heard = []
     for seed in (1, 1, 2, 3):
-        w = quiet(world, seed=seed)
+        w = world(seed=seed, token_rules=False)
         w.faults.damage(from_2, times=None)
         receiver = sending(w, 10)
         w.run_until(10 * MS)
@@ -266,7 +251,7 @@ def test_damage_anywhere_is_decided_by_the_seed(world: WorldFactory) -> None:
 
 
 def test_a_delayed_transmission_begins_later(world: WorldFactory) -> None:
-    w = quiet(world)
+    w = world(token_rules=False)
     w.faults.delay(from_2, 300 * BIT)
     receiver = sending(w)
     w.run_until(3 * MS)
@@ -275,7 +260,7 @@ def test_a_delayed_transmission_begins_later(world: WorldFactory) -> None:
 
 
 def test_a_delayed_transmission_of_a_station_that_went_never_begins(world: WorldFactory) -> None:
-    w = quiet(world)
+    w = world(token_rules=False)
     receiver = sending(w, 1)
     sender = Dummy(3, plan=[(0, ASK)])
     w.faults.delay(lambda tx: tx.sender == "3", MS)
@@ -287,11 +272,9 @@ def test_a_delayed_transmission_of_a_station_that_went_never_begins(world: World
 
 
 def test_a_silenced_station_believes_to_send(world: WorldFactory) -> None:
-    w = quiet(world)
     sender = Dummy(2, plan=[(number * MS, DATA) for number in range(3)])
     receiver = Dummy(5)
-    w.add(receiver)
-    w.add(sender)
+    w = world(receiver, sender, token_rules=False)
     w.run_until(MS // 2)
     w.silence(sender, MS)
     w.run_until(3 * MS)
@@ -300,7 +283,7 @@ def test_a_silenced_station_believes_to_send(world: WorldFactory) -> None:
 
 
 def test_a_deaf_station_does_not_hear_either(world: WorldFactory) -> None:
-    w = quiet(world)
+    w = world(token_rules=False)
     receiver = sending(w)
     w.run_until(MS // 2)
     w.silence(receiver, MS, deaf=True)
@@ -309,7 +292,7 @@ def test_a_deaf_station_does_not_hear_either(world: WorldFactory) -> None:
 
 
 def test_noise_damages_as_many_telegrams_as_it_should(world: WorldFactory) -> None:
-    w = quiet(world, seed=1)
+    w = world(seed=1, token_rules=False)
     count = 2_000
     receiver = sending(w, count)
     w.faults.noise(1e-3)
@@ -323,7 +306,7 @@ def test_noise_damages_as_many_telegrams_as_it_should(world: WorldFactory) -> No
 def test_noise_with_a_seed_is_the_same_noise(world: WorldFactory) -> None:
     logs = []
     for seed in (7, 7, 8):
-        w = quiet(world, seed=seed)
+        w = world(seed=seed, token_rules=False)
         w.faults.noise(2e-3)
         receiver = sending(w, 200)
         w.run_until(200 * MS)
@@ -347,7 +330,7 @@ def test_impossible_faults_are_refused(world: WorldFactory) -> None:
 
 
 def test_faults_can_be_ended(world: WorldFactory) -> None:
-    w = quiet(world)
+    w = world(token_rules=False)
     w.faults.noise(0.5)
     w.faults.drop(from_2, times=None)
     w.faults.clear()
@@ -357,9 +340,8 @@ def test_faults_can_be_ended(world: WorldFactory) -> None:
 
 
 def test_faults_hit_injected_octets_too(world: WorldFactory) -> None:
-    w = quiet(world)
     receiver = Dummy(5)
-    w.add(receiver)
+    w = world(receiver, token_rules=False)
     w.faults.drop(lambda tx: tx.sender == "injected")
     w.inject(ASK)
     w.run_until(MS)
@@ -370,7 +352,7 @@ def test_faults_hit_injected_octets_too(world: WorldFactory) -> None:
 
 
 def test_injecting_into_a_telegram_is_no_violation(world: WorldFactory) -> None:
-    w = quiet(world)
+    w = world(token_rules=False)
     receiver = sending(w, 1)
     w.call_at(50 * BIT, lambda: w.inject(b"\x00"))
     w.run_until(MS)

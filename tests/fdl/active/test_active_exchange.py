@@ -125,15 +125,6 @@ def test_fdl_status_of_a_user() -> None:
     assert all(isinstance(o, Telegram) for o in user.outcomes)
 
 
-def test_high_priority_goes_first_low_follows_in_the_same_hold() -> None:
-    bus = RingBus()
-    user = ListUser(high=[Request(9, Req.SDN_HIGH)] * 2, low=[Request(9, Req.SDN_LOW)] * 2)
-    bus.master(2, user, gap=0)
-    bus.run(6 * NS_PER_MS)
-    assert [s.octets[3] for s in bus.log[2:6]] == [0x46, 0x46, 0x44, 0x44]
-    assert bus.log[6].octets[0] == 0xDC
-
-
 # --- who holds the token ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("foreign", ["dc 09 07", "10 04 07 49 54 16", "68 05 05 68 83 87 6D 3C 3E F1 16"])
 def test_another_holder_makes_us_withdraw(foreign: str) -> None:

@@ -7,12 +7,9 @@ from itertools import pairwise
 import pytest
 from ring_bus import ListUser, RingBus
 
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Req, StationType
-from dpstack.params import BusParams
 from dpstack.phy.patience import ADAPTER, HOST, Patience
 from dpstack.units import NS_PER_MS
 
@@ -49,14 +46,6 @@ def test_one_gap_poll_a_hold_after_the_traffic() -> None:
     bus.run(20 * NS_PER_MS)
     kinds = "".join({0xDC: "t", 0x10: "g", 0x68: "r"}[s.octets[0]] for s in bus.log[2:])
     assert kinds.startswith("rrgtrrgtrrgt")
-
-
-def test_gap_off_sends_none() -> None:
-    bus = RingBus()
-    station = bus.master(2, gap=0)
-    bus.run(50 * NS_PER_MS)
-    assert station.stats.gap_polls == 0
-    assert {s.octets[0] for s in bus.log} == {0xDC}
 
 
 def test_an_unreadable_gap_answer_proves_nothing() -> None:
@@ -159,42 +148,6 @@ def test_two_masters_on_slow_ports() -> None:
     bus.kill(bus.stations[1])
     bus.run(1000 * NS_PER_MS)
     assert healed(bus)
-
-
-def test_t_th_late_means_one_high_request_a_hold() -> None:
-    bus = RingBus()
-    user = ListUser()
-    params = BusParams.preset(500_000, address=2, gap=1, hsa=6, t_tr=256)
-    station = ActiveStation(params, [user])
-    bus.stations.append(station)
-    user.per_hold = [Request(9, Req.SDN_HIGH, bytes(60)), Request(9, Req.SDN_HIGH, bytes(60))]
-    user.low = [Request(9, Req.SDN_LOW, bytes(1)) for _ in range(5)]
-    bus.command(station, GoOnline())
-    bus.run(50 * NS_PER_MS)
-    # every rotation takes longer than T_TR, so each hold has one high-priority request, no low one, no GAP
-    kinds = "".join({0xDC: "t", 0x10: "g", 0x68: "r"}[s.octets[0]] for s in bus.log[2:])
-    assert "rtrtrtrtrtrt" in kinds
-    assert "rr" not in kinds[3:]
-    assert station.stats.gap_polls <= 1
-    assert set(user.asked[4:]) == {True}
-
-
-def test_t_tr_is_kept_by_two_masters() -> None:
-    bus = RingBus()
-    users = []
-    for address in (2, 5):
-        user = ListUser(low=[Request(9, Req.SDN_LOW, bytes(20)) for _ in range(3000)])
-        users.append(user)
-        params = BusParams.preset(500_000, address=address, t_tr=5_000, hsa=6)
-        station = ActiveStation(params, [user])
-        bus.stations.append(station)
-        bus.command(station, GoOnline())
-    bus.run(600 * NS_PER_MS)
-    assert healed(bus)
-    longest = 11 * 35 + 100  # a low-priority telegram begun at the last moment, each
-    for station in bus.stations:
-        assert station.token_rotation.count > 20
-        assert station.token_rotation.max_ns < bus.ns(5_000 + 2 * longest + 200)
 
 
 def test_low_priority_does_not_starve_the_gap() -> None:

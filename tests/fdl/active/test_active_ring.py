@@ -11,7 +11,7 @@ from dpstack.errors import UsageError
 from dpstack.fdl.active.states import State
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
-from dpstack.fdl.events import AddressCollision, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
+from dpstack.fdl.events import AddressCollision, MasterSeen, RingJoined, RingLeft, StationFound
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Req, token
 from dpstack.machine import LineDown, LineUp
@@ -151,35 +151,6 @@ def test_leaving_hands_the_token_on() -> None:
     assert healed(bus)
 
 
-@pytest.mark.parametrize("state", [State.ACTIVE_IDLE, State.USE_TOKEN, State.PASS_TOKEN, State.CHECK_TOKEN_PASS])
-def test_dying_in_any_state_is_survived(state: State) -> None:
-    bus = RingBus()
-    stations = [bus.master(address, hsa=12) for address in (2, 5, 9)]
-    bus.run(400 * NS_PER_MS)
-    assert healed(bus)
-    bus.until(stations[1], state)
-    bus.kill(stations[1])
-    bus.run_bits((6 + 2 * 9) * 200 + 13 * 200 + 3 * 5000)
-    assert healed(bus)
-    assert members(bus) == [{2, 9}, {2, 9}]
-
-
-def test_the_lowest_address_claims() -> None:
-    bus = RingBus()
-    stations = [bus.master(address, hsa=12) for address in (3, 5, 9)]
-    bus.run(400 * NS_PER_MS)
-    bus.until(stations[0], State.AWAIT_STATUS_RESPONSE)
-    start = bus.now
-    bus.kill(stations[0])
-    quiet = bus.log[-1].end
-    bus.run(30 * NS_PER_MS)
-    claim = next(s for s in bus.log if s.start > start)
-    assert claim.octets == b"\xdc\x05\x05"
-    assert claim.start - quiet == bus.ns((6 + 2 * 5) * 200)
-    assert [e.address for e in bus.events_of(TokenLost)] == [5]
-    assert healed(bus)
-
-
 @pytest.mark.parametrize("mode", MODES)
 def test_one_lost_token_is_repeated(mode: str) -> None:
     bus = RingBus(mode=mode)
@@ -233,23 +204,6 @@ def test_garbage_after_the_pass_gets_one_more_slot_time() -> None:
     assert healed(bus)
 
 
-def test_a_token_from_a_stranger_is_refused_once() -> None:
-    bus = RingBus()
-    a = bus.master(2, hsa=6)
-    bus.master(5, hsa=6)
-    bus.run(300 * NS_PER_MS)
-    bus.until(a, State.ACTIVE_IDLE)
-    bus.stations.pop()  # station 5 is silenced with the token
-    bus.run_bits(100)
-    bus._say(b"\xdc\x02\x04", 4)
-    bus.run_bits(100)
-    assert in_state(a, State.ACTIVE_IDLE)
-    bus._say(b"\xdc\x02\x04", 4)
-    bus.run_bits(40)
-    assert not in_state(a, State.ACTIVE_IDLE)
-    assert a.las >= {2, 4}
-
-
 def test_a_master_passed_over_listens_again() -> None:
     bus = RingBus()
     a, b, _ = bus.master(2, hsa=12), bus.master(5, hsa=12), bus.master(9, hsa=12)
@@ -264,35 +218,6 @@ def test_a_master_passed_over_listens_again() -> None:
     assert len(bus.events_of(RingLeft)) == 1
     bus.run(500 * NS_PER_MS)
     assert healed(bus)
-
-
-def test_a_second_station_with_the_address_stays_out() -> None:
-    bus = RingBus()
-    first = bus.master(3, hsa=6)
-    bus.run(20 * NS_PER_MS)
-    second = bus.master(3, hsa=6)
-    bus.run(3000 * NS_PER_MS)
-    assert first.in_ring
-    assert second.state is State.LISTEN_TOKEN
-    assert [e.address for e in bus.events_of(AddressCollision)] == [3]
-    assert all(not s.garbled for s in bus.log)
-    bus.kill(first)
-    bus.run(200 * NS_PER_MS)
-    assert second.in_ring
-
-
-def test_a_collision_in_the_ring_is_reported_and_backed_off() -> None:
-    bus = RingBus()
-    a, b = bus.master(2, hsa=6), bus.master(5, hsa=6)
-    bus.run(300 * NS_PER_MS)
-    bus.until(b, State.ACTIVE_IDLE)
-    bus.kill(a)
-    bus._say(bytes.fromhex("10 03 05 49 51 16"), 99)
-    bus.run_bits(80)
-    assert b.state is State.LISTEN_TOKEN
-    assert len(bus.events_of(AddressCollision)) == 1
-    bus.run(200 * NS_PER_MS)
-    assert b.in_ring
 
 
 def test_one_damaged_token_is_no_collision() -> None:

@@ -7,7 +7,7 @@ from ring_bus import ListUser
 from support import MS, WorldFactory
 
 from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOffline, GoOnline
+from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.interface import SC_REPLY, Reply, Request, Responder
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Req, Resp, StationType, Telegram
@@ -46,24 +46,6 @@ def test_exchange_and_gap_at_every_rate(world: WorldFactory, baud: int) -> None:
     assert len(user.results) > 50
     assert all(isinstance(o, Telegram) and o.data == r.data for r, o, _ in user.results)
     assert station.stats.ignored == 0
-
-
-def test_masters_join_leave_and_die(world: WorldFactory) -> None:
-    w = world()
-    params = BusParams.preset(500_000, address=2, hsa=10, t_tr=20_000)
-    masters = [master(w, params.replace(address=a), ListUser(per_hold=[dx(20)])) for a in (2, 5, 9)]
-    w.add(PassiveStation(20, Echo(), params))
-    w.run_for(300 * MS)
-    assert [m.las for m in masters] == [{2, 5, 9}] * 3
-    w.command(masters[0], GoOffline())
-    w.run_for(20 * MS)
-    assert [m.las for m in masters[1:]] == [{5, 9}] * 2
-    w.command(masters[0], GoOnline())
-    w.run_for(300 * MS)
-    assert [m.las for m in masters] == [{2, 5, 9}] * 3
-    w.remove(masters[1])
-    w.run_for(50 * MS)
-    assert [m.las for m in (masters[0], masters[2])] == [{2, 9}] * 2
 
 
 @pytest.mark.parametrize("seed", range(6))

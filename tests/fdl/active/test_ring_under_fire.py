@@ -319,6 +319,7 @@ def test_high_priority_once_low_while_time_is_left_gap_last(world: WorldFactory)
     assert first.startswith("r")
     assert set(late[1:-1]) == {"r"}
     assert len(user.low) == 50
+    assert set(user.asked[4:]) == {True}  # high_only
 
 
 def test_with_time_left_the_order_is_high_low_gap(world: WorldFactory) -> None:

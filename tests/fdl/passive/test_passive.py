@@ -117,7 +117,7 @@ def test_telegrams_to_other_stations_are_ignored(how: str, octets: str) -> None:
     assert bench.answers(octets, 1_000_000) == []
     assert application.served == []
     assert application.indicated == []
-    assert bench.station.take_events() == []
+    assert bench.port.take_events() == []
 
 
 def test_sdn_is_handed_on_and_not_answered(how: str) -> None:
@@ -253,12 +253,14 @@ def test_a_new_address_leaves_the_answer_under_way_alone(how: str) -> None:
 def test_the_application_gets_its_time(how: str) -> None:
     bench, application = build(how)
     application.due = 5_000
-    assert bench.station.wake_at() == 5_000
+    bench.poke()
+    assert bench.port.wake_at() == 5_000
     bench.run_until(4_999)
     assert application.ticks == []
     bench.run_until(6_000)
     assert application.ticks == [5_000]
-    application.due = 10**6 + 5 * BIT  # while an answer is under way
+    application.due = 10**6 + 5 * BIT  # while an answer waits
+    bench.poke()
     bench.say(DX_7D, 10**6)
     bench.run_until(10**8)
     assert application.ticks == [5_000, 10**6 + 5 * BIT]
@@ -272,22 +274,22 @@ def test_events_of_station_and_application_come_out(how: str) -> None:
     at = iter(times())
     empty_5d = "68 03 03 68 03 02 5D 62 16"
     assert bench.answers(empty_5d, next(at)) == [DX_ANSWER]
-    first, second = bench.station.take_events()
+    first, second = bench.port.take_events()
     assert "LE = 3" in first.text
     assert "station 2" in first.text
     assert second is notice
     assert application.served[0].data == b""
     bench.answers("68 03 03 68 03 02 7D 82 16", next(at))  # told once
-    assert bench.station.take_events() == []
+    assert bench.port.take_events() == []
 
 
 def test_another_baud_rate_forgets_and_moves_the_gates(how: str) -> None:
     bench, _ = build(how, t_sdr=20)
     bench.say(DX_7D, 10**6)
-    bench.station.set_params(BusParams.preset(1_500_000))
+    bench.port.set_params(BusParams.preset(1_500_000))
     assert bench.station.baud == 1_500_000
     assert bench.station.answer_at() == NEVER
-    assert bench.station.wake_at() == NEVER
+    assert bench.port.wake_at() == NEVER
     bench.octet_ns = 7_333
     bench.say(DX_7D, 10**8)
     assert bench.station.answer_at() == 10**8 + 13_333

@@ -1,4 +1,4 @@
-"""When the answer of a passive station begins, to the nanosecond, and what keeps it from being sent."""
+"""When the answer of a passive station begins, to the nanosecond, and what prevents it."""
 
 from __future__ import annotations
 
@@ -27,6 +27,9 @@ from dpstack.machine import LineDown, LineUp
 from dpstack.phy.patience import Patience
 from dpstack.units import BAUD_RATES, NEVER
 
+PORTS = ["octets", "multidrop"]
+HEARS_EDGES = ["octets", "bytewise", "telegram"]
+
 
 # --- time -------------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("baud", BAUD_RATES)
@@ -37,9 +40,9 @@ def test_the_gate_opens_to_the_nanosecond(how: str, baud: int, t_sdr: int | None
     end = 10**9
     bench.say(octets, end)
     exact = end + round((t_sdr or 11) * 10**9 / baud)
-    assert bench.station.wake_at() == exact
+    assert bench.port.wake_at() == exact
     assert bench.station.answer_at() == exact
-    assert bench.station.take_tx(exact - 1) is None
+    assert bench.port.take_tx(exact - 1) is None
     bench.run_until(end + 10**8)
     assert [at for at, _ in bench.sent] == [exact]
 
@@ -48,11 +51,11 @@ def test_a_wake_too_early_does_nothing(how: str) -> None:
     bench, _ = build(how)
     bench.say(DX_FIRST, 10**6)
     for early in (0, 1, 11 * BIT - 1):
-        bench.station.wake(10**6 + early)
-        assert bench.station.take_tx(10**6 + early) is None
-    assert bench.station.take_tx(10**6 + 11 * BIT) is not None
-    assert bench.station.take_tx(10**6 + 11 * BIT) is None
-    assert bench.station.wake_at() == NEVER
+        bench.port.wake(10**6 + early)
+        assert bench.port.take_tx(10**6 + early) is None
+    assert bench.port.take_tx(10**6 + 11 * BIT) is not None
+    assert bench.port.take_tx(10**6 + 11 * BIT) is None
+    assert bench.port.wake_at() == NEVER
 
 
 def test_set_prm_moves_the_gate(how: str) -> None:
@@ -102,6 +105,7 @@ def test_a_chunk_with_several_telegrams_is_answered_once() -> None:
     assert bench.answers(f"{DX_5D} {TOKEN}", 10**8) == []
 
 
+@pytest.mark.parametrize("how", HEARS_EDGES)
 def test_a_start_edge_before_the_answer_drops_it(how: str) -> None:
     bench, _ = build(how, t_sdr=500)
     bench.say(DX_7D, 10**6)
@@ -112,6 +116,7 @@ def test_a_start_edge_before_the_answer_drops_it(how: str) -> None:
     assert bench.answers(DX_7D, 2 * 10**8) == [DX_ANSWER]
 
 
+@pytest.mark.parametrize("how", HEARS_EDGES)
 def test_a_start_edge_before_a_request_means_nothing(how: str) -> None:
     bench, _ = build(how)
     bench.station.activity(10**6 - 110 * BIT)
@@ -122,20 +127,20 @@ def test_the_line_going_down_forgets_the_answer_and_the_frame_count(how: str) ->
     bench, application = build(how)
     for command, at in ((LineDown("gone"), 10**6), (LineUp(), 10**8)):
         bench.say(DX_7D, at)
-        bench.station.command(command, at + 1)
+        bench.port.command(command, at + 1)
         bench.run_until(at + 10**7)
     assert bench.sent == []
     assert bench.answers(DX_7D, 2 * 10**8) == [DX_ANSWER]
     assert len(application.served) == 3
     with pytest.raises(UsageError, match="knows no str"):
-        bench.station.command("jump", 0)
+        bench.port.command("jump", 0)
 
 
 def test_an_action_at_the_station_keeps_answer_and_frame_count(how: str) -> None:
     bench, application = build(how)
     times: list[int] = []
     bench.say(DX_7D, 10**6)
-    bench.station.command(AtStation(times.append), 10**6 + 1)
+    bench.port.command(AtStation(times.append), 10**6 + 1)
     bench.run_until(10**7)
     assert [octets for _, octets in bench.sent] == [DX_ANSWER]
     assert bench.answers(DX_7D, 2 * 10**7) == [DX_ANSWER]  # repeated, not done again
@@ -144,25 +149,28 @@ def test_an_action_at_the_station_keeps_answer_and_frame_count(how: str) -> None
 
 
 # --- noise ------------------------------------------------------------------------------------------------------------
-def test_noise_behind_the_request_moves_the_gate() -> None:
-    bench, _ = build("octets")
+@pytest.mark.parametrize("how", PORTS)
+def test_noise_behind_the_request_moves_the_gate(how: str) -> None:
+    bench, _ = build(how)
     bench.say(DX_7D, 10**6)
     bench.say("00", 10**6 + 5 * BIT)
     bench.run_until(10**8)
     assert bench.sent == [(10**6 + 16 * BIT, DX_ANSWER)]
 
 
-def test_the_start_of_something_holds_the_answer_until_it_stalls() -> None:
-    bench, _ = build("octets")
+@pytest.mark.parametrize("how", PORTS)
+def test_an_unfinished_telegram_holds_the_answer_until_it_stalls(how: str) -> None:
+    bench, _ = build(how)
     bench.say(DX_7D, 10**6)
     bench.say("68", 10**6 + 5 * BIT)
     bench.run_until(10**8)
     assert bench.sent == [(10**6 + (5 + 33) * BIT, DX_ANSWER)]
-    assert bench.station.decoder.stats.stalled == 1
+    assert bench.port.decoder_stats.stalled == 1
 
 
-def test_an_answer_held_longer_than_the_slot_time_is_not_sent() -> None:
-    bench, _ = build("octets", patience=Patience(stall_ns=50_000_000))
+@pytest.mark.parametrize("how", PORTS)
+def test_an_answer_held_longer_than_the_slot_time_is_not_sent(how: str) -> None:
+    bench, _ = build(how, patience=Patience(stall_ns=50_000_000))
     bench.say(DX_7D, 10**6)
     bench.say("68", 10**6 + 5 * BIT)
     bench.run_until(10**9)
@@ -170,8 +178,9 @@ def test_an_answer_held_longer_than_the_slot_time_is_not_sent() -> None:
     assert bench.station.stats.dropped == 1
 
 
-def test_a_request_is_found_behind_a_telegram_that_stalls() -> None:
-    bench, _ = build("octets")
+@pytest.mark.parametrize("how", PORTS)
+def test_a_request_is_found_behind_a_telegram_that_stalls(how: str) -> None:
+    bench, _ = build(how)
     bench.say("68 C8 C8 68 " + DX_7D, 10**6)
     bench.run_until(10**8)
     assert bench.sent == [(10**6 + 33 * BIT, DX_ANSWER)]  # T_SDR is over when it is found
@@ -181,7 +190,7 @@ def test_a_whole_telegram_ends_an_unfinished_one() -> None:
     bench, application = build("telegram")
     bench.station.receive(bytes.fromhex("68 C8 C8"), 10**6)
     assert bench.answers(DX_7D, 10**6 + 10 * BIT) == [DX_ANSWER]
-    assert bench.station.decoder.stats.stalled == 1
+    assert bench.port.decoder_stats.stalled == 1
     bench.station.receive(bytes.fromhex("68 C8 C8 68 " + DX_5D), 10**9)
     assert bench.answers(DX_7D, 10**9 + 10 * BIT) == [DX_ANSWER]
     assert len(application.served) == 3
@@ -192,7 +201,7 @@ def test_receiving_while_sending_implies_sent(how: str) -> None:
     bench.say(DX_5D, 10**6)
     bench.run_until(10**6 + 11 * BIT)
     assert len(bench.sent) == 1
-    bench.station.sent(10**12)  # a port that guesses badly
+    bench.port.sent(10**12)  # a port that guesses badly
     at = 10**6 + 1_000 * BIT
     assert bench.answers(DX_7D, at) == [DX_ANSWER]
     assert bench.sent[-1][0] == at + 11 * BIT
@@ -208,5 +217,5 @@ def test_damaged_requests_are_not_answered(how: str) -> None:
         bench, application = build(how)
         assert bench.answers(damaged.hex(), 10**6) == []
         assert application.served == []
-        assert bench.station.decoder.stats.bad > 0
+        assert bench.port.decoder_stats.bad > 0
         assert bench.answers(DX_7D, 10**8) == [DX_ANSWER]
