@@ -30,7 +30,7 @@ def test_all_addresses_but_the_own_one() -> None:
     bus.slaves[4] = fixed(TO_4, SLAVE_4)
     bus.slaves[126] = fixed(TO_126, SLAVE_126)
     bus.master(2, live, gap=0)
-    bus.run(2000 * NS_PER_MS)
+    bus.run_ms(2000)
     assert live.done
     assert live.stations == {4: StationType.SLAVE, 126: StationType.SLAVE}
     everybody = [a for a in range(127) if a != 2]
@@ -44,7 +44,7 @@ def test_one_poll_a_hold_after_all_other_traffic() -> None:
     bus = RingBus()
     user = ListUser(per_hold=[Request(9, Req.SDN_HIGH, b"\x01"), Request(9, Req.SDN_HIGH, b"\x02")])
     bus.master(2, user, LiveList(2), gap=0)
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     kinds = "".join({0xDC: "t", 0x10: "p", 0x68: "r"}[s.octets[0]] for s in bus.log[2:])
     assert kinds.startswith("rrptrrptrrpt")
 
@@ -53,7 +53,7 @@ def test_nothing_when_the_time_is_over() -> None:
     bus = RingBus()
     user = ListUser(per_hold=[Request(9, Req.SDN_HIGH, bytes(60))])
     station = bus.master(2, user, LiveList(2), gap=0, t_tr=256)
-    bus.run(100 * NS_PER_MS)
+    bus.run_ms(100)
     assert station.stats.tokens > 10
     assert len(polls(bus)) <= 1
 
@@ -63,7 +63,7 @@ def test_the_types_of_masters() -> None:
     live = LiveList(2)
     bus.master(2, live, hsa=10)
     bus.master(7, hsa=10)
-    bus.run(1000 * NS_PER_MS)
+    bus.run_ms(1000)
     assert live.done
     assert live.stations == {7: StationType.MASTER_IN_RING}
 
@@ -82,7 +82,7 @@ def test_a_damaged_answer_hides_no_station() -> None:
 
     bus.drop = once
     station = bus.master(2, live, gap=0)
-    bus.run(2000 * NS_PER_MS)
+    bus.run_ms(2000)
     assert damaged
     assert live.stations == {4: StationType.SLAVE}
     assert live.unreadable == set()
@@ -95,7 +95,7 @@ def test_an_address_that_is_never_readable_is_reported() -> None:
     bus.slaves[4] = fixed(TO_4, SLAVE_4)
     bus.drop = lambda sent: sent.sender == 4
     bus.master(2, live, gap=0)
-    bus.run(2000 * NS_PER_MS)
+    bus.run_ms(2000)
     assert live.done
     assert live.stations == {}
     assert live.unreadable == {4}
@@ -106,11 +106,11 @@ def test_a_repeated_live_list_drops_stations_that_are_gone() -> None:
     live = LiveList(2, addresses=[3, 4], period_ns=100 * NS_PER_MS)
     bus.slaves[4] = fixed(TO_4, SLAVE_4)
     bus.master(2, live, gap=0)
-    bus.run(300 * NS_PER_MS)
+    bus.run_ms(300)
     assert live.stations == {4: StationType.SLAVE}
     assert live.done
     bus.slaves.clear()
-    bus.run(300 * NS_PER_MS)
+    bus.run_ms(300)
     assert live.stations == {}
     told = [(e.address, e.kind) for e in bus.events_of(StationFound)]
     assert told == [(4, StationType.SLAVE), (4, None)]
@@ -122,7 +122,7 @@ def test_silent_polls_on_a_host_port_keep_to_their_share_and_leave_the_gap_its_o
     params = BusParams.preset(500_000, address=2)
     live = LiveList(2, period_ns=1, allowance=live_allowance(params, HOST, 0))
     station = bus.master(2, live, patience=HOST)
-    bus.run(20_000 * NS_PER_MS)
+    bus.run_ms(20_000)
     cost = 2 * NS_PER_MS + bus.ns(200 + 11)
     mine = len(polls(bus)) - station.stats.gap_polls
     assert mine * cost < 20_000 * NS_PER_MS // 200 + 17 * cost
@@ -133,13 +133,13 @@ def test_silent_polls_on_a_host_port_keep_to_their_share_and_leave_the_gap_its_o
 def test_a_user_that_comes_and_goes() -> None:
     bus = RingBus()
     station = bus.master(2, gap=0)
-    bus.run(10 * NS_PER_MS)
+    bus.run_ms(10)
     bus.command(station, SurveyOrder(1, tuple(range(127)), (), configs=False, quick=True))
-    bus.run(10 * NS_PER_MS)
+    bus.run_ms(10)
     asked = len(polls(bus))
     assert asked
     bus.command(station, DetachUser(1))
-    bus.run(10 * NS_PER_MS)
+    bus.run_ms(10)
     assert len(polls(bus)) == asked
     assert station.in_ring
 
@@ -151,7 +151,7 @@ def test_soon_and_forgotten() -> None:
     live.ask_soon(77)
     bus.slaves[4] = fixed(TO_4, SLAVE_4)
     bus.master(2, live, gap=0)
-    bus.run(100 * NS_PER_MS)
+    bus.run_ms(100)
     assert polls(bus)[:3] == [77, 0, 1]
     live.forget(4, bus.now)
     assert live.stations == {}
@@ -221,7 +221,7 @@ def test_extra_time_for_an_answer() -> None:
         bus.slaves[4] = fixed(TO_4, SLAVE_4, 9_000)
         user = ListUser(low=[Request(4, Req.FDL_STATUS, retry=False, extra_ns=extra_ns)])
         bus.master(2, user, gap=0, patience=HOST)
-        bus.run(500 * NS_PER_MS)
+        bus.run_ms(500)
         ((_, outcome, _),) = user.results
         outcomes.append(outcome)
     assert outcomes[0] is Failure.NO_ANSWER

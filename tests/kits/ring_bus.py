@@ -1,7 +1,7 @@
-"""A wire in a few lines for tests of the active station: exact, in virtual time, with its own idea of the octets.
+"""A small simulated wire for tests of the active station: exact, in virtual time, independent of ``dpstack.sim``.
 
-It delivers whole telegrams, octets, or chunks; what overlaps is garbled for everybody. Its parser knows literal octets
-only where a test slave answers.
+It delivers whole telegrams, octets, or chunks, and garbles transmissions that overlap. Test slaves get and answer
+literal octets.
 """
 
 from __future__ import annotations
@@ -23,12 +23,11 @@ from dpstack.machine import pump
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
-from dpstack.units import NEVER, chars_to_ns
-
+from dpstack.units import NEVER, NS_PER_MS, chars_to_ns
 
 @dataclass
 class Sent:
-    """One transmission on the wire."""
+    """A transmission on the wire."""
 
     start: int
     end: int
@@ -39,11 +38,11 @@ class Sent:
 
 @dataclass
 class ListUser:
-    """A link user that sends what is in its list and writes down what comes back."""
+    """A link user that sends the requests in its lists and notes the calls of the station."""
 
     high: list[Request] = field(default_factory=list)
     low: list[Request] = field(default_factory=list)
-    #: asked for more in every hold: made afresh at each token
+    #: requests of every token hold, before ``high`` and ``low``
     per_hold: list[Request] = field(default_factory=list)
     results: list[tuple[Request, Telegram | Failure, int]] = field(default_factory=list)
     starts: list[tuple[Request, int]] = field(default_factory=list)
@@ -97,12 +96,12 @@ class ListUser:
         return [outcome for _, outcome, _ in self.results]
 
 
-#: what a slave made of octets says: (delay in bits after the request's end, octets), or nothing
+#: a slave of literal octets: request and time to answer (delay in bits after the request's end, octets) or None
 Answer = Callable[[bytes, int], tuple[int, bytes] | None]
 
 
 class RingBus(KeepsEvents):
-    """The wire. ``mode`` is 'whole', 'octets' or 'chunk'; ``noise(sent)`` may garble a transmission."""
+    """The wire. ``mode``: how stations hear, 'whole', 'octets' or 'chunk'; ``drop(sent)`` garbles a transmission."""
 
     def __init__(self, baud: int = 500_000, mode: str = "whole") -> None:
         self.baud = baud
@@ -218,6 +217,9 @@ class RingBus(KeepsEvents):
     def run(self, ns: int) -> None:
         self.run_until(self.now + ns)
 
+    def run_ms(self, ms: int) -> None:
+        self.run(ms * NS_PER_MS)
+
     def run_until(self, at: int) -> None:
         while self._heap and self._heap[0][0] <= at:
             self.now, _, call = heapq.heappop(self._heap)
@@ -238,9 +240,27 @@ class RingBus(KeepsEvents):
     def octets(self) -> list[str]:
         return [sent.octets.hex(" ") for sent in self.log]
 
+    @property
+    def healed(self) -> bool:
+        """Every master is in the ring, and its LAS has all of them."""
+        everybody = {station.address for station in self.stations}
+        return all(station.in_ring and station.las == everybody for station in self.stations)
+
+
+def ring_of(
+    *addresses: int, baud: int = 500_000, mode: str = "whole", patience: Patience = EXACT, ms: int = 300, **changes: int
+) -> RingBus:
+    """A wire with these masters after ``ms``, all in one ring."""
+    bus = RingBus(baud, mode)
+    for address in addresses:
+        bus.master(address, patience=patience, online=True, **changes)
+    bus.run_ms(ms)
+    assert bus.healed
+    return bus
+
 
 def fixed(request: str, answer: str, delay: int = 11) -> Answer:
-    """A slave that knows one request and one answer, both in hex."""
+    """A slave with a single request and answer, both in hex."""
 
     def say(octets: bytes, now: int) -> tuple[int, bytes] | None:
         return (delay, bytes.fromhex(answer)) if octets == bytes.fromhex(request) else None

@@ -55,7 +55,7 @@ def test_which_telegram_answers_which_request(request_: Request, telegram: Teleg
 def test_a_wrong_answer_ends_as_wrong() -> None:
     slave = Slave(DIAG_ANSWER)
     bus, user, station = bus_with(slave, DX)
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert user.outcomes == [Failure.WRONG]
     assert station.stats.stations[3].wrong == 1
 
@@ -64,7 +64,7 @@ def test_a_garbled_answer_ends_as_garbled() -> None:
     for mode in ("octets", "chunk"):
         bus, user, station = bus_with(Slave(), DX, mode=mode)
         bus.drop = lambda sent: sent.sender == 3
-        bus.run(20 * NS_PER_MS)
+        bus.run_ms(20)
         assert user.outcomes == [Failure.GARBLED]
         assert station.stats.garbled == 1
 
@@ -85,7 +85,7 @@ def test_a_lone_octet_too_early_is_no_answer(octet: bytes) -> None:
     slave = Slave()
     slave.plan = [(5, octet)]
     bus, user, station = bus_with(slave, DX, mode="octets")
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert len(user.outcomes) == 1
     assert isinstance(user.outcomes[0], Failure)
     assert station.stats.stray == (1 if octet == b"\xe5" else 0)
@@ -96,7 +96,7 @@ def test_a_late_answer_is_not_taken_for_that_of_another_station(mode: str) -> No
     slave = Slave()
     slave.plan = [(330, DX_ANSWER)]
     bus, user, station = bus_with(slave, DX, DX._replace(da=4), mode=mode)
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert user.outcomes == [Failure.NO_ANSWER, Failure.NO_ANSWER]
     assert station.stats.late == 1
     assert station.stats.stations[3].late == 1
@@ -126,7 +126,7 @@ def test_a_late_answer_is_never_taken_for_the_next_one_of_the_same_station() -> 
     slave = Slave()
     # request 2 is answered 3 ms late: it arrives after request 3 went out and before that one's own answer
     late_by_one(bus, slave, lambda n: 1340 if n == 2 else 200 if n == 3 else None)
-    bus.run(60 * NS_PER_MS)
+    bus.run_ms(60)
     got = [o.data[0] if isinstance(o, Telegram) else None for o in user.outcomes]
     assert got == [0, 1, None, 3, 4, 5, 6, 7]
     assert station.stats.late == 1
@@ -139,7 +139,7 @@ def test_the_answer_to_both_attempts_is_not_taken_for_the_next_one() -> None:
     slave = Slave()
     # 2 is late; its repetition (3) is answered while 4, the next request, waits; 4's answer follows
     late_by_one(bus, slave, lambda n: {2: 1350, 3: 350, 4: 250}.get(n))
-    bus.run(60 * NS_PER_MS)
+    bus.run_ms(60)
     got = [o.data[0] if isinstance(o, Telegram) else None for o in user.outcomes]
     assert got == [0, 1, 2, 4, 5, 6]
     assert station.stats.late == 1
@@ -184,7 +184,7 @@ def test_a_kept_back_answer_counts_when_nothing_follows() -> None:
     slave.plan = [DX_ANSWER, None, None]
     bus.slaves[3] = slave
     user.high = [DX] * 5
-    bus.run(400 * NS_PER_MS)
+    bus.run_ms(400)
     assert [isinstance(o, Telegram) for o in user.outcomes] == [True, False, True, True, True]
     first, second = (user.results[i][2] - user.starts[i][1] for i in (2, 3))
     assert first > 10 * NS_PER_MS  # kept back once
@@ -205,20 +205,20 @@ def test_a_late_gap_answer_is_not_taken_for_an_empty_data_exchange() -> None:
     bus.slaves[3] = say
     user = ListUser(per_hold=[DX])
     station = bus.master(2, user, patience=patience, hsa=3, t_tr=5000)
-    bus.run(100 * NS_PER_MS)
+    bus.run_ms(100)
     assert 3 in station.stations
     late[0] = True
-    bus.run(100 * NS_PER_MS)
+    bus.run_ms(100)
     assert station.stats.late >= 1
     assert all(isinstance(o, Telegram) and o.data == b"\xaa\xbb" for o in user.outcomes)
 
 
 def test_patience_can_be_changed_while_running() -> None:
     bus, user, station = bus_with(Slave(delay=300), mode="chunk")
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     station.set_patience(HOST, bus.now)
     user.high = [DX]
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert isinstance(user.outcomes[-1], Telegram)
 
 
@@ -229,7 +229,7 @@ def test_octets_before_the_request_are_no_garbled_answer_to_it() -> None:
     user.high = [DIAG]
     bus.until(station, State.USE_TOKEN)
     bus.pump(station, b"\x55")
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert user.outcomes == [Failure.NO_ANSWER]
     assert station.stats.garbled == 0
 
@@ -237,7 +237,7 @@ def test_octets_before_the_request_are_no_garbled_answer_to_it() -> None:
 def test_answers_with_le_3_count_as_empty_and_are_reported_once() -> None:
     slave = Slave(bytes.fromhex("68 03 03 68 02 03 08 0D 16"))
     bus, user, _ = bus_with(slave, DX, DX, DX)
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert [o.data for o in user.outcomes if isinstance(o, Telegram)] == [b"", b"", b""]
     (told,) = [e for e in bus.events_of(Notice) if "LE = 3" in e.text]
     assert "station 3 " in told.text
@@ -280,7 +280,7 @@ def notices(bus: RingBus) -> list[str]:
 @pytest.mark.parametrize("answer", [DX_ANSWER, b"\xe5"])
 def test_two_answers_to_every_request_are_those_of_two_stations(answer: bytes) -> None:
     bus, _ = asked_often(answer + answer)
-    bus.run(60 * NS_PER_MS)
+    bus.run_ms(60)
     (told,) = notices(bus)  # once
     assert told == (
         "station 3 gives more answers than it gets requests (10 more): two stations have address 3, and what is read "
@@ -290,7 +290,7 @@ def test_two_answers_to_every_request_are_those_of_two_stations(answer: bytes) -
 
 def test_answers_that_are_late_are_no_second_stations() -> None:
     bus, slave = asked_often(DX_ANSWER, DX, DX._replace(da=4), delay=330)  # T_SL is 200; nobody has address 4
-    bus.run(100 * NS_PER_MS)
+    bus.run_ms(100)
     assert len(slave.heard) > 50
     assert bus.stations[0].stats.late > 20
     assert notices(bus) == []
@@ -306,7 +306,7 @@ def test_half_of_the_answers_cannot_be_read() -> None:
         return sent.sender == 3 and count % 3 != 0  # of three attempts the first two
 
     bus.drop = every_other
-    bus.run(400 * NS_PER_MS)
+    bus.run_ms(400)
     (told,) = notices(bus)
     assert told == (
         "half of the answers of station 3 cannot be read: check its cable, shielding and the termination, and look "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
-from ring_bus import ListUser, RingBus
+from ring_bus import ListUser, ring_of
 
 from dpstack.fdl.active.states import State
 from dpstack.fdl.active.station import ActiveStation
@@ -26,7 +26,7 @@ def test_literal_octets_of_a_bring_up() -> None:
     set_prm = Request(3, Req.SRD_HIGH, bytes.fromhex("88 01 14 0B 06 96 00"), 61, 62)
     clear = Request(127, Req.SDN_HIGH, b"\x02\x00", 58, 62)
     bus, user, _ = bus_with(slave, DIAG, set_prm, clear, DX, DX)
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     sent = [s.octets.hex(" ") for s in bus.log if s.sender == 2 and s.octets[0] == 0x68]
     assert sent == [
         "68 05 05 68 83 82 6d 3c 3e ec 16",
@@ -59,7 +59,7 @@ def test_an_answer_may_begin_until_t_sl_is_over(mode: str) -> None:
     limit = 200 if mode == "whole" else 200 - 11 - (88 + 22 if mode == "chunk" else 0)
     for delay, fine in ((limit - 1, True), (limit + 12, False)):
         bus, user, _ = bus_with(Slave(delay=delay), DX, mode=mode)
-        bus.run(20 * NS_PER_MS)
+        bus.run_ms(20)
         assert isinstance(user.outcomes[0], Telegram) is fine
 
 
@@ -67,7 +67,7 @@ def test_the_first_request_is_not_repeated() -> None:
     slave = Slave()
     slave.plan = [None]
     bus, user, station = bus_with(slave, DX)
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert slave.fcs == ["6D"]
     assert user.outcomes == [Failure.NO_ANSWER]
     assert station.stats.stations[3].timeouts == 1
@@ -78,7 +78,7 @@ def test_an_operational_station_is_repeated_with_the_same_fcb() -> None:
     slave = Slave()
     slave.plan = [DX_ANSWER, None, DX_ANSWER, DX_ANSWER]
     bus, user, station = bus_with(slave, DX, DX, DX)
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert slave.fcs == ["6D", "5D", "5D", "7D"]
     assert len(user.starts) == len(user.results) == 3
     assert station.stats.stations[3].retries == 1
@@ -88,7 +88,7 @@ def test_a_station_given_up_is_taken_up_afresh() -> None:
     slave = Slave()
     slave.plan = [DX_ANSWER, None, None, DX_ANSWER]
     bus, user, _ = bus_with(slave, DX, DX, DX, DX)
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert slave.fcs == ["6D", "5D", "5D", "6D", "5D"]
     assert [isinstance(o, Telegram) for o in user.outcomes] == [True, False, True, True]
 
@@ -97,7 +97,7 @@ def test_restart_and_retry_flags() -> None:
     slave = Slave()
     slave.plan = [DX_ANSWER, None]
     bus, _, _ = bus_with(slave, DX, DX._replace(retry=False), DX, DX._replace(restart=True))
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert slave.fcs == ["6D", "5D", "6D", "6D"]
 
 
@@ -109,7 +109,7 @@ def test_three_silent_rounds_then_the_probe_and_one_notice() -> None:
 
     slave = OnlyFcv()
     bus, _, _ = bus_with(slave, *[DX] * 6)
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert slave.fcs == ["6D", "6D", "6D", "5D", "7D", "5D"]
     notices = [e.text for e in bus.events if isinstance(e, Notice)]
     assert len(notices) == 1
@@ -120,7 +120,7 @@ def test_three_silent_rounds_then_the_probe_and_one_notice() -> None:
 def test_fdl_status_of_a_user() -> None:
     slave = Slave(bytes.fromhex("10 02 03 00 05 16"))
     bus, user, _ = bus_with(slave, Request(3, Req.FDL_STATUS), Request(3, Req.FDL_STATUS))
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert [o.hex(" ") for o in slave.heard] == ["10 03 02 49 4e 16"] * 2
     assert all(isinstance(o, Telegram) for o in user.outcomes)
 
@@ -137,15 +137,13 @@ def test_another_holder_makes_us_withdraw(foreign: str) -> None:
     assert station.state is State.ACTIVE_IDLE
     assert user.outcomes == [Failure.ABANDONED]
     assert station.stats.withdrawn == 1
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert station.in_ring
 
 
 def test_a_repeated_token_before_we_started_is_still_ours() -> None:
-    bus = RingBus()
-    a = bus.master(2, hsa=6)
-    bus.master(5, hsa=6)
-    bus.run(300 * NS_PER_MS)
+    bus = ring_of(2, 5, hsa=6)
+    a = bus.stations[0]
     user = ListUser(per_hold=[Request(4, Req.SDN_HIGH)])
     a._users.attach(user)
     bus.until(a, State.USE_TOKEN)

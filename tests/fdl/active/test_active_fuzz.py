@@ -149,7 +149,7 @@ def test_the_ring_heals(addresses: set[int], seed: int, troubles: list[str]) -> 
 
                 bus.drop = noisy
         bus.run(rng.randrange(20 * NS_PER_MS))
-    bus.run(60 * NS_PER_MS)  # whoever was sent away is back
+    bus.run_ms(60)  # whoever was sent away is back
     bus.drop = lambda sent: False
     bus.deaf.clear()
     bus.slaves.clear()

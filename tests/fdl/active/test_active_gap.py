@@ -5,18 +5,13 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from ring_bus import ListUser, RingBus
+from ring_bus import ListUser, RingBus, ring_of
 
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Req, StationType
 from dpstack.phy.patience import ADAPTER, HOST, Patience
 from dpstack.units import NS_PER_MS
-
-
-def healed(bus: RingBus) -> bool:
-    everybody = {station.address for station in bus.stations}
-    return all(station.in_ring and station.las == everybody for station in bus.stations)
 
 
 def test_gap_finds_a_slave_and_loses_it() -> None:
@@ -28,10 +23,10 @@ def test_gap_finds_a_slave_and_loses_it() -> None:
         return (11, bytes.fromhex("10 02 04 00 06 16")) if known else None
 
     bus.slaves[4] = slave
-    bus.run(300 * NS_PER_MS)
+    bus.run_ms(300)
     assert station.stations == {4: StationType.SLAVE}
     bus.slaves.clear()
-    bus.run(300 * NS_PER_MS)
+    bus.run_ms(300)
     assert station.stations == {}
     told = [(e.address, e.kind) for e in bus.events_of(StationFound)]
     assert told == [(4, StationType.SLAVE), (4, None)]
@@ -43,7 +38,7 @@ def test_one_gap_poll_a_hold_after_the_traffic() -> None:
     bus = RingBus()
     user = ListUser(per_hold=[Request(9, Req.SDN_HIGH, b"\x01"), Request(9, Req.SDN_HIGH, b"\x02")])
     bus.master(2, user, hsa=20)
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     kinds = "".join({0xDC: "t", 0x10: "g", 0x68: "r"}[s.octets[0]] for s in bus.log[2:])
     assert kinds.startswith("rrgtrrgtrrgt")
 
@@ -52,9 +47,9 @@ def test_an_unreadable_gap_answer_proves_nothing() -> None:
     bus = RingBus()
     station = bus.master(2, hsa=6)
     bus.slaves[4] = lambda octets, now: (11, bytes.fromhex("10 02 04 00 06 16"))
-    bus.run(300 * NS_PER_MS)
+    bus.run_ms(300)
     bus.drop = lambda sent: sent.sender == 4
-    bus.run(500 * NS_PER_MS)
+    bus.run_ms(500)
     assert station.stations == {4: StationType.SLAVE}
     assert len(bus.events_of(StationFound)) == 1
 
@@ -79,7 +74,7 @@ def test_a_pass_over_the_gap_takes_3_s_and_1_to_10_percent(
     """The account starts with 16 polls; between two passes are G x T_TR."""
     bus = RingBus(baud, mode="chunk")
     station = bus.master(2, patience=patience, hsa=hsa)
-    bus.run(12_000 * NS_PER_MS)
+    bus.run_ms(12_000)
     t_sl = 200 if baud == 500_000 else 100
     silent = unknown_ms * NS_PER_MS + bus.ns(t_sl + 11)
     spent = station.stats.gap_polls * silent / 120_000_000  # percent of 12 s
@@ -89,15 +84,12 @@ def test_a_pass_over_the_gap_takes_3_s_and_1_to_10_percent(
 
 def test_a_gap_that_grows_is_polled_faster_at_once() -> None:
     """A master left in the middle of a pass: the pass goes on as fast as its new length needs."""
-    bus = RingBus(187_500, mode="chunk")
-    station = bus.master(2, patience=HOST)
-    other = bus.master(5, patience=HOST)
-    bus.run(8_000 * NS_PER_MS)
-    assert healed(bus)
+    bus = ring_of(2, 5, baud=187_500, mode="chunk", patience=HOST, ms=8_000)
+    station, other = bus.stations
     bus.kill(other)
-    bus.run(1_000 * NS_PER_MS)
+    bus.run_ms(1_000)
     before = station.stats.gap_polls
-    bus.run(3_300 * NS_PER_MS)
+    bus.run_ms(3_300)
     assert station.stats.gap_polls - before > 110
 
 
@@ -107,13 +99,13 @@ def test_a_second_master_is_in_the_ring_after_one_pass(address: int) -> None:
     bus = RingBus(187_500, mode="chunk")
     bus.master(2, patience=HOST)
     for _ in range(4):
-        bus.run(4_700 * NS_PER_MS)
+        bus.run_ms(4_700)
         newcomer = bus.master(address, patience=HOST)
         start = bus.now
         while not newcomer.in_ring:
-            bus.run(10 * NS_PER_MS)
+            bus.run_ms(10)
             assert bus.now - start < (267 + 3_266 + 100) * NS_PER_MS
-        bus.run(100 * NS_PER_MS)
+        bus.run_ms(100)
         bus.kill(newcomer)
 
 
@@ -125,7 +117,7 @@ def test_absent_slaves_do_not_starve_the_gap() -> None:
     polls = []
     for _ in range(30):
         user.high.append(Request(9, Req.SRD_HIGH, b"", 60, 62))
-        bus.run(1000 * NS_PER_MS)
+        bus.run_ms(1000)
         polls.append(station.stats.gap_polls)
     assert len(user.results) == 30
     assert polls[29] - polls[9] >= 8
@@ -134,25 +126,21 @@ def test_absent_slaves_do_not_starve_the_gap() -> None:
 def test_a_lone_idle_master_on_a_real_port_keeps_one_slot_time_between_tokens() -> None:
     bus = RingBus(mode="chunk")
     bus.master(2, patience=HOST, gap=0)
-    bus.run(200 * NS_PER_MS)
+    bus.run_ms(200)
     gaps = {b.start - a.end for a, b in pairwise(bus.log[2:])}
     assert gaps == {bus.ns(200)}
 
 
 def test_two_masters_on_slow_ports() -> None:
-    bus = RingBus(mode="chunk")
-    bus.master(2, patience=HOST, hsa=6)
-    bus.master(5, patience=HOST, hsa=6)
-    bus.run(3000 * NS_PER_MS)
-    assert healed(bus)
+    bus = ring_of(2, 5, mode="chunk", patience=HOST, hsa=6, ms=3000)
     bus.kill(bus.stations[1])
-    bus.run(1000 * NS_PER_MS)
-    assert healed(bus)
+    bus.run_ms(1000)
+    assert bus.healed
 
 
 def test_low_priority_does_not_starve_the_gap() -> None:
     bus = RingBus()
     endless = [Request(9, Req.SDN_LOW, bytes(20)) for _ in range(10_000)]
     station = bus.master(2, ListUser(low=endless), hsa=6, t_tr=2000)
-    bus.run(200 * NS_PER_MS)
+    bus.run_ms(200)
     assert station.stats.gap_polls >= 6

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from ring_bus import ListUser, RingBus, Sent
+from ring_bus import ListUser, RingBus, Sent, ring_of
 
 from dpstack.errors import UsageError
 from dpstack.fdl.active.states import State
@@ -21,17 +21,8 @@ from dpstack.units import BAUD_RATES, NS_PER_MS
 MODES = ["whole", "octets", "chunk"]
 
 
-def members(bus: RingBus) -> list[set[int]]:
-    return [set(station.las) for station in bus.stations]
-
-
 def in_state(station: ActiveStation, state: State) -> bool:
     return station.state is state
-
-
-def healed(bus: RingBus) -> bool:
-    everybody = {station.address for station in bus.stations}
-    return all(station.in_ring and station.las == everybody for station in bus.stations)
 
 
 @pytest.mark.parametrize("baud", BAUD_RATES)
@@ -54,22 +45,18 @@ def test_a_lone_master_keeps_exact_gaps(baud: int) -> None:
 def test_a_master_listens_for_t_to_first() -> None:
     bus = RingBus()
     station = bus.master(9, gap=0, online=False)
-    bus.run(50 * NS_PER_MS)
+    bus.run_ms(50)
     assert station.state is State.OFFLINE
     assert bus.log == []
     start = bus.now
     bus.command(station, GoOnline())
-    bus.run(50 * NS_PER_MS)
+    bus.run_ms(50)
     assert bus.log[0].start == start + bus.ns((6 + 2 * 9) * 200)
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_two_masters_find_each_other(mode: str) -> None:
-    bus = RingBus(mode=mode)
-    bus.master(2)
-    bus.master(5)
-    bus.run(200 * NS_PER_MS)
-    assert members(bus) == [{2, 5}, {2, 5}]
+    bus = ring_of(2, 5, mode=mode, ms=200)
     joined = bus.events_of(RingJoined)
     assert [(e.address, e.claimed, e.masters) for e in joined] == [(2, True, (2,)), (5, False, (2, 5))]
     assert not any(sent.garbled for sent in bus.log)
@@ -82,20 +69,13 @@ def test_two_masters_find_each_other(mode: str) -> None:
 def test_the_modes_of_hearing_do_the_same() -> None:
     logs = []
     for mode in MODES:
-        bus = RingBus(mode=mode)
-        for address in (2, 5, 9):
-            bus.master(address, hsa=12)
-        bus.run(300 * NS_PER_MS)
+        bus = ring_of(2, 5, 9, mode=mode, hsa=12)
         logs.append([(s.start, s.octets) for s in bus.log])
     assert logs[0] == logs[1] == logs[2]
 
 
 def test_the_token_goes_up_and_wraps() -> None:
-    bus = RingBus()
-    for address in (9, 2, 5):
-        bus.master(address, hsa=12)
-    bus.run(400 * NS_PER_MS)
-    assert healed(bus)
+    bus = ring_of(9, 2, 5, hsa=12, ms=400)
     tokens = [s.octets.hex() for s in bus.log if s.octets[0] == 0xDC][-6:]
     start = tokens.index("dc0502")
     assert tokens[start : start + 3] == ["dc0502", "dc0905", "dc0209"]
@@ -104,23 +84,23 @@ def test_the_token_goes_up_and_wraps() -> None:
 def test_a_newcomer_says_not_ready_until_it_knows_the_ring() -> None:
     bus = RingBus()
     bus.master(2, hsa=6)
-    bus.run(3 * NS_PER_MS)
+    bus.run_ms(3)
     bus.master(3, hsa=6)
-    bus.run(300 * NS_PER_MS)
+    bus.run_ms(300)
     answers = [s.octets.hex(" ") for s in bus.log if s.octets[0] == 0x10 and s.sender == 3]
     ready = answers.index("10 02 03 20 25 16")
     assert all(a == "10 02 03 10 15 16" for a in answers[:ready])
-    assert healed(bus)
+    assert bus.healed
 
 
 def test_a_newcomer_does_not_say_that_a_master_joined_which_was_there_before() -> None:
     bus = RingBus()
     first = bus.master(2, hsa=6)
-    bus.run(100 * NS_PER_MS)
+    bus.run_ms(100)
     assert first.in_ring
     bus.events.clear()
     second = bus.master(5, hsa=6)
-    bus.run(300 * NS_PER_MS)
+    bus.run_ms(300)
     assert second.in_ring
     assert sorted(e.text for e in bus.events_of(MasterSeen)) == [
         "master 2 is in the token ring",  # told by station 5
@@ -128,34 +108,31 @@ def test_a_newcomer_does_not_say_that_a_master_joined_which_was_there_before() -
     ]
     bus.master(4, hsa=6)
     bus.events.clear()
-    bus.run(300 * NS_PER_MS)
+    bus.run_ms(300)
     texts = [e.text for e in bus.events_of(MasterSeen)]
     assert texts.count("master 4 joined the token ring") == 2
 
 
 def test_leaving_hands_the_token_on() -> None:
-    bus = RingBus()
-    a = bus.master(2, hsa=6)
-    b = bus.master(5, hsa=6)
-    bus.run(100 * NS_PER_MS)
+    bus = ring_of(2, 5, hsa=6)
+    a, b = bus.stations
     bus.until(a, State.USE_TOKEN, State.PASS_TOKEN)
     bus.command(a, GoOffline())
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert a.state is State.OFFLINE
     assert b.stats.tokens_lost == 0
     assert b.las == {5}
     assert [e.text for e in bus.events_of(RingLeft)] == ["station 2 left the token ring: ordered"]
     assert MasterSeen(t_ns=0, address=2, present=False).text in [e.text for e in bus.events_of(MasterSeen)]
     bus.command(a, GoOnline())
-    bus.run(500 * NS_PER_MS)
-    assert healed(bus)
+    bus.run_ms(500)
+    assert bus.healed
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_one_lost_token_is_repeated(mode: str) -> None:
-    bus = RingBus(mode=mode)
-    _, a, b = bus.master(2, hsa=12), bus.master(5, hsa=12), bus.master(9, hsa=12)
-    bus.run(300 * NS_PER_MS)
+    bus = ring_of(2, 5, 9, mode=mode, hsa=12)
+    _, a, b = bus.stations
     lost: list[Sent] = []
 
     def drop(sent: Sent) -> bool:
@@ -166,33 +143,31 @@ def test_one_lost_token_is_repeated(mode: str) -> None:
         return False
 
     bus.drop = drop
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     retry = next(s for s in bus.log if s.start > lost[0].start)
     assert retry.octets == b"\xdc\x09\x05"
     assert retry.start - lost[0].end == bus.ns(200)
     assert a.stats.token_retries == 1
-    assert healed(bus)
+    assert bus.healed
 
 
 def test_noise_after_the_pass_is_taken_for_activity() -> None:
-    bus = RingBus()
-    a, b = bus.master(2, hsa=6), bus.master(5, hsa=6)
-    bus.run(300 * NS_PER_MS)
+    bus = ring_of(2, 5, hsa=6)
+    a, b = bus.stations
     bus.until(a, State.CHECK_TOKEN_PASS)
     bus.kill(b)
     bus.at(bus.now + bus.ns(40), lambda: bus._say(b"\xe5", 99))
     bus.run_bits(100)
     assert a.state is State.ACTIVE_IDLE
     assert a.stats.stray == 1
-    bus.run(20 * NS_PER_MS)
-    assert healed(bus)
+    bus.run_ms(20)
+    assert bus.healed
     assert a.stats.tokens_lost == 1
 
 
 def test_garbage_after_the_pass_gets_one_more_slot_time() -> None:
-    bus = RingBus(mode="octets")
-    a, b = bus.master(2, hsa=6), bus.master(5, hsa=6)
-    bus.run(300 * NS_PER_MS)
+    bus = ring_of(2, 5, mode="octets", hsa=6)
+    a, b = bus.stations
     bus.until(a, State.CHECK_TOKEN_PASS)
     bus.kill(b)
     bus.at(bus.now + bus.ns(40), lambda: bus._say(b"\x00", 99))
@@ -200,43 +175,38 @@ def test_garbage_after_the_pass_gets_one_more_slot_time() -> None:
     assert in_state(a, State.CHECK_TOKEN_PASS)
     bus.run_bits(200)
     assert in_state(a, State.ACTIVE_IDLE)
-    bus.run(20 * NS_PER_MS)
-    assert healed(bus)
+    bus.run_ms(20)
+    assert bus.healed
 
 
 def test_a_master_passed_over_listens_again() -> None:
-    bus = RingBus()
-    a, b, _ = bus.master(2, hsa=12), bus.master(5, hsa=12), bus.master(9, hsa=12)
-    bus.run(300 * NS_PER_MS)
+    bus = ring_of(2, 5, 9, hsa=12)
+    a, b, _ = bus.stations
     bus.until(a, State.PASS_TOKEN)
     bus.deaf.add(id(b))  # b misses what a does and is dropped
-    bus.run(3 * NS_PER_MS)
+    bus.run_ms(3)
     assert a.las == {2, 9}
     bus.deaf.clear()
-    bus.run(1 * NS_PER_MS)
+    bus.run_ms(1)
     assert b.state is State.LISTEN_TOKEN
     assert len(bus.events_of(RingLeft)) == 1
-    bus.run(500 * NS_PER_MS)
-    assert healed(bus)
+    bus.run_ms(500)
+    assert bus.healed
 
 
 def test_one_damaged_token_is_no_collision() -> None:
-    bus = RingBus()
-    bus.master(2, hsa=6)
-    b = bus.master(5, hsa=6)
-    bus.run(300 * NS_PER_MS)
+    bus = ring_of(2, 5, hsa=6)
+    b = bus.stations[1]
     bus.until(b, State.ACTIVE_IDLE)
     b.telegram(token(2, 5), bus.now)
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     assert bus.events_of(AddressCollision) == []
-    assert healed(bus)
+    assert bus.healed
 
 
 def test_a_token_with_an_impossible_address_is_noise() -> None:
-    bus = RingBus()
-    bus.master(2, hsa=6)
-    b = bus.master(5, hsa=6)
-    bus.run(300 * NS_PER_MS)
+    bus = ring_of(2, 5, hsa=6)
+    b = bus.stations[1]
     bus.until(b, State.ACTIVE_IDLE)
     for da, sa in ((127, 2), (126, 2), (5, 126)):
         b.telegram(token(da, sa), bus.now)
@@ -247,21 +217,21 @@ def test_line_down_and_up() -> None:
     bus = RingBus()
     user = ListUser(per_hold=[Request(9, Req.SRD_HIGH)])
     station = bus.master(2, user, gap=0)
-    bus.run(10 * NS_PER_MS)
+    bus.run_ms(10)
     bus.until(station, State.AWAIT_DATA_RESPONSE)
     bus.command(station, LineDown("unplugged"))
     assert station.state is State.OFFLINE
     assert user.outcomes[-1] is Failure.ABANDONED
     count = len(bus.log)
-    bus.run(100 * NS_PER_MS)
+    bus.run_ms(100)
     bus.command(station, GoOnline())
-    bus.run(100 * NS_PER_MS)
+    bus.run_ms(100)
     assert len(bus.log) == count
     bus.command(station, LineUp())
-    bus.run(10 * NS_PER_MS)
+    bus.run_ms(10)
     assert station.in_ring
     bus.command(station, GoOffline())
-    bus.run(10 * NS_PER_MS)
+    bus.run_ms(10)
     bus.command(station, LineDown("again"))
     bus.command(station, LineUp())
     assert station.state is State.OFFLINE
@@ -275,7 +245,7 @@ def test_going_offline_waits_for_the_answer_under_way() -> None:
     bus.until(station, State.AWAIT_DATA_RESPONSE)
     user.high.append(Request(9, Req.SRD_HIGH))
     bus.command(station, GoOffline())
-    bus.run(10 * NS_PER_MS)
+    bus.run_ms(10)
     assert station.state is State.OFFLINE
     assert len(user.outcomes) == 1
     assert not isinstance(user.outcomes[0], Failure)
@@ -290,7 +260,7 @@ def test_commands_ticks_and_events_of_users() -> None:
     with pytest.raises(UsageError, match="nobody on this bus takes the command 'not mine'"):
         station.command("not mine", bus.now)
     first.events.append(StationFound(t_ns=1, address=1, kind=None))
-    bus.run(10 * NS_PER_MS)
+    bus.run_ms(10)
     assert second.ticks == [7 * NS_PER_MS]
     assert len(bus.events_of(StationFound)) == 1
     assert first.tokens == second.tokens
@@ -302,7 +272,7 @@ def test_the_wire_tap_gets_every_telegram() -> None:
     a = bus.master(2, hsa=6)
     a.wire = heard.append
     bus.master(5, hsa=6)
-    bus.run(100 * NS_PER_MS)
+    bus.run_ms(100)
     assert [(e.start_ns, e.end_ns, e.octets, e.sender) for e in heard] == [
         (s.start, s.end, s.octets, str(s.sender)) for s in bus.log if s.end <= heard[-1].end_ns
     ]
@@ -310,19 +280,13 @@ def test_the_wire_tap_gets_every_telegram() -> None:
 
 @pytest.mark.parametrize("count", [4, 8])
 def test_many_masters_start_at_once(count: int) -> None:
-    bus = RingBus(1_500_000)
-    for i in range(count):
-        bus.master(3 * i, hsa=3 * count)
-    bus.run(500 * NS_PER_MS)
-    assert healed(bus)
+    bus = ring_of(*range(0, 3 * count, 3), baud=1_500_000, hsa=3 * count, ms=500)
     assert not any(sent.garbled for sent in bus.log)
 
 
 def test_a_master_answers_rs_to_a_request() -> None:
-    bus = RingBus()
-    a = bus.master(2, hsa=6)
-    bus.master(5, ListUser(high=[]), hsa=6)
-    bus.run(300 * NS_PER_MS)
+    bus = ring_of(2, 5, hsa=6)
+    a = bus.stations[0]
     bus.until(a, State.ACTIVE_IDLE)
     bus.stations.pop()
     bus._say(bytes.fromhex("68 05 05 68 82 85 6D 3C 3E EE 16"), 5)

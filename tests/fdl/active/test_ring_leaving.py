@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from ring_bus import ListUser, RingBus, Sent
+from ring_bus import RingBus, Sent, ring_of
 
 from dpstack.fdl.active.states import State
 from dpstack.fdl.commands import GoOffline
@@ -17,12 +17,8 @@ SLOT_MS = 0.592
 
 
 def ring(patience: Patience, *addresses: int, mode: str = "whole") -> RingBus:
-    bus = RingBus(187_500, mode=mode)
-    for address in addresses:
-        bus.master(address, ListUser(), patience=patience, hsa=9)
-    bus.run((8_000 if patience is HOST else 600) * NS_PER_MS)
-    assert all(station.las == set(addresses) for station in bus.stations)
-    return bus
+    ms = 8_000 if patience is HOST else 600
+    return ring_of(*addresses, baud=187_500, mode=mode, patience=patience, ms=ms, hsa=9)
 
 
 def silences(log: list[Sent]) -> list[float]:
@@ -40,7 +36,7 @@ def test_a_leaving_master_costs_the_stall_of_a_host_once(leaving: int) -> None:
     bus = ring(HOST, 2, 5, leaving, mode="chunk")
     begun = len(bus.log)
     bus.command(bus.stations[2], GoOffline())
-    bus.run(3_000 * NS_PER_MS)
+    bus.run_ms(3_000)
     assert silences(bus.log[begun - 1 :]) == pytest.approx([50 + SLOT_MS, 12.5 + SLOT_MS, 12.5 + SLOT_MS], abs=0.1)
     assert [set(station.las) for station in bus.stations[:2]] == [{2, 5}, {2, 5}]
     assert all(station.stats.tokens_lost == 0 for station in bus.stations)
@@ -53,7 +49,7 @@ def test_the_new_successor_takes_the_first_token_of_a_station_that_repeated_a_pa
     bus.until(three, State.ACTIVE_IDLE)
     bus.kill(three)
     begun = len(bus.log)
-    bus.run(20 * NS_PER_MS)
+    bus.run_ms(20)
     tokens = [sent.octets.hex() for sent in bus.log[begun:] if sent.octets[0] == 0xDC]
     vain = tokens.index("dc0302")
     assert tokens[vain : vain + 5] == ["dc0302", "dc0302", "dc0302", "dc0502", "dc0205"]
