@@ -18,13 +18,15 @@ from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.device import DpV0Device
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
+from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.interface import LinkUser
+from dpstack.fdl.interface import BusStation, LinkUser
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
+from dpstack.sim.adapter import Adapter, Habits
 from dpstack.sim.world import World
 from dpstack.trace import Event
 
@@ -49,16 +51,23 @@ def add_station(
     params: BusParams,
     *users: LinkUser,
     patience: Patience = EXACT,
+    habits: Habits | None = None,
     on_events: Callable[[list[Event]], None] | None = None,
 ) -> ActiveStation:
-    """Put an active station with these link users into ``world``: it goes online, a DP master (first) to Operate."""
+    """Put an active station with these link users into ``world``: it goes online, a DP master (first) to Operate.
+
+    ``habits``: the station is behind such an adapter.
+    """
     master = users[0] if users and isinstance(users[0], Master) else None
     window = None if master is None else master.window
     station = ActiveStation(params, users, patience=patience, window=window, now=world.now)
-    world.add(station, on_events=on_events)
-    world.command(station, GoOnline())
+    plugged: BusStation = station
+    if habits is not None:
+        plugged = Adapter(station, habits, own=EchoFilter(Echo.AUTO) if habits.echo else None)
+    world.add(plugged, on_events=on_events)
+    world.command(plugged, GoOnline())
     if master is not None:
-        world.command(station, SetMode(Mode.OPERATE))
+        world.command(plugged, SetMode(Mode.OPERATE))
     return station
 
 
@@ -73,7 +82,7 @@ class SimBus(KeepsEvents):
 
     Slaves are mirrors: of PPO1 where an address stands for one, else of the configuration that the master sends.
     ``devices`` take the place of mirrors; ``silent`` addresses have no slave. ``more``: link users beside the master
-    in place of the acyclic services; ``options``: further settings of the master.
+    in place of the acyclic services; ``options``: further settings of the master; ``habits``: of its adapter.
     """
 
     world: World
@@ -87,6 +96,7 @@ class SimBus(KeepsEvents):
     more: Sequence[LinkUser] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     patience: Patience = EXACT
+    habits: Habits | None = None
     events: list[Event] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -106,7 +116,13 @@ class SimBus(KeepsEvents):
         self.acyclic = acyclic_services(self.params.address, self.master)
         more = [self.acyclic] if self.more is None else self.more
         self.station = add_station(
-            self.world, self.params, self.master, *more, patience=self.patience, on_events=self.on_events
+            self.world,
+            self.params,
+            self.master,
+            *more,
+            patience=self.patience,
+            habits=self.habits,
+            on_events=self.on_events,
         )
 
     def on_events(self, events: list[Event]) -> None:

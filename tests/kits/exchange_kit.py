@@ -15,13 +15,17 @@ DIAG = Request(3, Req.SRD_HIGH, b"", 60, 62)
 DIAG_ANSWER = bytes.fromhex("68 0B 0B 68 82 83 08 3E 3C 02 05 00 FF 06 96 29 16")
 
 
-class Slave:
-    """Answers with fixed octets after ``delay`` bits, or as the ``plan`` says: None = stay silent."""
+Step = bytes | tuple[int, bytes] | None
 
-    def __init__(self, answer: bytes = DX_ANSWER, delay: int = 11) -> None:
+
+class Slave:
+    """Answers as ``plan`` says, then with ``answer``, after ``delay`` bits. In the plan None is silence, a pair has its
+    own delay."""
+
+    def __init__(self, *plan: Step, answer: bytes = DX_ANSWER, delay: int = 11) -> None:
         self.answer = answer
         self.delay = delay
-        self.plan: list[bytes | tuple[int, bytes] | None] = []
+        self.plan = list(plan)
         self.heard: list[bytes] = []
 
     def __call__(self, octets: bytes, now: int) -> tuple[int, bytes] | None:

@@ -20,6 +20,7 @@ from dpstack.fdl.interface import LinkUser
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Kind
 from dpstack.params import BusParams
+from dpstack.sim.referee import Referee
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
 from dpstack.trace import Event
@@ -89,6 +90,11 @@ class FireRing:
     def drop_tokens(self, times: int, sender: str | None = None) -> None:
         """Nobody hears the next ``times`` tokens (of ``sender``)."""
         self.world.faults.drop(lambda tx: is_token(tx) and sender in (None, tx.sender), times=times)
+
+    @property
+    def referee(self) -> Referee:
+        assert self.world.referee is not None
+        return self.world.referee
 
     # --- time ---
     def run_bits(self, bits: int) -> None:

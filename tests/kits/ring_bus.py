@@ -25,6 +25,7 @@ from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_MS, chars_to_ns
 
+
 @dataclass
 class Sent:
     """A transmission on the wire."""

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
-from bus_kit import mirror, setup
+from bus_kit import SimBus
 from support import MS, US, Dummy, S, WorldFactory
 
-from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.master import Master
-from dpstack.dp.master.settings import MasterSettings
-from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.errors import ConfigError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -23,7 +19,6 @@ from dpstack.phy.patience import ADAPTER, Patience, slack
 from dpstack.sim.adapter import FTDI, FTDI_LOW_LATENCY, Adapter, Habits
 from dpstack.sim.token_watch import Rule
 from dpstack.sim.world import World
-from dpstack.trace import Event
 
 TOKEN = bytes.fromhex("DC 02 05")
 STATUS = bytes.fromhex("10 07 02 49 52 16")
@@ -36,40 +31,43 @@ def plugged(world: World, habits: Habits, **dummy: object) -> Dummy:
     return host
 
 
-def test_octets_wait_for_the_next_frame(world: WorldFactory) -> None:
+@pytest.mark.parametrize(
+    ("habits", "injected", "delivered"),
+    [
+        # the token is over at 10.366 ms
+        (FTDI_LOW_LATENCY, [(10_300 * US, TOKEN)], [(11 * MS, TOKEN)]),
+        # octets end every 22 us: four of them before 11 ms
+        (FTDI_LOW_LATENCY, [(10_910 * US, STATUS)], [(11 * MS, STATUS[:4]), (12 * MS, STATUS[4:])]),
+        (
+            FTDI,
+            [(2 * MS, TOKEN), (15 * MS, TOKEN), (17 * MS, TOKEN), (40 * MS, TOKEN)],
+            [(16 * MS, TOKEN + TOKEN), (32 * MS, TOKEN), (48 * MS, TOKEN)],
+        ),
+        # 62 octets are over after 1.364 ms, 124 after 2.728, 186 after 4.092; then the timer starts afresh
+        (
+            FTDI,
+            [(MS, bytes(200))],
+            [(3 * MS, bytes(62)), (4 * MS, bytes(62)), (6 * MS, bytes(62)), (22 * MS, bytes(14))],
+        ),
+    ],
+    ids=[
+        "octets wait for the next frame",
+        "a telegram across a frame comes in pieces",
+        "the latency timer runs from packet to packet",
+        "a full packet does not wait for the timer",
+    ],
+)
+def test_octets_reach_the_host_in_packets_and_frames(
+    world: WorldFactory, habits: Habits, injected: list[tuple[int, bytes]], delivered: list[tuple[int, bytes]]
+) -> None:
     w = world(referee=False)
-    host = plugged(w, FTDI_LOW_LATENCY)
-    w.call_at(10_300 * US, lambda: w.inject(TOKEN))  # over at 10.366 ms
-    w.run_until(20 * MS)
-    assert host.octets == [(11 * MS, TOKEN)]
+    host = plugged(w, habits)
+    for at, octets in injected:
+        w.call_at(at, partial(w.inject, octets))
+    w.run_until(100 * MS)
+    assert host.octets == delivered
     assert host.edges == []
     assert host.heard == []
-
-
-def test_a_telegram_across_a_frame_comes_in_pieces(world: WorldFactory) -> None:
-    w = world(referee=False)
-    host = plugged(w, FTDI_LOW_LATENCY)
-    w.call_at(10_910 * US, lambda: w.inject(STATUS))  # octets end every 22 us: four of them before 11 ms
-    w.run_until(20 * MS)
-    assert host.octets == [(11 * MS, STATUS[:4]), (12 * MS, STATUS[4:])]
-
-
-def test_the_latency_timer_runs_from_packet_to_packet(world: WorldFactory) -> None:
-    w = world(referee=False)
-    host = plugged(w, FTDI)
-    for at in (2, 15, 17, 40):
-        w.call_at(at * MS, lambda: w.inject(TOKEN))
-    w.run_until(100 * MS)
-    assert host.octets == [(16 * MS, TOKEN + TOKEN), (32 * MS, TOKEN), (48 * MS, TOKEN)]
-
-
-def test_a_full_packet_does_not_wait_for_the_timer(world: WorldFactory) -> None:
-    w = world(referee=False)
-    host = plugged(w, FTDI)
-    w.call_at(MS, lambda: w.inject(bytes(200)))  # 62 octets are over after 1.364 ms, 124 after 2.728, 186 after 4.092
-    w.run_until(100 * MS)
-    # the timer starts afresh with the last full packet
-    assert [(at / MS, len(chunk)) for at, chunk in host.octets] == [(3, 62), (4, 62), (6, 62), (22, 14)]
 
 
 def test_sending_begins_at_the_next_frame_and_the_host_believes_at_once(world: WorldFactory) -> None:
@@ -139,34 +137,18 @@ def test_whole_telegrams_are_refused() -> None:
 
 
 # --- a master on them ---
-class AdapterBus:
-    """A master on an adapter with ``habits``, and slaves on the wire; the referee is on."""
+def adapter_bus(
+    world: World, baud: int, habits: Habits, patience: Patience = ADAPTER, *, slaves: int = 2, **changes: int
+) -> SimBus:
+    """A master on an adapter with ``habits`` and its slaves on the wire, in data exchange; the referee is on."""
+    params = BusParams.preset(baud, address=2, hsa=10).replace(**changes)
+    bus = SimBus(world, params, range(5, 5 + slaves), watchdog_ms=1000, patience=patience, habits=habits)
+    bus.until_exchanging()
+    return bus
 
-    def __init__(self, world: World, baud: int, habits: Habits, patience: Patience = ADAPTER, *, slaves: int = 2,
-                 **changes: int) -> None:  # fmt: skip
-        self.world = world
-        addresses = range(5, 5 + slaves)
-        self.params = BusParams.preset(baud, address=2, hsa=10).replace(**changes)
-        for address in addresses:
-            world.add(mirror(address, self.params))
-        self.master = Master(self.params, [setup(address) for address in addresses], MasterSettings(watchdog_ms=1000))
-        self.station = ActiveStation(self.params, [self.master], patience=patience)
-        self.adapter = Adapter(self.station, habits, own=EchoFilter(Echo.AUTO) if habits.echo else None)
-        self.events: list[Event] = []
-        world.add(self.adapter, on_events=self.events.extend)
-        world.command(self.adapter, GoOnline())
-        world.command(self.adapter, SetMode(Mode.OPERATE))
 
-    @property
-    def exchanging(self) -> bool:
-        return all(h.state is SlaveState.DATA_EXCHANGE for h in self.master.handlers.values())
-
-    @property
-    def exchanges(self) -> int:
-        return sum(handler.exchanges for handler in self.master.handlers.values())
-
-    def bring_up(self, within_ns: int = 5 * S) -> None:
-        assert self.world.run(self.world.now + within_ns, lambda: self.exchanging)
+def exchanges(bus: SimBus) -> int:
+    return sum(handler.exchanges for handler in bus.master.handlers.values())
 
 
 HABITS = {
@@ -181,14 +163,13 @@ HABITS = {
 @pytest.mark.parametrize("baud", [9_600, 45_450, 187_500, 500_000, 1_500_000, 12_000_000])
 @pytest.mark.parametrize("habits", HABITS.values(), ids=HABITS.keys())
 def test_bring_up_and_stable_exchange(world: WorldFactory, baud: int, habits: Habits) -> None:
-    bus = AdapterBus(world(), baud, habits)
-    bus.bring_up()
+    bus = adapter_bus(world(), baud, habits)
     for number in range(1, 6):
-        begun = bus.exchanges
+        begun = exchanges(bus)
         for address, image in bus.master.images.items():
             image.outputs = bytes([number, address] * 6)
         bus.world.run_for(600 * MS)
-        assert bus.exchanges - begun >= 4
+        assert exchanges(bus) - begun >= 4
         for address, image in bus.master.images.items():
             assert image.inputs == bytes([number, address] * 6)
     assert bus.exchanging
@@ -214,22 +195,17 @@ def test_the_duration_of_an_exchange_on_an_adapter(
     world: WorldFactory, latency_ms: int, slaves: int, round_ms: int
 ) -> None:
     """500 kbit/s, twelve octets each way: 1.02 ms on the wire."""
-    bus = AdapterBus(world(), 500_000, Habits(latency_ns=latency_ms * MS), slaves=slaves, gap=0)
-    bus.bring_up()
-    begun = bus.exchanges
+    bus = adapter_bus(world(), 500_000, Habits(latency_ns=latency_ms * MS), slaves=slaves, gap=0)
+    begun = exchanges(bus)
     bus.world.run_for(960 * MS)
-    rounds = (bus.exchanges - begun) / slaves
+    rounds = (exchanges(bus) - begun) / slaves
     # Global_Control (two frames) every 200 ms
     assert 960 / round_ms - 10 <= rounds <= 960 / round_ms + 1
 
 
 def test_without_knowing_how_late_it_sends_the_idle_times_would_be_cut(world: WorldFactory) -> None:
     """What ``Patience.sending_ns`` is for: token and next request would go out in the same frame."""
-    bus = AdapterBus(world(), 500_000, FTDI_LOW_LATENCY, replace(ADAPTER, sending_ns=0))
-    referee = bus.world.referee
-    assert referee is not None
-    referee.expect(Rule.IDLE)
-    bus.bring_up()
+    adapter_bus(world(expect=[Rule.IDLE]), 500_000, FTDI_LOW_LATENCY, replace(ADAPTER, sending_ns=0))
 
 
 def test_the_users_own_slack_leaves_the_port_as_it_is(world: WorldFactory) -> None:
@@ -237,20 +213,18 @@ def test_the_users_own_slack_leaves_the_port_as_it_is(world: WorldFactory) -> No
     assert patience == Patience(
         known_ns=40 * MS, unknown_ns=40 * MS, unknown_divisor=100, stall_ns=40 * MS, sending_ns=ADAPTER.sending_ns
     )
-    AdapterBus(world(), 500_000, FTDI, patience).bring_up()
+    adapter_bus(world(), 500_000, FTDI, patience)
 
 
 def test_slaves_that_need_a_longer_silence_get_it_on_an_adapter_too(world: WorldFactory) -> None:
-    bus = AdapterBus(world(), 500_000, FTDI_LOW_LATENCY, extra_idle=900)  # the referee judges by it
-    bus.bring_up()
+    bus = adapter_bus(world(), 500_000, FTDI_LOW_LATENCY, extra_idle=900)  # the referee judges by it
     bus.world.run_for(S)
     assert bus.exchanging
 
 
 @pytest.mark.parametrize("habits", HABITS.values(), ids=HABITS.keys())
 def test_noise_on_an_adapter(world: WorldFactory, habits: Habits) -> None:
-    bus = AdapterBus(world(seed=5), 500_000, habits)
-    bus.bring_up()
+    bus = adapter_bus(world(seed=5), 500_000, habits)
     bus.world.faults.noise(1e-4)
     for number in range(40):
         for address, image in bus.master.images.items():
@@ -260,7 +234,7 @@ def test_noise_on_an_adapter(world: WorldFactory, habits: Habits) -> None:
             assert image.inputs[0] <= number
             assert image.inputs in (bytes(12), bytes([image.inputs[0], address] * 6))
     bus.world.faults.clear()
-    bus.bring_up(15 * S)
+    bus.until_exchanging(15 * S)
 
 
 def test_two_masters_on_adapters_share_a_ring_where_t_sl_allows_it(world: WorldFactory) -> None:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 
 import pytest
 from bus_kit import SimBus, mirror
+from fire_kit import make_ring
 from support import MS, S, WorldFactory
 
 from dpstack.dp.master.events import SlaveState
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.sim.token_watch import Rule
 from dpstack.trace import WireEntry
@@ -19,8 +18,8 @@ from dpstack.units import BAUD_RATES, bits_to_ns
 P500 = BusParams.preset(500_000, address=2, hsa=20)
 
 
-def bring_up(make: WorldFactory, slaves: int = 3, seed: int = 0, params: BusParams = P500) -> SimBus:
-    bus = SimBus(make(seed=seed), params, range(5, 5 + slaves))
+def bring_up(make: WorldFactory, slaves: int = 3, seed: int = 0, expect: Iterable[Rule] = ()) -> SimBus:
+    bus = SimBus(make(seed=seed, expect=expect), P500, range(5, 5 + slaves))
     bus.until_exchanging()
     return bus
 
@@ -95,18 +94,15 @@ def test_a_slave_cut_off_in_the_middle_of_its_answer(world: WorldFactory) -> Non
 
 
 def test_two_slaves_with_one_address_are_seen_by_the_referee(world: WorldFactory) -> None:
-    bus = bring_up(world)
-    assert bus.world.referee is not None
-    bus.world.referee.expect(Rule.COLLISION)
+    bus = bring_up(world, expect=[Rule.COLLISION])
     # the second one tells nothing but its status until it is parameterised, so it collides where it answers too
     bus.world.add(mirror(6, P500, t_sdr=12))
     bus.world.run_for(S)
 
 
 def test_a_slave_slower_than_t_sl_is_seen_by_the_referee(world: WorldFactory) -> None:
-    w = world()
+    w = world(expect=[Rule.COLLISION])
     assert w.referee is not None
-    w.referee.expect(Rule.COLLISION)
     w.referee.allow(*Rule)
     slow = mirror(5, P500, t_sdr=P500.t_sl + 15)
     bus = SimBus(w, P500, [])
@@ -145,32 +141,20 @@ def test_a_station_at_another_rate_hears_only_garbage(world: WorldFactory) -> No
 
 
 # --- the ring ---
-def masters(make: WorldFactory, *addresses: int, seed: int = 0) -> tuple[list[ActiveStation], Callable[[int], None]]:
-    w = make(seed=seed)
-    stations = [ActiveStation(P500.replace(address=address, gap=1, t_tr=5_000), []) for address in addresses]
-    for station in stations:
-        w.add(station)
-        w.command(station, GoOnline())
-    w.run_for(3 * S)
-    return stations, w.run_for
-
-
 @pytest.mark.parametrize("addresses", [(1, 2), (2, 3, 4), (0, 7, 19), (3, 2, 1, 0)])
 def test_masters_find_each_other_and_share_one_token(world: WorldFactory, addresses: tuple[int, ...]) -> None:
-    stations, _ = masters(world, *addresses)
-    assert [station.las for station in stations] == [frozenset(addresses)] * len(addresses)
-    referee = world.worlds[0].referee
-    assert referee is not None
-    assert referee.tokens.ring == set(addresses)
+    ring = make_ring(world, *addresses)
+    ring.world.run_for(S)
+    assert ring.whole
+    assert ring.referee.tokens.ring == set(addresses)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_lost_tokens_are_passed_again(world: WorldFactory, seed: int) -> None:
-    stations, run_for = masters(world, 2, 7, 12, seed=seed)
-    w = world.worlds[0]
+    ring = make_ring(world, 2, 7, 12, seed=seed)
     for _ in range(20):
-        w.faults.drop(lambda tx: tx.octets[:1] == b"\xdc")
-        run_for(30 * MS)
-    run_for(S)
-    assert [station.las for station in stations] == [frozenset((2, 7, 12))] * 3
-    assert sum(station.stats.token_retries for station in stations) >= 20
+        ring.drop_tokens(1)
+        ring.world.run_for(30 * MS)
+    ring.world.run_for(S)
+    assert ring.whole
+    assert sum(station.stats.token_retries for station in ring.masters.values()) >= 20

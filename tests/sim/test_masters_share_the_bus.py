@@ -5,18 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import pytest
-from bus_kit import IDENT, SimBus, add_station
+from bus_kit import IDENT, SimBus
 from planned_bus import identifiers
-from slave_kit import make_slave
 from support import S, WorldFactory
 
 from dpstack.dp.master.fixed_cycle import MissReason
-from dpstack.dp.master.master import Master
-from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.plan.cycle_check import token_wait_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, rotation
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.params import BusParams
 from dpstack.stats import Histogram
 from dpstack.units import ns_to_bits
@@ -129,15 +125,12 @@ def test_a_fixed_cycle_begins_no_later_than_the_plan_says(world: WorldFactory, c
     cycle_ns = 2 * params.ns(rotation(params, plants[0], Case.NORMAL, others).bits)
     planned = token_wait_ns(Figures(params, plants[0], others=others, cycle_ns=cycle_ns))
     t_tr = Figures(params, plants[0], others).t_tr_needed
-    masters = []
+    buses: list[SimBus] = []
     for number, slaves in enumerate(plants):
         own = params.replace(address=2 + number, t_tr=t_tr)
-        for setup in slaves:
-            w.add(make_slave(setup.address, MirrorDevice(IDENT, setup.config), own, t_sdr=90))
-        masters.append(Master(own, slaves, MasterSettings(watchdog_ms=650_000, cycle_ns=0 if number else cycle_ns)))
-        add_station(w, own, masters[-1])
+        buses.append(SimBus(w, own, slaves, 0 if number else cycle_ns, t_sdr=90, watchdog_ms=650_000))
     w.run_for(3 * S)
-    book = masters[0].cycles
+    book = buses[0].master.cycles
     book.late, book.left_out = Histogram(), 0
     w.run_for(2 * S)
     assert book.left_out == 0

@@ -6,22 +6,17 @@ import dataclasses
 from dataclasses import replace
 
 import pytest
-from bus_kit import mirror, setup
+from bus_kit import SimBus
 from support import MS, S, WorldFactory
 
 from dpstack.api.bus.ring_entry import OtherMasterNotices, join_limit_s, pass_ns
-from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.master import Master
-from dpstack.dp.master.settings import MasterSettings
+from dpstack.dp.master.commands import Mode
 from dpstack.drivers.snapshots import BusSnapshot
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import MasterSeen
 from dpstack.params import BusParams
 from dpstack.phy.neighbours import Neighbours, t_sl_of_answers
 from dpstack.phy.patience import ADAPTER, EXACT, HOST, Patience, measured, slack
-from dpstack.sim.adapter import FTDI, FTDI_LOW_LATENCY, Adapter, Habits
+from dpstack.sim.adapter import FTDI, FTDI_LOW_LATENCY, Habits
 from dpstack.sim.token_watch import Rule
 from dpstack.sim.world import World
 from dpstack.trace import Severity
@@ -117,29 +112,25 @@ class Ring:
         self, world: World, habits: tuple[Habits | None, Habits | None], t_sl: int, patience: Patience
     ) -> None:
         self.world = world
-        self.stations: list[ActiveStation] = []
-        self.masters: list[Master] = []
-        for address, plug in zip((2, 5), habits, strict=True):
-            params = BusParams.preset(500_000, address=address, hsa=30, t_sl=t_sl)
-            slaves = (10 * address, 10 * address + 1)
-            self.slaves = [mirror(slave, params) for slave in slaves]  # of the last master
-            for slave in self.slaves:
-                world.add(slave)
-            master = Master(params, [setup(slave) for slave in slaves], MasterSettings(watchdog_ms=1000))
-            station = ActiveStation(params, [master], patience=patience if plug else EXACT)
-            plugged = Adapter(station, plug) if plug else station
-            world.add(plugged)
-            world.command(plugged, GoOnline())
-            world.command(plugged, SetMode(Mode.OPERATE))
-            self.stations.append(station)
-            self.masters.append(master)
+        self.buses = [
+            SimBus(
+                world,
+                BusParams.preset(500_000, address=address, hsa=30, t_sl=t_sl),
+                (10 * address, 10 * address + 1),
+                watchdog_ms=1000,
+                patience=patience if plug else EXACT,
+                habits=plug,
+            )
+            for address, plug in zip((2, 5), habits, strict=True)
+        ]
+        self.stations = [bus.station for bus in self.buses]
 
     @property
     def whole(self) -> bool:
         """Both in the ring, all slaves in data exchange."""
-        handlers = [handler for master in self.masters for handler in master.handlers.values()]
-        exchanging = all(handler.state is SlaveState.DATA_EXCHANGE for handler in handlers)
-        return exchanging and all(station.in_ring and station.las == {2, 5} for station in self.stations)
+        return all(bus.exchanging for bus in self.buses) and all(
+            station.in_ring and station.las == {2, 5} for station in self.stations
+        )
 
     @property
     def broken(self) -> int:
@@ -168,7 +159,7 @@ def test_the_ring_is_stable_with_the_advised_t_sl(
     assert ring.whole
     assert ring.broken == begun
     # a slave that dies is waited for with all slack: nobody claims the token meanwhile
-    ring.world.remove(ring.slaves[0])
+    ring.world.remove(ring.buses[1].slaves[50])
     ring.world.run_for(S)
     assert ring.broken == begun
     assert all(station.las == {2, 5} for station in ring.stations)

@@ -1,8 +1,6 @@
-"""What an active station takes for an answer: wrong, garbled, early and late ones."""
+"""Answers as an active station judges them: right, wrong, garbled, early and late ones."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import pytest
 from exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
@@ -53,7 +51,7 @@ def test_which_telegram_answers_which_request(request_: Request, telegram: Teleg
 
 
 def test_a_wrong_answer_ends_as_wrong() -> None:
-    slave = Slave(DIAG_ANSWER)
+    slave = Slave(answer=DIAG_ANSWER)
     bus, user, station = bus_with(slave, DX)
     bus.run_ms(20)
     assert user.outcomes == [Failure.WRONG]
@@ -82,9 +80,7 @@ def test_a_slave_that_loses_its_power_in_the_middle_of_its_answer_gives_none() -
 
 @pytest.mark.parametrize("octet", [b"\xe5", b"\x00", b"\xdc"])
 def test_a_lone_octet_too_early_is_no_answer(octet: bytes) -> None:
-    slave = Slave()
-    slave.plan = [(5, octet)]
-    bus, user, station = bus_with(slave, DX, mode="octets")
+    bus, user, station = bus_with(Slave((5, octet)), DX, mode="octets")
     bus.run_ms(20)
     assert len(user.outcomes) == 1
     assert isinstance(user.outcomes[0], Failure)
@@ -93,55 +89,35 @@ def test_a_lone_octet_too_early_is_no_answer(octet: bytes) -> None:
 
 @pytest.mark.parametrize("mode", ["whole", "octets", "chunk"])
 def test_a_late_answer_is_not_taken_for_that_of_another_station(mode: str) -> None:
-    slave = Slave()
-    slave.plan = [(330, DX_ANSWER)]
-    bus, user, station = bus_with(slave, DX, DX._replace(da=4), mode=mode)
+    bus, user, station = bus_with(Slave((330, DX_ANSWER)), DX, DX._replace(da=4), mode=mode)
     bus.run_ms(20)
     assert user.outcomes == [Failure.NO_ANSWER, Failure.NO_ANSWER]
     assert station.stats.late == 1
     assert station.stats.stations[3].late == 1
 
 
-def late_by_one(bus: RingBus, slave: Slave, lateness: Callable[[int], int | None]) -> None:
-    """The slave answers request n with the octet n; ``lateness(n)`` in bits, None = at once."""
-    count = 0
-
-    def say(octets: bytes, now: int) -> tuple[int, bytes]:
-        nonlocal count
-        slave.heard.append(octets)
-        body = bytes((0x02, 0x03, 0x08, count))
-        telegram = b"\x68\x04\x04\x68" + body + bytes((sum(body) & 0xFF, 0x16))
-        delay = lateness(count)
-        count += 1
-        return (11 if delay is None else delay), telegram
-
-    bus.slaves[3] = say
-
-
-def test_a_late_answer_is_never_taken_for_the_next_one_of_the_same_station() -> None:
-    """On a port that delivers late by more than the patience: the answer to n arrives while n + 1 is waiting."""
+@pytest.mark.parametrize(
+    ("requests", "delays", "got"),
+    [
+        # request 2 is answered 3 ms late: it arrives after request 3 was sent and before the answer to that one
+        ([DX._replace(retry=False)] * 8, {2: 1340, 3: 200}, [0, 1, None, 3, 4, 5, 6, 7]),
+        # 2 is late; its repetition (3) is answered while 4, the next request, waits; the answer to 4 follows
+        ([DX] * 6, {2: 1350, 3: 350, 4: 250}, [0, 1, 2, 4, 5, 6]),
+    ],
+    ids=["the answer to the request before", "the answers to both attempts"],
+)
+def test_a_late_answer_is_never_taken_for_the_next_one_of_the_same_station(
+    requests: list[Request], delays: dict[int, int], got: list[int | None]
+) -> None:
+    """The port is later than its patience. The slave answers attempt n with octet n after 11 bits or ``delays[n]``."""
     patience = Patience(known_ns=2 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_divisor=100, stall_ns=NS_PER_MS)
-    bus, user, station = bus_with(Slave(), mode="chunk", patience=patience)
-    user.high = [DX._replace(retry=False)] * 8
-    slave = Slave()
-    # request 2 is answered 3 ms late: it arrives after request 3 went out and before that one's own answer
-    late_by_one(bus, slave, lambda n: 1340 if n == 2 else 200 if n == 3 else None)
+    plan = []
+    for n in range(10):
+        body = bytes((0x02, 0x03, 0x08, n))
+        plan.append((delays.get(n, 11), b"\x68\x04\x04\x68" + body + bytes((sum(body) & 0xFF, 0x16))))
+    bus, user, station = bus_with(Slave(*plan), *requests, mode="chunk", patience=patience)
     bus.run_ms(60)
-    got = [o.data[0] if isinstance(o, Telegram) else None for o in user.outcomes]
-    assert got == [0, 1, None, 3, 4, 5, 6, 7]
-    assert station.stats.late == 1
-
-
-def test_the_answer_to_both_attempts_is_not_taken_for_the_next_one() -> None:
-    patience = Patience(known_ns=2 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_divisor=100, stall_ns=NS_PER_MS)
-    bus, user, station = bus_with(Slave(), mode="chunk", patience=patience)
-    user.high = [DX] * 6
-    slave = Slave()
-    # 2 is late; its repetition (3) is answered while 4, the next request, waits; 4's answer follows
-    late_by_one(bus, slave, lambda n: {2: 1350, 3: 350, 4: 250}.get(n))
-    bus.run_ms(60)
-    got = [o.data[0] if isinstance(o, Telegram) else None for o in user.outcomes]
-    assert got == [0, 1, 2, 4, 5, 6]
+    assert [o.data[0] if isinstance(o, Telegram) else None for o in user.outcomes] == got
     assert station.stats.late == 1
 
 
@@ -179,11 +155,7 @@ def test_a_station_that_answered_late_gets_more_slack() -> None:
 
 
 def test_a_kept_back_answer_counts_when_nothing_follows() -> None:
-    bus, user, station = bus_with(Slave(), mode="chunk", patience=HOST)
-    slave = Slave()
-    slave.plan = [DX_ANSWER, None, None]
-    bus.slaves[3] = slave
-    user.high = [DX] * 5
+    bus, user, station = bus_with(Slave(DX_ANSWER, None, None), *[DX] * 5, mode="chunk", patience=HOST)
     bus.run_ms(400)
     assert [isinstance(o, Telegram) for o in user.outcomes] == [True, False, True, True, True]
     first, second = (user.results[i][2] - user.starts[i][1] for i in (2, 3))
@@ -235,7 +207,7 @@ def test_octets_before_the_request_are_no_garbled_answer_to_it() -> None:
 
 
 def test_answers_with_le_3_count_as_empty_and_are_reported_once() -> None:
-    slave = Slave(bytes.fromhex("68 03 03 68 02 03 08 0D 16"))
+    slave = Slave(answer=bytes.fromhex("68 03 03 68 02 03 08 0D 16"))
     bus, user, _ = bus_with(slave, DX, DX, DX)
     bus.run_ms(20)
     assert [o.data for o in user.outcomes if isinstance(o, Telegram)] == [b"", b"", b""]
@@ -263,13 +235,10 @@ def test_a_wire_listener_gets_the_octets_unchanged(octets: str) -> None:
 
 # --- two stations with one address -----------------------------------------------------------------------------------
 def asked_often(answer: bytes, *requests: Request, delay: int = 11, times: int = 60) -> tuple[RingBus, Slave]:
-    """A station that asks slave 3 in every token hold; what the slave answers, after ``delay`` bit times."""
-    slave = Slave()
-    user = ListUser(per_hold=list(requests or (DX,)))
-    bus = RingBus(mode="octets")
-    bus.slaves[3] = slave
-    slave.plan = [(delay, answer)] * times
-    bus.master(2, user, gap=0)
+    """A station that asks slave 3 in every token hold; the slave answers ``answer`` after ``delay`` bit times."""
+    slave = Slave(*[(delay, answer)] * times)
+    bus, user, _ = bus_with(slave, mode="octets")
+    user.per_hold = list(requests or (DX,))
     return bus, slave
 
 

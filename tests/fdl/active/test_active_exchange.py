@@ -21,8 +21,7 @@ from dpstack.units import BAUD_RATES, NS_PER_MS
 def test_literal_octets_of_a_bring_up() -> None:
     """The first of docs/protocol.md#known-telegrams with its addresses: diagnosis first with FCB = 1, FCV = 0, then
     toggling, SDN without."""
-    slave = Slave(DIAG_ANSWER)
-    slave.plan = [DIAG_ANSWER, b"\xe5", DX_ANSWER, DX_ANSWER]
+    slave = Slave(DIAG_ANSWER, b"\xe5", DX_ANSWER, DX_ANSWER)
     set_prm = Request(3, Req.SRD_HIGH, bytes.fromhex("88 01 14 0B 06 96 00"), 61, 62)
     clear = Request(127, Req.SDN_HIGH, b"\x02\x00", 58, 62)
     bus, user, _ = bus_with(slave, DIAG, set_prm, clear, DX, DX)
@@ -63,42 +62,39 @@ def test_an_answer_may_begin_until_t_sl_is_over(mode: str) -> None:
         assert isinstance(user.outcomes[0], Telegram) is fine
 
 
-def test_the_first_request_is_not_repeated() -> None:
-    slave = Slave()
-    slave.plan = [None]
-    bus, user, station = bus_with(slave, DX)
+@pytest.mark.parametrize(
+    ("plan", "requests", "fcs", "answered", "retries"),
+    [
+        ([None], [DX], "6D", [False], 0),
+        ([DX_ANSWER, None, DX_ANSWER, DX_ANSWER], [DX] * 3, "6D 5D 5D 7D", [True] * 3, 1),
+        ([DX_ANSWER, None, None, DX_ANSWER], [DX] * 4, "6D 5D 5D 6D 5D", [True, False, True, True], 1),
+        (
+            [DX_ANSWER, None],
+            [DX, DX._replace(retry=False), DX, DX._replace(restart=True)],
+            "6D 5D 6D 6D",
+            [True, False, True, True],
+            0,
+        ),
+    ],
+    ids=[
+        "the first request is not repeated",
+        "an operational station gets a repetition with the same FCB",
+        "a station given up begins anew",
+        "a request without retry is not repeated, and restart begins anew",
+    ],
+)
+def test_repetitions_and_fcb(
+    plan: list[bytes | None], requests: list[Request], fcs: str, answered: list[bool], retries: int
+) -> None:
+    slave = Slave(*plan)
+    bus, user, station = bus_with(slave, *requests)
     bus.run_ms(20)
-    assert slave.fcs == ["6D"]
-    assert user.outcomes == [Failure.NO_ANSWER]
-    assert station.stats.stations[3].timeouts == 1
-    assert station.stats.stations[3].retries == 0
-
-
-def test_an_operational_station_is_repeated_with_the_same_fcb() -> None:
-    slave = Slave()
-    slave.plan = [DX_ANSWER, None, DX_ANSWER, DX_ANSWER]
-    bus, user, station = bus_with(slave, DX, DX, DX)
-    bus.run_ms(20)
-    assert slave.fcs == ["6D", "5D", "5D", "7D"]
-    assert len(user.starts) == len(user.results) == 3
-    assert station.stats.stations[3].retries == 1
-
-
-def test_a_station_given_up_is_taken_up_afresh() -> None:
-    slave = Slave()
-    slave.plan = [DX_ANSWER, None, None, DX_ANSWER]
-    bus, user, _ = bus_with(slave, DX, DX, DX, DX)
-    bus.run_ms(20)
-    assert slave.fcs == ["6D", "5D", "5D", "6D", "5D"]
-    assert [isinstance(o, Telegram) for o in user.outcomes] == [True, False, True, True]
-
-
-def test_restart_and_retry_flags() -> None:
-    slave = Slave()
-    slave.plan = [DX_ANSWER, None]
-    bus, _, _ = bus_with(slave, DX, DX._replace(retry=False), DX, DX._replace(restart=True))
-    bus.run_ms(20)
-    assert slave.fcs == ["6D", "5D", "6D", "6D"]
+    assert slave.fcs == fcs.split()
+    assert [isinstance(outcome, Telegram) for outcome in user.outcomes] == answered
+    assert {outcome for outcome in user.outcomes if isinstance(outcome, Failure)} <= {Failure.NO_ANSWER}
+    assert len(user.starts) == len(user.results) == len(requests)
+    stats = station.stats.stations[3]
+    assert (stats.timeouts, stats.retries) == (answered.count(False), retries)
 
 
 def test_three_silent_rounds_then_the_probe_and_one_notice() -> None:
@@ -118,7 +114,7 @@ def test_three_silent_rounds_then_the_probe_and_one_notice() -> None:
 
 
 def test_fdl_status_of_a_user() -> None:
-    slave = Slave(bytes.fromhex("10 02 03 00 05 16"))
+    slave = Slave(answer=bytes.fromhex("10 02 03 00 05 16"))
     bus, user, _ = bus_with(slave, Request(3, Req.FDL_STATUS), Request(3, Req.FDL_STATUS))
     bus.run_ms(20)
     assert [o.hex(" ") for o in slave.heard] == ["10 03 02 49 4e 16"] * 2
@@ -128,8 +124,7 @@ def test_fdl_status_of_a_user() -> None:
 # --- who holds the token ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("foreign", ["dc 09 07", "10 04 07 49 54 16", "68 05 05 68 83 87 6D 3C 3E F1 16"])
 def test_another_holder_makes_us_withdraw(foreign: str) -> None:
-    slave = Slave()
-    slave.plan = [(60, bytes.fromhex(foreign))]
+    slave = Slave((60, bytes.fromhex(foreign)))
     bus, user, station = bus_with(slave, DX)
     while not slave.heard:
         bus.run(500)

@@ -1,4 +1,4 @@
-"""When a master is told as joined or left, and that octets at random tell of none."""
+"""Reports that a master joined or left the ring; octets at random cause none."""
 
 from __future__ import annotations
 
@@ -22,48 +22,48 @@ def of(*members: int) -> frozenset[int]:
 
 
 def test_joined_with_its_second_token() -> None:
-    told = Announced(DecoderStats())
-    assert told.token(4, of(4)) == []
-    assert told.token(4, of(4)) == [(4, True)]
-    assert told.token(4, of(4)) == []
-    assert told.masters == {4}
-    assert told.token(9, of(4, 9)) == []
-    assert told.token(4, of(4, 9)) == []
-    assert told.token(9, of(4, 9)) == [(9, True)]
+    announced = Announced(DecoderStats())
+    assert announced.token(4, of(4)) == []
+    assert announced.token(4, of(4)) == [(4, True)]
+    assert announced.token(4, of(4)) == []
+    assert announced.masters == {4}
+    assert announced.token(9, of(4, 9)) == []
+    assert announced.token(4, of(4, 9)) == []
+    assert announced.token(9, of(4, 9)) == [(9, True)]
 
 
 def test_left_when_its_predecessor_passes_it_over_twice() -> None:
-    told = Announced(DecoderStats())
-    told.certain(4, True)
-    told.certain(9, True)
-    assert told.token(4, of(4)) == []
-    assert told.token(4, of(4, 9)) == []  # it was only one token that said so
-    assert told.token(4, of(4)) == []
-    assert told.token(2, of(4)) == []
-    assert told.token(4, of(4)) == [(9, False)]
+    announced = Announced(DecoderStats())
+    announced.certain(4, True)
+    announced.certain(9, True)
+    assert announced.token(4, of(4)) == []
+    assert announced.token(4, of(4, 9)) == []  # it was only one token that said so
+    assert announced.token(4, of(4)) == []
+    assert announced.token(2, of(4)) == []
+    assert announced.token(4, of(4)) == [(9, False)]
 
 
 def test_an_unreadable_octet_between_two_tokens_begins_anew() -> None:
     received = DecoderStats()
-    told = Announced(received)
-    told.token(4, of(4))
+    announced = Announced(received)
+    announced.token(4, of(4))
     received.skipped += 1
-    assert told.token(4, of(4)) == []
-    assert told.token(4, of(4)) == [(4, True)]
-    assert told.token(7, of(7)) == []
+    assert announced.token(4, of(4)) == []
+    assert announced.token(4, of(4)) == [(4, True)]
+    assert announced.token(7, of(7)) == []
     received.skipped += 5
-    assert told.token(7, of(7)) == []
-    assert told.token(7, of(7)) == [(4, False), (7, True)]
+    assert announced.token(7, of(7)) == []
+    assert announced.token(7, of(7)) == [(4, False), (7, True)]
 
 
 def test_a_checked_telegram_counts_at_once() -> None:
-    told = Announced(DecoderStats())
-    assert told.certain(5, True) == [(5, True)]
-    assert told.certain(5, True) == []
-    assert told.certain(5, False) == [(5, False)]
-    told.certain(6, True)
-    told.forget()
-    assert told.certain(6, False) == []
+    announced = Announced(DecoderStats())
+    assert announced.certain(5, True) == [(5, True)]
+    assert announced.certain(5, True) == []
+    assert announced.certain(5, False) == [(5, False)]
+    announced.certain(6, True)
+    announced.forget()
+    assert announced.certain(6, False) == []
 
 
 @pytest.mark.parametrize("pause_ns", [2 * MS, 50 * MS])

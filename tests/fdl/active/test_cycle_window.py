@@ -1,4 +1,4 @@
-"""What may be started before the next cycle: the book of waits, and the longest course of a request to the bit."""
+"""Requests before the next fixed cycle: those held back and forced, and the longest course of a request to the bit."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ring_bus import ListUser
 
+from dpstack.fdl.active.admission import Admission
 from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.events import HELD_BACK_CYCLES
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Req
 from dpstack.params import BusParams
-from dpstack.phy.patience import Patience, slack
+from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.units import NEVER
 
 A = (12, 3, 60)
@@ -110,55 +111,55 @@ def test_no_request_starves_and_late_cycles_are_bounded(cycles: list[list[tuple[
     ids=["data", "diagnosis", "parameters", "restart", "status", "control"],
 )
 def test_the_longest_course_of_a_request(request_: Request, known: bool, bits: int) -> None:
-    station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()])
-    admission = station._hold.admission
-    if known:
-        admission.peers.fcb.answered(5)
-    now = 10_000_000
-    assert admission.ends_at(request_, now) == now + bits * 2_000
-    admission.line.idle_since = now  # the line fell silent only now: T_ID1 comes first
-    assert admission.ends_at(request_, now) == now + (37 + bits) * 2_000
+    admission = admission_of(known=known)
+    assert admission.ends_at(request_, NOW) == NOW + bits * 2_000
+    admission.line.idle_since = NOW  # the line fell silent only now: T_ID1 comes first
+    assert admission.ends_at(request_, NOW) == NOW + (37 + bits) * 2_000
 
 
-def ends_after(patience: Patience, request: Request, *, known: bool) -> int:
-    station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()], patience=patience)
-    admission = station._hold.admission
-    if known:
-        admission.peers.fcb.answered(request.da)
-    now = 10_000_000
-    return admission.ends_at(request, now) - now
-
-
+NOW = 10_000_000
 POLL = Request(5, Req.FDL_STATUS, retry=False, answer=0)
 DATA = Request(5, Req.SRD_HIGH, patient=True)
 PORT = Patience(known_ns=50_000_000, unknown_ns=2_000_000, sending_ns=1_000_000)
 
 
-def test_an_unknown_address_is_planned_with_the_wire_time_alone() -> None:
-    wire = (66 + 200 + 11 + 121 + 37) * 2_000  # octets are seen at their end: one more
-    assert ends_after(PORT, POLL, known=False) == wire + 1_000_000
+def admission_of(patience: Patience = EXACT, *, known: bool = True) -> Admission:
+    """The admission of a master at 500 kbit/s; ``known``: station 5 has answered it."""
+    station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()], patience=patience)
+    admission = station._hold.admission
+    if known:
+        admission.peers.fcb.answered(5)
+    return admission
 
 
-def test_a_known_station_is_planned_with_one_attempt_and_the_usual_lateness_of_the_port() -> None:
-    once = (66 + 200 + 11 + 2805 + 37) * 2_000
-    assert ends_after(PORT, DATA, known=True) == once + 1_000_000 + 2_000_000
-    assert ends_after(PORT, POLL, known=True) == (66 + 200 + 11 + 121 + 37) * 2_000 + 1_000_000 + 2_000_000
-
-
-def test_the_users_own_slack_is_in_every_attempt() -> None:
-    twice = (2 * (66 + 200 + 11) + 2805 + 37) * 2_000
-    assert ends_after(slack(3_000_000, PORT), DATA, known=True) == twice + 2 * (1_000_000 + 3_000_000)
+@pytest.mark.parametrize(
+    ("patience", "request_", "known", "bits", "slack_us"),
+    [
+        # octets are seen at their end: T_SL and one octet more
+        (PORT, POLL, False, 66 + 200 + 11 + 121 + 37, 1_000),
+        (PORT, DATA, True, 66 + 200 + 11 + 2805 + 37, 1_000 + 2_000),
+        (PORT, POLL, True, 66 + 200 + 11 + 121 + 37, 1_000 + 2_000),
+        (slack(3_000_000, PORT), DATA, True, 2 * (66 + 200 + 11) + 2805 + 37, 2 * (1_000 + 3_000)),
+    ],
+    ids=[
+        "an unknown address is planned with the wire time alone",
+        "a known station is planned with one attempt and the usual lateness of the port",
+        "a poll of a known station is planned with the usual lateness of the port",
+        "the user's own slack is in every attempt",
+    ],
+)
+def test_the_longest_course_of_a_request_on_a_slow_port(
+    patience: Patience, request_: Request, known: bool, bits: int, slack_us: int
+) -> None:
+    assert admission_of(patience, known=known).ends_at(request_, NOW) - NOW == bits * 2_000 + slack_us * 1_000
 
 
 def test_an_answer_that_may_be_kept_back_as_a_late_one_needs_that_time_too() -> None:
-    station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()])
-    admission = station._hold.admission
-    admission.peers.fcb.answered(5)
-    now = 10_000_000
-    before = admission.ends_at(DATA, now)
-    admission.peers.due[7] = (Request(7, Req.SRD_HIGH), now)
-    assert admission.ends_at(DATA, now) == before + 200 * 2_000  # T_SL
-    assert admission.ends_at(DATA, now + 1) == before + 1  # no answer is due any more
+    admission = admission_of()
+    before = admission.ends_at(DATA, NOW)
+    admission.peers.due[7] = (Request(7, Req.SRD_HIGH), NOW)
+    assert admission.ends_at(DATA, NOW) == before + 200 * 2_000  # T_SL
+    assert admission.ends_at(DATA, NOW + 1) == before + 1  # no answer is due any more
 
 
 @pytest.mark.parametrize(
@@ -170,10 +171,7 @@ def test_an_answer_that_may_be_kept_back_as_a_late_one_needs_that_time_too() -> 
         (-50, 422 + 242),
     ],
 )
-def test_how_long_an_unknown_address_is_waited_for(room_us: int, waited_us: int) -> None:
-    patience = Patience(known_ns=50_000_000, unknown_ns=2_000_000)
-    station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()], patience=patience)
-    admission = station._hold.admission
-    at = 10_000_000
-    admission.window.next_at = at + room_us * 1_000
-    assert admission.in_vain_until(POLL, at, 300_000) == at + waited_us * 1_000
+def test_the_time_out_of_an_unknown_address(room_us: int, waited_us: int) -> None:
+    admission = admission_of(Patience(known_ns=50_000_000, unknown_ns=2_000_000), known=False)
+    admission.window.next_at = NOW + room_us * 1_000
+    assert admission.in_vain_until(POLL, NOW, 300_000) == NOW + waited_us * 1_000

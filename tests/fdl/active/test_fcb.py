@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,60 +15,46 @@ def fc(count: FrameCount, address: int = 3) -> int:
     return SRD_HIGH | count.bits[address]
 
 
-def test_first_request_then_toggling() -> None:
+@pytest.mark.parametrize(
+    ("steps", "fcs"),
+    [
+        (["answered"] * 4, [0x6D, 0x5D, 0x7D, 0x5D, 0x7D]),
+        (["answered", "given_up"], [0x6D, 0x5D, 0x6D]),
+        (["answered", "answered", "restart"], [0x6D, 0x5D, 0x7D, 0x6D]),
+        (["given_up"] * 11, [0x6D, 0x6D, 0x6D, 0x5D, 0x6D, 0x6D, 0x6D, 0x7D, 0x6D, 0x6D, 0x6D, 0x5D]),
+        (["restart", "given_up"] * 3 + ["restart"], [0x6D] * 6 + [0x5D, 0x5D]),
+    ],
+    ids=[
+        "FCB toggles after the first request",
+        "a station given up begins anew",
+        "a restarted station begins anew",
+        "three silent requests, then one probe",
+        "a restart does not hinder the probe",
+    ],
+)
+def test_fc_of_the_next_request(steps: list[str], fcs: list[int]) -> None:
     count = FrameCount()
-    seen = []
-    for _ in range(5):
+    seen = [fc(count)]
+    for step in steps:
+        getattr(count, step)(3)
         seen.append(fc(count))
-        count.answered(3)
-    assert seen == [0x6D, 0x5D, 0x7D, 0x5D, 0x7D]
+    assert seen == fcs
 
 
 def test_stations_are_counted_apart() -> None:
     count = FrameCount()
     count.answered(3)
+    assert count.operational[3]
+    assert not count.operational[4]
     assert fc(count, 3) == 0x5D
     assert fc(count, 4) == 0x6D
-
-
-def test_given_up_means_fresh() -> None:
-    count = FrameCount()
-    count.answered(3)
     count.given_up(3)
     assert not count.operational[3]
-    assert fc(count) == 0x6D
-
-
-def test_restart_means_fresh() -> None:
-    count = FrameCount()
-    count.answered(3)
-    count.answered(3)
-    count.restart(3)
-    assert fc(count) == 0x6D
-
-
-def test_three_silent_rounds_then_one_probe() -> None:
-    count = FrameCount()
-    seen = []
-    for _ in range(12):
-        seen.append(fc(count))
-        count.given_up(3)
-    assert seen == [0x6D, 0x6D, 0x6D, 0x5D, 0x6D, 0x6D, 0x6D, 0x7D, 0x6D, 0x6D, 0x6D, 0x5D]
-
-
-def test_restart_does_not_hinder_the_probe() -> None:
-    count = FrameCount()
-    for _ in range(3):
-        count.restart(3)
-        count.given_up(3)
-    count.restart(3)
-    assert fc(count) == 0x5D
 
 
 def test_a_station_found_by_the_probe_is_named_once_and_probed_first_later() -> None:
     count = FrameCount()
     for _ in range(3):
-        assert count.answered is not None
         count.given_up(3)
     assert fc(count) == 0x5D
     assert count.answered(3) is True

@@ -1,4 +1,4 @@
-"""Whatever befalls a ring of two to eight masters, it heals in a bounded time; the bounds are in ``fire_kit``.
+"""A ring of two to eight masters heals in a bounded time after any disturbance; the bounds are in ``fire_kit``.
 
 From the end of the trouble on, the ring is *quiet* after T_TO of the highest address + three token rotations +
 HSA x T_SL: no token is lost, repeated or claimed any more, nobody withdraws or leaves, and the referee finds nothing.
@@ -75,7 +75,7 @@ SCENARIOS = st.builds(
 
 
 def befall(ring: FireRing, pool: list[int], trouble: Trouble) -> None:
-    """One trouble."""
+    """Cause ``trouble`` in ``ring``."""
     what, who, bits, times, _ = trouble
     world, live = ring.world, sorted(ring.masters)
     victim = live[who % len(live)]
@@ -138,8 +138,7 @@ def run(scenario: Scenario, *, slaves: bool) -> None:
     ring.run_bits(20 * t_tr)
     assert ring.whole
     assert ring.trouble == trouble_seen, wire_log(world)
-    assert world.referee is not None
-    late = [str(violation) for violation in world.referee.violations if violation.t_ns > quiet_at]
+    late = [str(violation) for violation in ring.referee.violations if violation.t_ns > quiet_at]
     assert not late, late
     if slaves:
         ring.until(lambda: ring.exchanging, 5_000_000)

@@ -1,4 +1,4 @@
-"""What can befall a token ring, each with bare masters and with masters whose slaves must stay in data exchange."""
+"""Disturbances of a token ring, each with bare masters and with masters whose slaves must stay in data exchange."""
 
 from __future__ import annotations
 
@@ -137,8 +137,7 @@ def test_the_token_is_claimed_by_the_lowest_address_after_its_t_to(ring_of: Make
 def test_tokens_that_nobody_hears(ring_of: Make, times: int) -> None:
     ring = ring_of(2, 5, 9)
     start = ring.world.now
-    assert ring.world.referee is not None
-    ring.world.referee.allow(Rule.ORDER)  # it has not heard the attempts either
+    ring.referee.allow(Rule.ORDER)  # it has not heard the attempts either
     ring.drop_tokens(times, "5")
     heals(ring)
     # its predecessor has not heard it either, so that one repeats its token too
@@ -150,18 +149,17 @@ def test_tokens_that_nobody_hears(ring_of: Make, times: int) -> None:
 @pytest.mark.parametrize("late_bits", [3, 38, 120, 400])
 @pytest.mark.parametrize("taker", [2, 5, 9])
 def test_a_doubled_token_becomes_one_again(ring_of: Make, taker: int, late_bits: int) -> None:
-    """What a reflection or a confused master does: the token is sent once more, and its addressee takes it too."""
+    """A reflection or a confused master sends the token once more, and its addressee takes it too."""
     ring = ring_of(2, 5, 9)
     start = ring.world.now
     ring.until(lambda: holder(ring) == 2)
     ring.until(lambda: ring.masters[2].state is State.CHECK_TOKEN_PASS)
     ring.run_bits(33 + late_bits)
-    assert ring.world.referee is not None
-    ring.world.referee.allow(*Rule)  # two holders collide; what counts is that it ends
+    ring.referee.allow(*Rule)  # two holders collide; what counts is that it ends
     before = {2: 9, 5: 2, 9: 5}[taker]
     ring.world.inject(bytes((0xDC, taker, before)))
     heals(ring)
-    assert len(ring.world.referee.allowed) < 60
+    assert len(ring.referee.allowed) < 60
     # while both hold a token they begin at the same instants, so their own slaves may be lost for a moment
     assert lost_slaves(ring, start) <= {SLAVE_OF + 5, SLAVE_OF + taker}
 
@@ -170,9 +168,8 @@ def test_two_holders_in_step_hear_each_other_at_the_last_repetition(world: World
     """Both begin at the same instant again and again, so that neither hears the other; only TS tells them apart."""
     ring = make_ring(world, 0, 2, 5, 9, slaves=True)
     ring.until(lambda: list(ring.world.log)[-1].octets == b"\xdc\x00\x09")
-    assert ring.world.referee is not None
-    ring.world.referee.expect(Rule.COLLISION)
-    ring.world.referee.allow(*Rule)
+    ring.referee.expect(Rule.COLLISION)
+    ring.referee.allow(*Rule)
     ring.run_bits(8)
     start = ring.world.now
     ring.world.inject(b"\xdc\x02\x00")  # while 0 waits for its turn: now both 0 and 2 have a token
@@ -246,8 +243,7 @@ def test_a_foreign_master_with_our_address_makes_us_back_off(ring_of: Make) -> N
     ring.run_bits(100)
     assert ring.masters[2].state is State.LISTEN_TOKEN
     assert [event.address for event in ring.events if isinstance(event, AddressCollision)] == [2]
-    assert ring.world.referee is not None
-    ring.world.referee.allow(*Rule)  # the ring believes that the foreign one is 2
+    ring.referee.allow(*Rule)  # the ring believes that the foreign one is 2
     ring.run_bits(5 * ring.masters[2].params.t_to)
     assert ring.masters[2].state is State.LISTEN_TOKEN
     ring.run_bits(6 * ring.masters[2].params.t_to)
@@ -285,8 +281,7 @@ def test_a_token_from_a_stranger_is_refused_once_and_accepted_the_second_time(ri
     ring = ring_of(2, 9)
     foreign = ForeignMaster(5, 2, ready=False)  # asks nobody, passes to 2 over 9
     ring.world.add(foreign)
-    assert ring.world.referee is not None
-    ring.world.referee.allow(Rule.RIGHT, Rule.TWO_TOKENS, Rule.ORDER)
+    ring.referee.allow(Rule.RIGHT, Rule.TWO_TOKENS, Rule.ORDER)
     ring.until(lambda: holder(ring) == 9)
     ring.die(9)
     two = ring.masters[2]
