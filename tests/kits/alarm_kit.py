@@ -176,12 +176,20 @@ class AlarmBus(Ms1Bus):
         return slave
 
     def hold(self, on: bool = True, address: int = 4) -> None:
-        """From now on the test acknowledges."""
+        """From now on the test acknowledges the alarms."""
         self.send(HoldAlarms(address, on))
 
     def acknowledge(self, number: int, address: int = 4) -> None:
-        """One of them."""
+        """Acknowledge one alarm."""
         self.send(AcknowledgeAlarm(address, number))
+
+    def until_ended(self, count: int = 1) -> None:
+        """Run until ``count`` alarms have ended."""
+        self.until(lambda: len(self.ends) == count)
+
+    def until_taken(self, count: int = 1, ms: int = 20_000) -> None:
+        """Run until the slave has taken ``count`` acknowledgements."""
+        self.until(lambda: len(self.alarm_slave.taken) == count, ms)
 
     @property
     def raised(self) -> list[AlarmRaised]:
@@ -195,7 +203,7 @@ class AlarmBus(Ms1Bus):
 
     @property
     def ends(self) -> list[AlarmDone]:
-        """Their ends."""
+        """The ends of alarms."""
         return self.events_of(AlarmDone)
 
     @property
@@ -209,18 +217,18 @@ class AlarmBus(Ms1Bus):
 
     @property
     def counts(self) -> AlarmCounts:
-        """Of the first slave."""
+        """The alarm counters of the first slave."""
         counts = self.counts_of(self.addresses[0])
         assert counts is not None
         return counts
 
     def counts_of(self, address: int) -> AlarmCounts | None:
-        """Of one slave."""
+        """The alarm counters of one slave; None without DP-V1."""
         return self.master.handlers[address].alarm_counts
 
 
 def octets_of(event: AlarmRaised) -> bytes:
-    """Its block, made by hand."""
+    """The block of the alarm, made by hand."""
     alarm = event.alarm
     specifier = alarm.sequence << 3 | alarm.add_ack << 2 | alarm.specifier
     return bytes((4 + len(alarm.data), alarm.type, alarm.slot, specifier)) + alarm.data

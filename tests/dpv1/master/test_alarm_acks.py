@@ -27,7 +27,7 @@ def test_held_until_the_application_has_it() -> None:
     kit.until(lambda: len(kit.raised) == 2)
     assert slave.taken == [PROCESS]
     kit.hold(False)  # nobody listens any more: it is acknowledged
-    kit.until(lambda: len(kit.ends) == 2)
+    kit.until_ended(2)
     assert [end.number for end in kit.ends] == [1, 2]
 
 
@@ -55,7 +55,7 @@ def test_at_sap_50_beside_a_read_that_takes_its_time() -> None:
     token = kit.order_read()  # the slave acknowledges, and never answers
     kit.run(20)
     slave.raises(PROCESS)
-    kit.until(lambda: bool(slave.taken), 100)
+    kit.until_taken(1, 100)
     assert not kit.done
     assert slave.asked[0] == bytes.fromhex("5E 01 02 F0")
     kit.end(token)
@@ -66,7 +66,7 @@ def test_at_sap_51_where_sap_50_is_closed_after_all() -> None:
     slave = kit.alarm_slave
     slave.says[50] = lambda octets: status(4, RS)
     slave.raises(PROCESS, block(2, 4), block(2, 5))
-    kit.until(lambda: len(kit.ends) == 3)
+    kit.until_ended(3)
     assert slave.taken == [PROCESS, block(2, 4), block(2, 5)]
     assert (kit.counts.raised, kit.counts.acknowledged, kit.counts.refused) == (3, 3, 0)
     assert len([remark for remark in kit.remarks if "SAP 50 is closed" in remark]) == 1
@@ -78,10 +78,10 @@ def test_sap_50_that_is_closed_by_a_second_acknowledgement_has_taken_the_first()
     slave = kit.alarm_slave
     slave.sap, slave.polls = 50, 1
     slave.raises(PROCESS)
-    kit.until(lambda: len(kit.ends) == 1)
+    kit.until_ended()
     slave.raises(block(2, 4))
     slave.lose(["", *"aaaaaaaa"])
-    kit.until(lambda: len(slave.taken) == 2)
+    kit.until_taken(2)
     slave.says[50] = lambda octets: status(4, RS) if octets[9:-2] else SC
     at_51: list[bytes] = []
 
@@ -90,7 +90,7 @@ def test_sap_50_that_is_closed_by_a_second_acknowledgement_has_taken_the_first()
         return status(4, RS)
 
     slave.says[51] = say
-    kit.until(lambda: len(kit.ends) == 2)
+    kit.until_ended(2)
     assert (kit.counts.acknowledged, kit.counts.refused, at_51) == (2, 0, [])
 
 
@@ -102,7 +102,7 @@ def test_at_sap_51_before_reads_that_wait() -> None:
     tokens = [kit.order_read() for _ in range(32)]
     kit.run(5)
     slave.raises(PROCESS)
-    kit.until(lambda: bool(slave.taken), 200)
+    kit.until_taken(1, 200)
     assert len(kit.done) <= 2
     for token in tokens:
         assert kit.end(token).outcome.data == b"\x55"
@@ -113,7 +113,7 @@ def test_answered_at_once_or_later(polls: int) -> None:
     kit = AlarmBus()
     kit.alarm_slave.polls = polls
     kit.alarm_slave.raises(PROCESS, PROCESS)
-    kit.until(lambda: len(kit.ends) == 2)
+    kit.until_ended(2)
     assert kit.alarm_slave.acks == [b"\x5c\x03\x02\x01"] * 2
     assert kit.counts.repeated == 0
 
@@ -123,7 +123,7 @@ def test_an_acknowledgement_that_is_lost_is_repeated_the_alarm_is_not() -> None:
     slave = kit.alarm_slave
     slave.raises(PROCESS)
     slave.lose("rrrr")
-    kit.until(lambda: bool(kit.ends))
+    kit.until_ended()
     assert slave.acks == [b"\x5c\x03\x02\x01"]
     assert kit.blocks == slave.taken == [PROCESS]
     assert kit.counts.repeated >= 1
@@ -136,7 +136,7 @@ def test_the_answer_to_it_is_lost_and_fetched() -> None:
     slave = kit.alarm_slave
     slave.raises(PROCESS)
     slave.lose("aa")
-    kit.until(lambda: bool(kit.ends))
+    kit.until_ended()
     assert slave.acks == [b"\x5c\x03\x02\x01"]  # never a second one: its response was still there
     assert not slave.strays
     assert kit.blocks == slave.taken == [PROCESS]
@@ -150,7 +150,7 @@ def test_the_answer_to_it_is_fetched_by_the_read_after_it() -> None:
     kit.until(lambda: bool(kit.remarks))
     slave.ms1 = lambda data: answer(4, "5E 01 02 01 55") if data else SC
     assert kit.read().outcome.data == b"\x55"
-    kit.until(lambda: bool(kit.ends))
+    kit.until_ended()
     assert len(slave.acks) == 1
     assert kit.counts.acknowledged == 1
 
@@ -165,7 +165,7 @@ def test_a_second_acknowledgement_that_the_slave_does_not_know(answers: str) -> 
     slave.lose(["", *"aaaaaaaa"])  # all polls: the response is gone
     kit.until(lambda: bool(slave.strays))
     slave.raises(PROCESS)  # the next one, exactly alike
-    kit.until(lambda: len(slave.taken) == 2)
+    kit.until_taken(2)
     assert kit.blocks == [PROCESS] * 2
 
 
@@ -175,7 +175,7 @@ def test_busy_is_asked_again(code: str) -> None:
     slave = kit.alarm_slave
     slave.refuses = [code, code]
     slave.raises(PROCESS)
-    kit.until(lambda: bool(kit.ends))
+    kit.until_ended()
     assert kit.ends[0].outcome.failure is None
     assert kit.counts.repeated == 2
     assert kit.blocks == [PROCESS]
@@ -185,7 +185,7 @@ def test_busy_and_then_refused_is_refused() -> None:
     kit = AlarmBus()
     kit.alarm_slave.refuses = ["C2", "B2"]
     kit.alarm_slave.raises(PROCESS)
-    kit.until(lambda: bool(kit.ends))
+    kit.until_ended()
     assert kit.ends[0].outcome.failure is ServiceFailure.NEGATIVE
     assert (kit.counts.refused, kit.counts.acknowledged) == (1, 0)
 
@@ -212,7 +212,7 @@ def test_closed_sap() -> None:
     slave = kit.alarm_slave
     slave.says[51] = lambda octets: status(4, RS)
     slave.raises(PROCESS)
-    kit.until(lambda: bool(kit.ends))
+    kit.until_ended()
     assert kit.ends[0].outcome.failure is ServiceFailure.REFUSED
     assert "SAP 51 is closed; see Extra_Alarm_SAP_supp" in kit.remarks[0]
 
@@ -223,7 +223,7 @@ def test_a_response_that_cannot_be_read(octets: str) -> None:
     slave = kit.alarm_slave
     slave.says[51] = lambda asked: answer(4, octets)
     slave.raises(PROCESS)
-    kit.until(lambda: bool(kit.ends))
+    kit.until_ended()
     assert kit.ends[0].outcome.failure is ServiceFailure.LENGTH
     assert kit.blocks == [PROCESS]
 
@@ -236,7 +236,7 @@ def test_answers_to_others_and_not_now_come_before_it() -> None:
     )
     slave.says[51] = lambda octets: next(told, None) or answer(4, "5C 03 02 01")
     slave.raises(PROCESS)
-    kit.until(lambda: bool(kit.ends))
+    kit.until_ended()
     assert kit.ends[0].outcome.failure is None
     assert not kit.remarks
 
@@ -259,9 +259,9 @@ def test_equal_alarms_after_a_lost_telegram_behind_the_diagnosis(offers_again: b
 
     slave.loses = loses
     slave.raises(first)
-    kit.until(lambda: bool(slave.taken))
+    kit.until_taken()
     slave.raises(alike, alike, other)  # while the response to the first is fetched
-    kit.until(lambda: len(kit.ends) == 4)
+    kit.until_ended(4)
     assert lost == ["a", "a"]
     assert kit.blocks == [first, alike, alike, other]
     assert slave.taken == [first, alike, alike, other]

@@ -23,7 +23,7 @@ def test_literal_telegrams() -> None:
     assert slave.prm[7:10].hex(" ") == "80 fc 00"
     seen = len(kit.bus.log)
     slave.raises(bytes.fromhex("06 02 03 2D 12 34"))  # sequence number 5, acknowledged by the user too, appears
-    kit.until(lambda: bool(kit.ends))
+    kit.until_ended()
     wire = [sent.octets.hex(" ") for sent in kit.bus.log[seen:]]
     assert any(octets.startswith("68 11 11 68 82 84 08 3e 3c 08 0c 00 02 12 34 06 02 03 2d 12 34") for octets in wire)
     request, response = (octets for octets in wire if "5c 03 02 2d" in octets)
@@ -47,7 +47,7 @@ def test_literal_telegrams() -> None:
 def test_every_type(kind: int, specifier: int) -> None:
     kit = AlarmBus()
     kit.alarm_slave.raises(block(kind, 254, specifier))
-    kit.until(lambda: bool(kit.ends))
+    kit.until_ended()
     assert kit.blocks == kit.alarm_slave.taken == [block(kind, 254, specifier)]
     assert not kit.remarks
 
@@ -91,7 +91,7 @@ def test_a_kind_that_is_not_enabled_is_told_not_acknowledged(kind: int, enabled:
     assert f'put "{enabled}" into dpv1 = {{ alarms = [...] }}' in remark
     only = AlarmBus(dpv1=Dpv1(alarms=(enabled,)))
     only.alarm_slave.raises(block(kind, 1))
-    only.until(lambda: bool(only.ends))
+    only.until_ended()
 
 
 def test_statuses_are_told_when_they_are_new_and_never_acknowledged() -> None:
@@ -139,7 +139,7 @@ def test_an_acknowledged_alarm_that_stays_in_the_diagnosis_for_a_while() -> None
     slave = kit.alarm_slave
     slave.keeps = True
     slave.raises(PROCESS)
-    kit.until(lambda: bool(kit.ends))
+    kit.until_ended()
     slave.changes(bytes.fromhex("42 01"))  # something else asks to be read
     kit.run(40)
     slave.shown = b""
@@ -154,7 +154,7 @@ def test_numbered_alarms_that_stay_in_the_diagnosis() -> None:
     slave.keeps = True
     blocks = [block(2, 3, 0, number) for number in range(3)]
     slave.raises(*blocks)
-    kit.until(lambda: len(slave.taken) == len(blocks))
+    kit.until_taken(len(blocks))
     for at in range(1, 5):
         kit.run(150)
         slave.changes(bytes((0x42, at)))  # something else asks to be read
@@ -171,7 +171,7 @@ def test_unnumbered_alarms_in_a_static_diagnosis() -> None:
     assert slave.diagnosed > 5
     assert len(kit.raised) <= 2  # the second by mistake: from then on it is known
     slave.raises(PROCESS)  # asks to be read, with nothing else new
-    kit.until(lambda: len(slave.taken) == 2)
+    kit.until_taken(2)
     kit.run(600)
     assert len(kit.raised) <= 3
 
@@ -189,7 +189,7 @@ def test_equal_alarms_beside_other_changes_of_the_diagnosis(behind: list[bytes])
     kit = AlarmBus(kind=_Changing)
     slave = kit.alarm_slave
     slave.raises(PROCESS, PROCESS, *behind)  # the last one takes the place of the second at once
-    kit.until(lambda: len(slave.taken) == 2 + len(behind), 1000)
+    kit.until_taken(2 + len(behind), 1000)
     assert kit.blocks == [PROCESS, PROCESS, *behind]
 
 
@@ -198,7 +198,7 @@ def test_equal_alarms_one_after_the_other(mode: int) -> None:
     kit = AlarmBus(dpv1=Dpv1(alarms=ALL, alarm_mode=mode))
     slave = kit.alarm_slave
     slave.raises(*[PROCESS] * 5)
-    kit.until(lambda: len(slave.taken) == 5)
+    kit.until_taken(5)
     kit.run(300)
     assert kit.blocks == [PROCESS] * 5
 
@@ -214,7 +214,7 @@ def test_a_diagnosis_that_is_read_again_and_again() -> None:
     assert slave.diagnosed > 10
     assert kit.blocks == [PROCESS]
     kit.acknowledge(1)
-    kit.until(lambda: bool(slave.taken))
+    kit.until_taken()
     kit.run(300)
     assert kit.blocks == [PROCESS]
 
@@ -226,7 +226,7 @@ def test_class_2_reads_the_diagnosis_before_its_master_does() -> None:
         kit.send(ReadService(1000 + number, 4, Service.DIAGNOSIS))
         slave.raises(block(2, 3, data=f"{number:02X}"))
         kit.run(20)
-    kit.until(lambda: len(slave.taken) == 20)
+    kit.until_taken(20)
     assert kit.blocks == slave.taken == [block(2, 3, data=f"{number:02X}") for number in range(20)]
 
 

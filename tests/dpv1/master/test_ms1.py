@@ -10,8 +10,7 @@ from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CAPACITY, CancelService
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.orders import RecordDone, RecordOrder
-from dpstack.dpv1.pdu.read_write import Function
+from dpstack.dpv1.master.orders import RecordDone
 from dpstack.errors import UsageError
 
 RDL = 0x0C
@@ -87,6 +86,7 @@ def test_a_request_that_is_not_taken_now_is_repeated(busy: int) -> None:
     [
         ("DE 80 B5 00", ServiceFailure.NEGATIVE, "slave 4 refuses Read of slot 1, index 2: state conflict (80 B5 00"),
         ("DE 80 B0 07", ServiceFailure.NEGATIVE, "invalid index (80 B0 07"),
+        ("DE 80 B6 11", ServiceFailure.NEGATIVE, "; the record is read-only, write-only, or locked"),
         ("DE FE 01 02", ServiceFailure.NEGATIVE, "codes of FMS"),
         ("5E 01 02 05 55", ServiceFailure.LENGTH, "octet 4 says 5 octets of data, 1 came"),
         ("5E 01 02 09 01 02 03 04 05 06 07 08 09", ServiceFailure.LENGTH, "with 9 octets, 8 were asked for"),
@@ -97,19 +97,12 @@ def test_a_request_that_is_not_taken_now_is_repeated(busy: int) -> None:
 def test_negative_and_unreadable_answers(octets: str, failure: ServiceFailure, text: str) -> None:
     kit = Ms1Bus()
     polled(kit.slave, octets)
-    done = kit.read(1, 2, 8)
-    assert done.outcome.failure is failure
-    assert text in done.outcome.text
+    outcome = kit.read(1, 2, 8).outcome
+    assert outcome.failure is failure
+    assert text in outcome.text
+    assert outcome.codes == (tuple(bytes.fromhex(octets)[1:]) if failure is ServiceFailure.NEGATIVE else None)
     kit.slave.ms1 = lambda data: answer(4, "5E 01 02 01 55")
     assert kit.read().outcome.data == b"\x55"  # and the next is served
-
-
-def test_codes_of_a_negative_answer() -> None:
-    kit = Ms1Bus()
-    polled(kit.slave, "DF 80 B6 11")
-    outcome = kit.write(1, 2, b"\1").outcome
-    assert outcome.codes == (0x80, 0xB6, 0x11)
-    assert outcome.text.endswith("; the record is read-only, write-only, or locked")
 
 
 def test_a_write_that_took_another_length() -> None:
@@ -142,12 +135,19 @@ def test_old_data_that_come_instead_of_taking_the_request() -> None:
     assert kit.slave.asked == [bytes.fromhex("5E 01 02 F0")] * 2
 
 
-def test_a_slave_without_ms1() -> None:
+@pytest.mark.parametrize(
+    ("code", "failure", "of", "text"),
+    [
+        pytest.param(RS, ServiceFailure.REFUSED, "RS", "C1_Read_Write_supp", id="it has no MS1"),
+        pytest.param(RR, ServiceFailure.LATE, "", "it was busy all the time; try again", id="it is always busy"),
+    ],
+)
+def test_a_slave_that_takes_no_request(code: int, failure: ServiceFailure, of: str, text: str) -> None:
     kit = Ms1Bus()
-    kit.slave.ms1 = lambda data: status(4, RS)
+    kit.slave.ms1 = lambda data: status(4, code)
     outcome = kit.read().outcome
-    assert (outcome.failure, outcome.status) == (ServiceFailure.REFUSED, "RS")
-    assert "C1_Read_Write_supp" in outcome.text
+    assert (outcome.failure, outcome.status) == (failure, of)
+    assert text in outcome.text
 
 
 @pytest.mark.parametrize(
@@ -164,16 +164,16 @@ def test_a_slave_that_never_answers(dpv1: Dpv1, ms: int, of: str) -> None:
     assert ms <= (kit.bus.now - begun) // MS <= ms + 30
 
 
-def test_a_slave_that_is_busy_all_the_time() -> None:
-    kit = Ms1Bus()
-    kit.slave.ms1 = lambda data: status(4, RR)
-    assert "it was busy all the time; try again" in kit.read().outcome.text
+def after_a_late_read() -> Ms1Bus:
+    """The slave has 100 ms for an answer, and did not answer a Read in this time."""
+    kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
+    assert kit.read().outcome.failure is ServiceFailure.LATE
+    return kit
 
 
 def test_a_late_answer_is_fetched_before_the_next_request() -> None:
     """The answer comes after its time-out: it is not taken for the next one, though it looks the same."""
-    kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
-    assert kit.read().outcome.failure is ServiceFailure.LATE
+    kit = after_a_late_read()
     old = first_an_old_one(kit.slave)
     done = kit.read()
     assert (done.outcome.data, done.stale, old) == (b"\x22", 1, [])
@@ -181,10 +181,9 @@ def test_a_late_answer_is_fetched_before_the_next_request() -> None:
 
 
 def test_an_unfetched_answer_survives_a_cancelled_service() -> None:
-    kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
-    assert kit.read().outcome.failure is ServiceFailure.LATE
+    kit = after_a_late_read()
     token = kit.order_read()
-    kit.bus.run(20 * MS)
+    kit.run(20)
     kit.send(CancelService(token))
     assert kit.end(token).outcome.failure is ServiceFailure.CANCELLED
     old = first_an_old_one(kit.slave)
@@ -192,8 +191,7 @@ def test_an_unfetched_answer_survives_a_cancelled_service() -> None:
 
 
 def test_an_unfetched_answer_that_never_comes() -> None:
-    kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
-    assert kit.read().outcome.failure is ServiceFailure.LATE
+    kit = after_a_late_read()
     kit.slave.ms1 = lambda data: answer(4, "5E 01 02 01 22") if data else SC
     assert kit.read().outcome.data == b"\x22"
 
@@ -202,25 +200,24 @@ def test_one_service_for_a_slave_at_a_time_in_order_and_several_slaves_at_once()
     kit = Ms1Bus((4, 5))
     busy = {4: 0, 5: 0}
     most = {4: 0, 5: 0}
-    together = [0]
+    together = 0
 
     def ms1_of(slave: OctetMs1Slave) -> None:
-        state: dict[str, bytes] = {}
+        here, request, polls = slave.address, b"", 0
 
         def ms1(data: bytes) -> bytes:
-            here = slave.address
+            nonlocal request, polls, together
             if data:
+                request, polls = data, 0
                 busy[here] += 1
                 most[here] = max(most[here], busy[here])
-                state["for"] = data
-                state["polls"] = b""
-                together[0] = max(together[0], sum(busy.values()))
+                together = max(together, sum(busy.values()))
                 return SC
-            state["polls"] += b"."
-            if len(state["polls"]) < 5:
+            polls += 1
+            if polls < 5:
                 return SC
             busy[here] -= 1
-            return answer(here, f"5E {state['for'][1]:02X} {state['for'][2]:02X} 01 {state['for'][2]:02X}")
+            return answer(here, f"5E {request[1]:02X} {request[2]:02X} 01 {request[2]:02X}")
 
         slave.ms1 = ms1
 
@@ -230,7 +227,7 @@ def test_one_service_for_a_slave_at_a_time_in_order_and_several_slaves_at_once()
     for token in tokens:
         kit.end(token)
     assert most == {4: 1, 5: 1}
-    assert together == [2]
+    assert together == 2
     for address in (4, 5):
         mine = [done for done in kit.done if done.address == address]
         assert [done.outcome.data[0] for done in mine] == [0, 1, 2, 3, 4]
@@ -246,7 +243,7 @@ def test_a_slow_slave_holds_no_other_one_up() -> None:
         assert kit.read(address=5).outcome.data == b"\x22"
     kit.send(ReadService(99, 4, Service.CONFIG))
     while not any(isinstance(event, ServiceDone) for event in kit.bus.events):
-        kit.bus.run(MS)
+        kit.run(1)
     assert kit.bus.now - begun < 200 * MS
     assert kit.acyclic.waiting == 1
 
@@ -256,7 +253,7 @@ def test_data_exchange_goes_on_with_one_request_at_most_between() -> None:
     start = len(kit.bus.log)
     for _ in range(8):
         kit.order_read()
-    kit.bus.run(300 * MS)
+    kit.run(300)
     kinds = [
         "data" if sent.octets[0] == 0x10 and sent.octets[3] != 0x49 else "ms1"
         for sent in kit.bus.log[start:]
@@ -271,15 +268,16 @@ def test_data_exchange_goes_on_with_one_request_at_most_between() -> None:
 
 def test_misuse_raises_at_once() -> None:
     kit = Ms1Bus()
-    for wrong, what in [
-        (RecordOrder(1, Function.READ, 255, 0, address=4), "slot 255 does not exist"),
-        (RecordOrder(1, Function.READ, 0, 256, address=4), "index 256 does not exist"),
-        (RecordOrder(1, Function.READ, 0, 0, 241, address=4), "241 octets of data, 240 are possible"),
-        (RecordOrder(1, Function.WRITE, 0, 0, data=bytes(241), address=4), "241 octets of data, 240 are possible"),
-        (RecordOrder(1, Function.READ, 0, 0, address=9), "station 9 is no slave of this master"),
-    ]:
+    for slot, index, length, address, what in (
+        (255, 0, 240, 4, "slot 255 does not exist"),
+        (0, 256, 240, 4, "index 256 does not exist"),
+        (0, 0, 241, 4, "241 octets of data, 240 are possible"),
+        (0, 0, 240, 9, "station 9 is no slave of this master"),
+    ):
         with pytest.raises(UsageError, match=what):
-            kit.send(wrong)
+            kit.order_read(slot, index, length, address=address)
+    with pytest.raises(UsageError, match="241 octets of data, 240 are possible"):
+        kit.write(0, 0, bytes(241))
     with pytest.raises(UsageError, match="dpv1 = true"):
         Ms1Bus(dpv1=None).order_read()
     for _ in range(CAPACITY):

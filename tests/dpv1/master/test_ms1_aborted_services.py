@@ -17,7 +17,7 @@ from dpstack.machine import LineDown
 def test_the_slave_leaves_data_exchange() -> None:
     kit = Ms1Bus()
     tokens = [kit.order_read(), kit.order_read(2, 2)]
-    kit.bus.run(20 * MS)
+    kit.run(20)
     kit.slave.mute = True
     for token in tokens:
         outcome = kit.end_of(token, RecordDone, 500).outcome
@@ -32,7 +32,7 @@ def test_the_slave_leaves_data_exchange() -> None:
 def test_a_slave_that_is_not_in_data_exchange() -> None:
     kit = Ms1Bus()
     kit.slave.mute = True
-    kit.bus.run(200 * MS)
+    kit.run(200)
     outcome = kit.read().outcome
     assert outcome.failure is ServiceFailure.CLOSED
     assert "not in data exchange but in offline" in outcome.text
@@ -41,11 +41,11 @@ def test_a_slave_that_is_not_in_data_exchange() -> None:
 def test_the_slave_is_removed_the_master_stops_the_port_vanishes() -> None:
     kit = Ms1Bus((4, 5))
     first = kit.order_read()
-    kit.bus.run(10 * MS)
+    kit.run(10)
     kit.send(RemoveSlave(4))
     assert "removed from this bus" in kit.end(first).outcome.text
     second = kit.order_read(address=5)
-    kit.bus.run(10 * MS)
+    kit.run(10)
     kit.send(LineDown("unplugged"))
     outcome = kit.end(second).outcome
     assert (outcome.failure, "unplugged" in outcome.text) == (ServiceFailure.LINE, True)
@@ -54,7 +54,7 @@ def test_the_slave_is_removed_the_master_stops_the_port_vanishes() -> None:
 def test_stop_leaves_a_service_without_data_exchange() -> None:
     kit = Ms1Bus()
     token = kit.order_read()
-    kit.bus.run(10 * MS)
+    kit.run(10)
     kit.send(SetMode(Mode.STOP))
     outcome = kit.end(token).outcome
     assert outcome.failure is ServiceFailure.CLOSED
@@ -66,7 +66,7 @@ def test_stop_leaves_a_service_without_data_exchange() -> None:
 def test_cancelled_under_way_its_answer_is_fetched_later() -> None:
     kit = Ms1Bus()
     token = kit.order_read()
-    kit.bus.run(20 * MS)
+    kit.run(20)
     kit.send(CancelService(token))
     assert kit.end(token).outcome.failure is ServiceFailure.CANCELLED
     first_an_old_one(kit.slave)
@@ -97,7 +97,7 @@ def test_a_write_that_is_cut_short_may_have_been_carried_out(cut: str) -> None:
     kit.send(RecordOrder(1, Function.WRITE, 1, 2, data=b"\1", timeout_ns=timeout, address=4))
     kit.send(RecordOrder(2, Function.READ, 1, 2, 240, timeout_ns=timeout, address=4))
     kit.send(RecordOrder(3, Function.WRITE, 1, 3, data=b"\1", timeout_ns=timeout, address=4))
-    kit.bus.run(20 * MS)
+    kit.run(20)
     match cut:
         case "data exchange":
             kit.slave.mute = True

@@ -107,7 +107,7 @@ def test_cancelled_and_lost_before_it_was_sent() -> None:
     queue.cancel(given_up)
     queue.cancel(given_up)
     assert not queue
-    bus.bus.run(20 * MS)
+    bus.run(20)
     assert given_up.outcome is None
     assert said(bus) == []
 
@@ -118,7 +118,7 @@ def test_the_slave_falls_silent() -> None:
     bus.slave.mute = True
     assert end(bus, pending).failure in (ServiceFailure.SILENT, ServiceFailure.CLOSED)
     later = queue.submit(ReadReq(1, 2, 5))
-    bus.bus.run(200 * MS)
+    bus.run(200)
     assert later.outcome is None  # it waits for data exchange, unless the unit gives it up
 
 
@@ -183,7 +183,7 @@ def test_record_47_is_free_again_when(steps: list[str], from_ms: int, to_ms: int
     bus.slave.ms1 = Drive(busy=1_000_000)
     if "leave" in steps:
         bus.slave.mute = True
-        bus.bus.run(400 * MS)
+        bus.run(400)
         bus.slave.mute = False
         bus.until_exchanging()
     begun = bus.bus.now
@@ -193,7 +193,7 @@ def test_record_47_is_free_again_when(steps: list[str], from_ms: int, to_ms: int
     while pending.outcome is None:
         if "read on" in steps:
             bus.order_read(1, 47)
-        bus.bus.run(20 * MS)
+        bus.run(20)
     assert pending.outcome == Outcome()
     assert from_ms <= (bus.bus.now - begun) // MS <= to_ms
 
@@ -203,10 +203,10 @@ def test_a_request_over_record_47_that_is_given_up_while_it_waits() -> None:
     bus.write(1, 47, b"\xb1")
     given_up = queue.submit(WriteReq(1, 47, b"\x11"))
     bus.send(RecordOrder(90, Function.WRITE, 1, 47, data=b"\x12", timeout_ns=500 * MS, address=4, user=7))
-    bus.bus.run(100 * MS)
+    bus.run(100)
     queue.cancel(given_up)
     assert bus.end(90).outcome.text == (
         "Write of slot 1, index 47 to slave 4 was not over after 0.5 s: record 47 of this slave was in use all the time"
     )
-    bus.bus.run(3_000 * MS)
+    bus.run(3_000)
     assert said(bus) == ["5F 01 2F 01 B1"]

@@ -81,10 +81,10 @@ def test_a_slave_that_answers_anything(answers: list[bytes | None], steps: list[
             case "m" | "u":
                 kit.slaves[4].mute = step == "m"
             case _:
-                kit.bus.run(15 * MS)
+                kit.run(15)
     end = kit.bus.now + 1_100 * MS
     while kit.acyclic.waiting and kit.bus.now < end:
-        kit.bus.run(10 * MS)
+        kit.run(10)
     assert Counter(done.token for done in kit.done) == Counter(range(1, taken + 1))
     assert kit.acyclic.waiting == 0
     for done in kit.done:

@@ -120,7 +120,7 @@ def test_old_data_are_given_away_first() -> None:
 
 def test_idle_from_the_master() -> None:
     kit = connected()
-    kit.bus.run(500 * MS)
+    kit.run(500)
     idles = [pdu for sap, pdu in kit.slave.heard if pdu[:1] == b"\x48"]
     assert idles == [b"\x48\x01"] * 7  # every third of 200 ms
     assert kit.read(1).outcome.data == b"\1\2"
@@ -132,7 +132,7 @@ def test_services_are_signs_of_life() -> None:
     kit = connected()
     for _ in range(10):
         kit.read(1)
-        kit.bus.run(50 * MS)
+        kit.run(50)
     assert all(pdu[:1] != b"\x48" for _, pdu in kit.slave.heard)
 
 
@@ -160,7 +160,7 @@ def test_an_idle_that_is_lost_is_sent_again(answers: bool) -> None:
         return SC if answer is None else sd2(2, 4, DL, 50, 48, answer)
 
     kit.slave.says[48] = say
-    kit.bus.run(4_000 * MS)
+    kit.run(4_000)
     assert kit.events_of(ConnectionOver) == []
     assert idles in (range(18, 22) if answers else range(27, 31))  # after 200 ms, and 200 ms later again
     lost = 9
@@ -201,7 +201,7 @@ def test_a_service_that_is_given_up_leaves_the_connection() -> None:
     kit.slave.polls = 12
     for order in ({}, {"timeout_ns": 20 * MS}):
         token = kit.order_read(1, **order)
-        kit.bus.run(20 * MS)
+        kit.run(20)
         if not order:
             kit.send(CancelService(token))
         failure = kit.end_of(token, RecordDone).outcome.failure
@@ -217,10 +217,10 @@ def test_the_answer_to_a_given_up_service_is_fetched_where_nothing_else_is_asked
     kit = connected()
     kit.slave.polls = 7
     token = kit.order_read(1)
-    kit.bus.run(5 * MS)
+    kit.run(5)
     kit.send(CancelService(token))
     assert kit.slave.sessions[48].waiting
-    kit.bus.run(30 * MS)
+    kit.run(30)
     assert not kit.slave.sessions[48].waiting
     assert all(pdu[:1] != b"\x48" for _, pdu in kit.slave.heard)
 
@@ -239,7 +239,7 @@ def test_a_cancelled_service_that_the_slave_did_not_take_leaves_no_answer() -> N
     kit = connected()
     kit.slave.says[48] = lambda octets: sd1(2, 4, 0x02)
     token = kit.order_read(1)
-    kit.bus.run(5 * MS)
+    kit.run(5)
     kit.send(CancelService(token))
     assert kit.end_of(token, RecordDone).outcome.failure is ServiceFailure.CANCELLED
     kit.slave.says.clear()
@@ -301,7 +301,7 @@ def test_one_request_a_token_hold() -> None:
     for _ in range(10):
         kit.order_read(1)
         kit.order_read(2)
-    kit.bus.run(100 * MS)
+    kit.run(100)
     kinds = "".join("t" if s.octets[0] == 0xDC else "r" for s in kit.bus.log[start:] if s.sender == 2)
     assert kinds.count("r") >= 40
     assert "rr" not in kinds
@@ -339,7 +339,7 @@ def test_misuse_raises_at_once() -> None:
         kit.order_read(1, length=8)
     with pytest.raises(UsageError, match="32 services for slave 4 are waiting already"):
         kit.order_read(1, length=8)
-    kit.bus.run(300 * MS)
+    kit.run(300)
     assert [pdu for _, pdu in kit.slave.heard if pdu[:1] == b"\x48"]  # and it is kept alive
 
 

@@ -149,7 +149,7 @@ def test_a_write_without_an_answer_may_have_been_carried_out() -> None:
     tokens = [kit.next_token(), kit.next_token()]
     for token in tokens:
         kit.send(RecordOrder(token, Function.WRITE, 1, 2, data=b"\1", connection=ref))
-    kit.bus.run(5 * MS)
+    kit.run(5)
     kit.send(CloseConnection(ref))
     under_way, waiting = (kit.end_of(token, RecordDone).text for token in tokens)
     assert under_way.endswith("is over: it was closed here; it may have been carried out")
@@ -185,7 +185,7 @@ def test_closed_with_services_waiting() -> None:
     kit = connected()
     kit.slave.polls = 100
     tokens = [kit.order_read(1) for _ in range(3)]
-    kit.bus.run(10 * MS)
+    kit.run(10)
     kit.send(CloseConnection(1))
     for token in tokens:
         outcome = kit.end_of(token, RecordDone).outcome
@@ -216,7 +216,7 @@ def test_close_all_connections() -> None:
     kit.send(CloseConnections())
     with pytest.raises(UsageError, match="the bus is being closed"):
         kit.order_open()
-    kit.bus.run(50 * MS)
+    kit.run(50)
     assert len(kit.events_of(ConnectionsClosed)) == 2
     kit.freed()
     assert {over.reason for over in kit.events_of(ConnectionOver)} == {"the bus was closed here"}
@@ -227,11 +227,11 @@ def test_the_port_vanishes_and_comes_back() -> None:
     kit = connected()
     token = kit.order_read(1)
     opening = kit.order_open()
-    kit.bus.run(2 * MS)
+    kit.run(2)
     kit.send(LineDown("unplugged"))
     assert kit.end_of(token, RecordDone).outcome.failure is ServiceFailure.LINE
     assert kit.end_of(opening, InitiateDone).outcome.failure is ServiceFailure.LINE
-    kit.bus.run(100 * MS)
+    kit.run(100)
     kit.send(LineUp())
     assert "the port vanished (unplugged)" in kit.over(1).reason
     kit.freed()
@@ -251,7 +251,7 @@ def test_the_station_leaves_the_ring() -> None:
     kit.send(GoOffline())
     done = kit.end_of(token, RecordDone)
     assert "nothing was heard of the slave" in done.text
-    kit.bus.run(300 * MS)
+    kit.run(300)
     kit.send(GoOnline())
     kit.over(1)
     assert connections_of(kit.acyclic) == kit.acyclic.waiting == 0

@@ -232,7 +232,7 @@ def test_initiate_cancelled_or_closed_at_every_step(step: int) -> None:
         kit.order_open()
         kit.bus.run(step * MS // 4)
         kit.send(order(1))
-        kit.bus.run(100 * MS)
+        kit.run(100)
         done = kit.end_of(1, InitiateDone)
         if done.outcome.failure is None and order is CancelService:
             kit.close(1)  # it was too late to cancel it
@@ -312,9 +312,9 @@ def test_a_server_sap_in_use_is_not_given_back_for_one_that_was_given_up() -> No
     kit = connected()
     kit.slave.says[49] = lambda octets: SC
     token = kit.order_open()
-    kit.bus.run(3 * MS)
+    kit.run(3)
     kit.slave.says[49] = lambda octets: sd2(2, 4, DL, 50, 49, b"\x56\x30\x00\x0a")
     kit.send(CancelService(token))
     kit.end_of(token, InitiateDone)
-    kit.bus.run(100 * MS)
+    kit.run(100)
     assert kit.read(1).outcome.data == b"\1\2"

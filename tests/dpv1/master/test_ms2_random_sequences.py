@@ -130,19 +130,19 @@ def test_slaves_that_answer_anything(answers: list[bytes | None], steps: list[st
                 slave.mute = step == "m"
             case "d":
                 kit.send(LineDown("out"))
-                kit.bus.run(3 * MS)
+                kit.run(3)
                 kit.send(LineUp())
             case "l":
                 kit.send(GoOffline())
-                kit.bus.run(5 * MS)
+                kit.run(5)
                 kit.send(GoOnline())
             case _:
-                kit.bus.run(7 * MS)
+                kit.run(7)
     for ref in opened:
         kit.send(CloseConnection(ref))
     end = kit.bus.now + 1_500 * MS
     while (kit.acyclic.waiting or connections_of(kit.acyclic)) and kit.bus.now < end:
-        kit.bus.run(10 * MS)
+        kit.run(10)
     note("\n".join(kit.bus.octets()[-60:]))
     assert kit.acyclic.waiting == connections_of(kit.acyclic) == 0
     done = [event for event in kit.bus.events if isinstance(event, (InitiateDone, RecordDone))]
