@@ -11,7 +11,7 @@ from dpstack import AlarmType
 
 
 async def shift(station: dpstack.IoStation) -> None:
-    """What happens in the plant."""
+    """The disturbances of the plant."""
     await asyncio.sleep(0.5)
     station.pull(2)
     await asyncio.sleep(0.5)

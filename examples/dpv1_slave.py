@@ -50,7 +50,7 @@ def mixer() -> DpSlave:
 
 
 def tell(event: Event) -> None:
-    """What nobody else hears: refused requests, functions that failed, with file and line."""
+    """Print refused requests, and functions that failed with file and line."""
     if isinstance(event, dpstack.RequestRefused):
         print(event.text)
 

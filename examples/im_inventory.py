@@ -1,4 +1,4 @@
-"""What devices are on this bus: the live list, and I&M0 and I&M1 of every slave, beside whatever master they have.
+"""Inventory of the devices on a bus: the live list, and I&M0 and I&M1 of every slave, beside whatever master they have.
 
 Nothing is changed: class 2 connections take no slave away. On a real bus: ``port="/dev/ttyUSB0"``, ``baud=500_000``.
 """

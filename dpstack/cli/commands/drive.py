@@ -114,8 +114,8 @@ class _Command:
             )
         if any(order.word in _FOR_FILES for order in self.orders):
             drive = await drive.listed()
-        work = _Orders(drive, drive.carry_out, through="run", json=args.json)
-        if await work.are_done(self.orders, stop) and _last_motion(self.orders) == words.START and not args.json:
+        work = _Orders(drive, drive.carry_out, self.orders, "run", args.json)
+        if await work.are_done(stop) and _last_motion(self.orders) == words.START and not args.json:
             output.line(
                 f"it keeps running under {run}: "
                 f"`dpstack drive {args.config} {args.name} stop` stops it, and so does the end of that run"
@@ -132,8 +132,8 @@ class _Command:
             if not await stop.or_done(master.come_up()):
                 output.warn("ended before the drive was in data exchange")
                 return 1
-            work = _Orders(master.drive, partial(words.carry_out, master.drive), through="master", json=args.json)
-            if not await work.are_done(self.orders, stop):
+            work = _Orders(master.drive, partial(words.carry_out, master.drive), self.orders, "master", args.json)
+            if not await work.are_done(stop):
                 return work.code
             if _last_motion(self.orders) in words.LASTING:
                 await stop.or_done(master.held(args.seconds))
@@ -325,42 +325,41 @@ class _Plugin:
                 raise UsageError(f"drive {self.name}: {event.get('text')}")
 
 
+@dataclasses.dataclass(slots=True)
 class _Orders:
-    """Carries orders to ``drive`` out and prints the answers; ``through``: a run, or a master of this command."""
+    """Orders to ``drive``, whose answers are printed; ``through``: ``run``, or ``master`` of this command."""
 
-    def __init__(
-        self, drive: Readable, carry_out: Callable[[Order], Awaitable[dict[str, Any]]], *, through: str, json: bool
-    ) -> None:
-        self._drive = drive
-        self._carry_out = carry_out
-        self._through = through
-        self._json = json
-        self._word = ""  # being carried out
-        #: the exit code so far
-        self.code = 0
+    drive: Readable
+    carry_out: Callable[[Order], Awaitable[dict[str, Any]]]
+    orders: Sequence[Order]
+    through: str
+    json: bool
+    #: the order under way; the exit code so far
+    word: str = ""
+    code: int = 0
 
-    async def are_done(self, orders: Sequence[Order], stop: StopSignal) -> bool:
+    async def are_done(self, stop: StopSignal) -> bool:
         """Carry out all orders; False, after a warning, where a signal ended that. The first failure is raised."""
-        if await stop.or_done(self._all(orders)):
+        if await stop.or_done(self._all()):
             return True
-        output.warn(f"ended before {self._word} was done" if self._word else "ended before the first order")
+        output.warn(f"ended before {self.word} was done" if self.word else "ended before the first order")
         self.code = 1
         return False
 
-    async def _all(self, orders: Sequence[Order]) -> None:
-        for order in orders:
-            self._word = order.word
+    async def _all(self) -> None:
+        for order in self.orders:
+            self.word = order.word
             match order.word:
                 case "dump":
                     await self._dump(order)
                 case "compare":
                     await self._compare(order)
                 case _:
-                    self._show(order, await self._carry_out(order))
+                    self._show(order, await self.carry_out(order))
 
     def _show(self, order: Order, answer: Mapping[str, Any]) -> None:
-        if self._json:
-            output.json_line({**answer, "through": self._through})
+        if self.json:
+            output.json_line({**answer, "through": self.through})
         elif order.word == "status":
             _show_status(answer)
         elif "parameter" in answer:
@@ -368,33 +367,33 @@ class _Orders:
             name = found["name"]
             more = f" ({name})" if name is not None and name.lower() != order.texts[0].lower() else ""
             place = label(order.texts[0] + more, found["data_set"], None)
-            output.line(f"{self._drive.name}: {place} = {value_text(found['value'], found['unit'])}")
+            output.line(f"{self.drive.name}: {place} = {value_text(found['value'], found['unit'])}")
         else:
-            output.line(f"{self._drive.name}: {_status_text(answer['status'])}")
+            output.line(f"{self.drive.name}: {_status_text(answer['status'])}")
 
     async def _dump(self, order: Order) -> None:
         with self._progress() as progress:
-            found = await self._drive.dump(order.texts[0], **order.values, on_parameter=progress)
+            found = await self.drive.dump(order.texts[0], **order.values, on_parameter=progress)
         unreadable = [_plain(one) for one in found.unreadable]
-        show_dump(self._drive.name, found, self._head(order), unreadable, json=self._json)
+        show_dump(self.drive.name, found, self._head(order), unreadable, json=self.json)
 
     async def _compare(self, order: Order) -> None:
         with self._progress() as progress:
-            found = await self._drive.compare(order.texts[0], **order.values, on_parameter=progress)
+            found = await self.drive.compare(order.texts[0], **order.values, on_parameter=progress)
         differences = [{"file": _plain(one.saved), "drive": _plain(one.found)} for one in found.differences]
         skipped = [{**_where(one), "reason": why} for one, why in found.skipped]
-        code = show_comparison(self._drive.name, found, self._head(order), differences, skipped, json=self._json)
+        code = show_comparison(self.drive.name, found, self._head(order), differences, skipped, json=self.json)
         self.code = self.code or code
 
     def _head(self, order: Order) -> dict[str, object]:
-        drive = self._drive
+        drive = self.drive
         head = {"order": order.word, "drive": drive.name, "address": drive.address, "type": drive.kind}
-        return {**head, "file": order.texts[0], "through": self._through}
+        return {**head, "file": order.texts[0], "through": self.through}
 
     @contextlib.contextmanager
     def _progress(self) -> Iterator[OnParameter]:
         """A progress bar on a terminal; a warning with the notes of the exception when it is cut short."""
-        title = f"parameters of {self._drive.name}"
+        title = f"parameters of {self.drive.name}"
         try:
             with progress_bar(title) as show:
 

@@ -88,6 +88,12 @@ class MappedCore(DriveCore, Generic[M]):
                 f"cycle on: give the value in the map, {missing[0].partition(' ')[0]}=VALUE"
             )
 
+    def encode(self, control: int, setpoint: int) -> bytes:
+        """Control word, set point, and the values of the map in the words behind them."""
+        assert self.outputs_map is not None
+        mapped = process_data_map.pack(self.outputs_map.fields, self.values, len(self._rest))
+        return self._pack(control, setpoint, *mapped)
+
     def missing(self) -> list[str]:
         """Names of the parameters among the outputs that have no value."""
         fields = () if self.outputs_map is None else self.outputs_map.fields

@@ -29,7 +29,7 @@ _AMPERE: Final = 0x2000
 
 @dataclass(frozen=True, slots=True)
 class OutPzd:
-    """One word: PZD ``key`` as ``kind``. ``reference_hz`` and ``scaling_current`` (A, 0: not known) scale it."""
+    """A word: PZD ``key`` as ``kind``. ``reference_hz`` and ``scaling_current`` (A, 0: not known) scale it."""
 
     octets: ClassVar[int] = 2
     neutral: ClassVar[bool] = True
@@ -77,7 +77,7 @@ class OutPzd:
 
 @dataclass(frozen=True, slots=True)
 class OutMap:
-    """What PZD3 to PZD6 mean, one meaning each; as text their kinds in order, ``-`` for a word that is not used."""
+    """The meanings of PZD3 to PZD6; as text their kinds in order, ``-`` for a word that is not used."""
 
     fields: tuple[OutPzd | None, ...]
 

@@ -31,7 +31,6 @@ from dpstack.profile import (
     drivecom_states,
     find_parameter,
     listing,
-    process_data_map,
     same,
     settled,
 )
@@ -119,17 +118,11 @@ class DemagCore(MappedCore[OutMap]):
     def open_channel(self) -> PkwAccess:
         return _Watched(t.PKW, self, self._trace)
 
-    def encode(self, control: int, setpoint: int) -> bytes:
-        """PZD1 and PZD2, and what was given for PZD3 to PZD6."""
-        if not self._wide:
-            return self._pack(control, setpoint)
-        return self._pack(control, setpoint, *process_data_map.pack(self.outputs_map.fields, self.values, outpzd.COUNT))
-
     def received(self) -> None:
         """Take the actual value for what ZSW bits 12-14 say it is (11.2.3), or all of them (11.2.4)."""
         words = self.words
         if self.access is None and self._mode != _STATE_MACHINE and self.raw_state in _OF_STATE_MACHINE:
-            self._take_mode(_STATE_MACHINE)
+            self._set_mode(_STATE_MACHINE)
         self._toggles |= bool(words[0] & _TOGGLE)
         if self._wide:
             _, self._actual, self._current, self._active, self._warning_word, self._fault_word = words
@@ -156,7 +149,8 @@ class DemagCore(MappedCore[OutMap]):
             self._selector = 0
 
     def control_bits(self) -> int:
-        """What PZD2 is to report, and the toggle bit as the drive sent it (docs/drives/demag.md#toggle-bit)."""
+        """The selector of the value that PZD2 shows, and the toggle bit as the drive sent it
+        (docs/drives/demag.md#toggle-bit)."""
         return self._selector << _SELECTOR | (self.status_word & _TOGGLE if self.online else 0)
 
     def measured(self) -> tuple[float | None, float | None, float | None]:
@@ -176,19 +170,19 @@ class DemagCore(MappedCore[OutMap]):
         return t.warning_names(self._warning_word or 0)
 
     def parameters(self) -> tuple[ListedParam, ...]:
-        """Of the data sets 1 to 4 each."""
+        """Each parameter of a data set four times, for the data sets 1 to 4."""
         return listing(t.PARAMETERS, data_sets=range(1, t.SETS + 1))
 
     def obstacle(self) -> str | None:
         """Bit 9 tells whether the bus controls the drive at all, and 412 how."""
         if self._mode not in (None, _STATE_MACHINE):
-            return self._not_ours()
+            return self._wrong_mode()
         if self.status_word & _REMOTE:
             return None
         return f"remote (bit 9) is 0: 412 is not 1 in the active data set, or {_NO_RELEASE}"
 
     def prepare(self, deadline: int) -> Steps[None]:
-        """Nothing is sent unless 412 is 1 and the release is there: find out which of them is missing."""
+        """A start needs 412 = 1 and the hardware release. Raises CommandError that names the missing one."""
         if self.access is None:
             yield from self._mode_by_status(deadline)
         else:
@@ -199,7 +193,7 @@ class DemagCore(MappedCore[OutMap]):
 
     # -- 412: who controls the drive ----------------------------------------------------------------------------------
 
-    def _take_mode(self, mode: int | None) -> None:
+    def _set_mode(self, mode: int | None) -> None:
         self._mode = mode
         table = drivecom_states.TABLE if mode == _STATE_MACHINE else _SILENT
         if table is not self.table:
@@ -213,20 +207,20 @@ class DemagCore(MappedCore[OutMap]):
         self.set_goal(Goal.IDLE)
         yield from settled(self, lambda: self.raw_state in _OF_STATE_MACHINE, deadline)
         if self.raw_state in _OF_STATE_MACHINE:
-            self._take_mode(_STATE_MACHINE)
+            self._set_mode(_STATE_MACHINE)
             return
         where = f"{self.telegram.name} has no parameter channel to read or set 412"
         if not self._remote():
-            self._take_mode(None)
+            self._set_mode(None)
             raise CommandError(
                 "fault",
                 f"remote (bit 9) is 0, and {where}: "
                 f"set 412 = 1 at the keypad or over PPO1 or PPO2 (factory setting 44); if it is 1, {_NO_RELEASE}",
             )
         if self.raw_state is State.READY:
-            self._take_mode(_REMOTE_CONTACTS)
-            raise CommandError("fault", f"{self._not_ours()}; {where}: do it at the keypad or over PPO1 or PPO2")
-        self._take_mode(None)
+            self._set_mode(_REMOTE_CONTACTS)
+            raise CommandError("fault", f"{self._wrong_mode()}; {where}: do it at the keypad or over PPO1 or PPO2")
+        self._set_mode(None)
         raise CommandError(
             "fault",
             f"the status word ({self.status_word:04X}) does not tell whether 412 is 1, and {where}: "
@@ -240,11 +234,11 @@ class DemagCore(MappedCore[OutMap]):
         if mode != _STATE_MACHINE and self._set_412:
             yield from self.access.write(ParamKey(412, active, ram=True), _STATE_MACHINE, deadline)
             self.notice(f"412 was {mode}: set to 1 in data set {active} (RAM only)")
-            self._take_mode(_STATE_MACHINE)
+            self._set_mode(_STATE_MACHINE)
         elif mode != _STATE_MACHINE:
             raise CommandError(
                 "fault",
-                f"{self._not_ours()} (over the bus: `write 412 1`), or let start do it in RAM: "
+                f"{self._wrong_mode()} (over the bus: `write 412 1`), or let start do it in RAM: "
                 f"write set_412 = true into the configuration file, table [slave.options] below the [[slave]] table "
                 f'with name = "{self.name}"',
             )
@@ -263,11 +257,11 @@ class DemagCore(MappedCore[OutMap]):
             if error.kind not in ("timeout", "parameter"):
                 raise
             if self.raw_state not in _OF_STATE_MACHINE:
-                self._take_mode(None)
+                self._set_mode(None)
                 raise CommandError(
                     error.kind, f"nobody knows whether 412 is 1, so nothing is sent to the drive: {error.text}"
                 ) from None
-            self._take_mode(_STATE_MACHINE)
+            self._set_mode(_STATE_MACHINE)
 
     def _ask_mode(self, deadline: int) -> Steps[None]:
         self._asking = True
@@ -280,9 +274,9 @@ class DemagCore(MappedCore[OutMap]):
             self.settings_check.changed()
         self._data_set = active
         self._mode_at = self.now
-        self._take_mode(mode)
+        self._set_mode(mode)
 
-    def _not_ours(self) -> str:
+    def _wrong_mode(self) -> str:
         which = "" if self._data_set is None else f" ({self._data_set})"
         if self._mode == _REMOTE_CONTACTS:
             return (
@@ -295,7 +289,7 @@ class DemagCore(MappedCore[OutMap]):
         """412 may change with the data set: a command is given on a proof of now, and watched as long as it stands."""
         commands = goal in _COMMANDS
         if commands and self.goal is Goal.IDLE and goal is not Goal.RUN and self.raw_state not in _OF_STATE_MACHINE:
-            self._take_mode(None)  # with the control word 0 the state machine would show another state
+            self._set_mode(None)  # with the control word 0 the state machine would show another state
         super().set_goal(goal)
         if commands and not self._watching:
             self._watching = True
@@ -310,7 +304,7 @@ class DemagCore(MappedCore[OutMap]):
             except CommandError:
                 return obstacle
             if self._mode != _STATE_MACHINE:
-                return self._not_ours()
+                return self._wrong_mode()
         return obstacle
 
     def halted(self, deadline: int) -> Steps[None]:
@@ -327,7 +321,7 @@ class DemagCore(MappedCore[OutMap]):
                 if error.kind not in ("timeout", "parameter"):
                     raise
         if self._mode not in (None, _STATE_MACHINE):
-            raise CommandError("fault", f"{self._not_ours()}; or acknowledge at the drive")
+            raise CommandError("fault", f"{self._wrong_mode()}; or acknowledge at the drive")
 
     def _watch(self) -> Steps[dict[str, object]]:
         """Until the control word is 0 again."""
@@ -352,7 +346,7 @@ class DemagCore(MappedCore[OutMap]):
                         yield from self._ask_mode(self.now + 5 * _MODE_AGE)
                     due = self.now + _MODE_AGE
                     if self._mode != _STATE_MACHINE:
-                        self._give_up(self._not_ours())
+                        self._give_up(self._wrong_mode())
         finally:
             self._watching = False
         return {}
@@ -363,7 +357,7 @@ class DemagCore(MappedCore[OutMap]):
         if mark is None or speed <= max(mark[1] - _SLOWER, _SLOWER):
             return self.now, speed
         if self.now >= mark[0] + _SLOWER_NS:
-            self._take_mode(None)
+            self._set_mode(None)
             self._give_up(
                 f"it was told to stop and has not slowed down for {_SLOWER_NS // NS_PER_S} s: is 412 = 1 in the active "
                 "data set?"
@@ -377,7 +371,7 @@ class DemagCore(MappedCore[OutMap]):
     # -- the settings that the plugin relies on ---------------------------------------------------------------------
 
     def before_settings(self, deadline: int) -> Steps[None]:
-        """They are in the active data set."""
+        """Read 249 first: the settings are those of the active data set."""
         yield from self._ask_mode(deadline)
 
     def settings(self) -> Sequence[Setting]:
@@ -428,7 +422,7 @@ class DemagCore(MappedCore[OutMap]):
         super().lost(now)
         self._data_set = None
         self._asking = self._watching = False
-        self._take_mode(None)
+        self._set_mode(None)
 
     def _ask_toggle_time(self, deadline: int) -> Steps[int]:
         """881 must leave time for two of the drive's scans and two rotations (docs/drives/demag.md#toggle-bit)."""

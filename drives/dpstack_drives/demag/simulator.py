@@ -126,7 +126,7 @@ class DemagDevice(DriveDevice):
         return number
 
     def source(self, number: int) -> bool | float:
-        """What one of the sources 750 to 761 gives to the drive's functions now (11.2.5).
+        """The value that one of the sources 750 to 761 gives to the functions of the drive now (11.2.5).
 
         Raises ValueError where there is none: without PPO2 or PPO4 there are no sources.
         """
@@ -144,7 +144,7 @@ class DemagDevice(DriveDevice):
                 self._trip = t.FAULT_MODULE
 
     def mains(self, on: bool) -> None:
-        """Of the inverter (4.1). Raises ValueError where it feeds the module, too."""
+        """The mains of the inverter (4.1). Raises ValueError where the inverter feeds the module, too."""
         if not self._own_supply:
             raise ValueError(
                 f"the inverter feeds the module of {self.name}: power-off takes both; "
@@ -158,7 +158,7 @@ class DemagDevice(DriveDevice):
 
     @property
     def injected(self) -> tuple[str, ...]:
-        """With the inverter's power."""
+        """The conditions of every drive, and the mains of the inverter."""
         return super().injected + (("mains off",) if self.unpowered else ())
 
     def check_cfg(self, config: bytes) -> str | None:
@@ -296,7 +296,7 @@ class DemagDevice(DriveDevice):
             self._still_since = now
 
     def _reference(self, active: int) -> float:
-        """What 100 % is in Hz: 390, or 375 where that is 0."""
+        """The frequency of 100 % in Hz: 390, or 375 where that is 0."""
         return self.store.value("profibus_reference", active) or self.store.value("rated_frequency", active)
 
     def _combined(self, line: float, how: int) -> float:

@@ -22,7 +22,7 @@ _PNUS: Final = (("inputs", t.PNU_PCD_READ), ("outputs", t.PNU_PCD_WRITE))
 
 @dataclass(frozen=True, slots=True)
 class PcdWord:
-    """One word: the function code with this assignment (041A)."""
+    """A cyclic word: the function code with this assignment (041A)."""
 
     octets: ClassVar[int] = 2
     key: int
@@ -65,10 +65,7 @@ class PcdMap:
         return tuple(PcdWord(entry) if entry else None for entry in self.entries)
 
     def __str__(self) -> str:
-        words = [t.code_of(entry) if entry else EMPTY for entry in self.entries]
-        while words and words[-1] == EMPTY:
-            words.pop()
-        return " ".join(words)
+        return " ".join(t.code_of(entry) if entry else EMPTY for entry in self.entries).rstrip(f" {EMPTY}")
 
 
 def parse(text: str, *, outputs: bool) -> PcdMap:

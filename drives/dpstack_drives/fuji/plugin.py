@@ -24,7 +24,6 @@ from dpstack.profile import (
     TelegramSpec,
     equal,
     listing,
-    process_data_map,
     settled,
 )
 from dpstack_drives.fuji import pcd
@@ -68,12 +67,6 @@ class FujiCore(MappedCore[PcdMap]):
         if telegram.channel:
             self.lookups = (self._alarm,)
 
-    def encode(self, control: int, setpoint: int) -> bytes:
-        """CTW, MRV, and what was given for PCD1 to PCD4."""
-        if not self._rest:
-            return self._pack(control, setpoint)
-        return self._pack(control, setpoint, *process_data_map.pack(self.outputs_map.fields, self.values, pcd.COUNT))
-
     def setpoint_word(self, fraction: float) -> int:
         """MRV. Raises ValueError beyond 4000h, the maximum frequency (manual, 7.2 and 8.2 (3))."""
         if not abs(fraction) <= 1:
@@ -93,7 +86,7 @@ class FujiCore(MappedCore[PcdMap]):
         return ("without a name: PPO3 and PPO4 do not carry it, the keypad shows it",)
 
     def parameters(self) -> tuple[ListedParam, ...]:
-        """Of the malfunction history the elements that hold an alarm."""
+        """All parameters; of the malfunction history only the elements that hold an alarm."""
         return listing(t.PARAMETERS, elements={**t.ARRAYS, t.PNU_ALARMS: t.ALARM_INDEXES})
 
     def obstacle(self) -> str | None:

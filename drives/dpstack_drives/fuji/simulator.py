@@ -54,7 +54,7 @@ class FujiDevice(DriveDevice):
         self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
     ) -> None:
         super().__init__(profile, telegram, options, {"y98": 3, "o30": t.O30[telegram.name], **presets})
-        self._take_own_telegram()
+        self._use_own_telegram()
         self._own_supply = options["supply"] == OWN_SUPPLY
         if float(options["switches"]) != int(float(options["switches"])):
             raise ConfigError(f"{self.title}: switches must be a whole number, -1 or 00..99")
@@ -71,13 +71,13 @@ class FujiDevice(DriveDevice):
         self._forced = False  # decelerates to a stop, then trips
         self._off_since: int | None = None  # the option lost its own supply under a live inverter
 
-    def _take_own_telegram(self) -> None:
+    def _use_own_telegram(self) -> None:
         """The PPO type of o30 counts from power-on."""
         self.own = self.telegram = self.profile.telegram(t.telegram_of(int(self.store.value("o30"))))
         self.configs = tuple(dict.fromkeys((self.own.config, *self.configs)))
 
     def check_cfg(self, config: bytes) -> str | None:
-        """Only the drive's own PPO type; no Er5."""
+        """Accept only the PPO type of the drive; another one is no Er5."""
         if config == self.own.config:
             return None
         o30 = int(self.store.value("o30"))
@@ -88,14 +88,14 @@ class FujiDevice(DriveDevice):
         return self.machine.state is State.FAULT
 
     def mains(self, on: bool) -> None:
-        """Of the inverter, as :meth:`release`: the option stays on the bus."""
+        """The mains of the inverter, as :meth:`release`: the option stays on the bus."""
         self.release(on)
 
     def inherit(self, before: DriveDevice) -> None:
         """The function codes; o30 counts from power-on."""
         super().inherit(before)
         if isinstance(before, FujiDevice):
-            self._take_own_telegram()
+            self._use_own_telegram()
             self.option.switches, self.option.address = before.option.switches, before.option.address
             self.option.power_on()
             self._off_since = before.seen_until if self._own_supply and before.released else None

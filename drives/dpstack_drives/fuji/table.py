@@ -1,4 +1,4 @@
-"""What plugin and simulated drive share. Passages: docs/drives/fuji.md.
+"""Facts of the FRENIC that plugin and simulated drive share. Passages: docs/drives/fuji.md.
 
 Source: Fuji, PROFIBUS DP Interface Option OPC-E1-PDP, instruction manual; numbers in the comments are its sections.
 The manual has no GSD file: ident number and identifier octets are made up until the user's GSD overrides them.
@@ -239,5 +239,5 @@ PARAMETERS: Final = ParamTable(
 
 
 def spec_at(assignment: int) -> ParamSpec | None:
-    """What is known of the function code with this assignment."""
+    """The function code with this assignment, where it is known."""
     return PARAMETERS.get((assignment >> 8) + GROUP_OFFSET, assignment & 0xFF)

@@ -191,13 +191,13 @@ class ImoCore(MappedCore[PzdMap]):
     # -- what keeps it from running -------------------------------------------------------------------------------
 
     def cannot(self, op: str) -> str | None:
-        """It has no ramp of its own for an emergency."""
+        """Quick stop: the drive has no ramp of its own for an emergency."""
         if op == "quick_stop":
             return "imo-hd2 has no quick stop ramp: its emergency stop (6) coasts; use stop() or coast()"
         return None
 
     def parameters(self) -> tuple[ListedParam, ...]:
-        """What the card's manual tells of."""
+        """The parameters in the manual of the card."""
         return listing(t.PARAMETERS, known=lambda spec: not spec.made_up)
 
     def obstacle(self) -> str | None:
@@ -215,7 +215,7 @@ class ImoCore(MappedCore[PzdMap]):
         return None
 
     def prepare(self, deadline: int) -> Steps[None]:
-        """Nothing runs without the bus as the source, its voltage, and a PZD that carries the set frequency."""
+        """A start needs commands from the bus, the bus voltage, and a PZD with the set frequency."""
         yield from settled(self, lambda: self.obstacle() is None, deadline)
         if (why := self.obstacle()) is not None:
             raise CommandError("fault", why)
@@ -236,7 +236,7 @@ class ImoCore(MappedCore[PzdMap]):
     # -- the settings that the plugin relies on -----------------------------------------------------------------------
 
     def before_settings(self, deadline: int) -> Steps[None]:
-        """The maps first, which nothing works without."""
+        """Wait for the maps of the drive."""
         while self._learning:
             yield
 
@@ -314,7 +314,7 @@ class ImoCore(MappedCore[PzdMap]):
         self.update()
 
     def write_map(self, inputs: PzdMap, outputs: PzdMap, deadline: int) -> Steps[dict[str, object]]:
-        """What differs from the drive's own goes to RAM and EEPROM."""
+        """Write the functions that differ from those of the drive, to RAM and EEPROM."""
         yield from self.known(deadline)
         assert self.inputs_map is not None
         assert self.outputs_map is not None

@@ -1,5 +1,5 @@
-"""What stands in PZD2 to PZD12 (docs/drives/imo-hd2.md#process-data): typed names, engineering units, ranges checked
-before anything is sent.
+"""Functions of PZD2 to PZD12 (docs/drives/imo-hd2.md#process-data): names, units, and ranges that are checked before
+anything is sent.
 
 Source: tables 2-6 and 2-8 of the card's manual. Functions 14 and 15 of table 2-6 are cut off in our text: position
 reference, high word signed, low word unsigned. Readings: torque, power and analog inputs are signed; the ramp frequency
@@ -21,7 +21,7 @@ _ANY: Final = 0xFFFF
 
 @dataclass(frozen=True, slots=True)
 class Function:
-    """One meaning of a PZD. ``low`` and ``high`` are in ``unit``; on the wire stands value x ``per_unit``.
+    """A meaning of a PZD. ``low`` and ``high`` are in ``unit``; on the wire stands value x ``per_unit``.
 
     ``fmax``: the upper limit is the inverter's maximum frequency.
     """
@@ -151,13 +151,11 @@ class PzdMap:
         return cls(tuple(numbers) + (0,) * (t.PZDS - len(numbers)), functions)
 
     def __str__(self) -> str:
-        words = [self.functions[n].name if n in self.functions else str(n) if n else _EMPTY for n in self.numbers]
-        while words and words[-1] == _EMPTY:
-            words.pop()
-        return " ".join(words)
+        words = (self.functions[n].name if n in self.functions else str(n) if n else _EMPTY for n in self.numbers)
+        return " ".join(words).rstrip(f" {_EMPTY}")
 
     def place(self, number: int) -> int | None:
-        """Which word behind CW or SW (0 is PZD2) has the function; None where none has."""
+        """The word behind CW or SW (0 is PZD2) that has the function; None where none has it."""
         return self.numbers.index(number) if number in self.numbers else None
 
     @property

@@ -109,7 +109,7 @@ class ImoDevice(DriveDevice):
         super().warn(mask)
 
     def inherit(self, before: DriveDevice) -> None:
-        """What P15 and the others hold."""
+        """Take over the parameters, with the maps of P15."""
         super().inherit(before)
         self._load_maps()
 
@@ -133,7 +133,7 @@ class ImoDevice(DriveDevice):
     # -- the internal scan ----------------------------------------------------------------------------------------
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
-        """Receive the process data, move the motor, report."""
+        """Receive the process data, move the motor, return the inputs."""
         trip = self.take_trip()
         if trip is not None:
             self._fail(trip)
@@ -155,9 +155,9 @@ class ImoDevice(DriveDevice):
 
     def _drive(self) -> None:
         motor, command = self.motor, self._command
-        obeys = self.store.value(t.SOURCE) == t.Source.COMMUNICATION and self.released and not self.fault
+        obeys = self._obeys
         direction = _RUNS.get(command, 0) if obeys else 0
-        brakes = obeys and bool(self._control & t.CONTROL.mask("dc_brake"))
+        brakes = obeys and self._is_set("dc_brake")
         if not self.released or self.fault or command is t.Command.COAST:
             motor.switch(False)
         elif direction or brakes or self._pre_excites():
@@ -170,9 +170,16 @@ class ImoDevice(DriveDevice):
         motor.decel = AT_ONCE if brakes else self._rate(t.DECELERATION)
         motor.limit = self._torque_limit()
 
+    @property
+    def _obeys(self) -> bool:
+        return self.store.value(t.SOURCE) == t.Source.COMMUNICATION and self.released and not self.fault
+
+    def _is_set(self, name: str) -> bool:
+        """A bit of the control word."""
+        return t.CONTROL.is_set(self._control, name)
+
     def _pre_excites(self) -> bool:
-        wanted = self._command is t.Command.PRE_EXCITE or bool(self._control & t.CONTROL.mask("pre_excitation"))
-        return wanted and self.released and not self.fault and self.store.value(t.SOURCE) == t.Source.COMMUNICATION
+        return self._obeys and (self._command is t.Command.PRE_EXCITE or self._is_set("pre_excitation"))
 
     def _set_hertz(self, direction: int) -> float:
         from_bus = self.store.value(t.FREQUENCY_CHANNEL) == t.FROM_PROFIBUS
@@ -187,7 +194,7 @@ class ImoDevice(DriveDevice):
         most = [_MOST_TORQUE]
         if (limit := self.values.get(7 if motoring else 8)) is not None:
             most.append(limit / 1000)
-        if self._control & t.CONTROL.mask("torque_control") and 4 in self.values:
+        if self._is_set("torque_control") and 4 in self.values:
             most.append(abs(signed16(self.values[4])) / 1000)
         return min(most)
 
@@ -196,7 +203,7 @@ class ImoDevice(DriveDevice):
         return ramp(self.store.value(name), self.store.value(t.MAXIMUM_HZ) / _RATED_HZ)
 
     def _count_energy(self) -> None:
-        if self._control & t.CONTROL.mask("clear_energy"):
+        if self._is_set("clear_energy"):
             self.energy = 0.0
         self.energy += abs(self.motor.torque * self.motor.speed) * _SCAN_NS / 1e9
 
@@ -212,10 +219,9 @@ class ImoDevice(DriveDevice):
             return t.Running.FAULT
         if not self.released:
             return t.Running.POFF
-        brakes = bool(self._control & t.CONTROL.mask("dc_brake"))
         if motor.on and motor.frequency:
             return t.Running.FORWARD if motor.frequency > 0 else t.Running.REVERSE
-        if motor.on and not brakes and self._command in _RUNS:
+        if motor.on and not self._is_set("dc_brake") and self._command in _RUNS:
             return t.Running.FORWARD if _RUNS[self._command] > 0 else t.Running.REVERSE
         return t.Running.PRE_EXCITED if motor.on and self._pre_excites() else t.Running.STOPPED
 
@@ -232,7 +238,7 @@ class ImoDevice(DriveDevice):
         return round(min(max(value, function.low), function.high) * function.per_unit) & 0xFFFF
 
     def _actual(self, number: int, status: int) -> float:
-        """What is transmitted, in its unit (table 2-8)."""
+        """The value of a transmitted function, in its unit (table 2-8)."""
         motor = self.motor
         hertz = abs(motor.frequency) * _RATED_HZ
         match number:

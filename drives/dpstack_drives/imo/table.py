@@ -1,4 +1,4 @@
-"""What plugin and simulated drive share. Passages: docs/drives/imo-hd2.md.
+"""Facts of the HD2 that plugin and simulated drive share. Passages: docs/drives/imo-hd2.md.
 
 Source: IMO, HD2 PROFIBUS Communication Card, instruction manual; numbers in the comments are its tables. It has no GSD
 file: ident number and identifier octets are made up until the user's GSD overrides them. The inverter's own parameters,
@@ -276,7 +276,7 @@ PARAMETERS: Final = ParamTable(
 
 
 def known(number: int) -> ParamSpec | None:
-    """What the card's manual tells of a parameter."""
+    """The parameter at an address, where the manual of the card has it."""
     spec = PARAMETERS.get(number)
     return None if spec is None or spec.made_up else spec
 

@@ -96,7 +96,7 @@ def _index(name: str | int) -> int:
 
 @dataclass(slots=True, eq=False)
 class _Request:
-    """One request under way: its octets without the handshake bit, and what came back."""
+    """A request under way: its octets without the handshake bit, and the reply."""
 
     octets: bytes
     label: str
@@ -131,7 +131,7 @@ class KebChannel(ParameterChannel):
         self.octets = _ZEROS
 
     def step(self, inputs: bytes, now: int) -> None:
-        """One cycle: is the request confirmed; if nothing runs, send the next one with the handshake inverted."""
+        """One cycle: judge the confirmation of the request under way; without one send the next, handshake inverted."""
         shown = inputs[0] & HANDSHAKE
         active = self._active
         if active is not None and shown == self._shown:

@@ -5,6 +5,7 @@ Passages: docs/drives/keb-f5.md#process-data-map, docs/drives/keb-f5.md#when-dat
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Final
 
 from dpstack.profile import NS_PER_MS, NS_PER_US
@@ -22,18 +23,13 @@ _LENGTH: Final = 1
 
 
 class Direction:
-    """The map of one direction: the records as written, what power-on falls back to, and what is active.
+    """The map of one direction: the records as written, those that power-on restores, and the active values.
 
     A change resets the enable of its block (of both, where it is the length); an enable takes effect at power-on.
     """
 
     def __init__(self, default: PdMap) -> None:
-        self._default = default
-        self.records = [dict(default.records(0)), dict(default.records(1))]
-        self.enable = [t.ENABLED, t.ENABLED]
-        self._kept = [dict(record) for record in self.records]
-        self._kept_enable = list(self.enable)
-        self.active: tuple[tuple[tuple[int, Entry], ...], ...] = ((), ())
+        self._kept = ([dict(default.records(0)), dict(default.records(1))], [t.ENABLED, t.ENABLED])
         self.power_on()
 
     def map(self) -> PdMap | None:
@@ -44,27 +40,26 @@ class Direction:
             return None
 
     def write(self, block: int, subindex: int, raw: int) -> None:
-        """One subindex of a record."""
+        """Write a subindex of a record."""
         self.records[block][subindex] = raw
         for one in (0, 1) if subindex == _LENGTH else (block,):
             self.enable[one] = 0
 
     def confirm(self, block: int, enable: int) -> None:
         """The map is right: from now on it outlives power-off."""
-        self.enable[block] = self._kept_enable[block] = enable
-        self._kept[block] = dict(self.records[block])
+        records, enables = self._kept
+        records[block] = dict(self.records[block])
+        self.enable[block] = enables[block] = enable
 
     def inherit(self, before: Direction, *, default: bool) -> None:
         """Switched on again; ``default``: Fb23 is 0."""
         if not default:
-            self._kept = [dict(record) for record in before._kept]
-            self._kept_enable = list(before._kept_enable)
+            self._kept = deepcopy(before._kept)
         self.power_on()
 
     def power_on(self) -> None:
-        """What is not enabled is lost; the maps go to the inverter."""
-        self.records = [dict(record) for record in self._kept]
-        self.enable = list(self._kept_enable)
+        """Records that were not enabled are lost; the maps go to the inverter."""
+        self.records, self.enable = deepcopy(self._kept)
         found = self.map()
         self.active = tuple(
             tuple((at, entry) for at, entry in (found.places() if found else ()) if self._enabled(block, at, entry))
@@ -106,7 +101,7 @@ class Operator:
         }
         #: telegrams with outputs that went to the inverter
         self.output_telegrams = 0
-        self._taken: list[bytes | None] = [None, None]
+        self._sent: list[bytes | None] = [None, None]
         self._image = bytearray(_MAX_PROCESS)
         self._due = 0
         self._second_next = False
@@ -188,8 +183,8 @@ class Operator:
             return
         for number, octets in enumerate(blocks):
             entries = [(at, entry) for at, entry in self.out.active[number] if at + entry.octets <= len(process)]
-            if entries and (grid or octets != self._taken[number]):
-                self._taken[number] = octets
+            if entries and (grid or octets != self._sent[number]):
+                self._sent[number] = octets
                 self.output_telegrams += 1
                 for at, entry in entries:
                     self._inverter.store_output(entry, int.from_bytes(process[at : at + entry.octets], "big"))

@@ -25,7 +25,7 @@ FORBIDDEN: Final = range(0x231B, 0x2324)
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One value: a parameter of the inverter by its index, word or long, and the sets (bit n for set n)."""
+    """A value: a parameter of the inverter by its index, word or long, and the sets (bit n for set n)."""
 
     index: int
     long: bool = False

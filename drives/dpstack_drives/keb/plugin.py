@@ -153,7 +153,7 @@ class KebCore(MappedCore[PdMap]):
         return ("without a name: only the parameter channel (PCH+...) tells ru.00",)
 
     def cannot(self, op: str) -> str | None:
-        """What the options and the map do not give."""
+        """Orders that the options and the map have no bits for."""
         if self.outputs_map.place(t.CONTROL_WORD) is None:
             return f"{op}: sy.50 (2032h, control word) is not in the output map"
         if self.inputs_map.place(t.STATUS_WORD) is None:
@@ -212,7 +212,7 @@ class KebCore(MappedCore[PdMap]):
         return given
 
     def check_maps(self, inputs: PdMap, outputs: PdMap) -> str | None:
-        """What the drive would not confirm (docs/drives/keb-f5.md#process-data-map)."""
+        """The rule of docs/drives/keb-f5.md#process-data-map for which the drive would not confirm the maps."""
         return pdmap.check(inputs, outputs)
 
     def called(self, name: str | int) -> str | int:
@@ -221,7 +221,7 @@ class KebCore(MappedCore[PdMap]):
         return name if found is None else found
 
     def written_by(self, key: int) -> str | None:
-        """What start, stop and speed write."""
+        """The words that start, stop and speed write."""
         ours = {t.CONTROL_WORD: bool(self._bits), t.SET_SPEED: bool(self._rpm_per_count)}
         return "start, stop and speed" if ours.get(key) else None
 

@@ -91,7 +91,7 @@ class KebDevice(DriveDevice):
         return bool(self.fault)
 
     def warn(self, mask: int) -> None:
-        """There is none: raises ValueError."""
+        """Raises ValueError: the F5 has no warnings on the bus."""
         raise ValueError("the F5 shows no warning on the bus, only at a digital output (Pn.05 = 6)")
 
     def inherit(self, before: DriveDevice) -> None:
@@ -101,7 +101,7 @@ class KebDevice(DriveDevice):
             self.operator.inherit(before.operator, default=not self.store.value("Fb.23"))
 
     def check_cfg(self, config: bytes) -> str | None:
-        """What the printed GSD allows, and the drive's own telegram."""
+        """Accept the configurations of the printed GSD, and the telegram of this drive."""
         spec = telegrams.of_config(config)
         if spec is None:
             return super().check_cfg(config)
@@ -126,7 +126,7 @@ class KebDevice(DriveDevice):
         return inputs
 
     def master_lost(self, reason: Leave, now: int) -> None:
-        """Nothing happens until the watchdog of the operator says so."""
+        """The drive goes on until the watchdog of the operator expires."""
         self._exchanging = False
         self._clear = False
 
@@ -170,7 +170,7 @@ class KebDevice(DriveDevice):
             self._react()
 
     def _react(self) -> None:
-        """Pn.05."""
+        """The reaction of Pn.05."""
         how = int(self.store.value("Pn.05"))
         if how == _TRIPS_AT_ONCE:
             self.fault = self.fault or t.E_BUS

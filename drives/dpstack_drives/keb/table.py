@@ -1,4 +1,5 @@
-"""What plugin and simulated drive share: parameters, error texts, names of bits. Passages: docs/drives/keb-f5.md.
+"""Facts of the F5 that plugin and simulated drive share: parameters, error texts, names of bits
+(docs/drives/keb-f5.md).
 
 Source: KEB, COMBICOM F5-Profibus (slides of a training course); the names in the comments are its headings. The bits
 of sy.50 and sy.51, the unit of sy.52 and most addresses are in the inverter's application manual, which we do not

@@ -30,7 +30,7 @@ _NAME: Final = re.compile(r"(PCH(?:\+|$))?(?:(\d(?:\+\d)*)/(\d(?:\+\d)*))?")
 
 
 class Modules(NamedTuple):
-    """What a configuration is made of: octets of each module."""
+    """The modules of a configuration: octets of each."""
 
     channel: bool
     outputs: tuple[int, ...]
@@ -44,7 +44,7 @@ class Modules(NamedTuple):
         return bytes(([PCH] if self.channel else []) + process)
 
     def excess(self) -> str | None:
-        """What the printed GSD does not allow; None where it allows all."""
+        """The rule of the printed GSD that the modules break; None where they break none."""
         modules = self.channel + len(self.outputs) + len(self.inputs)
         channel = 8 if self.channel else 0
         if modules > MAX_MODULES:
@@ -54,7 +54,7 @@ class Modules(NamedTuple):
         return None
 
     def impossible(self) -> str | None:
-        """What no operator can do."""
+        """The limit of every operator that the modules exceed; None where they exceed none."""
         if not self.channel and not self.outputs and not self.inputs:
             return "it has no modules"
         if any(not 1 <= n <= _MOST for n in (*self.outputs, *self.inputs)):

@@ -1,8 +1,8 @@
-"""What the simulated drive does when its command is lost (docs/drives/ls-s100.md#swap-and-lost-command): PRT-12 how,
-PRT-13 when, PRT-14 a frequency.
+"""Lost command of the simulated drive (docs/drives/ls-s100.md#swap-and-lost-command): PRT-12 is the reaction, PRT-13
+the time until it, PRT-14 a frequency.
 
-They stand in the inverter's manual, so this is a reading: 0 nothing, 1 coast, 2 ramp, both with the trip, 3 hold the
-input, 4 hold the output, 5 the preset frequency. It is judged whatever ended data exchange.
+The codes stand in the inverter's manual, so the meanings here are a reading: 0 nothing, 1 coast, 2 ramp, both with the
+trip, 3 hold the input, 4 hold the output, 5 the preset frequency. It does not matter how data exchange ended.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dpstack.profile import NS_PER_S, Motor, ParamStore
 
 
 class LostCommand:
-    """``forced``: on the ramp to its trip. ``instead``: of the reference, in the place of the set point."""
+    """``forced``: the drive ramps down to its trip. ``instead``: part of the reference that replaces the set point."""
 
     __slots__ = ("_at", "_store", "forced", "instead")
 
@@ -29,7 +29,7 @@ class LostCommand:
         self._at = self.instead = None
 
     def step(self, motor: Motor, now: int) -> bool:
-        """One scan -> True when it trips now."""
+        """One scan. True when the drive trips now."""
         if self._at is not None and now >= self._at:
             self._at = None
             match int(self._store.value("PRT-12")):

@@ -45,7 +45,7 @@ def check(entries: tuple[int, ...], most: int, *, written: bool) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class ParaWord:
-    """One mapped word: the parameter at an address."""
+    """A mapped word: the parameter at an address."""
 
     octets: ClassVar[int] = 2
     key: int
@@ -116,7 +116,7 @@ def write(access: ParameterChannel, status: ParaMap, control: ParaMap, deadline:
 
 
 def clear_control(access: ParameterChannel, deadline: int) -> Steps[None]:
-    """No word of the outputs is anything: one address, and that is none."""
+    """Empty the map of the outputs: one address, 0000."""
     yield from access.write(ParamKey(t.PARA_CONTROL), 0, deadline)
     yield from access.write(ParamKey(t.CONTROL_COUNT), 1, deadline)
     yield from access.write(ParamKey(t.UPDATE), 1, deadline)

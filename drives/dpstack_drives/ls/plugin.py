@@ -195,7 +195,7 @@ class LsCore(MappedCore[ParaMap]):
         return -speed if self.table.status.is_set(self.status_word, "reverse") else speed, None, None
 
     def cannot(self, op: str) -> str | None:
-        """What the profile or the map does not have."""
+        """Orders that the profile or the map has no bits for."""
         if op == "quick_stop" and self._profile != t.PROFIDRIVE:
             return "the LS control word has no quick stop: stop() ramps down, coast() takes the power off"
         if self._io and t.OPERATION not in self.outputs_map.entries:
@@ -232,7 +232,7 @@ class LsCore(MappedCore[ParaMap]):
         return references.LISTED
 
     def obstacle(self) -> str | None:
-        """Somebody else has the control."""
+        """The source of commands that is not the bus."""
         if self._profile == t.PROFIDRIVE:
             if self.raw_state is State.SWITCH_ON_INHIBITED:
                 return f"the drive stays in S1 (switching on inhibited) and does not obey STW1: {_SOURCE}"
@@ -244,7 +244,7 @@ class LsCore(MappedCore[ParaMap]):
         return None
 
     def prepare(self, deadline: int) -> Steps[None]:
-        """Once it does not obey: who has the control."""
+        """Where the drive does not obey, read which source has the control. Raises CommandError that names it."""
         yield from super().prepare(deadline)
         if self.goal is not Goal.RUN:
             return
@@ -365,7 +365,7 @@ class LsCore(MappedCore[ParaMap]):
         return paramap.read(self.access, deadline)
 
     def write_map(self, inputs: ParaMap, outputs: ParaMap, deadline: int) -> Steps[dict[str, object]]:
-        """Acts at once (COM-94).
+        """The maps act at once (COM-94).
 
         The words of the new map never stand under the old one, nor the other way round: the drive's is emptied first.
         """

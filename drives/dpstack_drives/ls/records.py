@@ -42,7 +42,7 @@ class LsParameters(record47.ParameterModel):
         return record47.Values(record47.UNSIGNED16, tuple(words))
 
     def change(self, address: record47.Address, values: record47.Values) -> record47.ErrorValue | None:
-        """One word: no array can be written."""
+        """Write a plain parameter of one word; arrays cannot be written."""
         if (number := self._module.device.refusal(write=True)) is not None:
             return record47.ErrorValue(number)
         spec = self._wanted(address)

@@ -1,4 +1,4 @@
-"""What a user calls a parameter, as it stands in the parameter channel (docs/drives/ls-s100.md#parameter-channel)."""
+"""Names and numbers of parameters, as the parameter channel has them (docs/drives/ls-s100.md#parameter-channel)."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ at once change nothing; without run authority the drive stops.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 from dpstack.profile import NEAR, NS_PER_S, Motor, ParamStore
 from dpstack_drives.ls import table as t
@@ -81,20 +81,11 @@ class Rest:
         return False
 
 
-class Shown(NamedTuple):
-    """What the status word of the LS Drive profile tells beside the motor: 5.3.2."""
+def motor_status(motor: Motor, store: ParamStore, *, direction: int, jog: bool) -> int:
+    """The bits of the LS status word (5.3.2) that show the motor.
 
-    direction: int
-    fault: bool
-    jog: bool
-    keypad: bool
-    run_granted: bool
-    ramp_granted: bool
-
-
-def status_word(motor: Motor, store: ParamStore, shown: Shown) -> int:
-    """The LS status word. Readings: the brake opens from Ad-44 on where OU-31 is 35; jog is the terminals'."""
-    direction = shown.direction
+    Readings: the brake opens from Ad-44 on where OU-31 is 35; jog is the terminals'.
+    """
     turning = motor.frequency or direction
     gap = abs(motor.setpoint) - abs(motor.frequency)
     moving = motor.on and not motor.braking and abs(gap) > NEAR
@@ -103,18 +94,14 @@ def status_word(motor: Motor, store: ParamStore, shown: Shown) -> int:
         "stopped": not motor.on,
         "forward": motor.on and not motor.braking and turning > 0,
         "reverse": motor.on and not motor.braking and turning < 0,
-        "fault": shown.fault,
         "accelerating": moving and gap > 0,
         "decelerating": moving and gap < 0,
         "reached": motor.on and bool(direction) and motor.reached(motor.setpoint),
         "dc_brake": motor.braking,
-        "stopping": motor.on and not direction and not shown.jog,
-        "jog": shown.jog and motor.on,
+        "stopping": motor.on and not direction and not jog,
+        "jog": jog and motor.on,
         "brake_open": motor.on and store.value("OU-31") == _BRAKE_CONTROL and hertz >= store.value("Ad-44"),
         "forward_command": direction > 0,
         "reverse_command": direction < 0,
-        "keypad": shown.keypad,
-        "run_granted": shown.run_granted,
-        "ramp_granted": shown.ramp_granted,
     }
     return t.LS_STATUS.mask(*(name for name, on in bits.items() if on))

@@ -1,4 +1,4 @@
-"""The communication parameters of the simulated drive: what they are at first and what of them counts
+"""The communication parameters of the simulated drive: presets, and the values that act
 (docs/drives/ls-s100.md#parameters-and-maps)."""
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dpstack_drives.ls import table as t
 
 
 class Settings:
-    """What counts since power-on or the last COM-94 = 1."""
+    """The communication parameters as they act since power-on or the last COM-94 = 1."""
 
     __slots__ = ("control_map", "profile", "rpm", "status_map", "swap")
 
@@ -32,8 +32,8 @@ def spec(code: str) -> ParamSpec:
     return found
 
 
-def take_counts(store: ParamStore, telegram: TelegramSpec) -> None:
-    """Of the vendor telegram: its word counts become COM-50 and COM-30 (4.2.10)."""
+def store_counts(store: ParamStore, telegram: TelegramSpec) -> None:
+    """The word counts of a vendor telegram become COM-50 and COM-30 (4.2.10)."""
     store.write(spec("COM-50"), telegram.outputs // 2, ram_only=True)
     store.write(spec("COM-30"), telegram.inputs // 2, ram_only=True)
 

@@ -26,7 +26,7 @@ from dpstack_drives.ls import table as t
 from dpstack_drives.ls.lostcommand import LostCommand
 from dpstack_drives.ls.module import Module
 from dpstack_drives.ls.plugin import profile_of
-from dpstack_drives.ls.runstate import LsMachine, Rest, Shown, status_word
+from dpstack_drives.ls.runstate import LsMachine, Rest, motor_status
 from dpstack_drives.ls.settings import Settings
 
 #: stop and emergency of the LS control word: a frame with them counts even when the next one follows within a scan
@@ -114,11 +114,11 @@ class LsDevice(DriveDevice):
         return self.runner.fault
 
     def jog(self, direction: int) -> None:
-        """Its terminals: 1 forward, -1 reverse, 0 off."""
+        """Jog by the terminals of the drive: 1 forward, -1 reverse, 0 off."""
         self._jog = direction
 
     def inherit(self, before: DriveDevice) -> None:
-        """The parameters; what waited for COM-94 counts from power-on."""
+        """Take over the parameters; those that waited for COM-94 act from power-on."""
         super().inherit(before)
         self._apply()
 
@@ -135,7 +135,7 @@ class LsDevice(DriveDevice):
         if spec.config != self.telegram.config:
             self._begin()
         if telegrams.number_of(spec) == telegrams.VENDOR:
-            settings.take_counts(self.store, spec)
+            settings.store_counts(self.store, spec)
             self._apply()
         self._cyclic.clear()
         self._hold = True
@@ -184,10 +184,10 @@ class LsDevice(DriveDevice):
     # -- one scan -------------------------------------------------------------------------------------------------
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
-        """Obey, move the motor, report."""
+        """Obey the outputs, move the motor, return the inputs."""
         size = self.telegram.outputs // 2
         if words is not None:
-            self._take_mapped(words)
+            self._write_mapped(words)
         elif self._hold and len(self._last) == size:
             words = self._last
         else:
@@ -281,18 +281,15 @@ class LsDevice(DriveDevice):
 
     def _ls_status(self, control: int, direction: int) -> int:
         keypad = not self._bus_commands("dr-06")
-        return status_word(
-            self.motor,
-            self.store,
-            Shown(
-                direction=direction,
-                fault=self.runner.fault,
-                jog=bool(self._jog) and not direction,
-                keypad=keypad,
-                run_granted=not keypad and bool(control & t.LS_CONTROL.mask("run_authority")),
-                ramp_granted=not keypad and bool(control & t.LS_CONTROL.mask("ramp_authority")),
-            ),
-        )
+        bits = {
+            "fault": self.runner.fault,
+            "keypad": keypad,
+            "run_granted": not keypad and control & t.LS_CONTROL.mask("run_authority"),
+            "ramp_granted": not keypad and control & t.LS_CONTROL.mask("ramp_authority"),
+        }
+        status = t.LS_STATUS.mask(*(name for name, on in bits.items() if on))
+        jog = bool(self._jog) and not direction
+        return status | motor_status(self.motor, self.store, direction=direction, jog=jog)
 
     def _run_status(self) -> int:
         """000E: the LS status word, whatever the profile is."""
@@ -327,7 +324,7 @@ class LsDevice(DriveDevice):
 
     # -- parameters -----------------------------------------------------------------------------------------------
 
-    def _take_mapped(self, words: tuple[int, ...]) -> None:
+    def _write_mapped(self, words: tuple[int, ...]) -> None:
         at = 0 if self.kind == t.IO else t.PARA_AT
         for where, raw in zip(self._settings.control_map, words[at:], strict=False):
             if not where or self._cyclic.get(where) == raw:
@@ -393,7 +390,7 @@ class LsDevice(DriveDevice):
         return t.LED_CPU | error * t.LED_ERROR | self._online * t.LED_ONLINE
 
     def _apply(self) -> None:
-        """COM-94 = 1, or power-on: what counts from now on."""
+        """COM-94 = 1 or power-on: the communication parameters act from now on."""
         before = self._settings.profile
         self._settings = Settings(self.store)
         self._cyclic.clear()

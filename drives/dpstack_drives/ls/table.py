@@ -1,4 +1,4 @@
-"""What plugin and simulated drive share: passages in docs/drives/ls-s100.md.
+"""Facts of the S100 that plugin and simulated drive share: passages in docs/drives/ls-s100.md.
 
 Source: LS ELECTRIC, LSLV-S100 Profibus-DP Module, user's manual V1.40; numbers in the comments are its sections. What
 belongs to the inverter's own manual (dr-06, dr-07, Ad-08, PRT-12 to PRT-14, the bits of 0006h and 000Eh) is a reading.

@@ -45,7 +45,7 @@ _NUMBERS: Final = {"ST1": 1, "PPO1": 101, "PPO2": 102, "PPO3": 103, "PPO4": 104,
 
 
 def number_of(spec: TelegramSpec) -> int:
-    """What PNU 922 and COM-10 show."""
+    """The number of a telegram in PNU 922 and COM-10."""
     return _NUMBERS.get(spec.name, VENDOR)
 
 

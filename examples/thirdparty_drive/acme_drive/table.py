@@ -1,4 +1,4 @@
-"""What plugin and simulated drive share, as the drive's manual has it: words, states, texts, parameters."""
+"""Facts that plugin and simulated drive share, from the manual of the drive: words, states, texts, parameters."""
 
 from __future__ import annotations
 
