@@ -16,31 +16,29 @@ SIMULATED = (
 )
 
 
-def acyclic(capsys: pytest.CaptureFixture[str], *args: str, code: int = 0) -> tuple[str, str]:
-    """``dpstack acyclic ARGS``, which ends with ``code``: what it printed, and what it printed as errors.
-
-    That the slaves are simulated is left out (``test_warning_of_simulated_slaves`` looks at that).
-    """
-    assert main(["acyclic", *args]) == code, capsys.readouterr()
-    printed = capsys.readouterr()
-    return printed.out, printed.err.replace(SIMULATED, "", 1)
-
-
 class Cli:
     """``dpstack ARGS`` in the test's own process (the fixture ``cli``); it must end with the exit code ``code``."""
 
-    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+    def __init__(self, capsys: pytest.CaptureFixture[str], *prefix: str) -> None:
         self._capsys = capsys
+        self._prefix = prefix
+
+    def of(self, *prefix: str) -> Cli:
+        """For one command, whose arguments begin with ``prefix``; that the slaves are simulated is left out.
+
+        (``test_warning_of_simulated_slaves`` looks at that.)
+        """
+        return Cli(self._capsys, *prefix)
 
     def __call__(self, *args: str, code: int = 0) -> tuple[str, str]:
         """Standard output and standard error, also where argparse ends the program."""
         try:
-            ended: object = main(args)
+            ended: object = main([*self._prefix, *args])
         except SystemExit as end:
             ended = end.code
         printed = self._capsys.readouterr()
         assert ended == code, printed
-        return printed.out, printed.err
+        return printed.out, printed.err.replace(SIMULATED, "", 1) if self._prefix else printed.err
 
     def out(self, *args: str, code: int = 0) -> str:
         return self(*args, code=code)[0]

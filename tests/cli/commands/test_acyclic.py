@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from pathlib import Path
 
 import pytest
 from api_kit import slave_in
-from cli_kit import acyclic as run
+from cli_kit import Cli
 
 import dpstack
 from dpstack import DpSlave, Im0, Im1, SlaveDescription
@@ -55,6 +54,11 @@ def plant(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def run(cli: Cli, plant: Path) -> Cli:
+    return cli.of("acyclic", str(plant))
+
+
 def rig() -> DpSlave:
     slave = DpSlave(RIG, lambda outputs, elapsed: outputs, im=[Im0(order_id="RIG", serial_number="7"), Im1("fan")])
     slave.serve_records(RecordTable({(1, 2): bytes(range(0x30, 0x44)), (1, 3): b"\0\0"}, [(1, 3)]))
@@ -79,31 +83,30 @@ def open_bus(config: Config, on_event: OnEvent | None = None) -> dpstack.Bus:
 
 
 @pytest.mark.usefixtures("world")
-def test_read_and_write(plant: Path, capsys: Out) -> None:
-    out, err = run(capsys, str(plant), "8", "read", "1", "2")
+def test_read_and_write(run: Cli) -> None:
+    out, err = run("8", "read", "1", "2")
     assert err == ""
     assert out.splitlines() == [
         "slave 8 (rig): slot 1, index 2, 20 octets",
         "  0  30 31 32 33 34 35 36 37 38 39 3A 3B 3C 3D 3E 3F  0123456789:;<=>?",
         " 16  40 41 42 43                                      @ABC",
     ]
-    out, _ = run(capsys, str(plant), "rig", "read", "1", "0x2", "4", "--json")
-    told = json.loads(out)
+    told = run.json("rig", "read", "1", "0x2", "4")
     assert (told["data"], told["through"], told["address"]) == ("30313233", "master", 8)
-    out, _ = run(capsys, str(plant), "8", "write", "1", "3", "12 34")
+    out = run.out("8", "write", "1", "3", "12 34")
     assert out == "slave 8 (rig): slot 1, index 3: 2 octets written\n"
 
 
 @pytest.mark.usefixtures("world")
-def test_im(plant: Path, capsys: Out) -> None:
-    out, _ = run(capsys, str(plant), "8", "im")
+def test_im(run: Cli) -> None:
+    out = run.out("8", "im")
     assert "I&M0    order_id           RIG" in out
     assert "I&M1    tag_function       fan" in out
     assert "I&M2" not in out
     rows = [" ".join(line.split()) for line in out.splitlines()]
     assert "I&M0 version 1.1" in rows
     assert "I&M0 supported I&M1 (0x0002)" in rows
-    told = json.loads(run(capsys, str(plant), "8", "im", "--json")[0])
+    told = run.json("8", "im")
     assert told["im"]["0"]["serial_number"] == "7"
     assert (told["im"]["0"]["version"], told["im"]["0"]["supported"]) == ([1, 1], 2)
     assert told["im"]["1"] == {"tag_function": "fan", "tag_location": ""}
@@ -141,32 +144,32 @@ def test_a_text_that_is_no_text(capsys: Out) -> None:
         (["8", "write", "1", "2", "0G"], 2, "'0G': 'G' is no hex digit"),
     ],
 )
-def test_refusals(plant: Path, capsys: Out, args: list[str], code: int, text: str) -> None:
-    out, err = run(capsys, str(plant), *args, code=code)
+def test_refusals(run: Cli, args: list[str], code: int, text: str) -> None:
+    out, err = run(*args, code=code)
     assert out == ""
     assert text in err
 
 
 @pytest.mark.usefixtures("world")
-def test_what_keeps_it_from_coming_up_is_told_once(plant: Path, capsys: Out) -> None:
+def test_what_keeps_it_from_coming_up_is_told_once(run: Cli, plant: Path) -> None:
     plant.write_text(plant.read_text(encoding="utf-8").replace("10 20", "10 21", 1), encoding="utf-8")
-    assert run(capsys, str(plant), "8", "read", "1", "2", code=1)[1] == (
+    assert run.err("8", "read", "1", "2", code=1) == (
         "dpstack: slave 8 (rig): refuses the configuration (Cfg_Fault): Chk_Cfg was 10 21, it has 10 20: octet 2 "
         'differs; configure config = "10 20" (or its modules) or change the telegram set in the device\n'
     )
 
 
 @pytest.mark.usefixtures("world")
-def test_a_device_without_parameters(plant: Path, capsys: Out) -> None:
-    assert run(capsys, str(plant), "8", "parameters", code=1)[1] == (
+def test_a_device_without_parameters(run: Cli) -> None:
+    assert run.err("8", "parameters", code=1) == (
         "dpstack: drive rig: record 47 of slot 1: the drive refuses the request: error B/0, invalid index; it has no "
         "PROFIdrive parameters there; its manual says whether it has some, in which slot\n"
     )
 
 
-def test_a_read_only_configuration(plant: Path, capsys: Out) -> None:
+def test_a_read_only_configuration(run: Cli, plant: Path) -> None:
     plant.write_text(plant.read_text(encoding="utf-8").replace("[bus]", "[bus]\nread_only = true"), encoding="utf-8")
-    assert "records need data exchange" in run(capsys, str(plant), "8", "read", "1", "2", code=2)[1]
+    assert "records need data exchange" in run.err("8", "read", "1", "2")
 
 
 # -- through a run -------------------------------------------------------------------------------------------------

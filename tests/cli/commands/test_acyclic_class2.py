@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from pathlib import Path
 
 import pytest
@@ -94,33 +93,31 @@ def field(monkeypatch: pytest.MonkeyPatch) -> Field:
     return found
 
 
-def run(cli: Cli, *args: str, code: int = 0, master: str = "2") -> tuple[str, str]:
-    out, err = cli("acyclic", *args, "--class", master, code=code)
-    return out, err
+@pytest.fixture
+def run(cli: Cli, plant: Path) -> Cli:
+    return cli.of("acyclic", str(plant), "--class", "2")
 
 
-def test_beside_a_foreign_master(field: Field, plant: Path, cli: Cli) -> None:
-    out, err = run(cli, str(plant), "8", "read", "1", "2")
+def test_beside_a_foreign_master(run: Cli, field: Field) -> None:
+    out, err = run("8", "read", "1", "2")
     assert err == ""
     assert out.splitlines()[0] == "slave 8 (rig): slot 1, index 2, 2 octets"
     assert field.buses[-1].params.address == 0
-    told = json.loads(run(cli, str(plant), "rig", "transport", "1", "2", "0A 0B", "--json", "--address", "7")[0])
+    told = run.json("rig", "transport", "1", "2", "0A 0B", "--address", "7")
     assert (told["data"], told["through"], told["slave"]) == ("0a0b", "master", "rig")
     assert field.buses[-1].params.address == 7
-    assert run(cli, str(plant), "8", "write", "1", "3", "12 34")[0] == (
-        "slave 8 (rig): slot 1, index 3: 2 octets written\n"
-    )
+    assert run.out("8", "write", "1", "3", "12 34") == ("slave 8 (rig): slot 1, index 3: 2 octets written\n")
     field.check()
 
 
 def test_a_foreign_master_is_in_the_way_of_class_1(field: Field, plant: Path, cli: Cli) -> None:
     beside = "; or ask beside that master with --class 2, where the slave has it\n"
-    assert run(cli, str(plant), "8", "read", "1", "2", code=1, master="1")[1] == (
+    assert cli.err("acyclic", str(plant), "8", "read", "1", "2", code=1) == (
         "dpstack: another station on the bus sends as address 2: staying out of the ring; give one of the two another "
         f"address{beside}"
     )
     plant.write_text(plant.read_text(encoding="utf-8").replace("[bus]", "[bus]\naddress = 1"), encoding="utf-8")
-    assert run(cli, str(plant), "8", "read", "1", "2", code=1, master="1")[1] == (
+    assert cli.err("acyclic", str(plant), "8", "read", "1", "2", code=1) == (
         "dpstack: slave 8 (rig): is owned by master 2; it is never taken away: stop master 2, or remove the slave from "
         f"one of the two configurations{beside}"
     )
@@ -133,14 +130,14 @@ def test_a_foreign_master_is_in_the_way_of_class_1(field: Field, plant: Path, cl
         (lambda pdu: b"\x58\x00\x11", "the slave aborted it: a service that is not allowed in this state (ABT_SE)"),
     ],
 )
-def test_the_slave_refuses(field: Field, plant: Path, cli: Cli, serve: object, text: str) -> None:
+def test_the_slave_refuses(run: Cli, field: Field, serve: object, text: str) -> None:
     assert callable(serve)
     field.server.serve = serve
-    assert text in run(cli, str(plant), "8", "read", "1", "2", code=1)[1]
+    assert text in run.err("8", "read", "1", "2", code=1)
     field.check()
 
 
-def test_a_simulated_slave_has_no_master(plant: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli) -> None:
+def test_a_simulated_slave_has_no_master(run: Cli, plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On the port "virtual", too, nobody parameterises it."""
     buses: list[dpstack.Bus] = []
 
@@ -152,16 +149,16 @@ def test_a_simulated_slave_has_no_master(plant: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
     settings = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "fan"\n'
     plant.write_text(f'{settings}address = 8\ndrive = "ls-s100"\ntelegram = "PPO1"\n', encoding="utf-8")
-    told = json.loads(run(cli, str(plant), "fan", "im", "--json")[0])
+    told = run.json("fan", "im")
     assert told["im"]["0"]["order_id"] == "CPDP-S100"
     (bus,) = buses
     assert (bus.slaves, bus.class2.connections) == ((), 0)
-    run(cli, str(plant), "fan", "im", "--baud", "auto", code=2)
+    run("fan", "im", "--baud", "auto", code=2)
 
 
-def test_a_slave_without_class_2_connections(field: Field, plant: Path, cli: Cli) -> None:
+def test_a_slave_without_class_2_connections(run: Cli, field: Field) -> None:
     field.server.free.clear()
-    err = run(cli, str(plant), "8", "read", "1", "2", code=1)[1]
+    err = run.err("8", "read", "1", "2", code=1)
     assert "slave 8 refuses Initiate (RS at SAP 49): all its class 2 connections are in use, or it has none" in err
 
 
@@ -173,8 +170,8 @@ def test_a_slave_without_class_2_connections(field: Field, plant: Path, cli: Cli
         (["7", "read", "1", "2"], "no slave '7' in this configuration"),
     ],
 )
-def test_wrong_use(plant: Path, cli: Cli, args: list[str], text: str) -> None:
-    assert text in run(cli, str(plant), *args, code=2)[1]
+def test_wrong_use(run: Cli, args: list[str], text: str) -> None:
+    assert text in run.err(*args)
 
 
 def test_what_only_one_class_has(plant: Path, cli: Cli) -> None:
@@ -184,9 +181,9 @@ def test_what_only_one_class_has(plant: Path, cli: Cli) -> None:
     assert "--address is for --class 2" in cli.err("acyclic", str(plant), "8", "read", "1", "2", "--address", "5")
 
 
-def test_a_read_only_configuration(plant: Path, cli: Cli) -> None:
+def test_a_read_only_configuration(run: Cli, plant: Path) -> None:
     plant.write_text(PLANT.replace("[bus]", "[bus]\nread_only = true").replace("cycle_ms = 10.0\n", ""))
-    assert "a connection is to be opened; leave read_only out" in run(cli, str(plant), "8", "im", code=2)[1]
+    assert "a connection is to be opened; leave read_only out" in run.err("8", "im")
 
 
 async def through(config: dpstack.Config) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from api_kit import slave_in
-from cli_kit import acyclic as run
+from cli_kit import Cli
 
 import dpstack
 from dpstack import DpSlave, SlaveDescription
@@ -107,6 +107,11 @@ def plant(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
+def run(cli: Cli, plant: Path) -> Cli:
+    return cli.of("acyclic", str(plant))
+
+
+@pytest.fixture
 def device(monkeypatch: pytest.MonkeyPatch) -> Device:
     """The foreground in virtual time, with the device at 8 in its world."""
     made = Device()
@@ -147,8 +152,8 @@ parameters = [
 
 
 @pytest.mark.usefixtures("device")
-def test_the_list_as_a_table_and_as_json(plant: Path, capsys: Out) -> None:
-    out, err = run(capsys, str(plant), "pump", "parameters")
+def test_the_list_as_a_table_and_as_json(run: Cli) -> None:
+    out, err = run("pump", "parameters")
     assert err == ""
     assert out.splitlines() == [
         "slave 8 (pump): 8 parameters of slot 1, object 1",
@@ -162,7 +167,7 @@ def test_the_list_as_a_table_and_as_json(plant: Path, capsys: Out) -> None:
         "17      Speed         N2             -1.0",
         "18                                   cannot be read: error 11, no operation priority",
     ]
-    told = json.loads(run(capsys, str(plant), "pump", "parameters", "1", "--json")[0])
+    told = run.json("pump", "parameters", "1")
     assert (told["order"], told["ident"], told["through"], len(told["parameters"])) == (
         "parameters",
         0x1234,
@@ -173,26 +178,26 @@ def test_the_list_as_a_table_and_as_json(plant: Path, capsys: Out) -> None:
 
 
 @pytest.mark.usefixtures("device")
-def test_over_a_class_2_connection_it_is_the_same(plant: Path, capsys: Out, tmp_path: Path) -> None:
-    table = run(capsys, str(plant), "8", "parameters")[0]
-    assert run(capsys, str(plant), "8", "parameters", "--class", "2")[0] == table
+def test_over_a_class_2_connection_it_is_the_same(run: Cli, tmp_path: Path) -> None:
+    table = run.out("8", "parameters")
+    assert run.out("8", "parameters", "--class", "2") == table
     path = tmp_path / "pump.toml"
-    run(capsys, str(plant), "8", "dump", str(path), "--class", "2")
-    assert run(capsys, str(plant), "8", "compare", str(path), "--all", "--class", "2")[0].splitlines()[-1] == (
+    run("8", "dump", str(path), "--class", "2")
+    assert run.out("8", "compare", str(path), "--all", "--class", "2").splitlines()[-1] == (
         f"slave 8 (pump): 7 parameters are as in {path}, 0 differ"
     )
 
 
-def test_into_a_file_and_against_it(plant: Path, capsys: Out, device: Device, tmp_path: Path) -> None:
+def test_into_a_file_and_against_it(run: Cli, device: Device, tmp_path: Path) -> None:
     path = tmp_path / "pump.toml"
-    out, _ = run(capsys, str(plant), "8", "dump", str(path))
+    out = run.out("8", "dump", str(path))
     assert out.splitlines() == [
         f"slave 8 (pump): 7 parameters are in {path}",
         "not read: parameter 18: error 11, no operation priority",
     ]
     text = path.read_text(encoding="utf-8")
     assert text == FILE.replace("TIME", tomllib.loads(text)["time"])
-    out, _ = run(capsys, str(plant), "8", "compare", str(path))
+    out = run.out("8", "compare", str(path))
     assert out.splitlines() == [
         "not compared: parameter 11 (Node address): it is read only",
         "not compared: parameter 18: it could not be read when the file was made: error 11, no operation priority",
@@ -205,7 +210,7 @@ def test_into_a_file_and_against_it(plant: Path, capsys: Out, device: Device, tm
     del device.values[15]
     device.values[980] = Values(6, (11, 12, 13, 14, 15, 16, 19, 0))
     device.values[19] = Values(6, (1,))
-    out, _ = run(capsys, str(plant), "8", "compare", str(path), "--all", code=1)
+    out = run.out("8", "compare", str(path), "--all", code=1)
     assert out.splitlines() == [
         "parameter 11 (Node address): file 7, device 8",
         "parameter 12 (Ramps): [1] file -2, device 5; [2] file 3, device -3",
@@ -217,19 +222,19 @@ def test_into_a_file_and_against_it(plant: Path, capsys: Out, device: Device, tm
         "not compared: parameter 19: it is not in the file",
         f"slave 8 (pump): 1 parameters are as in {path}, 5 differ",
     ]
-    told = json.loads(run(capsys, str(plant), "8", "compare", str(path), "--json", code=1)[0])
+    told = run.json("8", "compare", str(path), code=1)
     assert (told["order"], told["address"], told["same"], len(told["differences"])) == ("compare", 8, 1, 4)
     assert told["differences"][0]["elements"] == [1, 2]
-    told = json.loads(run(capsys, str(plant), "8", "dump", str(path), "--json")[0])
+    told = run.json("8", "dump", str(path))
     assert (told["parameters"], [one["number"] for one in told["unreadable"]]) == (7, [15])
 
 
-def test_a_device_without_a_list(plant: Path, capsys: Out, device: Device, tmp_path: Path) -> None:
+def test_a_device_without_a_list(run: Cli, plant: Path, device: Device, tmp_path: Path) -> None:
     path = tmp_path / "pump.toml"
-    run(capsys, str(plant), "8", "dump", str(path))
+    run("8", "dump", str(path))
     mine = path.read_text(encoding="utf-8")
     del device.values[980]
-    err = run(capsys, str(plant), "8", "dump", str(path), code=1)[1]
+    err = run.err("8", "dump", str(path), code=1)
     assert "parameter 980: error 0, illegal parameter number; it has no list of its parameters: read them by" in err
     assert path.read_text(encoding="utf-8") == mine
     assert set(tmp_path.iterdir()) == {plant, path}
@@ -253,11 +258,11 @@ def test_a_device_without_a_list(plant: Path, capsys: Out, device: Device, tmp_p
         ("format = 1", "format = ", "no TOML"),
     ],
 )
-def test_a_file_that_is_none(plant: Path, capsys: Out, tmp_path: Path, old: str, new: str, text: str) -> None:
+def test_a_file_that_is_none(run: Cli, tmp_path: Path, old: str, new: str, text: str) -> None:
     path = tmp_path / "pump.toml"
     assert old in FILE
     path.write_text(FILE.replace(old, new, 1), encoding="utf-8")
-    assert text in run(capsys, str(plant), "8", "compare", str(path), code=2)[1]
+    assert text in run.err("8", "compare", str(path))
 
 
 @pytest.mark.usefixtures("device")
@@ -273,8 +278,8 @@ def test_a_file_that_is_none(plant: Path, capsys: Out, tmp_path: Path, old: str,
         (["parameters", "--all"], "--all is for compare: leave it out"),
     ],
 )
-def test_wrong_use(plant: Path, capsys: Out, args: list[str], text: str) -> None:
-    assert text in run(capsys, str(plant), "8", *args, code=2)[1]
+def test_wrong_use(run: Cli, args: list[str], text: str) -> None:
+    assert text in run.err("8", *args)
 
 
 async def test_through_a_run_it_comes_in_pieces_with_progress(
