@@ -48,7 +48,7 @@ def test_refused(name: str, modules: list[int | str], message: str) -> None:
     assert str(caught.value).startswith(message)
 
 
-def test_exactly_what_is_possible() -> None:
+def test_inputs_up_to_the_limit() -> None:
     assert configure(device("whole"), [3, 3]).inputs == 16
     with pytest.raises(GsdError, match="17 octets of inputs, the device has at most 16; take out modules"):
         configure(device("whole"), [3, 3, 1])
@@ -63,7 +63,7 @@ def test_both_lengths_together() -> None:
         configure(d, ["a"])
 
 
-def test_how_a_module_is_named() -> None:
+def test_ways_to_name_a_module() -> None:
     d = device("equal_names")
     assert find_module(d, 2).config == b"\x20"
     assert find_module(d, "2").config == b"\x20"
@@ -71,7 +71,7 @@ def test_how_a_module_is_named() -> None:
     assert find_module(device("whole"), "4  ai").reference == 3
 
 
-def test_what_is_plugged_when_nothing_is_said() -> None:
+def test_the_modules_without_a_choice() -> None:
     assert configure(device("prm_old")).config == b"\x13\x23"
     assert configure(device("slots")).config == b"\x00\x11\x21"
     assert [m.name for m in default_modules(device("whole")) or ()] == ["8 DO"]
@@ -79,14 +79,14 @@ def test_what_is_plugged_when_nothing_is_said() -> None:
         configure(device("equal_names"))
 
 
-def test_several_modules_in_a_compact_device_are_told() -> None:
+def test_several_modules_in_a_compact_device_get_a_note() -> None:
     d = made('Module = "a" 0x10\nEndModule\nModule = "b" 0x20\nEndModule\n').device
     assert configure(d, ["a", "b"]).notes == (
         "the device is no modular station (Modular_Station = 0), but several modules are plugged",
     )
 
 
-def test_slots_are_numbered_as_the_file_says() -> None:
+def test_slot_numbers_begin_with_modul_offset() -> None:
     d = made(
         "Modular_Station = 1\nMax_Module = 4\nModul_Offset = 0\n"
         'ExtUserPrmData = 1 "p"\nUnsigned8 3\nEndExtUserPrmData\n'

@@ -1,4 +1,4 @@
-"""Each construct of real GSD files, one small file of our own for each, against literal expectations."""
+"""The constructs of real GSD files: a small file for each, and the literal model expected."""
 
 from __future__ import annotations
 
@@ -78,13 +78,13 @@ def test_line_ends(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["lines_cr", "lines_crlf", "lines_cr_cr_lf"])
-def test_lines_are_counted_as_an_editor_counts_them(name: str) -> None:
+def test_line_numbers_are_those_of_an_editor(name: str) -> None:
     end = {"lines_cr": b"\r", "lines_crlf": b"\r\n", "lines_cr_cr_lf": b"\r\r\n"}[name]
     file = parse_gsd(gsd_kit.octets(name) + b"Wrong" + end)
     assert texts(file) == ["8:1: info: Wrong has no meaning here; kept as it stands"]
 
 
-def test_text_before_the_mark_is_skipped_and_told() -> None:
+def test_text_before_the_mark_is_skipped_and_reported() -> None:
     file = read("mark_text_before")
     assert file.device.model == "late"
     assert "second line" not in file.device.settings
@@ -246,7 +246,7 @@ def test_special_identifiers() -> None:
     ]
 
 
-def test_damage_is_an_error_and_goes_no_further() -> None:
+def test_a_damaged_module_leaves_the_others_usable() -> None:
     file = read("damaged_module")
     d = file.device
     assert [(m.name, m.complete, m.prm.consts) for m in d.modules] == [

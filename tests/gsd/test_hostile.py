@@ -1,4 +1,4 @@
-"""Damaged and hostile files: always a model and diagnostics, never an exception, work that grows with the size only."""
+"""Damaged and hostile GSD files: a model and diagnostics, no exception, work in proportion to the size."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LINES = sorted({line for octets in SOUND for line in octets.splitlines()})
 
 
 def use(file: GsdFile) -> None:
-    """Everything a user would do with it."""
+    """Check, configure and read back, as a user does."""
     check(file)
     DiagTexts(file.device, file.device.modules).unit_diag_texts(bytes(range(20)))
     for module in file.device.modules[:5]:

@@ -34,23 +34,22 @@ def test_lengths(octets: str, inputs: int, outputs: int) -> None:
     assert io_lengths(bytes.fromhex(octets)) == (inputs, outputs)
 
 
-def test_the_special_format_in_full() -> None:
-    (identifier,) = parse_identifiers(bytes.fromhex("C3 C1 C1 FD 00 01"))
-    assert identifier == Identifier(bytes.fromhex("C3C1C1FD0001"), 4, 4, True, True, bytes.fromhex("FD0001"))
+@pytest.mark.parametrize(
+    ("octets", "inputs", "outputs", "manufacturer"),
+    [
+        ("C3 C1 C1 FD 00 01", (4, True), (4, True), "FD 00 01"),  # the special format in full
+        ("C0 81 02", (3, False), (2, True), ""),  # the length of outputs comes before that of inputs
+        ("B0", (1, True), (1, True), ""),  # general format, consistent over the whole
+        ("10", (1, False), (0, False), ""),
+    ],
+)
+def test_lengths_consistency_and_manufacturer_octets(
+    octets: str, inputs: tuple[int, bool], outputs: tuple[int, bool], manufacturer: str
+) -> None:
+    (identifier,) = parse_identifiers(bytes.fromhex(octets))
+    whole = Identifier(bytes.fromhex(octets), inputs[0], outputs[0], inputs[1], outputs[1], bytes.fromhex(manufacturer))
+    assert identifier == whole
     assert not identifier.empty
-
-
-def test_output_length_comes_before_input_length() -> None:
-    (identifier,) = parse_identifiers(bytes.fromhex("C0 81 02"))
-    assert (identifier.outputs, identifier.inputs) == (2, 3)
-    assert identifier.output_consistent
-    assert not identifier.input_consistent
-
-
-def test_consistency_of_the_general_format() -> None:
-    whole, unit = parse_identifiers(bytes.fromhex("B0 10"))
-    assert (whole.input_consistent, whole.output_consistent) == (True, True)
-    assert (unit.input_consistent, unit.output_consistent) == (False, False)
 
 
 def test_several_identifiers_keep_their_octets() -> None:
@@ -102,7 +101,7 @@ _PRODUCTS = sorted({a * b for a in range(1, 256) for b in range(1, 256)})
 
 
 @given(st.integers(1, 650_250))
-def test_the_watchdog_is_never_shorter_and_never_longer_than_need_be(ms: int) -> None:
+def test_the_watchdog_is_the_shortest_possible_one(ms: int) -> None:
     first, second = watchdog_factors(ms)
     ticks = -(-ms // 10)
     assert first * second == next(product for product in _PRODUCTS if product >= ticks)

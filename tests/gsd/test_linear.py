@@ -1,4 +1,4 @@
-"""A GSD file of any make costs time and memory in proportion to its size: counted, with n and 2 n of everything."""
+"""Any GSD file takes time and memory in proportion to its size: counted for n and 2 n of each construct."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_twice_the_file_takes_twice_the_steps(name: str) -> None:
 
 
 def test_texts_that_many_parameters_share_have_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is shown of them would be their product."""
+    """A program that shows all texts of all parameters shows their product."""
     monkeypatch.setattr(joining, "MAX_TEXTS", 25)
     texts = FILES["texts"](10)
     parameters = FILES["parameters"](4).replace("EndExt", "Prm_Text_Ref=1\nEndExt")
@@ -80,7 +80,7 @@ def test_texts_that_many_parameters_share_have_a_limit(monkeypatch: pytest.Monke
     assert told == "more than 25 texts of parameters: from here on they have none"
 
 
-def test_more_modules_than_slots_are_refused_unlooked() -> None:
+def test_more_modules_than_slots_are_refused_before_they_are_looked_up() -> None:
     device = parse_gsd((gsd_kit.HEAD + FILES["modules"](3)).encode()).device
     with pytest.raises(GsdError, match="256 modules are named; no device has more than 255 slots: take out some"):
         configure(device, ["no such module"] * 256)

@@ -1,4 +1,4 @@
-"""The generator of made-up files: a small share of its set is read without an error, and it makes what it says."""
+"""The generator of made-up GSD files: no errors in a part of its set, and the sizes that it announces."""
 
 from __future__ import annotations
 

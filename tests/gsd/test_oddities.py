@@ -1,4 +1,4 @@
-"""What is wrong in a GSD file is told with line, column and severity; nothing raises, nothing is half-applied."""
+"""Mistakes in GSD files: each finding has line, column, severity and text; no file raises an exception."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from dpstack.gsd.text import MAX_OCTETS
         (b"x" * (MAX_OCTETS + 1), "no GSD file: more than 8 MB"),
     ],
 )
-def test_what_is_no_gsd_file(octets: bytes, message: str) -> None:
+def test_files_that_are_no_gsd_files(octets: bytes, message: str) -> None:
     file = parse_gsd(octets, "x.gsd")
     assert file.fatal is not None
     assert file.fatal.message.startswith(message)
@@ -86,30 +86,6 @@ def test_fifty_megabytes_of_noise() -> None:
             "5:1: error: PrmText 1 never ends: EndPrmText is missing before ExtUserPrmData on line 6",
         ),
         (
-            'ExtUserPrmData = 1 "a"\nBit(99) 0 0-1\nEndExtUserPrmData\n',
-            "6:9: warning: ExtUserPrmData 1: Bit(99) names no bits of 0..31; the parameter is left out",
-        ),
-        (
-            'ExtUserPrmData = 1 "a"\nUnsigned8 300 0-255\nEndExtUserPrmData\n',
-            "6:11: warning: ExtUserPrmData 1: default 300 does not fit Unsigned8; its low bits are used",
-        ),
-        (
-            'ExtUserPrmData = 1 "a"\nUnsigned8 9 0-5\nEndExtUserPrmData\n',
-            "6:11: warning: ExtUserPrmData 1: default 9 is not among the allowed values 0..5",
-        ),
-        (
-            'ExtUserPrmData = 1 "a"\nUnsigned8 1 low\nEndExtUserPrmData\n',
-            "6:11: warning: ExtUserPrmData 1: allowed values 'low' cannot be read; every value of Unsigned8 is allowed",
-        ),
-        (
-            'ExtUserPrmData = 1 "a"\nUnsigned8\nEndExtUserPrmData\n',
-            "6:10: warning: ExtUserPrmData 1: no default value in Unsigned8 ; the parameter is left out",
-        ),
-        (
-            'ExtUserPrmData = 1 "a"\nPrm_Text_Ref = 4\nUnsigned8 0\nEndExtUserPrmData\n',
-            "5:1: warning: ExtUserPrmData 1 refers to PrmText 4, which is nowhere defined",
-        ),
-        (
             'Unit_Diag_Area = 0-1\nValue(4) = "never"\nUnit_Diag_Area_End\n',
             "6:12: warning: Value(4) does not fit bits 0..1; it can never be shown",
         ),
@@ -140,6 +116,30 @@ def test_finding(text: str, wanted: str) -> None:
     assert wanted in texts(made(text))
 
 
+@pytest.mark.parametrize(
+    ("line", "wanted"),
+    [
+        ("Bit(99) 0 0-1", "6:9: warning: ExtUserPrmData 1: Bit(99) names no bits of 0..31; the parameter is left out"),
+        (
+            "Unsigned8 300 0-255",
+            "6:11: warning: ExtUserPrmData 1: default 300 does not fit Unsigned8; its low bits are used",
+        ),
+        ("Unsigned8 9 0-5", "6:11: warning: ExtUserPrmData 1: default 9 is not among the allowed values 0..5"),
+        (
+            "Unsigned8 1 low",
+            "6:11: warning: ExtUserPrmData 1: allowed values 'low' cannot be read; every value of Unsigned8 is allowed",
+        ),
+        ("Unsigned8", "6:10: warning: ExtUserPrmData 1: no default value in Unsigned8 ; the parameter is left out"),
+        (
+            "Prm_Text_Ref = 4\nUnsigned8 0",
+            "5:1: warning: ExtUserPrmData 1 refers to PrmText 4, which is nowhere defined",
+        ),
+    ],
+)
+def test_finding_in_a_parameter(line: str, wanted: str) -> None:
+    assert wanted in texts(made(f'ExtUserPrmData = 1 "a"\n{line}\nEndExtUserPrmData\n'))
+
+
 def test_a_file_without_ident_number() -> None:
     file = parse_gsd(b'#Profibus_DP\n500_supp = 1\nModule = "m" 0x10\nEndModule\n')
     assert file.fatal is None
@@ -148,7 +148,7 @@ def test_a_file_without_ident_number() -> None:
     ]
 
 
-def test_findings_have_an_end() -> None:
+def test_at_most_500_findings_of_a_severity_are_listed() -> None:
     file = made("Text(0)\n" * 2_000)
     assert len(file.diagnostics) == 501
     assert file.diagnostics[0].text == "0:1: warning: 1500 more findings of this severity are not listed"

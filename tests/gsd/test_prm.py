@@ -30,7 +30,7 @@ def test_the_constants_alone() -> None:
     assert prm(Reading.CONST).octets().hex(" ") == "c0 00 00 ff 11 0f 00 05 00 00 00 00 00 00 00 00"
 
 
-def test_contradictions_are_told() -> None:
+def test_contradictions_of_defaults_and_constants() -> None:
     assert [c.text for c in prm().contradictions()] == [
         "0/Diagnosis@3.3: its default is 0 (off), the constant octets say 1 (on)",
         "0/Range@3.4: its default is 5 (4..20 mA), the constant octets say 7",
@@ -42,7 +42,7 @@ def test_contradictions_are_told() -> None:
 
 
 @pytest.mark.parametrize("reading", list(Reading))
-def test_what_is_set_counts_in_both_readings(reading: Reading) -> None:
+def test_a_value_set_by_name_counts_in_both_readings(reading: Reading) -> None:
     p = prm(reading)
     before = p.octets()
     p.set("Diagnosis", "ON")
@@ -137,7 +137,7 @@ TWO_MODULES = (
 )
 
 
-def test_check_tells_contradictions_once_a_file_and_only_over_bits_that_are_not_zero() -> None:
+def test_check_reports_contradictions_once_a_file_and_not_over_zero_bits() -> None:
     zero, _, seven = TWO_MODULES.partition('Module = "seven"')
     assert check(made(zero)) == ()
     assert [d.text for d in check(made(zero + 'Module = "seven"' + seven))] == [

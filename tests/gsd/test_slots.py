@@ -1,4 +1,4 @@
-"""Slots, fixed presets and ``[SlotNumber]``: which module stands in which slot, and what each of them gets."""
+"""Slots, fixed presets, ``[SlotNumber]`` and PROFIsafe: the module in each slot, and its parameters."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_slot_without_a_list_takes_a_module_without_a_number() -> None:
     assert configure(d.device, ["x"]).config == b"\x10"
 
 
-def test_check_tells_slots_outside_of_the_numbers_there_are() -> None:
+def test_check_reports_slots_with_impossible_numbers() -> None:
     text = MODULAR.format(most=2) + 'SlotDefinition\nSlot(0) = "no" 1 1\nSlot(2) = "yes" 1 1\nEndSlotDefinition\n' + TWO
     assert [d.text for d in check(made(text))] == [
         "8:1: warning: Slot(0) is never used: the slots are 1..2 (Modul_Offset, else 1; Max_Module)"
@@ -131,7 +131,7 @@ def test_a_module_in_no_slot_keeps_the_default() -> None:
     assert UserPrm(d, d.modules[:1], in_slots=False).octets().hex() == "a00403"
 
 
-def test_a_module_in_slot_0_and_the_device_itself_are_told_apart() -> None:
+def test_names_of_parameters_of_slot_0_and_of_the_device() -> None:
     d = made(
         MODULAR.format(most=2) + 'Modul_Offset = 0\nExtUserPrmData = 1 "p"\nUnsigned8 3\nEndExtUserPrmData\n'
         "Ext_User_Prm_Data_Ref(0) = 1\n"
@@ -170,7 +170,7 @@ def test_modules_of_a_diagnosis_count_from_the_fixed_presets() -> None:
     assert [found.module_name(number) for number in range(4)] == ["base", "option", "8 DO", ""]
 
 
-def test_without_a_word_only_the_presets_are_plugged() -> None:
+def test_without_a_choice_the_presets_are_plugged() -> None:
     assert configure(presets()).config.hex(" ") == "11 21"
     assert configure(presets(), []).config.hex(" ") == "11 21"
     assert configure(presets(0)).config.hex(" ") == "11 21"
@@ -216,7 +216,7 @@ def test_the_module_of_a_telegram_stands_behind_the_fixed_presets() -> None:
     assert configuration_like(presets(), b"\x11\x21\x10", (0, 0)).config.hex(" ") == "11 21 10"
 
 
-def test_a_simulated_slave_wants_its_fixed_presets_first() -> None:
+def test_a_simulated_slave_requires_its_fixed_presets_first() -> None:
     slave = slave_description(presets())
     assert slave.default_config.hex(" ") == "11 21"
     for good in ("11 21", "11 21 20 10", "11 21 00 10"):
@@ -240,7 +240,7 @@ SAFE = (
 )
 
 
-def test_modules_with_f_parameters_are_told_and_never_refused() -> None:
+def test_modules_with_f_parameters_get_a_note() -> None:
     file = made(SAFE.replace("0xC4,0x00", "0x11"))
     found = configure(file.device, ["8 DI"])
     assert found.config.hex(" ") == "11 10"
@@ -255,13 +255,13 @@ def test_modules_with_f_parameters_are_told_and_never_refused() -> None:
     ]
 
 
-def test_f_parameters_of_a_compact_device_are_told() -> None:
+def test_f_parameters_of_a_compact_device_get_a_note() -> None:
     file = made('F_Ext_User_Prm_Data_Const(0) = 0,0\nModule = "x" 0x10\nEndModule\n')
     assert configure(file.device).notes[0].startswith("the device itself has F_ parameters (PROFIsafe)")
     assert "the device itself has F_ parameters" in check(file)[0].message
 
 
-def test_devices_without_f_parameters_get_no_word_of_them() -> None:
+def test_devices_without_f_parameters_get_no_note() -> None:
     assert not [d for d in check(made(TWO)) if "PROFIsafe" in d.message]
 
 

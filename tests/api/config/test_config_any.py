@@ -1,4 +1,4 @@
-"""Any value at any key of a configuration is taken or refused with a ConfigError, in one line of reasonable length."""
+"""Any value of any key is accepted or refused with a ConfigError, in one line of reasonable length."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dpstack.api.config.slave import Changes, SlaveKeys
 from dpstack.api.config.table import keys_of
 from dpstack.errors import ConfigError
 
-#: TOML as it is written
+#: values as TOML texts
 VALUES = st.one_of(
     st.integers(-(2**70), 2**70).map(str),
     st.sampled_from(
@@ -57,13 +57,14 @@ BASE = {
 
 
 def read(text: str) -> None:
-    told = ""
+    """Read ``text``; an error message must be printable and not too long."""
+    message = ""
     try:
         parse_config(text, "plant.toml")
     except ConfigError as error:
-        told = str(error)
-    assert told.isprintable(), told
-    assert len(told) < 2000
+        message = str(error)
+    assert message.isprintable(), message
+    assert len(message) < 2000
 
 
 def without(text: str, key: str) -> str:

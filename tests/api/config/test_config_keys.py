@@ -1,6 +1,6 @@
-"""The tables of keys are what the readers do: at every limit, for every type, in a file and while the bus runs.
+"""The tables of keys hold at every limit and for every type, in a file and while the bus runs.
 
-And a parameter of a slave is stated once: no other class, function or call lists the fields of SlaveParams again.
+Also: no other class, function or call lists the fields of SlaveParams again.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ TABLES = {
 TITLES = {"bus": "[bus]", "slave": "[[slave]] raw", "dpv1": "[[slave]] raw: dpv1"}
 KEYS = [(table, name) for table, keys in TABLES.items() for name in keys]
 LIMITED = [(table, name) for table, name in KEYS if not math.isinf(TABLES[table][name].low)]
-#: what a key takes and no other: a value of another type
+#: values of types that no key takes
 WRONG = ["1979-05-27", "[[1]]", "[{}]"]
 
 
@@ -60,7 +60,7 @@ def plant(table: str, name: str, value: str, blanks: int = 0) -> tuple[str, int]
 
 
 def refusal(table: str, name: str, value: str, blanks: int = 0) -> tuple[str, int]:
-    """What is said to it, "" where it is taken, and the line where it stands."""
+    """(the error message for the key, "" where it is accepted; the line of the key)."""
     text, line = plant(table, name, value, blanks)
     try:
         parse_config(text, "plant.toml")
@@ -82,24 +82,24 @@ def test_at_the_limits(table: str, name: str, blanks: int) -> None:
     key = TABLES[table][name]
     least = 0.0001 if 0 < key.low < 1 else 1
     for value, inside in ((key.low - least, False), (key.low, True), (key.high, True), (key.high * 1.01 + 1, False)):
-        told, line = refusal(table, name, texts(key, value), blanks)
+        message, line = refusal(table, name, texts(key, value), blanks)
         limits = f"{key.low:g}..{key.high:g}" if key.kind is float else f"{key.low}..{key.high}"
-        assert (f" outside {limits}; " in told) is not inside, (value, told)
+        assert (f" outside {limits}; " in message) is not inside, (value, message)
         if not inside:
-            assert told.startswith(f"plant.toml:{line}: {TITLES[table]}: {name} "), told
+            assert message.startswith(f"plant.toml:{line}: {TITLES[table]}: {name} "), message
 
 
 @pytest.mark.parametrize(("table", "name"), KEYS)
 def test_another_type(table: str, name: str) -> None:
     for value in WRONG:
-        told, line = refusal(table, name, value)
-        assert told.startswith(f"plant.toml:{line}: "), (value, told)
-        assert name in told
-        assert told.partition("; ")[2]
+        message, line = refusal(table, name, value)
+        assert message.startswith(f"plant.toml:{line}: "), (value, message)
+        assert name in message
+        assert message.partition("; ")[2]
 
 
 @pytest.mark.parametrize(("table", "name"), KEYS)
-def test_a_misspelt_key_is_met_with_the_right_one(table: str, name: str) -> None:
+def test_the_message_about_a_misspelt_key_names_the_right_one(table: str, name: str) -> None:
     text, _ = plant(table, name, "1")
     with pytest.raises(ConfigError, match=rf"unknown key '{name}x'; did you mean '{name}'\?"):
         parse_config(text.replace(f"{name} = 1", f"{name}x = 1"), "plant.toml")
@@ -112,17 +112,17 @@ def raw() -> SlaveConfig:
 
 
 @pytest.mark.parametrize("name", [name for name, key in keys_of(Changes).items() if not math.isinf(key.low)])
-def test_the_same_is_said_to_a_running_bus(name: str) -> None:
+def test_a_running_bus_gives_the_same_messages(name: str) -> None:
     key = keys_of(Changes)[name]
     for value in (key.low - 1, key.high + 1):
         given_: Any = {name: int(value) if key.kind is int else [int(value)]}
-        told, _ = refusal("slave", name, texts(key, value))
+        message, _ = refusal("slave", name, texts(key, value))
         with pytest.raises(ConfigError) as caught:
             changed(raw(), given_)
-        assert str(caught.value).removeprefix("slave 9 (raw): reparameterise: ") == told.partition("raw: ")[2]
+        assert str(caught.value).removeprefix("slave 9 (raw): reparameterise: ") == message.partition("raw: ")[2]
 
 
-def test_none_is_as_if_it_had_never_been_given() -> None:
+def test_none_means_left_out() -> None:
     slave = raw()
     given_: Any = {
         "ident": 7, "watchdog_ms": 100, "groups": [3], "sync": True, "freeze": True, "every": 3, "safe": "01",
@@ -141,9 +141,9 @@ def test_none_is_as_if_it_had_never_been_given() -> None:
 FIELDS = {field.name for field in dataclasses.fields(SlaveParams)} - {"address", "name", "ident", "config", "texts"}
 #: a list of fewer is none
 FEW = 4
-#: what an author's own slave is and can, the model of a GSD file, and the octets of a PDU are other things
+#: rooms with fields of other things: slaves of the program, the model of a GSD file, octets of a PDU
 OTHERS = ("gsd/", "sim/", "dp/slave/", "dp/pdu/", "dpv1/slave/", "dpv1/pdu/")
-#: who lists as many for a reason of its own, and what that is
+#: places that list as many for a reason of their own, with the reason
 LISTS = {
     "slave_params.SlaveParams": "the parameters themselves",
     "slave_params": "their limits",

@@ -7,7 +7,7 @@ import json
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, virtual
+from api_kit import HOIST, RAW, bus_of, in_virtual_time
 from control_kit import octet_client
 
 import dpstack
@@ -76,33 +76,31 @@ def test_a_configuration() -> None:
         ('inputs = { a = "" }\n', "plant.toml:10: [[slave]] raw: inputs: a is empty; give it a value or leave it out"),
     ],
 )
-def test_configurations_that_cannot_be(keys: str, line: str) -> None:
+def test_refused_fields(keys: str, line: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parse_config(BUS + keys, "plant.toml")
     assert str(caught.value).startswith(line)
 
 
-def test_names_in_a_program() -> None:
-    async def program() -> None:
-        async with bus_of(VALVES) as bus:
-            await bus.ready()
-            await bus.operate()
-            valves = bus.slave("valves")
-            valves.outputs = b"\x81\x55\x00\x00"
-            valves["open"] = True
-            assert valves.outputs == b"\x89\x55\x00\x00"  # its own bit only
-            valves.update({"open": False, "close": 1, "target": -2})
-            assert valves.outputs == b"\x91\x55\xff\xfe"
-            assert valves.output_values == {"open": False, "close": True, "target": -2}
-            await asyncio.sleep(0.05)
-            assert (valves["status"], valves["level"], valves["limit"]) == (0x91, -2, False)
-            assert valves.input_values == {"limit": False, "status": 0x91, "level": -2, "level_raw": b"\xff\xfe"}
-            assert valves["target"] == -2
-            assert "level" in valves
-            assert "Level" not in valves
-            assert list(valves) == ["limit", "status", "level", "level_raw", "open", "close", "target"]
-
-    virtual(program())
+@in_virtual_time
+async def test_names_in_a_program() -> None:
+    async with bus_of(VALVES) as bus:
+        await bus.ready()
+        await bus.operate()
+        valves = bus.slave("valves")
+        valves.outputs = b"\x81\x55\x00\x00"
+        valves["open"] = True
+        assert valves.outputs == b"\x89\x55\x00\x00"  # its own bit only
+        valves.update({"open": False, "close": 1, "target": -2})
+        assert valves.outputs == b"\x91\x55\xff\xfe"
+        assert valves.output_values == {"open": False, "close": True, "target": -2}
+        await asyncio.sleep(0.05)
+        assert (valves["status"], valves["level"], valves["limit"]) == (0x91, -2, False)
+        assert valves.input_values == {"limit": False, "status": 0x91, "level": -2, "level_raw": b"\xff\xfe"}
+        assert valves["target"] == -2
+        assert "level" in valves
+        assert "Level" not in valves
+        assert list(valves) == ["limit", "status", "level", "level_raw", "open", "close", "target"]
 
 
 @pytest.mark.parametrize(
@@ -115,31 +113,27 @@ def test_names_in_a_program() -> None:
         ({"open": "yes"}, "open is a bit: 'yes' is neither true nor false"),
     ],
 )
-def test_all_or_nothing(values: dict[str, object], text: str) -> None:
-    async def program() -> None:
-        async with bus_of(VALVES) as bus:
-            valves = bus.slave("valves")
-            with pytest.raises(dpstack.UsageError, match=text):
-                valves.update(values)
-            assert valves.outputs == bytes(4)
-            with pytest.raises(dpstack.UsageError, match=r"no field is called 'lvel'; did you mean level\?"):
-                _ = valves["lvel"]
-
-    virtual(program())
+@in_virtual_time
+async def test_an_update_changes_all_outputs_or_none(values: dict[str, object], text: str) -> None:
+    async with bus_of(VALVES) as bus:
+        valves = bus.slave("valves")
+        with pytest.raises(dpstack.UsageError, match=text):
+            valves.update(values)
+        assert valves.outputs == bytes(4)
+        with pytest.raises(dpstack.UsageError, match=r"no field is called 'lvel'; did you mean level\?"):
+            _ = valves["lvel"]
 
 
-def test_where_nothing_is_named_and_where_a_plugin_writes() -> None:
-    async def program() -> None:
-        hoist = {**HOIST, "outputs": {"command": "u16@8"}}
-        async with bus_of(RAW, hoist) as bus:
-            with pytest.raises(dpstack.UsageError, match="no field is called 'a'; there are: none"):
-                _ = bus.slave("raw")["a"]
-            assert (bus.slave("raw").input_values, bus.slave("raw").output_values) == ({}, {})
-            assert bus.slave("hoist")["command"] == 0
-            with pytest.raises(dpstack.UsageError, match="its drive plugin makes the outputs"):
-                bus.slave("hoist")["command"] = 1
-
-    virtual(program())
+@in_virtual_time
+async def test_slaves_without_names_and_slaves_with_a_plugin() -> None:
+    hoist = {**HOIST, "outputs": {"command": "u16@8"}}
+    async with bus_of(RAW, hoist) as bus:
+        with pytest.raises(dpstack.UsageError, match="no field is called 'a'; there are: none"):
+            _ = bus.slave("raw")["a"]
+        assert (bus.slave("raw").input_values, bus.slave("raw").output_values) == ({}, {})
+        assert bus.slave("hoist")["command"] == 0
+        with pytest.raises(dpstack.UsageError, match="its drive plugin makes the outputs"):
+            bus.slave("hoist")["command"] = 1
 
 
 async def test_in_the_summary_and_through_the_control_socket() -> None:

@@ -1,10 +1,11 @@
-"""A drive beside its maker's GSD file: what the file says goes before what the plugin made up."""
+"""A drive with its maker's GSD file: the file has priority over the data of the plugin."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
+from api_kit import in_virtual_time, running
 
 import dpstack
 from dpstack.api.config.config import parse_config, slave_config
@@ -48,7 +49,7 @@ def fan(folder: Path, keys: str) -> SlaveConfig:
     return parse_config(HEAD + 'gsd = "frenic.gsd"\n' + keys, str(folder / "plant.toml")).slaves[0]
 
 
-def test_the_other_reading_of_its_file_is_told_where_it_is_refused(folder: Path) -> None:
+def test_the_note_about_the_other_reading_of_the_file(folder: Path) -> None:
     contradicting = 'ExtUserPrmData = 1 "Ramp"\nUnsigned8 7 0-255\nEndExtUserPrmData\nExt_User_Prm_Data_Ref(2) = 1\n'
     text = FRENIC.replace("Unit_Diag_Bit", contradicting + "Unit_Diag_Bit", 1)
     (folder / "frenic.gsd").write_text(text, encoding="utf-8")
@@ -60,7 +61,7 @@ def test_the_other_reading_of_its_file_is_told_where_it_is_refused(folder: Path)
     assert fan(folder, 'telegram = "PPO3"\nuser_prm = "01 02 03"\n').params.prm_note == ""
 
 
-def test_the_file_goes_before_what_was_made_up(folder: Path) -> None:
+def test_the_file_has_priority_over_the_plugin(folder: Path) -> None:
     slave = fan(folder, 'telegram = "PPO3"\nsync = true\n')
     assert (slave.params.ident, slave.params.config, slave.params.user_prm) == (0x0A1B, b"\xf1", b"\x01\x02\x03")
     assert (slave.telegram, slave.notes, slave.params.sync) == ("PPO3", (), True)
@@ -105,22 +106,19 @@ def test_refused(folder: Path, keys: str, message: str) -> None:
     assert str(caught.value).startswith(f"{folder}/plant.toml:{message}")
 
 
-async def runs(slave: SlaveConfig) -> float | None:
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[slave]) as bus:
+@in_virtual_time
+async def test_the_drive_runs_with_its_file(folder: Path) -> None:
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[fan(folder, 'telegram = "PPO3"\n')]) as bus:
         await bus.operate()
         await bus.ready()
         drive = bus.drive("fan")
         await drive.start()
         drive.speed = 0.5
         await drive.reached(timeout=30)
-        return drive.status.speed
+        assert drive.status.speed == pytest.approx(0.5, abs=0.01)
 
 
-def test_the_drive_runs_with_it_and_so_does_the_simulated_one(folder: Path) -> None:
-    assert dpstack.run_virtual(runs(fan(folder, 'telegram = "PPO3"\n'))) == pytest.approx(0.5, abs=0.01)
-
-
-#: of nobody: identifier octets and ident number that no plugin has
+#: identifier octets and ident number that no plugin has
 HD2 = """#Profibus_DP
 GSD_Revision = 3
 Vendor_Name = "made up"
@@ -148,24 +146,19 @@ EndModule
     ],
     ids=lambda value: str(value)[:40],
 )
-def test_other_drives_run_as_their_files_say(
+@in_virtual_time
+async def test_other_drives_run_as_their_files_say(
     tmp_path: Path, table: dict[str, object], text: str, config: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Identifier octets and ident number of the file at both ends: data exchange, and the drive runs."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "hd2.gsd").write_text(text, encoding="utf-8")
     slave = {"name": "it", "address": 5, **table}
-
-    async def main() -> None:
-        async with dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[slave]) as bus:
-            await bus.operate()
-            it = bus.drive("it")
-            it.speed = 0.25
-            await it.start()
-            await it.reached()
-            assert it.status.speed == pytest.approx(0.25, abs=0.01)
-
     found = slave_config(slave)
     assert found.params.config.hex() == config
     assert not any("made up" in note for note in found.notes)
-    dpstack.run_virtual(main())
+    async with running(slave, 1_500_000) as (_, it):
+        it.speed = 0.25
+        await it.start()
+        await it.reached()
+        assert it.status.speed == pytest.approx(0.25, abs=0.01)

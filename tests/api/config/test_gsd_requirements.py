@@ -1,11 +1,11 @@
-"""What a GSD file requires and a configuration turns off is told; what it says a device cannot is not tried."""
+"""Notes about requirements of a GSD file that a configuration switches off; services that the file excludes."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
-from api_kit import RAW, bus_of, slave_in, virtual
+from api_kit import RAW, bus_of, in_virtual_time, slave_in
 
 import dpstack
 from dpstack import UsageError
@@ -42,7 +42,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def notes(folder: Path, keywords: str, keys: str) -> list[str]:
-    """What is told of slave 8, of a GSD file with ``keywords`` too."""
+    """The notes about slave 8, whose GSD file has the ``keywords`` too."""
     (folder / "rig.gsd").write_text(GSD.replace("Module =", f"{keywords}\nModule =", 1), encoding="ascii")
     table = f'[[slave]]\nname = "rig"\naddress = 8\ngsd = "rig.gsd"\n{keys}\n'
     config = parse_config(f'[bus]\nport = "virtual"\nbaud = 500000\n{table}', str(folder / "plant.toml"))
@@ -72,7 +72,9 @@ EXTRA = (
         ("Isochron_Mode_required = 1", "", "Isochron_Mode_required = 1, and dpstack has no isochronous mode"),
     ],
 )
-def test_what_the_configuration_turns_off_is_told(folder: Path, keywords: str, keys: str, text: str) -> None:
+def test_requirements_that_the_configuration_switches_off_get_a_note(
+    folder: Path, keywords: str, keys: str, text: str
+) -> None:
     (note,) = notes(folder, keywords, keys)
     assert text in note
 
@@ -83,16 +85,16 @@ def test_what_the_configuration_turns_off_is_told(folder: Path, keywords: str, k
         ("C1_Read_Write_required = 1\nProcess_Alarm_required = 1", ""),
         ("C1_Read_Write_required = 1", "dpv1 = true"),
         ("", "dpv1 = false"),
-        ("C2_Read_Write_supp = 1\nC2_Read_Write_required = 1", "dpv1 = false"),  # somebody else's business
+        ("C2_Read_Write_supp = 1\nC2_Read_Write_required = 1", "dpv1 = false"),  # class 2 is no matter of this master
         ("Extra_Alarm_SAP_supp = 1", "dpv1 = { extra_alarm_sap = true }"),
-        ("Extra_Alarm_SAP_supp = 1", "dpv1 = { extra_alarm_sap = false }"),  # 51 is open too
+        ("Extra_Alarm_SAP_supp = 1", "dpv1 = { extra_alarm_sap = false }"),  # SAP 51 works, too
     ],
 )
-def test_what_is_no_remark(folder: Path, keywords: str, keys: str) -> None:
+def test_configurations_without_a_note(folder: Path, keywords: str, keys: str) -> None:
     assert notes(folder, keywords, keys) == []
 
 
-def test_a_required_alarm_that_is_not_said_to_be_supported_can_be_enabled(folder: Path) -> None:
+def test_a_required_alarm_without_its_supp_keyword_can_be_enabled(folder: Path) -> None:
     required = "Update_Alarm_required = 1"
     assert notes(folder, required, 'dpv1 = { alarms = ["update"] }') == []
     with pytest.raises(ConfigError, match="Update_Alarm_required = 1"):
@@ -106,59 +108,54 @@ def test_a_required_alarm_that_is_not_said_to_be_supported_can_be_enabled(folder
     ("old", "new", "ident"),
     [(9, 10, None), (126, 9, None), (126, 10, 0x1234)],
 )
-def test_no_address_for_a_device_that_takes_none(folder: Path, old: int, new: int, ident: int | None) -> None:
-    async def program() -> None:
-        table = {"name": "rig", "address": 9, "gsd": str(folder / "rig.gsd")}
-        async with bus_of(table, world=dpstack.World()) as bus:
-            with pytest.raises(UsageError) as caught:
-                await bus.class2.set_address(old, new, ident=ident)
-            assert str(caught.value) == (
-                "slave 9 (rig): its GSD file does not say Set_Slave_Add_supp = 1: its address is set at the device "
-                "(switches, its keypad); force=True asks it all the same"
-            )
-            with pytest.raises(dpstack.SlaveTimeout):  # nobody is there
-                await bus.class2.set_address(old, new, ident=ident, force=True)
-
-    virtual(program())
+@in_virtual_time
+async def test_set_slave_add_is_refused_where_the_file_excludes_it(
+    folder: Path, old: int, new: int, ident: int | None
+) -> None:
+    table = {"name": "rig", "address": 9, "gsd": str(folder / "rig.gsd")}
+    async with bus_of(table, world=dpstack.World()) as bus:
+        with pytest.raises(UsageError) as caught:
+            await bus.class2.set_address(old, new, ident=ident)
+        assert str(caught.value) == (
+            "slave 9 (rig): its GSD file does not say Set_Slave_Add_supp = 1: its address is set at the device "
+            "(switches, its keypad); force=True asks it all the same"
+        )
+        with pytest.raises(dpstack.SlaveTimeout):  # nobody is there
+            await bus.class2.set_address(old, new, ident=ident, force=True)
 
 
 @pytest.mark.parametrize("says", ["Set_Slave_Add_supp = 1", None])
-def test_an_address_where_the_file_says_so_or_nothing_is_known(folder: Path, says: str | None) -> None:
-    async def program() -> None:
-        (folder / "rig.gsd").write_text(f"{GSD}{says}\n", encoding="ascii")
-        table = {"name": "rig", "address": 9, "gsd": str(folder / "rig.gsd")} if says else RAW
-        async with bus_of(table, world=dpstack.World()) as bus:
-            with pytest.raises(dpstack.SlaveTimeout):
-                await bus.class2.set_address(126, 9)
-
-    virtual(program())
+@in_virtual_time
+async def test_set_slave_add_where_the_file_allows_it_or_there_is_none(folder: Path, says: str | None) -> None:
+    (folder / "rig.gsd").write_text(f"{GSD}{says}\n", encoding="ascii")
+    table = {"name": "rig", "address": 9, "gsd": str(folder / "rig.gsd")} if says else RAW
+    async with bus_of(table, world=dpstack.World()) as bus:
+        with pytest.raises(dpstack.SlaveTimeout):
+            await bus.class2.set_address(126, 9)
 
 
-# --- the words of a diagnosis over class 2 ------------------------------------------------------------------------
+# --- the texts of a diagnosis over class 2 ------------------------------------------------------------------------
 
 
-class Told(MirrorDevice):
-    """Has something to say."""
+class Faulty(MirrorDevice):
+    """A device with diagnosis blocks."""
 
     def user_diag(self) -> UserDiag:
         return UserDiag.of(device_block(b"\x01"), channel_block(0, 3, 17, size=1, input=True))
 
 
 @pytest.mark.parametrize(("ident", "words"), [(0x1234, True), (0x4321, False)])
-def test_a_diagnosis_over_class_2_has_the_words_of_the_gsd_file(folder: Path, ident: int, words: bool) -> None:
-    """Of the slave that the configuration has there; not of another device that stands at its address."""
-
-    async def program() -> None:
-        world = dpstack.World()
-        slave_in(world, Told(ident, b"\x20\x10"), 9)
-        table = {"name": "rig", "address": 9, "gsd": str(folder / "rig.gsd"), "dpv1": False}
-        async with bus_of(table, world=world) as bus:
-            found = await bus.class2.diagnosis(9)
-            assert found.ident == ident
-            said = "fuse blown" if words else "device: 01"
-            channel = "sensor missing" if words else "bit): error 17"
-            assert said in found.diagnosis_texts
-            assert any(channel in line for line in found.diagnosis_texts)
-            assert found.diagnosis_texts[: len(found.texts)] == found.texts
-
-    virtual(program())
+@in_virtual_time
+async def test_a_diagnosis_over_class_2_has_the_texts_of_the_gsd_file(folder: Path, ident: int, words: bool) -> None:
+    """Only for the configured device, not for another one at its address."""
+    world = dpstack.World()
+    slave_in(world, Faulty(ident, b"\x20\x10"), 9)
+    table = {"name": "rig", "address": 9, "gsd": str(folder / "rig.gsd"), "dpv1": False}
+    async with bus_of(table, world=world) as bus:
+        found = await bus.class2.diagnosis(9)
+        assert found.ident == ident
+        said = "fuse blown" if words else "device: 01"
+        channel = "sensor missing" if words else "bit): error 17"
+        assert said in found.diagnosis_texts
+        assert any(channel in line for line in found.diagnosis_texts)
+        assert found.diagnosis_texts[: len(found.texts)] == found.texts

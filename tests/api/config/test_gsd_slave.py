@@ -1,13 +1,13 @@
-"""[[slave]] tables that name a GSD file: what follows from it, and every refusal."""
+"""[[slave]] tables with a GSD file: the parameters by the file, notes and refusals."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
+from api_kit import bus_of, in_virtual_time
 from gsd_kit import FILES
 
-import dpstack
 from dpstack.api.config.config import Config, parse_config, rate_findings
 from dpstack.cli.main import main
 from dpstack.errors import ConfigError
@@ -19,7 +19,7 @@ def config(keys: str, name: str = "plant.toml") -> Config:
     return parse_config(HEAD + keys, str(FILES / name))
 
 
-def test_what_follows_from_the_file() -> None:
+def test_the_parameters_by_the_file() -> None:
     found = config('gsd = "whole.gsd"\nmodules = ["8 DI", 2]\nparameters = { "Diagnosis" = "off", Delay = 100 }\n')
     slave = found.slaves[0]
     assert (slave.params.ident, slave.params.config.hex(" ")) == (0x1A2B, "10 20")
@@ -35,7 +35,7 @@ def test_what_follows_from_the_file() -> None:
     ]
 
 
-def test_both_readings_and_the_remark() -> None:
+def test_both_readings_and_the_note() -> None:
     keys = 'gsd = "prm.gsd"\nmodules = ["AI"]\n'
     refs = config(keys).slaves[0]
     assert refs.params.user_prm.hex(" ") == "c0 00 00 d7 11 5f ff fe 00 00 00"
@@ -66,7 +66,7 @@ def test_user_prm_in_place_of_the_files() -> None:
     assert slave.params.prm_note == ""
 
 
-def test_modules_as_the_file_presets_them() -> None:
+def test_the_preset_modules_of_the_file() -> None:
     assert config('gsd = "slots.gsd"\n').slaves[0].params.config == b"\x00\x11\x21"
 
 
@@ -125,7 +125,7 @@ def test_refused(keys: str, message: str) -> None:
     assert str(caught.value).startswith(f"{FILES}/plant.toml:" + message.format(files=FILES))
 
 
-def test_what_dpv1_status_says_follows_from_the_file() -> None:
+def test_dpv1_status_follows_from_the_file() -> None:
     keys = 'gsd = "whole.gsd"\nmodules = ["8 DO"]\n'
     setup = config(keys + "watchdog_ms = 25\n").slaves[0].params
     watchdog = setup.watchdog(100)
@@ -154,22 +154,16 @@ def test_bus_parameters_fit_the_slowest_slave() -> None:
     assert slow.params(45_450).t_sl > 250
 
 
-async def exchange() -> tuple[str, bytes]:
-    async with dpstack.open_bus(
-        port="virtual",
-        baud=500_000,
-        slaves=[{"name": "io", "address": 8, "gsd": str(FILES / "whole.gsd"), "modules": ["8 DO", "8 DI"]}],
-    ) as bus:
+@in_virtual_time
+async def test_a_slave_by_its_gsd_file_on_a_bus() -> None:
+    table = {"name": "io", "address": 8, "gsd": str(FILES / "whole.gsd"), "modules": ["8 DO", "8 DI"]}
+    async with bus_of(table) as bus:
         await bus.operate()
         slave = bus.slave("io")
         await slave.ready()
         slave.outputs = b"\x5a"
         await bus.rotated(10)
-        return slave.state.value, bytes(slave.inputs)
-
-
-def test_on_a_bus() -> None:
-    assert dpstack.run_virtual(exchange()) == ("data_exchange", b"\x5a")
+        assert (slave.state.value, slave.inputs) == ("data_exchange", b"\x5a")
 
 
 SAFE = (
@@ -179,14 +173,14 @@ SAFE = (
 )
 
 
-def test_profisafe_modules_are_told_by_plan_and_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan_and_run_print_the_note_about_profisafe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "safe.gsd").write_text(SAFE, encoding="utf-8")
     plant = tmp_path / "plant.toml"
     plant.write_text(HEAD + 'gsd = "safe.gsd"\nmodules = ["8 DI"]\n', encoding="utf-8")
-    told = "slave 8 (io): module 'F-DI' (reference 5) in slot 1 has F_ parameters (PROFIsafe), but dpstack is no F-host"
+    note = "slave 8 (io): module 'F-DI' (reference 5) in slot 1 has F_ parameters (PROFIsafe), but dpstack is no F-host"
     assert main(["plan", str(plant)]) == 0
-    assert told in capsys.readouterr().out
+    assert note in capsys.readouterr().out
     assert main(["run", str(plant), "--rotations", "10", "--json"]) == 0
     out = capsys.readouterr().out
-    assert told in out
+    assert note in out
     assert '"state":"data_exchange"' in out

@@ -1,4 +1,4 @@
-"""What a simulated drive is, in the configuration; where it stands after its address was written and it was off."""
+"""The key ``simulated``: options and parameters of a simulated drive; its address after power-on."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+from api_kit import device_of, in_virtual_time, running
 
 import dpstack
-from dpstack.profile import DriveDevice
 
 BASE = """
 [bus]
@@ -24,22 +24,16 @@ simulated = {table}
 """
 
 
-def test_options_and_parameters_of_the_simulated_drive(tmp_path: Path) -> None:
+@in_virtual_time
+async def test_options_and_parameters_of_the_simulated_drive(tmp_path: Path) -> None:
     path = tmp_path / "bus.toml"
     path.write_text(BASE.format(table="{ load = 0.8, 412 = 1, fixed_frequency_1 = 7.5 }"), encoding="utf-8")
-
-    async def main() -> None:
-        async with dpstack.open_bus(path) as bus:
-            await bus.operate()
-            hoist = bus.drive("hoist")
-            await hoist.start()
-            assert await hoist.read("fixed_frequency_1", data_set=1) == 7.5
-            assert bus.bench is not None
-            device = bus.bench.device(4)
-            assert isinstance(device, DriveDevice)
-            assert device.motor.load == 0.8
-
-    dpstack.run_virtual(main())
+    async with dpstack.open_bus(path) as bus:
+        await bus.operate()
+        hoist = bus.drive("hoist")
+        await hoist.start()
+        assert await hoist.read("fixed_frequency_1", data_set=1) == 7.5
+        assert device_of(bus, 4).motor.load == 0.8
 
 
 @pytest.mark.parametrize(
@@ -51,7 +45,7 @@ def test_options_and_parameters_of_the_simulated_drive(tmp_path: Path) -> None:
         ("5", "simulated"),
     ],
 )
-def test_what_it_does_not_have_is_refused_with_the_key(tmp_path: Path, table: str, says: str) -> None:
+def test_unknown_options_are_refused_with_the_key(tmp_path: Path, table: str, says: str) -> None:
     path = tmp_path / "bus.toml"
     path.write_text(BASE.format(table=table), encoding="utf-8")
     with pytest.raises(dpstack.ConfigError, match=says) as error:
@@ -69,21 +63,15 @@ DRIVES: list[tuple[Mapping[str, object], str | int]] = [
 
 
 @pytest.mark.parametrize(("table", "parameter"), DRIVES, ids=lambda value: str(value)[:30])
-def test_a_new_address_acts_from_the_next_power_on(table: Mapping[str, object], parameter: str | int) -> None:
-    """The drive holds its address and stands there (for one: docs/drives/demag.md#address)."""
-
-    async def main() -> None:
-        slaves = [{"name": "it", "address": 4, **table}]
-        async with dpstack.open_bus(port="virtual", baud=1_500_000, slaves=slaves) as bus:
-            await bus.operate()
-            drive = bus.drive("it")
-            assert await drive.read(parameter) == 4
-            await drive.write(parameter, 9)
-            bench = bus.bench
-            assert bench is not None
-            bench.power(4, False)
-            bench.power(4, True)
-            found = await bus.scan()
-            assert {station.address for station in found if station.ident is not None} == {9}
-
-    dpstack.run_virtual(main())
+@in_virtual_time
+async def test_a_new_address_acts_from_the_next_power_on(table: Mapping[str, object], parameter: str | int) -> None:
+    """Until then it keeps the old address (for one drive: docs/drives/demag.md#address)."""
+    async with running({"name": "it", "address": 4, **table}, 1_500_000) as (bus, drive):
+        assert await drive.read(parameter) == 4
+        await drive.write(parameter, 9)
+        bench = bus.bench
+        assert bench is not None
+        bench.power(4, False)
+        bench.power(4, True)
+        found = await bus.scan()
+        assert {station.address for station in found if station.ident is not None} == {9}

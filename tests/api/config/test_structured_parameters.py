@@ -1,4 +1,4 @@
-"""Prm_Structure: all behind DPV1_Status is blocks, whatever the parameters were before; Fail_Safe beside it."""
+"""Prm_Structure: all octets behind DPV1_Status become blocks; Fail_Safe in DPV1_Status."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COMMAND_OCTETS = "08 02 00 01 00 00 00 00"
 
 
 def sent(keys: str) -> str:
-    """The user parameters as they go out."""
+    """The user parameters that Set_Prm carries."""
     return parse_config(HEAD + keys, "plant.toml").slaves[0].params.user_octets(None).hex(" ")
 
 
@@ -56,7 +56,7 @@ def test_a_gsd_file_that_requires_the_structure(tmp_path: Path, rest: str) -> No
     assert sent(f'gsd = "{gsd}"\nmodules = [1]\n') == f"80 00 08{rest}"
 
 
-def test_a_gsd_file_that_requires_what_it_does_not_have(tmp_path: Path) -> None:
+def test_a_gsd_file_that_requires_blocks_and_has_none(tmp_path: Path) -> None:
     gsd = gsd_of(tmp_path, "00 00 00 05 81", required=True)
     with pytest.raises(ConfigError, match="Prm_Block_Structure_req = 1: blocks have to follow DPV1_Status"):
         sent(f'gsd = "{gsd}"\nmodules = [1]\n')

@@ -1,10 +1,11 @@
-"""TOML of any make is read or refused with file and line, with work in proportion to its size."""
+"""Any TOML text is read or refused with file and line, in time proportional to its size."""
 
 from __future__ import annotations
 
 import contextlib
 import tomllib
 from collections.abc import Callable
+from functools import partial
 
 import pytest
 from hypothesis import given
@@ -20,7 +21,7 @@ from dpstack.errors import ConfigError
 BUS = '[bus]\nport = "virtual"\nbaud = 500000\n'
 SLAVE = '[[slave]]\naddress = 8\nident = 0x1234\nconfig = "20 10"\n'
 
-#: what is refused, in line 4 of a configuration
+#: texts that are refused in line 4 of a configuration
 REFUSED = {
     "a key of 50000 parts": (".".join(["a"] * 50_000) + " = 1", "a key of more than 16 parts"),
     "a header of 50000 parts": (f"[{'.'.join(['a'] * 50_000)}]", "a key of more than 16 parts"),
@@ -35,9 +36,15 @@ REFUSED = {
 }
 
 
+def read_or_refuse(read: Callable[[str], object], text: str) -> None:
+    """Read ``text``; nothing but TomlError and ConfigError may be raised."""
+    with contextlib.suppress(TomlError, ConfigError):
+        read(text)
+
+
 @pytest.mark.parametrize("name", REFUSED)
 @pytest.mark.parametrize("read", [parse_config, ParameterList.parse, RecordList.parse])
-def test_what_tomllib_must_not_see(name: str, read: Callable[[str, str], object]) -> None:
+def test_texts_that_are_refused_before_tomllib_reads_them(name: str, read: Callable[[str, str], object]) -> None:
     text, what = REFUSED[name]
     line = 5 if "'''" in text else 4
     with pytest.raises(ConfigError) as caught:
@@ -47,7 +54,7 @@ def test_what_tomllib_must_not_see(name: str, read: Callable[[str, str], object]
     assert len(str(caught.value)) < 300
 
 
-def test_up_to_the_limits_it_is_read() -> None:
+def test_texts_at_the_limits_are_read() -> None:
     key = ".".join(["a"] * MAX_PARTS)
     deep = "[" * MAX_DEPTH + "]" * MAX_DEPTH
     number = "1" * MAX_BARE
@@ -62,7 +69,7 @@ def test_a_file_that_is_too_long() -> None:
         parse_config("#" * 4_000_001, "plant.toml")
 
 
-def test_what_python_itself_refuses_is_told_with_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refusals_of_python_name_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
     for error in (ValueError("digits"), RecursionError("too deep")):
 
         def loads(_text: str, error: Exception = error) -> object:
@@ -91,7 +98,7 @@ def test_what_python_itself_refuses_is_told_with_the_file(monkeypatch: pytest.Mo
         ),
     ],
 )
-def test_lines_of_what_tomllib_accepts(text: str, lines: dict[tuple[str | int, ...], int]) -> None:
+def test_line_numbers_of_texts_that_tomllib_accepts(text: str, lines: dict[tuple[str | int, ...], int]) -> None:
     tomllib.loads(text)
     assert read_toml(text)[1] == lines
 
@@ -119,16 +126,7 @@ PARTS: dict[str, Callable[[int], str]] = {
 
 @pytest.mark.parametrize("name", PARTS)
 def test_twice_the_text_takes_twice_the_steps(name: str) -> None:
-    def work_of(n: int) -> Callable[[], object]:
-        text = PARTS[name](n)
-
-        def work() -> None:
-            with contextlib.suppress(TomlError):
-                read_toml(text)
-
-        return work
-
-    assert_linear(work_of, 200)
+    assert_linear(lambda n: partial(read_or_refuse, read_toml, PARTS[name](n)), 200)
 
 
 FIELDS: dict[str, Callable[[int], str]] = {
@@ -142,16 +140,10 @@ FIELDS: dict[str, Callable[[int], str]] = {
 def test_many_fields_take_many_steps_and_no_more(name: str, key: str) -> None:
     octets = "EF " * 7 if key == "outputs" else "DF " * 7
 
-    def work_of(n: int) -> Callable[[], object]:
-        text = f'{BUS}[[slave]]\naddress = 8\nident = 0x1234\nconfig = "{octets}"\n{key} = {{ {FIELDS[name](n)} }}\n'
-
-        def work() -> None:
-            with contextlib.suppress(ConfigError):
-                parse_config(text)
-
-        return work
-
-    assert_linear(work_of, 400)
+    slave = f'[[slave]]\naddress = 8\nident = 0x1234\nconfig = "{octets}"\n'
+    assert_linear(
+        lambda n: partial(read_or_refuse, parse_config, f"{BUS}{slave}{key} = {{ {FIELDS[name](n)} }}\n"), 400
+    )
 
 
 @pytest.mark.parametrize("what", ["u8@" + "9" * 5000, "bool@0." + "9" * 5000, "bytes@0:" + "9" * 5000, "u8" * 5000])
@@ -164,20 +156,14 @@ def test_a_field_of_very_many_digits(what: str) -> None:
 
 @given(st.text(alphabet="[]{}\"'=#.\n ab\\_-0x1e+:T", max_size=80))
 def test_any_text_is_read_or_refused(text: str) -> None:
-    with contextlib.suppress(TomlError):
-        read_toml(text)
-    for read in (parse_config, ParameterList.parse, RecordList.parse):
-        with contextlib.suppress(ConfigError):
-            read(text)
+    for read in (read_toml, parse_config, ParameterList.parse, RecordList.parse):
+        read_or_refuse(read, text)
 
 
 @given(st.text(max_size=60))
 def test_any_value_is_read_or_refused(text: str) -> None:
-    with contextlib.suppress(ConfigError):
-        parse_config(f"{BUS}{SLAVE}{text}")
+    read_or_refuse(parse_config, f"{BUS}{SLAVE}{text}")
     for key in ("inputs", "config", "ident", "modules", "gsd", "name", "user_prm", "drive"):
         quoted = text.replace("\\", "").replace('"', "").replace("\n", "")
-        with contextlib.suppress(ConfigError):
-            parse_config(f'{BUS}[[slave]]\naddress = 8\n{key} = "{quoted}"\n')
-        with contextlib.suppress(ConfigError):
-            parse_config(f'{BUS}{SLAVE}inputs = {{ a = "{quoted}" }}\n')
+        read_or_refuse(parse_config, f'{BUS}[[slave]]\naddress = 8\n{key} = "{quoted}"\n')
+        read_or_refuse(parse_config, f'{BUS}{SLAVE}inputs = {{ a = "{quoted}" }}\n')

@@ -1,4 +1,4 @@
-"""The line of every key and table, as a person would point at it."""
+"""The line numbers of all keys and tables of a TOML text."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_lines() -> None:
 
 
 @pytest.mark.parametrize("quote", ['"""', "'''"])
-def test_a_string_over_several_lines_hides_what_is_in_it(quote: str) -> None:
+def test_keys_inside_a_string_of_several_lines_do_not_count(quote: str) -> None:
     text = f"a = {quote}x\nb = 1\n{quote}\nc = 2\n"
     tomllib.loads(text)
     assert line_numbers(text) == {("a",): 1, ("c",): 4}
@@ -71,5 +71,5 @@ def test_an_escaped_quote_does_not_end_a_string() -> None:
 
 
 @given(st.text(alphabet="[]{}\"'=#.\n ab\\", max_size=60))
-def test_any_text_ends(text: str) -> None:
+def test_any_text_has_line_numbers_within_it(text: str) -> None:
     assert all(1 <= line <= len(text.splitlines()) for line in line_numbers(text).values())

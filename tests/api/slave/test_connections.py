@@ -9,7 +9,7 @@ import math
 from collections.abc import AsyncIterator
 
 import pytest
-from api_kit import RAW, bus_of, in_virtual_time, virtual
+from api_kit import RAW, bus_of, in_virtual_time
 from ms2_kit import Ms2Server, ms2_in, served
 
 import dpstack
@@ -232,25 +232,23 @@ async def test_impossible_timeouts() -> None:
         assert [sap for sap, pdu in server.heard if pdu[:1] == b"\x57"] == [49]
 
 
-def test_after_a_defect_every_call_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+@in_virtual_time
+async def test_after_a_defect_every_call_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     """The simulated bus stands still then: an order raises what happened, and the end comes at once."""
 
     def defect(*_: object) -> None:
         raise ZeroDivisionError("a defect")
 
-    async def main() -> None:
-        world = World()
-        ms2_in(world)
-        async with bus_of(RAW, world=world) as bus:
-            await bus.ready()
-            connection = await bus.class2.connect(9)
-            monkeypatch.setattr(Acyclic, "token_received", defect)
-            for what in (connection.read(1, 2), connection.read(1, 2), _connected(bus, 9)):
-                with pytest.raises(BusError, match=r"stopped by a defect in dpstack \(ZeroDivisionError: a defect"):
-                    await what
-            await connection.close()
-
-    virtual(main())
+    world = World()
+    ms2_in(world)
+    async with bus_of(RAW, world=world) as bus:
+        await bus.ready()
+        connection = await bus.class2.connect(9)
+        monkeypatch.setattr(Acyclic, "token_received", defect)
+        for what in (connection.read(1, 2), connection.read(1, 2), _connected(bus, 9)):
+            with pytest.raises(BusError, match=r"stopped by a defect in dpstack \(ZeroDivisionError: a defect"):
+                await what
+        await connection.close()
 
 
 @pytest.mark.parametrize("after_ms", range(12))
