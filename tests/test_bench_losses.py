@@ -26,7 +26,7 @@ TOLD = {
 }
 
 
-def test_what_was_lost_when_and_why() -> None:
+def test_the_story_of_a_lost_slave() -> None:
     # the first pause was over before all slaves were in data exchange
     wire = {"held_up": [(1_098 * MS, 320 * MS), (500 * MS, 400 * MS)], "over": ""}
     assert story(TOLD, wire, 0) == (
@@ -54,7 +54,7 @@ def test_a_master_that_did_not_get_so_far_is_told_with_its_error() -> None:
     assert story({"error": "RuntimeError: why"}, {}, 0) == "RuntimeError: why"
 
 
-def test_what_the_host_has_taken_never_grows_less() -> None:
+def test_stolen_time_never_decreases() -> None:
     assert 0 <= stolen_ns() <= stolen_ns()
 
 

@@ -110,25 +110,25 @@ def test_an_old_report_does_not_know_what_the_new_one_is_judged_in() -> None:
     assert (pair.beside, pair.ratio) == (PYTHON, 1.0)
 
 
-def test_one_bad_round_of_twelve_does_not_hide_a_difference_and_does_not_make_one() -> None:
-    reading = Reading(0.0, "us", PYTHON)
-    (pair,) = pairs_of(rounds_of([(10.0, 11.0)] * 11 + [(10.0, 5.0)], reading))
-    assert pair.verdict is Verdict.SLOWER
-    noisy = [(10.0, 10.0 + 0.2 * (-1) ** n) for n in range(11)]
-    (pair,) = pairs_of(rounds_of([*noisy, (10.0, 30.0)], reading))
-    assert pair.verdict is Verdict.NONE
+NOISY = [(10.0, 10.0 + 0.2 * (-1) ** n) for n in range(11)]
 
 
-def test_exact_figures_and_zeros() -> None:
-    exact = Reading(0.0, "us", exact=True)
-    (pair,) = pairs_of(rounds_of([(1000.0, 999.0)], exact))
-    assert pair.verdict is Verdict.FASTER  # one round is enough
-    (pair,) = pairs_of(rounds_of([(1000.0, 1001.0)] * 10, exact))
-    assert pair.verdict is Verdict.SLOWER  # virtual time has no noise
-    (pair,) = pairs_of(rounds_of([(0.0, 0.0)] * 10, exact))
-    assert (pair.ratio, pair.verdict) == (1.0, Verdict.NONE)
-    (pair,) = pairs_of(rounds_of([(0.0, 2.0)] * 10, exact))
-    assert (pair.ratio, pair.verdict) == (inf, Verdict.SLOWER)
+@pytest.mark.parametrize(
+    ("values", "exact", "ratio", "verdict"),
+    [
+        pytest.param([(10.0, 11.0)] * 11 + [(10.0, 5.0)], False, 1.1, Verdict.SLOWER, id="a bad round hides nothing"),
+        pytest.param([*NOISY, (10.0, 30.0)], False, 1.02, Verdict.NONE, id="a bad round makes no difference"),
+        pytest.param([(1000.0, 999.0)], True, 0.999, Verdict.FASTER, id="one round of an exact figure is enough"),
+        pytest.param([(1000.0, 1001.0)] * 10, True, 1.001, Verdict.SLOWER, id="virtual time has no noise"),
+        pytest.param([(0.0, 0.0)] * 10, True, 1.0, Verdict.NONE, id="zeros"),
+        pytest.param([(0.0, 2.0)] * 10, True, inf, Verdict.SLOWER, id="zero before"),
+    ],
+)
+def test_ratio_and_verdict(values: list[tuple[float, float]], exact: bool, ratio: float, verdict: Verdict) -> None:
+    reading = Reading(0.0, "us", exact=True) if exact else Reading(0.0, "us", PYTHON)
+    (pair,) = pairs_of(rounds_of(values, reading))
+    assert pair.ratio == pytest.approx(ratio)
+    assert pair.verdict is verdict
 
 
 def test_only_what_both_sides_have_is_paired_and_units_must_be_the_same() -> None:
@@ -183,7 +183,7 @@ def test_a_round_that_fails_is_taken_again_and_too_many_end_it() -> None:
         taken(set(range(6)), [])
 
 
-def test_what_a_run_repeats_is_paired_repeat_by_repeat() -> None:
+def test_repeats_of_a_run_are_paired_one_by_one() -> None:
     """Each piece of work of the new side follows one of the old side at once, and the speed changes in between."""
     old = Reading(20.0, PYTHON, PYTHON, repeats=(10.0, 20.0, 40.0))
     new = Reading(22.0, PYTHON, PYTHON, repeats=(11.0, 22.0, 44.0))
@@ -299,7 +299,7 @@ def values(both: Round) -> list[dict[str, float]]:
     return [{name: reading.value for name, reading in run.readings.items()} for run in both]
 
 
-def test_what_both_own_benches_have_is_theirs_and_the_rest_is_probed_on_both_sides() -> None:
+def test_figures_of_both_own_benches_are_theirs_and_the_rest_is_probed_on_both_sides() -> None:
     notes: list[str] = []
     commands = MadeUp(
         [{"both": 1, "gone": 1}, {"both": 2, "version": 2, "added": 2}],
@@ -343,7 +343,7 @@ def test_a_commit_without_the_benchmark_is_probed_alone() -> None:
     assert notes[0] == "the own bench of 0123456789ab cannot do this: no benchmark 'virtual'"
 
 
-def test_nothing_in_common_is_told_with_the_reason() -> None:
+def test_sides_without_a_common_figure_are_reported_with_the_reason() -> None:
     with pytest.raises(
         RuntimeError, match="have no figure in common; the own bench of 0123456789ab cannot do this: why"
     ):
@@ -442,7 +442,7 @@ def test_the_adapters_fit_the_tree_as_it_stands() -> None:
     assert not commit_probe.exists("dpstack:nothing")
 
 
-def test_what_the_probe_prints_is_read(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_output_of_the_probe_is_read(capsys: pytest.CaptureFixture[str]) -> None:
     assert commit_probe.main(["codec"]) == 0
     readings = readings_of_probe(json.loads(capsys.readouterr().out))
     assert readings["SD1 FDL status: encode, dpstack"].unit == PYTHON
@@ -554,7 +554,7 @@ def test_variables_that_lead_python_elsewhere_are_kept_away(monkeypatch: pytest.
     assert {"PYTHONPATH", "VIRTUAL_ENV", "LANG"} & commits.clean().keys() == {"LANG"}
 
 
-def test_what_git_cannot_do_is_one_line(
+def test_an_error_of_git_is_one_line(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["compare", "virtual", "--commit", "no-such-commit"]) == 2

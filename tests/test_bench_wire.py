@@ -70,7 +70,7 @@ def test_an_answer_comes_in_slices_each_when_its_last_bit_is_there() -> None:
     assert mirrored == whole(bytes.fromhex("680f0f68020308000102030405060708090a0b"))
 
 
-def test_what_comes_before_its_idle_time_is_over_waits_for_it_and_is_counted() -> None:
+def test_a_telegram_before_the_end_of_its_idle_time_waits_and_is_counted() -> None:
     line = wire()
     line.take(TOKEN, 100 * MS)
     line.take(whole(EXCHANGE), 100 * MS + 10_000)
@@ -236,7 +236,7 @@ def test_jitter_runs_or_says_why_not() -> None:
     assert titles(report) == (set() if refused else {f"asyncio, 10 ms, idle: {figure}" for figure in figures})
 
 
-def test_what_another_stack_cannot_do_is_left_out_and_what_ours_cannot_is_not() -> None:
+def test_failures_of_another_stack_are_left_out_and_ours_are_not() -> None:
     def fails(kind: str, slaves: int) -> Taken:
         raise MasterFailedError(f"{kind}, {slaves} slaves: why")
 

@@ -20,7 +20,7 @@ PHY = PARAMS | {"phy"}
 FDL = PHY | {"fdl", "machine", "stats"}
 DP = FDL | {"dp", "dpv1", "gsd", "argcheck", "report_once"}
 
-#: What each package may import of ours, besides itself.
+#: The packages of ours that each package may import, besides itself.
 MAY: dict[str, set[str]] = {
     "units": set(),
     "errors": {"text"},
@@ -193,7 +193,7 @@ def room_of(dotted: str) -> str:
 
 
 def modules_named(path: Path) -> Iterator[str]:
-    """What ``path`` imports of ours, ``from package import module`` as that module."""
+    """The modules of ours that ``path`` imports, ``from package import module`` as that module."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name.startswith("dpstack."))
@@ -230,12 +230,12 @@ def dotted_of(path: Path) -> str:
 
 
 def import_graph() -> dict[str, set[str]]:
-    """Who imports whom, under TYPE_CHECKING and inside functions too."""
+    """The imports of each module, under TYPE_CHECKING and inside functions too."""
     return {dotted_of(path): set(modules_named(path)) - {dotted_of(path)} for path in modules(ROOT / "dpstack")}
 
 
 def test_no_import_circle() -> None:
-    """What is left when modules that import nothing of the rest are taken away again and again."""
+    """No module is left after those without imports, or without users, among the rest are removed again and again."""
     graph = import_graph()
     while free := {name for name, named in graph.items() if not named & graph.keys()}:
         graph = {name: named - free for name, named in graph.items() if name not in free}

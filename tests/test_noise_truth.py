@@ -51,13 +51,13 @@ class Wire:
         return False
 
     def damaged(self, receiver: str) -> list[Transmission]:
-        """What ``receiver`` heard, and heard damaged."""
+        """The transmissions that ``receiver`` received damaged."""
         return [tx for tx in self.sent if tx.flips and tx.sender != receiver and arriving(tx)]
 
 
 @dataclass
 class Ear:
-    """What one receiver counted: when, and what."""
+    """The damaged telegrams that one receiver counted, by time."""
 
     world: World
     decoder: Decoder
@@ -199,7 +199,7 @@ def test_every_damaged_telegram_is_counted_and_no_wrong_octet_gets_through(rate:
     rate=st.sampled_from([1e-5, 1e-4, 3e-4, 1e-3, 2e-3]),
     baud=st.sampled_from([9_600, 45_450, 187_500, 500_000, 3_000_000, 12_000_000]),
 )
-def test_whatever_the_noise_hits(seed: int, rate: float, baud: int) -> None:
+def test_any_noise(seed: int, rate: float, baud: int) -> None:
     hold_against_the_truth(seed, rate, baud, 100_000)
 
 

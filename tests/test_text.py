@@ -60,7 +60,7 @@ def test_json_of_plain_text_is_as_it_was() -> None:
 
 
 @given(st.text(alphabet=st.characters(), max_size=30))
-def test_whatever_the_text_is(text: str) -> None:
+def test_any_text(text: str) -> None:
     made = json_text([text])
     assert json.loads(made) == [text]
     for shown in (made, printable(text)):
@@ -74,7 +74,7 @@ def test_a_toml_string_has_the_same_value(text: str) -> None:
     assert not {unicodedata.category(letter) for letter in written} & {"Cc", "Cf", "Cs", "Zl", "Zp"}
 
 
-def test_what_toml_cannot_hold_is_refused() -> None:
+def test_text_that_toml_cannot_hold_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"'\\udcff.gsd' is no Unicode text, as a TOML file must be; rename it"):
         quoted("\udcff.gsd")
 

@@ -46,7 +46,7 @@ class Searching(abc.ABC):
     """A machine around ``listener``, which listens at one rate after the other until one is found.
 
     ``watched`` tells whether a watchdog runs behind it. ``lost`` is called with the time when the rate is lost.
-    ``rates`` in bit/s; ``params_at``: the parameters at a rate. ``slack_ns`` is how late the port may deliver,
+    ``rates`` in bit/s. ``slack_ns`` is how late the port may deliver,
     ``settle_ns`` see :class:`AutoBaud`.
     """
 
@@ -57,7 +57,6 @@ class Searching(abc.ABC):
         lost: Callable[[int], None],
         *,
         rates: Sequence[int],
-        params_at: Callable[[int], BusParams] = BusParams.preset,
         slack_ns: int = 0,
         settle_ns: int = 0,
     ) -> None:
@@ -66,7 +65,6 @@ class Searching(abc.ABC):
         self._watched = watched
         self._lost = lost
         self._rates = rates
-        self._params_at = params_at
         self._slack_ns = slack_ns
         self._settle_ns = settle_ns
         self._events: list[Event] = []
@@ -154,7 +152,7 @@ class Searching(abc.ABC):
     def _judge_search(self, now: int) -> None:
         result = self._begun(now).result
         if isinstance(result, BaudFound):
-            params = self._params_at(result.baud)
+            params = BusParams.preset(result.baud)
             self._rate = result.baud
             self._search = None
             self._control_ns = params.ns(params.t_to_of(_NO_MASTER)) + self._slack_ns
@@ -191,7 +189,7 @@ class BaudStateChanged(SlaveAppEvent):
 class SearchingSlave(Searching):
     """A station around ``station``, whose responder is ``app``: deaf to the bus until the rate is found.
 
-    ``rates``: those the device knows, in bit/s. ``params_at``: the station's parameters at a rate.
+    ``rates``: those the device knows, in bit/s.
     """
 
     def __init__(
@@ -200,9 +198,8 @@ class SearchingSlave(Searching):
         app: SlaveApp,
         *,
         rates: Sequence[int] = BAUD_RATES,
-        params_at: Callable[[int], BusParams] = BusParams.preset,
     ) -> None:
-        super().__init__(station, lambda: app.watchdog.time_ns > 0, app.rate_lost, rates=rates, params_at=params_at)
+        super().__init__(station, lambda: app.watchdog.time_ns > 0, app.rate_lost, rates=rates)
         self.station = station
         self.app = app
 

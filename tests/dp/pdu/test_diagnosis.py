@@ -82,7 +82,7 @@ def test_octets_of_an_impossible_length_are_no_diagnosis(length: int) -> None:
     assert Diagnosis.parse(bytes(length)) is None
 
 
-def test_what_real_slaves_do_instead_is_tolerated() -> None:
+def test_deviations_of_real_slaves_are_tolerated() -> None:
     """docs/protocol.md#always-1-bit: it is 0; the master address is own + 128."""
     assert not parse("00 00 00 02 12 34").always_one
     assert parse("00 08 00 82 12 34").master == 0x82

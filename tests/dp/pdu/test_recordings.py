@@ -79,7 +79,7 @@ def test_recorded_telegrams_in_words(recording: Recording, line: int, text: str)
 
 
 def test_telegrams_of_a_logo_text_display_are_no_profibus() -> None:
-    """They begin as SD2 telegrams do, and their checksum is right; the length does not fit."""
+    """These telegrams begin as SD2 telegrams do, and their checksum is right; the length does not fit."""
     decoder = Decoder(stall_ns=MS)
     for number, octets in enumerate(LOGO_TD):
         assert not decoder.feed(octets, number * 10 * MS)
@@ -142,7 +142,7 @@ class RecordedSlave:
         return answers[0] if answers else None
 
     def restart(self) -> None:
-        """It wants parameters again."""
+        """The slave wants parameters again."""
         self.left = None
 
     def to(self, dsap: int) -> list[bytes]:
@@ -182,7 +182,7 @@ class Brought:
 
 
 def parameters(recording: Recording) -> SlaveParams:
-    """What a user would configure to send that Set_Prm and that Chk_Cfg."""
+    """The configuration of a slave that leads to the recorded Set_Prm and Chk_Cfg."""
     prm = recording.sent_to(PRM)
     return SlaveParams(
         address=recording.slave,
@@ -251,7 +251,7 @@ def test_stat_diag_of_an_im151_is_waited_for() -> None:
 
 
 def test_a_festo_terminal_whose_watchdog_ran_out_is_brought_up_again() -> None:
-    """It refuses Data_Exchange with RS, as recorded; its next diagnosis wants parameters."""
+    """The terminal refuses Data_Exchange with RS, as recorded; its next diagnosis wants parameters."""
     slave = RecordedSlave(FESTO_CPV, b"\xe5")
     brought = Brought(parameters(FESTO_CPV), slave)
     brought.until(SlaveState.DATA_EXCHANGE)

@@ -162,7 +162,7 @@ def test_a_diagnosis_taken_back_before_the_master_read_it_is_not_fetched() -> No
 
 @pytest.mark.parametrize(("room", "octets"), [(6, ""), (7, ""), (8, "02 01"), (10, "02 01"), (11, "02 01 81 40 06")])
 def test_more_than_max_diag_data_len_overflows_between_blocks(room: int, octets: str) -> None:
-    """What is left out is whole blocks: a block cut short would lie about its length."""
+    """Blocks are left out as a whole: a block cut short would announce a wrong length."""
     blocks = (device_block(b"\x01"), channel_block(1, 0, 6, input=True), revision_block(3))
     _, bench = saying(UserDiag.of(*blocks), max_diag_len=room)
     assert bench.diag() == bytes.fromhex("08 0C 80 02 0A 35" + octets)

@@ -108,7 +108,7 @@ def test_the_watchdog_of_one_slave_keeps_the_rate_of_all() -> None:
     assert rig.changes() == [(BaudState.SEARCH, None)]
 
 
-def test_what_set_prm_said_of_min_t_sdr_outlives_a_search() -> None:
+def test_min_t_sdr_of_set_prm_outlives_a_search() -> None:
     rig = Rig()
     rig.find()
     rig.hear(SET_PRM_OFF)

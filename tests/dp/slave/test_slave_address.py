@@ -52,7 +52,7 @@ def test_every_address_of_a_station(address: int) -> None:
     assert station.address == bench.app.address == address
 
 
-def test_what_the_application_is_told() -> None:
+def test_the_call_and_the_event_of_a_new_address() -> None:
     bench, station = fresh(keeps=True)
     assert bench.ask(55, FIX + b"\xca\xfe", sa=OTHER) == SC_REPLY
     assert bench.recorder.take() == ["address_set 9 True cafe"]
@@ -140,13 +140,13 @@ def test_no_add_chg_that_was_not_kept_is_forgotten() -> None:
 
 
 def test_an_address_from_before_that_is_fixed() -> None:
-    """What the application kept is handed in again: address and No_Add_Chg."""
+    """The application hands in the address and No_Add_Chg that it kept."""
     device = Addressed()
     bench = Bench(device, SlaveApp(device, address=9, address_fixed=True))
     assert bench.ask(55, ADD) == RS_REPLY
 
 
-def test_where_keeping_it_fails_the_address_stays() -> None:
+def test_the_address_stays_when_the_device_fails_to_keep_it() -> None:
     bench, station = fresh()
     bench.recorder.broken = "address_set"
     assert bench.ask(55, ADD) == SC_REPLY

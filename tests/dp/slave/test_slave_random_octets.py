@@ -1,4 +1,4 @@
-"""Whatever a master of octets sends a slave, in any order: who owns it, what its outputs are, one answer at most."""
+"""Random octets of a master to a slave: owner and outputs stay right, one answer at most."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ def test_clear_goes_through_sync_in_one_telegram_and_operate_waits_for_the_next(
 
 
 def test_clear_and_sync_in_one_telegram(plant: Plant) -> None:
-    """What SYNC passes on in Clear are zeros."""
+    """In Clear SYNC passes on zeros."""
     plant.control(SYNC)
     plant.round("22 22")
     at = plant.control("22")

@@ -1,4 +1,4 @@
-"""The slave application: who may what when."""
+"""Access to the services of a slave application: states, owner, priority."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dpstack.fdl.telegram import Req, Resp
 
 
 class Station:
-    """What a passive station lets its application change."""
+    """The part of a passive station that its application changes."""
 
     def __init__(self) -> None:
         self.address = 17
@@ -119,7 +119,7 @@ def test_min_tsdr_goes_to_the_station() -> None:
     assert bench.recorder.calls[-1] == "leave unlock"
 
 
-def test_addresses_in_texts() -> None:
+def test_texts_without_an_address() -> None:
     app = SlaveApp(Recorder())
     app.serve(srd(61, PRM), 0)
     assert app.take_events()[0].text.startswith("recorder: wait_cfg")

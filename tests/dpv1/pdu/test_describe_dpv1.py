@@ -1,4 +1,4 @@
-"""What wire logs say of DP-V1: literal telegrams, and a text for whatever octets come."""
+"""Texts of wire logs for DP-V1: literal telegrams, and a text for any octets."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ BLOCKS = st.builds(
 
 
 @given(st.lists(BLOCKS, max_size=6))
-def test_what_was_built_is_read(blocks: list[PrmBlock]) -> None:
+def test_built_blocks_are_read(blocks: list[PrmBlock]) -> None:
     assert parse_blocks(b"".join(one.octets for one in blocks)) == tuple(blocks)
 
 

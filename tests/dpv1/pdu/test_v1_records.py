@@ -105,7 +105,7 @@ def test_requests_with_values_that_do_not_fit(pdu: RecordReq) -> None:
 
 @given(st.binary(max_size=260))
 def test_any_octets_are_read_or_refused(octets: bytes) -> None:
-    """Nothing else than the errors meant for it comes out, and what is read is what would be built."""
+    """Only PduError is raised, and a PDU that was read is built to the same octets."""
     with contextlib.suppress(PduError):
         assert parse_response(octets).build() == octets
     with contextlib.suppress(PduError):

@@ -65,12 +65,6 @@ def test_requests_and_responses(request_: str, response: str) -> None:
     assert answer_to(bench, request_) == response
 
 
-def test_what_was_written_is_read() -> None:
-    bench = bench_with(RecordTable(TABLE, [(1, 2)]))
-    answer_to(bench, "5F 01 02 01 BB")
-    assert answer_to(bench, "5E 01 02 F0") == "5E 01 02 01 BB"
-
-
 @pytest.mark.parametrize("prm", [PRM, PRM + b"\x40\0\0"])
 def test_closed_without_dpv1_enable(prm: bytes) -> None:
     bench = bench_with(RecordTable(TABLE), prm)
@@ -138,7 +132,7 @@ def test_leaving_data_exchange_ends_what_is_worked_at() -> None:
     assert ask(bench, "") == SC_REPLY
 
 
-def test_a_function_that_raises_is_answered_and_told_and_data_exchange_goes_on() -> None:
+def test_failures_and_invalid_requests_are_answered_and_reported_and_data_exchange_goes_on() -> None:
     class Broken:
         def ask(self, request: RecordRequest) -> None:
             if isinstance(request.service, WriteReq):
@@ -153,14 +147,10 @@ def test_a_function_that_raises_is_answered_and_told_and_data_exchange_goes_on()
         f"(ZeroDivisionError: records are broken), in ask(), test_ms1_slave.py line {line}"
     ]
     assert answer_to(bench, "5F 00 01 00") == "DF 80 B5 07"
-    assert bench.app.state is SlaveAppState.DATA_EXCH
-    assert bench.app.failure is None
-
-
-def test_an_invalid_request_is_reported_with_its_octet() -> None:
-    bench = bench_with(RecordTable(TABLE))
     answer_to(bench, "5F 01 02 05 BB")
     assert bench.texts() == ["slave 8 (recorder): MS1 of master 2 refused: octet 4 says 5 octets of data, 1 came"]
+    assert bench.app.state is SlaveAppState.DATA_EXCH
+    assert bench.app.failure is None
 
 
 # --- I&M ----------------------------------------------------------------------------------------------------------

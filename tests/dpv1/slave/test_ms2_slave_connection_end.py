@@ -1,4 +1,4 @@
-"""How a class 2 connection ends at the slave: by silence, to the nanosecond, and otherwise; every row of its table."""
+"""The end of a class 2 connection at the slave: by silence (to the nanosecond) and otherwise; each row of the table."""
 
 from __future__ import annotations
 

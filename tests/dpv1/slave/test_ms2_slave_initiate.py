@@ -86,7 +86,7 @@ def test_initiates_before_an_answer_was_fetched_are_named_one_after_the_other() 
     assert len(ms2_of(slave.app).connections) == 3
 
 
-def test_where_none_is_free_the_next_initiate_takes_the_place_of_one_that_was_not_fetched() -> None:
+def test_without_a_free_connection_initiate_takes_the_place_of_an_unfetched_one() -> None:
     slave = Slave(count=1)
     assert slave.master.ask(49, INITIATE) == SC
     assert slave.master.connect() == 48
@@ -94,14 +94,14 @@ def test_where_none_is_free_the_next_initiate_takes_the_place_of_one_that_was_no
     assert len(ms2_of(slave.app).connections) == 1
 
 
-def test_what_was_wrong_with_an_earlier_initiate_is_no_answer_to_the_next() -> None:
+def test_the_fault_of_an_earlier_initiate_is_no_answer_to_the_next() -> None:
     slave = Slave(count=3)
     assert slave.master.ask(49, "57") == SC
     assert slave.master.connect() == 47
     assert ms2_of(slave.app).free == 2
 
 
-def test_one_that_was_fetched_is_not_taken_away() -> None:
+def test_a_fetched_connection_is_not_taken_away() -> None:
     slave = Slave(count=1)
     assert slave.master.initiate() == 48
     assert slave.master.ask(49, INITIATE) == RS

@@ -1,5 +1,5 @@
-"""Whatever masters of class 2 send, in whatever order: nothing raises, no connection is lost, each request is answered
-once, and only to who asked."""
+"""Random requests of class 2 masters: nothing raises, no connection is lost, each request is answered once, and only to
+its master."""
 
 from __future__ import annotations
 

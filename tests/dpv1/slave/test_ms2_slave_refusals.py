@@ -15,7 +15,7 @@ from dpstack.errors import ConfigError, RecordRefused, UsageError
 
 
 class Picky(Recorder):
-    """It opens connections for the profile 0x1234 only, and fails over 0x9999; its records never answer."""
+    """A device that opens connections for the profile 0x1234 only, and fails over 0x9999; its records never answer."""
 
     def __init__(self, longest: int = 244) -> None:
         super().__init__()
@@ -41,6 +41,12 @@ class PickySlave(Slave):
     def __init__(self, longest: int = 244) -> None:
         self.picky = Picky(longest)
         super().__init__(self.picky, count=1, device=self.picky)
+
+    def connect(self) -> int:
+        """The server SAP of a connection for the profile 0x1234."""
+        sap = self.master.initiate(initiate(0x1234))
+        assert self.master.ask(sap) == OPENED
+        return sap
 
 
 def initiate(profile: int, extra: str = "") -> str:
@@ -69,8 +75,7 @@ def test_a_device_refuses_initiate_by_a_negative_response(profile: int, answer: 
     (text,) = slave.texts()
     assert text.startswith(told)
     assert slave.app.stats.connections == 0
-    sap = slave.master.initiate(initiate(0x1234))
-    assert slave.master.ask(sap) == OPENED
+    slave.connect()
     assert slave.picky.calls == []
 
 
@@ -98,8 +103,7 @@ def test_impossible_lengths_of_initiate(longest: int) -> None:
 def test_the_application_aborts(step: str, reason: int) -> None:
     """Its master fetches the Abort; who works at a service is told; then there is room again."""
     slave = PickySlave()
-    sap = slave.master.initiate(initiate(0x1234))
-    assert slave.master.ask(sap)[:2] == "57"
+    sap = slave.connect()
     if step == "working":
         assert slave.master.ask(sap, READ) == SC
     ms2_of(slave.app).abort(sap, reason, slave.wire.now)
@@ -115,8 +119,7 @@ def test_the_application_aborts(step: str, reason: int) -> None:
 
 def test_an_abort_that_is_not_fetched_frees_the_connection() -> None:
     slave = PickySlave()
-    sap = slave.master.initiate(initiate(0x1234))
-    slave.master.ask(sap)
+    sap = slave.connect()
     with pytest.raises(UsageError, match=r"an Abort has no reason 16: 0\.\.15"):
         ms2_of(slave.app).abort(sap, 16, slave.wire.now)
     ms2_of(slave.app).abort(sap, 0, slave.wire.now)
