@@ -17,7 +17,7 @@ from dpstack.profile.simulator.device import DriveDevice
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OptionSpec:
-    """One option: ``default`` fixes the type (bool, float, str); ``low``/``high`` or ``choices`` limit it."""
+    """An option: ``default`` fixes the type (bool, float, str); ``low``/``high`` or ``choices`` limit it."""
 
     default: bool | float | str
     text: str
@@ -52,7 +52,7 @@ class DriveProfile(DriveType):
     ``max_tsdr``: bit times by baud rate, empty where the manual gives none. ``on_loss``: what the drive does when its
     master stops. ``notes``: what a user should know. ``simulated_options``: options of the core that no manual gives,
     as the simulated drive has them. ``gsd``: a GSD file of ours made from the manual's facts (not the vendor's), as
-    ``package:file name``. ``rate_setting``: it hears only the rate that it is set to.
+    ``package:file name``. ``rate_setting``: the drive works only at the rate that it is set to.
     """
 
     title: str
@@ -71,7 +71,7 @@ class DriveProfile(DriveType):
     rate_setting: RateSetting | None = None
 
     def rates(self, options: Mapping[str, object]) -> tuple[int, ...]:
-        """The baud rates that it hears with these options (checked before) in bit/s; empty: nothing is said of them."""
+        """The baud rates of the drive with these checked options in bit/s; empty: the manual gives none."""
         setting = self.rate_setting
         if setting is None:
             return self.baud_rates

@@ -1,4 +1,4 @@
-"""What tests of record 47 share: a drive of literal octets, and a bus that knows only octets between both ends."""
+"""Kit for record 47: a drive of literal octets, and a bus that knows only octets between both ends."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def octets(text: str) -> bytes:
 
 
 def outcome(answer: str | Refused | ServiceFailure) -> Outcome:
-    """What a service comes to: octets, a negative answer, or none (with the failure's name as text)."""
+    """The outcome of a service: octets, a negative answer, or no answer (with the failure's name as text)."""
     match answer:
         case str():
             return Outcome(data=octets(answer))

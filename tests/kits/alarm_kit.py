@@ -29,10 +29,10 @@ def block(kind: int, slot: int, specifier: int = 1, sequence: int = 0, data: str
 
 @dataclass
 class AlarmSlave(OctetMs1Slave):
-    """Raises what is put into ``queue``, in order; ``at_a_time`` 0: the next of a type when its last is acknowledged.
+    """Raises the blocks of ``queue``, in order; ``at_a_time`` 0: the next of a type when its last is acknowledged.
 
     ``taken``: acknowledged alarms in order, ``strays``: acknowledgements of alarms that are not open; ``on_stray`` says
-    how they are answered. ``rest``: what else stands in the diagnosis; ``static``: Stat_Diag is set. ``keeps``: alarms
+    how they are answered. ``rest``: other blocks of the diagnosis; ``static``: Stat_Diag is set. ``keeps``: alarms
     stay in it when they are acknowledged. ``sap``: where it is acknowledged. ``polls``:
     how often it is polled in vain before each answer; -1: it answers in the request itself. ``loses`` says for each
     telegram at SAP 51 whether request ("r") or answer ("a") gets lost.
@@ -64,17 +64,17 @@ class AlarmSlave(OctetMs1Slave):
     last: tuple[int, bytes, tuple[int, bytes] | None] | None = None
 
     def lose(self, what: Iterable[str]) -> None:
-        """The next telegrams at SAP 51: what of each is lost, see ``loses``."""
+        """The next telegrams at SAP 51: the part of each that is lost, see ``loses``."""
         lost = iter(what)
         self.loses = lambda: next(lost, "")
 
     def raises(self, *blocks: bytes) -> None:
-        """They are to be raised, one after the other."""
+        """Raise ``blocks``, one after the other."""
         self.queue += blocks
         self.next_one()
 
     def changes(self, rest: bytes) -> None:
-        """What else stands in its diagnosis."""
+        """Put ``rest`` beside the alarm into the diagnosis."""
         self.rest = rest
         self.flag = True
 

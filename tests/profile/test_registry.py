@@ -69,13 +69,13 @@ def test_the_entry_points_of_this_project_load() -> None:
         assert drive.name == name
 
 
-def test_what_the_package_exports_is_there() -> None:
+def test_every_name_that_the_package_exports_exists() -> None:
     for name in profile.__all__:
         assert hasattr(profile, name)
 
 
 @pytest.mark.parametrize("drive", [DEMAG, FUJI, KEB, IMO])
-def test_profiles_are_whole(drive: profile.DriveProfile) -> None:
+def test_profiles_are_complete(drive: profile.DriveProfile) -> None:
     assert drive.default_telegram in drive.telegrams
     for name, spec in drive.telegrams.items():
         core = drive.core("it", name)

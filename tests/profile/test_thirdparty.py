@@ -23,7 +23,7 @@ RAW = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """What `pip install` leaves behind: the package on the path, its metadata with the entry points beside it."""
+    """The package as `pip install` leaves it: on the path, with its metadata and entry points beside it."""
     project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     info = tmp_path / "dpstack_acme_drive-1.0.dist-info"
     info.mkdir()
@@ -98,7 +98,7 @@ def test_a_configuration_that_names_it_runs_it(installed: Path) -> None:
     ]
 
 
-def test_what_its_plugin_sends(acme: DriveProfile) -> None:
+def test_octets_of_its_plugin(acme: DriveProfile) -> None:
     """Literal octets: control word and set point behind the parameter channel; 1388h is 50 %."""
     bench = PluginBench(acme.core("belt", options=ALONE), "00" * 8 + "0008 0000 0000 0000")
     assert bench.out() == "00 00 00 00 00 00 00 00 00 00 00 00"
@@ -114,7 +114,7 @@ def test_what_its_plugin_sends(acme: DriveProfile) -> None:
     assert bench.core.status().faults == ("number 9",)
 
 
-def test_what_its_simulated_drive_answers(acme: DriveProfile) -> None:
+def test_octets_of_its_simulated_drive(acme: DriveProfile) -> None:
     bench = DeviceBench(acme.device("STD"), "61 53")
     assert bench.send("00 00 00 00") == "00 08 00 00 00 00 00 00"
     assert bench.send("00 01 00 00") == "00 09 00 00 00 00 00 00"
@@ -184,7 +184,7 @@ def test_a_defect_while_it_is_driven_by_hand(
     printed = capsys.readouterr()
     assert printed.out.splitlines()[1] == "belt: running at 0.0% (0.0 Hz), set point 50.0%"
     assert "its plugin failed (ZeroDivisionError: of the plugin's): outputs are at their safe values" in printed.err
-    assert "stopping by its ramp" not in printed.out  # nobody is left who could
+    assert "stopping by its ramp" not in printed.out  # no plugin is left that could
 
 
 def test_it_needs_the_profile_only() -> None:

@@ -73,7 +73,7 @@ class OpenAlarm:
     not_before: int = 0
     #: the diagnosis may hold another alarm with the same numbers: read it again when this one is over
     shown: bool = False
-    #: the response came after the job of its acknowledgement had ended
+    #: the response came after the acknowledgement's job had ended
     answered: bool = False
 
     @property
@@ -280,7 +280,7 @@ class AlarmHandler(DiagObserver):
         return None
 
     def begin_ack(self, known: OpenAlarm) -> None:
-        """Its acknowledgement begins."""
+        """Begin the acknowledgement of ``known``."""
         self._asked = known
         known.stage = Stage.ASKED
         if known.attempts:
@@ -316,7 +316,7 @@ class AlarmHandler(DiagObserver):
                     self._reports.remark(f"{self._remark_of(outcome)}; it is acknowledged again until it answers", now)
 
     def _remark_of(self, outcome: Outcome) -> str:
-        """The text without the slave, which every remark begins with."""
+        """The text of ``outcome`` without the slave: the master puts the slave before every remark."""
         return outcome.text.removeprefix(f"slave {self._setup.address} ")
 
     def _over(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
@@ -334,7 +334,7 @@ class AlarmHandler(DiagObserver):
         self._reports.event(AlarmDone, now, number=known.number, outcome=outcome)
 
     def _make_room(self, now: int) -> None:
-        """A dropped alarm may still be in the diagnosis."""
+        """Read the diagnosis again where there is room for an alarm that was dropped."""
         if self._dropped and len(self._open) + len(self._book.untaken) < MAX_OPEN:
             self._dropped = False
             self._want_diagnosis(now)
@@ -342,7 +342,7 @@ class AlarmHandler(DiagObserver):
     # --- the end ------------------------------------------------------------------------------------------------
 
     def closed(self, now: int) -> None:
-        """Data exchange is over: its open alarms are void."""
+        """Data exchange is over: the open alarms of the slave are void."""
         self.extra_sap = self._has_extra_sap
         text = f"{self._setup.who} left data exchange: its alarms are void"
         for known in self._open.values():

@@ -64,7 +64,7 @@ def need_dpv1(setup: SlaveParams, lacks: str = "no Read, Write, alarms", *, read
 
 
 class Ms1Job(Job):
-    """One service to the slave that ``handler`` handles: ``octets`` to ``sap``, with up to ``longest`` octets back."""
+    """A service to the slave of ``handler``: ``octets`` to ``sap``, up to ``longest`` octets in the answer."""
 
     #: a request without any answer is repeated
     repeats = False
@@ -156,11 +156,11 @@ class Ms1Job(Job):
 
     @property
     def settled(self) -> bool:
-        """The late answer to an earlier request was the answer to this one: nothing is left to ask."""
+        """The late answer to an earlier request answers this one, too: no request is needed."""
         return False
 
     def accept_late(self, octets: bytes) -> bool:
-        """Take the slave's answer after the end of this service; True if it is still of use."""
+        """Process the slave's answer after the end of this service. Returns whether it was of use."""
         return False
 
     @abc.abstractmethod

@@ -79,8 +79,9 @@ class MasterConnection:
 
     @property
     def lane(self) -> tuple[int, int]:
-        """Its services go one after the other. Until it has its server SAP, it shares the lane of all connections to
-        the slave: the resource manager has one answer, and the server SAP in it goes to the job that polls."""
+        """Services of a connection go one after the other. Until it has its server SAP, it shares the lane of all
+        connections to the slave: the resource manager has one answer, and the server SAP in it goes to the job that
+        polls."""
         return self.address, RESOURCE_MANAGER if self.server_sap is None else self.ref
 
     @property
@@ -150,7 +151,7 @@ class Connections(Provider):
 
 
 class ConnectionJob(Job):
-    """One job over ``connection``, of ``ms2``. The lane is the connection's: one at a time, others wait."""
+    """A job over ``connection``, of ``ms2``. Its lane is the connection's: one job at a time, others wait."""
 
     def __init__(self, connection: MasterConnection, ms2: Connections) -> None:
         self.connection = connection
@@ -163,7 +164,7 @@ class ConnectionJob(Job):
         return self.connection.lane
 
     def bar(self) -> str:
-        """Nothing goes over a connection that is over."""
+        """Jobs end with their connection."""
         if self.connection.phase is not Phase.ENDING:
             return ""
         return f"has no answer, the class 2 connection is over: {self.connection.reason}"
@@ -171,7 +172,7 @@ class ConnectionJob(Job):
     # --- requests and polls -------------------------------------------------------------------------------------
 
     def polling(self, answer: int = HEAD, sap: int | None = None) -> Polling:
-        """Of a service at ``sap`` (None: the server SAP) with up to ``answer`` octets back."""
+        """The polling for a service at ``sap`` (None: the server SAP) whose answer has up to ``answer`` octets."""
         connection = self.connection
         dsap = connection.server_sap if sap is None else sap
         assert dsap is not None
@@ -386,7 +387,7 @@ class AbortJob(ConnectionJob):
         self._abort = abort
 
     def bar(self) -> str:
-        """It is sent over a connection that is over."""
+        """Abort is sent over a connection that is over."""
         return ""
 
     def steps(self) -> Steps[Outcome]:

@@ -180,7 +180,7 @@ class InitiateJob(ConnectionJob):
         return Outcome(ServiceFailure.REFUSED, text, status=status)
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
-        """One event. After a failure the slave gets Abort for a connection that it may hold."""
+        """The InitiateDone. After a failure the slave gets Abort for a connection that it may hold."""
         connection = self.connection
         if outcome.failure is ServiceFailure.CLOSED:
             outcome = self.connection_over()

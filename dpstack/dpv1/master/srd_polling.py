@@ -58,8 +58,8 @@ class Reply(Enum):
     OLD = "old"  # a PDU of an earlier service; the slave did not take the request
     WAIT = "wait"  # acknowledged, or not yet
     AGAIN = "again"  # not now: the slave did not take the request
-    CLOSED = "closed"  # the service access point is
-    NOTHING = "nothing"  # no usable answer
+    CLOSED = "closed"  # the service access point is closed
+    NOTHING = "nothing"  # there is no usable answer
     GUARDED = "guarded"  # not sent: this bus is read-only
     LATE = "late"  # not sent: the slave has had its time
 
@@ -114,7 +114,7 @@ class Polling:
         self._begun = self.now
 
     def ask(self, octets: bytes) -> Steps[Reply]:
-        """One request, or a poll (no octets), after the pause that is due."""
+        """Send a request, or a poll (no octets), after the pause that is due."""
         if self.now - self._begun >= self._limit_ns:
             return Reply.LATE
         heard = yield Step(self._srd(octets), self._pause)

@@ -97,7 +97,7 @@ class ParameterChannel(abc.ABC):
         return raw
 
     def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
-        """One entry for each of ``keys``. Raises CommandError, but not for a refusal by the drive."""
+        """Read ``keys``: an entry for each. Raises CommandError, but not for a refusal by the drive."""
         found: Found = []
         for key in keys:
             try:

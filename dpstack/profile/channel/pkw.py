@@ -63,7 +63,7 @@ READS: Final = frozenset({int(TaskId.READ), int(TaskId.READ_ARRAY), int(TaskId.E
 
 
 class Pkw(NamedTuple):
-    """One content of the channel: order or reply id, PNU, IND (its high octet), value (32 bits unsigned)."""
+    """Content of the channel: order or reply id, PNU, IND (its high octet), value (32 bits unsigned)."""
 
     id: int
     pnu: int
@@ -115,7 +115,7 @@ PLAIN_PKW: Final = PkwDialect(
 
 @dataclass(slots=True, eq=False)
 class Exchange:
-    """One order. ``reply`` is set when the drive has answered; ``stray``: the last reply to another order."""
+    """An order. ``reply`` is set when the drive has answered; ``stray``: the last reply to another order."""
 
     order: Pkw
     reply: Pkw | None = None

@@ -54,7 +54,7 @@ T = TypeVar("T")
 
 
 class Lookup(Generic[T]):
-    """One request to the drive, ``ask(deadline)``, made once while ``when()`` is true.
+    """A request to the drive, ``ask(deadline)``, sent once while ``when()`` is true.
 
     ``value``: None until the answer. It is repeated after the drive was offline, and after a time-out. An answer from
     before that does not count.
@@ -155,7 +155,7 @@ class DriveCore:
         if telegram.channel and self.parameter_table is not None:
             self.access = self.open_channel()
         self.records: RecordQueue | None = None  # Reads and Writes to its slave
-        #: what is asked over ``access`` while it stands in the status word
+        #: requests over ``access`` that depend on the status word
         self.lookups: Lookups = ()
         self.now = 0
         #: inputs are of a drive in data exchange
@@ -338,7 +338,7 @@ class DriveCore:
             self._tell_status()
 
     def notice(self, text: str) -> None:
-        """One line for the application."""
+        """Report ``text`` to the application, one line."""
         self._orders.tell({"type": "notice", "text": text})
 
     def sleep_until(self, due_ns: int) -> None:
@@ -444,7 +444,7 @@ class DriveCore:
         return () if self.parameter_table is None else listing(self.parameter_table)
 
     def obstacle(self) -> str | None:
-        """What, by the status word, keeps the drive from running, with what to do about it; or None."""
+        """The reason in the status word why the drive cannot run, with the remedy; or None."""
         return None
 
     def why_left(self) -> Steps[str | None]:
@@ -461,7 +461,7 @@ class DriveCore:
         yield from ()
 
     def halted(self, deadline: int) -> Steps[None]:
-        """An order that stops the drive was carried out: which word stands from now on."""
+        """An order that stops the drive was carried out: choose the control word from now on."""
         yield from ()
 
     def wanted_speed(self) -> float:
@@ -473,7 +473,7 @@ class DriveCore:
         return ()
 
     def before_settings(self, deadline: int) -> Steps[None]:
-        """Before they are read: learn where they are (the active data set). Raises CommandError."""
+        """Before the settings are read: find out where they are (the active data set). Raises CommandError."""
         yield from ()
 
     # -- inside ---------------------------------------------------------------------------------------------------
@@ -667,7 +667,7 @@ def _near(core: DriveCore, speed: float | None, tolerance: float = _CLOSE) -> bo
 
 
 def _left(core: DriveCore) -> Steps[dict[str, object]]:
-    """Tell, as soon as it has a name, why the drive left RUNNING by itself."""
+    """Report why the drive left RUNNING by itself, as soon as the fault has a name."""
     if core.raw_state in FAULTED:
         why = yield from _fault_text(core, core.now + NS_PER_S)
     else:

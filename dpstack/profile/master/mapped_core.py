@@ -183,11 +183,11 @@ class MappedCore(DriveCore, Generic[M]):
         yield from ()
 
     def read_by(self, field: Field) -> ParamKey | None:
-        """How an output that is a parameter is read before a map acts at once; None where that is not wanted."""
+        """The parameter to read for an output before a map acts at once; None: it is not read."""
         return None
 
     def called(self, name: str | int) -> str | int:
-        """Name or key of an output as a user wrote it."""
+        """Name or key of an output for the name that a user wrote."""
         return name
 
     def written_by(self, key: int) -> str | None:

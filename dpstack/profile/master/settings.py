@@ -23,7 +23,7 @@ _NO_ANSWER: Final = "the drive has not yet answered"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """One setting of the drive that a plugin relies on.
+    """A setting of the drive that a plugin relies on.
 
     ``wanted``: the expected setting, for people (``F03 = 60 Hz``). ``keys``: the parameters that tell it. ``differs``
     gets their values in this order and returns a text that says what the drive has and what to set, or None where
@@ -125,7 +125,7 @@ class SettingsCheck:
         self._stale = True
 
     def known(self, deadline: int) -> Steps[None]:
-        """For a start: wait for the result. Raises CommandError where the drive cannot be started as it is set."""
+        """Before a start: wait for the result. Raises CommandError where the drive cannot be started as it is set."""
         core = self._core
         if self._stale or self._refused:  # somebody may have set it right
             self.begin()
@@ -193,7 +193,7 @@ class SettingsCheck:
         self._core.update()
 
     def _report(self, text: str, more: str = "") -> None:
-        """Once, until it is no longer so: a drive that comes and goes must not fill a log."""
+        """Report ``text`` once while it holds: a drive that comes and goes must not fill a log."""
         if text not in self._reported:
             self._reported.add(text)
             self._core.notice(text + more)

@@ -28,7 +28,7 @@ def config_number(what: str, value: object) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TelegramSpec:
-    """One telegram of a drive: identifier octets, octets each way, whether a parameter channel leads.
+    """A telegram of a drive: identifier octets, octets each way, whether a parameter channel leads.
 
     ``outputs``, ``inputs``: octets of process data behind the parameter channel. ``made_up``: the identifiers are in
     no manual.

@@ -43,7 +43,7 @@ def _shown(value: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ParamSpec:
-    """One parameter. ``low``, ``high`` and ``factory`` are in ``unit``; on the wire stands value x 10^decimals.
+    """A parameter. ``low``, ``high`` and ``factory`` are in ``unit``; on the wire stands value x 10^decimals.
 
     ``per_unit`` instead of ``decimals`` where that is no power of ten. ``index``: a fixed subindex that belongs to the
     number. ``by_name``: people know it by its name. ``per_set``: exists once in every data set. ``read_only``.
@@ -152,7 +152,7 @@ class ParamTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ListedParam:
-    """One line of the list; ``name``, ``data_set`` and ``index`` are the arguments of the read.
+    """An entry of the parameter list; ``name``, ``data_set`` and ``index`` are the arguments of the read.
 
     ``number`` and ``subindex`` are what the table declares. ``why_not``: why it cannot be read, for people.
     ``per_unit``: counts on the wire that make 1 in ``unit``, 0 where it is not known.

@@ -12,7 +12,7 @@ from typing import Protocol
 
 
 class Field(Protocol):
-    """One value of one word or two."""
+    """A value of one or two words in the process data."""
 
     @property
     def key(self) -> int:
@@ -27,7 +27,7 @@ class Field(Protocol):
 
     @property
     def neutral(self) -> bool:
-        """Of an output: the value 0 moves and changes nothing, so it may be sent while there is no other value.
+        """Whether an output may be sent as 0 while there is no other value: 0 moves and changes nothing.
 
         A parameter that the drive keeps (a ramp time, a limit) is not neutral: 0 would be written to it.
         """

@@ -21,7 +21,7 @@ class SettingsState(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveStatus:
-    """One drive at one moment, from its last inputs and the master's own last command.
+    """State and values of a drive, from its last inputs and the master's own last command.
 
     ``speed``, ``setpoint``: of the reference (1.0 = 100 %); ``current`` and ``torque``: of the rated current. What
     the telegram does not carry is None. ``reached``: as the drive tells it; where it has no bit for it, running within

@@ -191,7 +191,7 @@ class ParameterClient:
 
     @staticmethod
     def _results(request: Request, response: Response) -> list[Result]:
-        """One result for each address. Raises CommandError for any other answer."""
+        """The results, one for each address. Raises CommandError for any other answer."""
         count = len(request.addresses)
         results = response.results
         if response.id == UNSUPPORTED:
@@ -321,7 +321,7 @@ def _order(answer: tuple[Item, Result]) -> tuple[int, int]:
 
 # --- requests within the limits of the drive ---
 class Item(NamedTuple):
-    """One parameter to read or write. ``values``: those to write. ``width``: octets of one value to read.
+    """A parameter to read or write. ``values``: those to write. ``width``: octets of one value to read.
 
     The client splits long arrays into pieces, which are items too; ``of``: place of the whole in the caller's list.
     """
@@ -381,7 +381,7 @@ def _halves(piece: Item) -> tuple[Item, Item] | None:
 
 
 def _batch_size(waiting: Sequence[Item], limits: Limits) -> int:
-    """How many of ``waiting`` fit into one request, at least one."""
+    """The number of items of ``waiting`` that fit into one request, at least one."""
     request = response = HEADER_LEN
     for count, piece in enumerate(waiting):
         request += piece.request_octets
@@ -392,7 +392,7 @@ def _batch_size(waiting: Sequence[Item], limits: Limits) -> int:
 
 
 def _joined(count: int, answers: Iterable[tuple[Item, Result]]) -> list[Result]:
-    """One result for each of ``count`` items from those of the pieces, which are in the order of their subindexes.
+    """The result of each of ``count`` items, joined from those of its pieces in the order of subindexes.
 
     An item with a piece that failed has failed. Raises PduError where the pieces of one came in different formats.
     """

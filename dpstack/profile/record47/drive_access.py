@@ -123,7 +123,7 @@ class AcyclicAccess(ParameterChannel):
         return self.cyclic is not None and self.cyclic.busy
 
     def step(self, inputs: bytes, now: int) -> None:
-        """One cycle of the cyclic channel."""
+        """Step the cyclic channel."""
         if self.cyclic is not None:
             self.cyclic.step(inputs, now)
 

@@ -26,7 +26,7 @@ Value = int | float | str | bytes | bool
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """One format. ``code`` of struct for numbers, "" for plain octets; ``octets`` of one value.
+    """A format. ``code`` of struct for numbers, "" for plain octets; ``octets`` of one value.
 
     ``string``: all values together are one text or octet string. ``scale``: value of 1 on the wire.
     """

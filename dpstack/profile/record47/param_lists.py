@@ -90,7 +90,7 @@ class Description(NamedTuple):
         )
 
     def element(self, subindex: int) -> Values | None:
-        """One element of it, 1 to 12; None for others."""
+        """Element 1 to 12 of the description; None for another number."""
         if not 1 <= subindex <= len(_ELEMENTS):
             return None
         number, size = _ELEMENTS[subindex - 1]
@@ -170,7 +170,7 @@ def defined(client: ParameterClient, deadline: int = NEVER) -> Transport[list[in
 
 
 def _list(client: ParameterClient, pnu: int, deadline: int) -> Transport[list[int]]:
-    """One list up to its 0, or to its end where it has none."""
+    """Read a list up to its 0, or to its end where it has none."""
     found: list[int] = []
     (listing,) = yield from describe(client, [pnu], deadline)
     length = listing.elements if listing is not None and listing.array else None

@@ -81,7 +81,7 @@ class Attribute(IntEnum):
 
 
 class Address(NamedTuple):
-    """One parameter. ``elements``: 0 for one that is no array, else how many from ``subindex`` on."""
+    """Address of a parameter. ``elements``: 0 for one that is no array, else their number from ``subindex`` on."""
 
     pnu: int
     subindex: int = 0

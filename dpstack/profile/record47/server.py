@@ -201,7 +201,7 @@ _SUBSTITUTES: Final = {
 
 
 class _Place(NamedTuple):
-    """One element of a parameter. ``fixed``: its value, for one that is not in the store."""
+    """An element of a parameter. ``fixed``: the value of an element that is not in the store."""
 
     spec: ParamSpec
     data_set: int = 1

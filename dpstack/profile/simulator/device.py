@@ -175,7 +175,7 @@ class DriveDevice(Device):
 
     @property
     def injected(self) -> tuple[str, ...]:
-        """Its faults and conditions from outside, written as the commands of ``dpstack ctl``."""
+        """Faults and conditions of the drive from outside, written as the commands of ``dpstack ctl``."""
         found = []
         if self._tripped is not None:
             found.append(f"trip {self._tripped}")
@@ -330,13 +330,13 @@ class DriveDevice(Device):
         return reply, spec.pwe(raw)
 
     def refresh(self, process: bytes | None, now: int) -> bytes:
-        """One internal scan over octets, with words to and from :meth:`scan`; ``process`` None: invalid."""
+        """An internal scan over octets, with words to and from :meth:`scan`; ``process`` None: invalid."""
         telegram = self.telegram
         words = None if process is None else _layout(telegram.outputs).unpack(process)
         return _layout(telegram.inputs).pack(*self.scan(words, now))
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
-        """One internal scan: process data from the master (None: invalid) -> process data to it."""
+        """An internal scan: process data from the master (None: invalid) -> process data to it."""
         raise NotImplementedError
 
     def master_lost(self, reason: Leave, now: int) -> None:

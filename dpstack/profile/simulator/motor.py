@@ -107,7 +107,7 @@ class Motor:
                 return
 
     def _driven(self) -> bool:
-        """One step under power. True when nothing moves any more: further steps would change nothing."""
+        """A step under power. Returns True at rest: further steps would change nothing."""
         frequency, speed = self.frequency, self.speed
         wanted = self._ramped(frequency)
         reach = self.slip * self.limit
@@ -128,7 +128,7 @@ class Motor:
         return 0.0 if ahead * frequency < 0 else ahead
 
     def _braked(self) -> bool:
-        """One step of the DC brake. True at rest."""
+        """A step of the DC brake. Returns True at rest."""
         speed = self.speed
         self.limited = abs(speed) > self.slip * self.limit
         if self.limited:

@@ -1,4 +1,4 @@
-"""Alarm_Ack of a master: when it goes out, between what, and everything that may become of it."""
+"""Alarm_Ack of a master: its time, its place between other services, every answer to it."""
 
 from __future__ import annotations
 
@@ -243,7 +243,7 @@ def test_answers_to_others_and_not_now_come_before_it() -> None:
 
 @pytest.mark.parametrize("offers_again", [False, True])
 def test_equal_alarms_after_a_lost_telegram_behind_the_diagnosis(offers_again: bool) -> None:
-    """What a slave may offer again it offers in the first exchange after the silence; what comes later is new."""
+    """A slave offers a diagnosis again in the first exchange after the silence; a later one is new."""
     kit = AlarmBus()
     slave = kit.alarm_slave
     slave.polls, slave.offers_again = 4, offers_again

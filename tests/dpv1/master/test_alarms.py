@@ -1,4 +1,4 @@
-"""Alarms at the master: literal octets at the slave's end, every type, both modes, all that happens to Alarm_Ack."""
+"""Alarms at the master: literal octets at the slave's end, every type, both modes, the end of data exchange."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_malformed_device_blocks_are_reported_once_and_counted(octets: str) -> N
         (32, "manufacturer"),
     ],
 )
-def test_a_kind_that_is_not_enabled_is_told_not_acknowledged(kind: int, enabled: str) -> None:
+def test_an_alarm_of_a_kind_that_is_not_enabled_is_reported_and_not_acknowledged(kind: int, enabled: str) -> None:
     kit = AlarmBus(dpv1=Dpv1(alarms=tuple(name for name in ALL if name != enabled)))
     kit.alarm_slave.raises(block(kind, 1))
     kit.run(100)
@@ -94,7 +94,7 @@ def test_a_kind_that_is_not_enabled_is_told_not_acknowledged(kind: int, enabled:
     only.until_ended()
 
 
-def test_statuses_are_told_when_they_are_new_and_never_acknowledged() -> None:
+def test_statuses_are_reported_when_they_are_new_and_never_acknowledged() -> None:
     kit = AlarmBus()
     slave = kit.alarm_slave
     message = block(0x81, 2, 1, data="55")
@@ -131,7 +131,7 @@ def test_channels_of_the_same_diagnosis_come_along() -> None:
     assert raised.text.endswith("; slot 4, input channel 5 (bit): short circuit")
 
 
-# --- what a diagnosis says again ----------------------------------------------------------------------------------
+# --- alarms that stay in the diagnosis ------------------------------------------------------------------------------
 
 
 def test_an_acknowledged_alarm_that_stays_in_the_diagnosis_for_a_while() -> None:

@@ -1,4 +1,4 @@
-"""Whatever is lost on the wire: every alarm is delivered once, in order, and acknowledged."""
+"""Random telegrams are lost on the wire: every alarm is delivered once, in order, and acknowledged."""
 
 from __future__ import annotations
 

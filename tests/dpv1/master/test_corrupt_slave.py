@@ -1,7 +1,7 @@
 """A slave that answers Slave_Diag, MS1 and MS2 with cut, bent, repeated, late, or somebody else's octets.
 
-Every order has exactly one end, every connection that was open, too; nothing is kept; the slave beside it notices
-nothing, and what is told of the bad one is not without end.
+Every order has exactly one end, and so has every connection that was open. No end keeps anything. The other slave works
+on, and the number of remarks about the bad one is limited.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError
 from dpstack.fdl.codec import decode
 
-#: what answers something else, or nothing at all
+#: answers to another request, or to none
 STRANGE = [
     bytes.fromhex(text)
     for text in (
@@ -59,7 +59,7 @@ Done = (RecordDone, InitiateDone, ServiceDone)
 
 
 def record(data: bytes) -> bytes:
-    """A record holds its slot and index."""
+    """The answer to Read and Write; a record holds its slot and index."""
     match data[0]:
         case 0x5E:
             return bytes((0x5E, data[1], data[2], 2, data[1], data[2]))
@@ -100,7 +100,7 @@ class EvilSlave(AlarmSlave):
 
     def __call__(self, octets: bytes, now: int) -> tuple[int, bytes] | None:
         if decode(octets) is None:
-            return None  # what it said itself comes back, too
+            return None  # its own telegrams come back, too
         found = super().__call__(octets, now)
         if found is None or octets[0] == 0x10 or not octets[4] & 0x80 or octets[7] in (61, 62):
             return found
@@ -146,7 +146,7 @@ class EvilBus(AlarmBus):
 
 
 class Attack:
-    """Orders of every kind at random; what they come to."""
+    """Random orders of every kind, and their ends."""
 
     def __init__(self, seed: int, evil: float, mode: int) -> None:
         self.random = rnd = random.Random(seed)

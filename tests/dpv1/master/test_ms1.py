@@ -17,7 +17,7 @@ RDL = 0x0C
 
 
 def polled(slave: OctetMs1Slave, octets: str, after: int = 1) -> None:
-    """It acknowledges, and has its answer at poll number ``after``."""
+    """The slave acknowledges a request, and answers it at poll number ``after``."""
 
     def ms1(data: bytes) -> bytes:
         if data:

@@ -1,4 +1,4 @@
-"""What a drive plugin asks its slave by Read and Write, against octets; beside the services of a program."""
+"""Read and Write of a drive plugin to its slave, against octets, beside the services of a program."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dpstack.dpv1.pdu.read_write import Function
 
 
 class Unit:
-    """A drive plugin that only asks."""
+    """A drive plugin that only reads and writes records."""
 
     def __init__(self) -> None:
         self.records = RecordQueue()
@@ -47,6 +47,7 @@ def bus_with_unit(dpv1: Dpv1 | None = None) -> tuple[Ms1Bus, RecordQueue]:
 
 
 def end(bus: Ms1Bus, pending: PendingRecord) -> Outcome:
+    """Run until the plugin's service has ended."""
     for _ in range(20_000):
         if pending.outcome is not None:
             return pending.outcome
@@ -54,7 +55,7 @@ def end(bus: Ms1Bus, pending: PendingRecord) -> Outcome:
     raise AssertionError("no end")
 
 
-def said(bus: Ms1Bus) -> list[str]:
+def requests(bus: Ms1Bus) -> list[str]:
     """The requests of MS1 without polls."""
     return [data.hex(" ").upper() for data in bus.slave.asked if data]
 
@@ -66,7 +67,7 @@ def test_write_and_read_are_no_events() -> None:
     read = queue.submit(ReadReq(1, 47, 240))
     assert end(bus, written) == Outcome()
     assert end(bus, read) == Outcome(data=b"\x0a\x0b\x0c")
-    assert said(bus) == ["5F 01 2F 02 11 22", "5E 01 2F F0"]
+    assert requests(bus) == ["5F 01 2F 02 11 22", "5E 01 2F F0"]
     assert bus.done == []
 
 
@@ -77,7 +78,7 @@ def test_negative_answers_and_impossible_requests() -> None:
     assert (refused.failure, refused.codes) == (ServiceFailure.NEGATIVE, (0x80, 0xB5, 0))
     wrong = end(bus, queue.submit(ReadReq(1, 300, 240)))
     assert wrong.failure is ServiceFailure.LENGTH
-    assert said(bus) == ["5E 01 2F F0"]
+    assert requests(bus) == ["5E 01 2F F0"]
 
 
 def test_no_record_is_longer_than_the_slave_takes() -> None:
@@ -87,7 +88,7 @@ def test_no_record_is_longer_than_the_slave_takes() -> None:
     assert (refused.failure, refused.codes) == (ServiceFailure.NEGATIVE, (0x80, 0xB1, 0))
     assert end(bus, queue.submit(WriteReq(1, 47, bytes(64)))) == Outcome()
     assert end(bus, queue.submit(ReadReq(1, 47, 240))) == Outcome(data=b"\x0a")
-    assert said(bus) == [f"5F 01 2F 40{64 * ' 00'}", "5E 01 2F 40"]
+    assert requests(bus) == [f"5F 01 2F 40{64 * ' 00'}", "5E 01 2F 40"]
 
 
 def test_it_waits_for_its_turn_when_a_program_has_many() -> None:
@@ -96,8 +97,8 @@ def test_it_waits_for_its_turn_when_a_program_has_many() -> None:
     tokens = [bus.order_read(1, 2) for _ in range(CAPACITY)]
     pending = queue.submit(ReadReq(1, 2, 5))
     assert end(bus, pending) == Outcome(data=b"\x07")
-    assert said(bus)[0] == "5E 01 02 F0"
-    assert "5E 01 02 05" in said(bus)
+    assert requests(bus)[0] == "5E 01 02 F0"
+    assert "5E 01 02 05" in requests(bus)
     assert len({bus.end(token).token for token in tokens}) == CAPACITY
 
 
@@ -109,7 +110,7 @@ def test_cancelled_and_lost_before_it_was_sent() -> None:
     assert not queue
     bus.run(20)
     assert given_up.outcome is None
-    assert said(bus) == []
+    assert requests(bus) == []
 
 
 def test_the_slave_falls_silent() -> None:
@@ -209,4 +210,4 @@ def test_a_request_over_record_47_that_is_given_up_while_it_waits() -> None:
         "Write of slot 1, index 47 to slave 4 was not over after 0.5 s: record 47 of this slave was in use all the time"
     )
     bus.run(3_000)
-    assert said(bus) == ["5F 01 2F 01 B1"]
+    assert requests(bus) == ["5F 01 2F 01 B1"]

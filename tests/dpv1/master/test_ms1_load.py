@@ -40,7 +40,7 @@ class Loaded(SimBus):
         self.ends += [event for event in events if isinstance(event, RecordDone)]
 
     def rotation(self, for_ns: int) -> Histogram:
-        """What rotations took in that time."""
+        """The times of the rotations in that time."""
         self.master.rotation = Histogram()
         self.ends.clear()
         end = self.world.now + for_ns

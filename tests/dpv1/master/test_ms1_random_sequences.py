@@ -1,4 +1,4 @@
-"""Whatever happens on the wire and at the slave, in whatever order: every Read and Write has exactly one end.
+"""Random events on the wire and at the slave, in random order: every Read and Write has exactly one end.
 
 Against a slave of octets that answers anything; and with a slave of ours in a world with lost and damaged telegrams.
 """

@@ -18,8 +18,8 @@ from dpstack.errors import UsageError
 RDL = 0x0C
 
 
-def said(kit: Ms2Bus, start: int) -> list[str]:
-    """Telegrams since ``start`` of the log, tokens and FDL status left out."""
+def telegrams(kit: Ms2Bus, start: int) -> list[str]:
+    """Telegrams since ``start`` of the log, without tokens and FDL status."""
     return [s.octets.hex(" ") for s in kit.bus.log[start:] if s.octets[0] in (0x68, 0xE5)]
 
 
@@ -29,7 +29,7 @@ def test_literal_telegrams() -> None:
     start = len(kit.bus.log)
     done = kit.open(send_timeout_ns=2_000 * MS)
     assert (done.server_sap, done.send_timeout_ns, done.max_len) == (48, 2_000 * MS, 240)
-    assert said(kit, start) == [
+    assert telegrams(kit, start) == [
         # SRD high, DSAP 49, SSAP 50: Initiate with a send time-out of 200 x 10 ms, DPV1_RW, S_Len and D_Len 2
         "68 19 19 68 84 82 6d 31 32 57 00 00 00 00 c8 01 00 00 00 00 00 00 02 00 02 00 00 00 00 fa 16",
         "e5",
@@ -42,7 +42,7 @@ def test_literal_telegrams() -> None:
     assert kit.read(1, 1, 2).outcome.data == b"\1\2"
     assert kit.write(1, 0, 47, b"\1\2").outcome.failure is None
     assert kit.transport(1, 0, 47, b"\1\2\3").outcome.data == b"\1\2\3"
-    assert said(kit, start) == [
+    assert telegrams(kit, start) == [
         "68 09 09 68 84 82 5d 30 32 5e 01 02 f0 16 16",
         "e5",
         "68 05 05 68 84 82 7d 30 32 e5 16",
@@ -58,7 +58,7 @@ def test_literal_telegrams() -> None:
     ]
     start = len(kit.bus.log)
     over = kit.close(1)
-    assert said(kit, start) == ["68 08 08 68 84 82 5d 30 32 58 00 20 3d 16", "e5"]
+    assert telegrams(kit, start) == ["68 08 08 68 84 82 5d 30 32 58 00 20 3d 16", "e5"]
     assert (over.reason, over.abort, over.server_sap, over.ordered) == ("it was closed here", (0, 2, 0), 48, True)
     kit.freed()
 
@@ -110,7 +110,7 @@ def test_a_request_that_is_not_taken_now_is_repeated(busy: int, sap: int) -> Non
     assert len(refused) == 3
 
 
-def test_old_data_are_given_away_first() -> None:
+def test_old_data_come_before_the_request_is_taken() -> None:
     """RDL: old data, and the request was not taken (docs/protocol.md#function-code)."""
     kit = connected()
     kit.slave.says_first(2, 48, sd2(2, 4, RDL, 50, 48, b"\x5e\x07\x07\x01\x07"))
@@ -195,7 +195,7 @@ def test_idle_from_the_slave_gives_it_more_time() -> None:
     assert idled == [4]
 
 
-def test_a_service_that_is_given_up_leaves_the_connection() -> None:
+def test_a_cancelled_service_does_not_end_the_connection() -> None:
     """The answer is fetched before anything else is asked: the slave takes one service at a time."""
     kit = connected()
     kit.slave.polls = 12
@@ -212,7 +212,7 @@ def test_a_service_that_is_given_up_leaves_the_connection() -> None:
     kit.freed()
 
 
-def test_the_answer_to_a_given_up_service_is_fetched_where_nothing_else_is_asked() -> None:
+def test_the_answer_to_a_cancelled_service_is_fetched_without_another_service() -> None:
     """At once, not with the next Idle."""
     kit = connected()
     kit.slave.polls = 7
@@ -235,7 +235,7 @@ def test_a_cancelled_service_that_was_never_sent_leaves_no_answer() -> None:
 
 
 def test_a_cancelled_service_that_the_slave_did_not_take_leaves_no_answer() -> None:
-    """It said "not now": waiting for the answer would end the connection."""
+    """The slave answered "not now": waiting for its answer would end the connection."""
     kit = connected()
     kit.slave.says[48] = lambda octets: sd1(2, 4, 0x02)
     token = kit.order_read(1)
@@ -249,7 +249,7 @@ def test_a_cancelled_service_that_the_slave_did_not_take_leaves_no_answer() -> N
 
 @pytest.mark.parametrize("lost", [(0,), (1,), (0, 1), (1, 2), (2,), (3,), (2, 3)])
 def test_telegrams_of_a_read_are_lost(lost: tuple[int, ...]) -> None:
-    """It ends once; a request that was lost with its repetition ends the connection, for it may have been taken."""
+    """A Read ends once. A request that is lost with its repetition ends the connection: the slave may have taken it."""
     kit = connected(response_ns=200 * MS)
     kit.lose(lost)
     done = kit.read(1)
@@ -343,7 +343,7 @@ def test_misuse_raises_at_once() -> None:
     assert [pdu for _, pdu in kit.slave.heard if pdu[:1] == b"\x48"]  # and it is kept alive
 
 
-def test_addresses_and_profile_go_out_as_they_are_given() -> None:
+def test_addresses_and_profile_of_initiate() -> None:
     kit = Ms2Bus()
     net = bytes.fromhex("05 06 01 02 03 04 05 06 07")
     token = kit.next_token()

@@ -1,4 +1,4 @@
-"""How a class 2 connection of the master ends, by the slave, by silence and from outside: nothing is kept."""
+"""Ends of a class 2 connection of the master: by the slave, by silence, from outside. Neither end keeps anything."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_the_slave_aborts(abort: str, text: str) -> None:
     over = kit.over(1)
     assert (over.abort, over.ordered) == (codes, False)
     assert text in over.text
-    assert kit.slave.heard[-1][1][:1] != b"\x58"  # it knows
+    assert kit.slave.heard[-1][1][:1] != b"\x58"  # the slave needs no Abort
     kit.freed()
     with pytest.raises(UsageError, match="there is no open class 2 connection 1; open a new one"):
         kit.order_read(1)
@@ -223,7 +223,7 @@ def test_close_all_connections() -> None:
 
 
 def test_the_port_vanishes_and_comes_back() -> None:
-    """The slave still holds it: it is told."""
+    """The slave still holds the connection: it gets Abort."""
     kit = connected()
     token = kit.order_read(1)
     opening = kit.order_open()

@@ -49,7 +49,7 @@ class Loaded:
         assert [event.outcome.failure for event in opened] == [None] * len(SLAVES)
 
     def rotation(self, for_ns: int, *, reads: int) -> Histogram:
-        """What rotations took in that time, in which each slave is asked for so many records (0..32)."""
+        """The times of the rotations in that time, with so many records (0..32) read from each slave."""
         self.master.rotation = Histogram()
         for _ in range(reads):
             for address in SLAVES:
@@ -62,7 +62,7 @@ class Loaded:
 
     @property
     def ends(self) -> list[RecordDone]:
-        """Of all Reads so far; each had its answer."""
+        """The Reads so far; each had its answer."""
         ends = [event for event in self.events if isinstance(event, RecordDone)]
         assert all(done.outcome.failure is None and len(done.outcome.data) == self.octets for done in ends)
         return ends
@@ -87,7 +87,7 @@ def test_no_cycle_is_missed(world: WorldFactory) -> None:
     assert len(bus.ends) > 24
 
 
-def test_what_fits_into_no_gap_is_told_by_name(world: WorldFactory) -> None:
+def test_a_service_that_fits_into_no_gap_is_named(world: WorldFactory) -> None:
     """240 octets at 500 kbit/s in a cycle of 4 ms: it goes out in the end, and no connection is lost by the waiting."""
     bus = Loaded(world(), cycle_ns=4 * MS, octets=240, baud=500_000)
     bus.rotation(600 * MS, reads=1)

@@ -1,4 +1,4 @@
-"""Initiate of the master against slaves of octets: each way it ends, and nothing is kept."""
+"""Initiate of the master against slaves of octets: every end of it. Neither end keeps anything after a failure."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def test_a_resource_manager_that_never_answers() -> None:
     assert "its resource manager has no answer to Initiate within 0.3 s" in done.text
 
 
-def test_a_server_sap_given_out_twice_stays_with_its_connection() -> None:
+def test_a_server_sap_that_the_slave_names_twice_stays_with_its_connection() -> None:
     kit = Ms2Bus()
     kit.slave.free = [48, 48]
     kit.open()
@@ -153,7 +153,7 @@ def test_telegrams_of_initiate_are_lost(lost: tuple[int, ...]) -> None:
     assert kit.read(1).outcome.data == b"\1\2"
 
 
-def test_an_initiate_whose_answers_are_lost_is_asked_for_and_not_sent_again() -> None:
+def test_an_initiate_whose_answers_are_lost_is_polled_and_not_sent_again() -> None:
     kit = Ms2Bus()
     kit.lose_first(2, lambda sent: sent.octets[0] == 0xE5)
     assert kit.open().server_sap == 48
@@ -162,7 +162,7 @@ def test_an_initiate_whose_answers_are_lost_is_asked_for_and_not_sent_again() ->
 
 
 def slow_manager(kit: Ms2Bus, polls: int) -> None:
-    """It acknowledges Initiate, and names the server SAP at poll number ``polls``."""
+    """The resource manager acknowledges Initiate, and names the server SAP at poll number ``polls``."""
     left = [polls]
 
     def say(octets: bytes) -> bytes | None:
@@ -178,13 +178,13 @@ def slow_manager(kit: Ms2Bus, polls: int) -> None:
 
 
 def initiates(kit: Ms2Bus) -> int:
-    """How many reached the slave, repetitions of the link layer left out."""
+    """The number of Initiates that reached the slave, without repetitions of the link layer."""
     asked = [octets for octets in kit.slave.requests if octets[0] == 0x68 and octets[7] == 49]
     return sum(octets[9] == 0x57 for octets in asked if len(octets) > 12)
 
 
 def test_an_initiate_that_was_acknowledged_is_not_sent_again_when_a_poll_is_lost() -> None:
-    """It would be another connection."""
+    """A second Initiate would open another connection."""
     kit = connected()
     kit.close(1)
     kit.slave.requests.clear()
@@ -205,7 +205,7 @@ def test_an_initiate_that_arrived_at_last_is_not_sent_again() -> None:
     assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
 
 
-def test_a_slave_that_is_there_and_has_heard_no_initiate_is_sent_it_again() -> None:
+def test_an_initiate_is_sent_again_to_a_slave_that_answers_polls_and_has_not_received_it() -> None:
     """More often than one that is silent: it says at each poll that it has nothing."""
     kit = Ms2Bus()
     # six, each with its repetition
@@ -214,7 +214,7 @@ def test_a_slave_that_is_there_and_has_heard_no_initiate_is_sent_it_again() -> N
     assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
 
 
-def test_an_answer_to_an_earlier_master_is_given_away_first() -> None:
+def test_an_answer_for_an_earlier_master_comes_before_the_initiate_is_taken() -> None:
     """RDL: the Initiate was not taken."""
     kit = Ms2Bus()
     kit.slave.says_first(2, 49, sd2(2, 4, RDL, 50, 49, b"\x56\x11\x00\x64"))
@@ -225,7 +225,7 @@ def test_an_answer_to_an_earlier_master_is_given_away_first() -> None:
 
 @pytest.mark.parametrize("step", range(24))
 def test_initiate_cancelled_or_closed_at_every_step(step: int) -> None:
-    """Of Initiate and the Read after it: the slave keeps nothing, and gives out all its connections again."""
+    """The slave keeps nothing, and gives out all its connections again."""
     for order in (CancelService, CloseConnection):
         kit = Ms2Bus()
         kit.slave.polls = 3
@@ -243,7 +243,7 @@ def test_initiate_cancelled_or_closed_at_every_step(step: int) -> None:
 
 def test_initiate_closed_at_every_moment() -> None:
     """Also between handing on and sending: what the link layer has already goes out. One that was open ends as such,
-    one that was not is never told as open."""
+    one that was not is never reported as open."""
     opened = 0
     for step in range(0, 3_200, 24):
         kit = Ms2Bus()
@@ -279,7 +279,7 @@ def test_a_read_only_bus() -> None:
 
 
 def at_the_manager(kit: Ms2Bus) -> str:
-    """What was said at SAP 49: I for Initiate, n for polls until the next one."""
+    """The requests at SAP 49: I for Initiate, n for a poll."""
     return "".join("I" if pdu else "n" for sap, pdu in kit.slave.heard if sap == 49)
 
 
@@ -293,8 +293,8 @@ def test_the_resource_manager_is_asked_for_one_connection_at_a_time() -> None:
 
 
 @pytest.mark.parametrize("step", range(12))
-def test_the_next_initiate_waits_until_one_that_was_given_up_is_given_back(step: int) -> None:
-    """Else it would be given the server SAP of that one, which is to be aborted."""
+def test_the_next_initiate_waits_until_the_slave_has_the_connection_of_a_cancelled_one_back(step: int) -> None:
+    """Otherwise it would get the server SAP of the one that is to be aborted."""
     kit = Ms2Bus()
     kit.slave.free = [48, 47, 46]
     tokens = [kit.order_open() for _ in range(3)]
@@ -307,7 +307,7 @@ def test_the_next_initiate_waits_until_one_that_was_given_up_is_given_back(step:
     assert "II" not in at_the_manager(kit)
 
 
-def test_a_server_sap_in_use_is_not_given_back_for_one_that_was_given_up() -> None:
+def test_a_cancelled_initiate_does_not_end_another_connection() -> None:
     """The slave still names the server SAP that it gave out last."""
     kit = connected()
     kit.slave.says[49] = lambda octets: SC

@@ -1,4 +1,4 @@
-"""Whatever slaves answer, in whatever order: every service over a class 2 connection has exactly one end, every
+"""Random answers of slaves in random order: every service over a class 2 connection has exactly one end, every
 connection that was open, too, and none is kept.
 """
 

@@ -34,7 +34,7 @@ def test_octets_of_the_manuals() -> None:
     assert Pkw.parse(bytes.fromhex("19 90 00 FF 00 00 00 02")) == (1, 400, 0, 2)
 
 
-def test_d4_the_master_holds_takes_sets_zero_and_waits_for_zero() -> None:
+def test_d4_the_master_holds_its_order_until_the_reply_then_sends_zero_and_waits_for_zero() -> None:
     client = PkwChannel(STRICT, Times())
     assert not busy(client)
     first, second = client.submit(Pkw(1, 400)), client.submit(Pkw(6, 480, 3))
@@ -58,7 +58,7 @@ def test_d4_the_master_holds_takes_sets_zero_and_waits_for_zero() -> None:
     assert client.octets == ZERO
 
 
-def test_an_answer_for_another_parameter_is_not_taken_but_remembered() -> None:
+def test_an_answer_for_another_parameter_is_not_accepted_but_kept() -> None:
     client = PkwChannel(STRICT, Times())
     exchange = client.submit(Pkw(1, 400))
     client.step(ZERO, 0)
@@ -132,7 +132,7 @@ def test_an_order_that_timed_out_is_not_answered_into_the_next_one(dialect: PkwD
         assert client.octets == ZERO
     client.step(bytes.fromhex("11 90 00 00 00 00 00 01"), 60)
     assert (client.octets, again.reply) == (ZERO, None)
-    client.step(ZERO, 70)  # the drive has seen both: nothing to wait for
+    client.step(ZERO, 70)  # the drive has seen both orders
     assert client.octets == bytes.fromhex("21 90 00 00 00 00 00 02")
     silent = client.submit(Pkw(1, 400))
     times.now = 200
@@ -144,7 +144,7 @@ def test_an_order_that_timed_out_is_not_answered_into_the_next_one(dialect: PkwD
     assert silent.reply is None
 
 
-def test_the_first_order_waits_until_the_drive_says_zero() -> None:
+def test_the_first_order_waits_until_the_reply_is_zero() -> None:
     """docs/drives/demag.md#handshake-of-the-parameter-channel: both start at 0; after a re-entry a drive may show its
     last reply for one more scan."""
     client = PkwChannel(STRICT, Times())

@@ -75,7 +75,7 @@ def test_a_map_without_its_values_is_refused_before_anything_is_sent(
         DRIVES[drive].core("it", telegram, options)
 
 
-def test_the_last_value_given_is_the_one_that_stays() -> None:
+def test_the_last_value_of_an_output_stays() -> None:
     bench = PluginBench(LS.core("pump", "PPO4", {"para_control": "dr-04=2.5 0005"}), "02 35 00 00 " + "00 " * 8)
     bench.order("output", number="dr-04", value=10)
     bench.order("output", number="0005", value=30)
@@ -102,7 +102,7 @@ def test_values_of_the_option_come_back_where_commands_do_not() -> None:
 S2 = "02 35 00 00"
 
 
-def test_a_map_on_the_wire_takes_what_the_drive_has() -> None:
+def test_a_new_map_begins_with_the_present_value_of_the_drive() -> None:
     """dr-04 is asked for, the old map goes, and the value stands in its word before COM-51 says what it is."""
     bench = PluginBench(LS.core("pump", "PPO2", ALONE), ZERO + S2 + " 00" * 8)
     token = bench.order("write_map", inputs="000E", outputs="dr-04")
@@ -161,7 +161,7 @@ def test_a_ramp_time_is_never_0_on_the_way_to_its_map(outputs: str, values: set[
     assert bench.seen == values
 
 
-def test_a_limit_without_a_value_is_told_by_start() -> None:
+def test_start_is_refused_for_a_limit_without_a_value() -> None:
     bench = PairBench(IMO.core("pump"), IMO.device(None))
     bench.ok("write_map", outputs="set_frequency forward_limit braking_torque_limit=120", inputs="frequency")
     bench.ok("speed", value=0.5)
@@ -221,14 +221,14 @@ def test_no_way_out_takes_the_ramp_away(way: str, monkeypatch: pytest.MonkeyPatc
     assert "04 7E 00 00 00 00 00 00 00 32 00 00" in frames
 
 
-def test_maps_that_act_later_must_be_told_before_the_drive_runs_again() -> None:
+def test_maps_that_act_later_are_needed_as_options_before_the_drive_runs_again() -> None:
     """The words of the old map would stand in the places of the new one: a control word in a torque limit."""
     telegram = "PCH+8/8"
     bench = PairBench(KEB.core("saw", telegram, simulated=True), KEB.device(telegram))
     maps = {"inputs": "ru.12:long sy.51 sy.53", "outputs": "cS.19:long sy.50 sy.52"}
     bench.ok("write_map", **maps)
-    told = "map_inputs = '220C:long 2033 2035' and map_outputs = '2F13:long 2032 2034' (with cS.19=VALUE)"
-    assert any(told in text and "end the bus before the drive is switched off" in text for text in bench.notices())
+    needed = "map_inputs = '220C:long 2033 2035' and map_outputs = '2F13:long 2032 2034' (with cS.19=VALUE)"
+    assert any(needed in text and "end the bus before the drive is switched off" in text for text in bench.notices())
     bench.ok("speed", value=0.5)
     bench.ok("start")  # the old ones still count
     bench.ok("stop")
@@ -236,7 +236,7 @@ def test_maps_that_act_later_must_be_told_before_the_drive_runs_again() -> None:
     kind, text = bench.refused("start")
     assert kind == "fault"
     assert "it was away since" in text
-    assert told in text
+    assert needed in text
     known = {"map_inputs": maps["inputs"], "map_outputs": "cS.19:long=100 sy.50 sy.52"}
     bench = PairBench(KEB.core("saw", telegram, known, simulated=True), KEB.device(telegram))
     bench.ok("write_map")

@@ -121,7 +121,7 @@ NOTICED = [
 
 
 @pytest.mark.parametrize(("drive", "telegram", "simulated", "says"), NOTICED)
-def test_what_changes_neither_scale_nor_source_is_a_notice(
+def test_a_setting_that_changes_neither_scale_nor_source_is_a_notice(
     drive: DriveProfile, telegram: str | None, simulated: Mapping[str, object], says: str
 ) -> None:
     options = {"profile": "ls"} if "profile" in simulated else NONE
@@ -149,7 +149,7 @@ def test_what_changes_neither_scale_nor_source_is_a_notice(
         (IMO, None, PZD),
     ],
 )
-def test_settings_as_they_should_be_say_nothing(
+def test_settings_as_expected_give_no_notice(
     drive: DriveProfile, telegram: str | None, simulated: Mapping[str, object]
 ) -> None:
     bench = pair(drive, telegram, simulated)
@@ -261,7 +261,7 @@ def test_imo_asks_for_source_and_maximum_after_its_maps() -> None:
     ("index", "value"),
     [("10", "00 00 00 33"), ("11", "00 00 00 01"), ("12", "00 00 00 35"), ("14", "FF FF FF FF"), ("1A", "00 00 00 34")],
 )
-def test_the_simulated_keb_tells_its_active_map(index: str, value: str) -> None:
+def test_the_active_map_of_the_simulated_keb(index: str, value: str) -> None:
     """sy.16, sy.17, sy.18, sy.20 and sy.26 of the map as delivered: 0033h and 0035h in, 0032h and 0034h out, -1 off."""
     bench = DeviceBench(KEB.device("PCH+4/4"), KEB.telegram("PCH+4/4").config.hex())
     request = f"71 01 20 {index} 00 00 00 00"
@@ -277,7 +277,7 @@ def test_the_simulated_keb_tells_its_active_map(index: str, value: str) -> None:
         ("10 E4 00 00 00 00 00 00", "20 E4 00 00 00 00 01 F4"),  # 228 = 5.00 Hz
     ],
 )
-def test_the_simulated_demag_tells_its_reference(order: str, reply: str) -> None:
+def test_the_reference_of_the_simulated_demag(order: str, reply: str) -> None:
     assert pkw(sim("PPO1", {"390": 60, "434": 1, "228": 5}), order) == reply
 
 
@@ -297,7 +297,7 @@ def test_keb_reads_its_active_map_by_index() -> None:
     ]
 
 
-# -- when, how long, and what is told ----------------------------------------------------------------------------------
+# -- time and results of the comparison --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -310,7 +310,7 @@ def test_keb_reads_its_active_map_by_index() -> None:
         (KEB, "4/4", NONE, "sy.24 to sy.31 = 2032 2034, sy.16 to sy.23 = 2033 2035"),
     ],
 )
-def test_without_a_channel_it_starts_and_says_not_checked(
+def test_without_a_channel_a_drive_starts_with_its_settings_not_checked(
     drive: DriveProfile, telegram: str, simulated: Mapping[str, object], relies: str
 ) -> None:
     bench = pair(drive, telegram, simulated)
@@ -328,7 +328,7 @@ def test_without_a_channel_it_starts_and_says_not_checked(
     assert bench.notices().count(text) == 1
 
 
-def test_without_an_answer_it_starts_within_its_time_and_says_not_checked() -> None:
+def test_without_an_answer_a_drive_starts_in_time_with_its_settings_not_checked() -> None:
     bench = PluginBench(FUJI.core("fan", "PPO1"), ZERO + "02 31 00 00")
     token = bench.order("start", timeout_s=5)
     bench.run(3 * S // bench.rotation)
@@ -356,7 +356,7 @@ def test_a_slow_bus_leaves_time_for_the_start_itself(
     assert bench.core.status().settings is SettingsState.CHECKED
 
 
-def test_what_the_drive_does_not_have_is_not_checked_and_the_rest_is() -> None:
+def test_a_setting_that_the_drive_does_not_have_is_not_checked_the_others_are() -> None:
     """An inverter of another family: P00.06 does not exist there."""
     bench = pair(IMO, None, {**PZD, "P00.03": 40}, {"frequency_source": "P77.01=9"})
     bench.ok("start")
@@ -377,7 +377,7 @@ def test_settings_are_compared_again_after_each_loss() -> None:
     assert "F03 is 50 Hz" in bench.refused("start")[1]
 
 
-def test_what_was_set_right_is_seen_by_the_next_start() -> None:
+def test_the_next_start_sees_a_corrected_setting() -> None:
     bench = pair(FUJI, "PPO1", {"F03": 50})
     bench.refused("start")
     bench.ok("write", number="F03", value=60)
@@ -385,7 +385,7 @@ def test_what_was_set_right_is_seen_by_the_next_start() -> None:
     assert bench.core.status().settings is SettingsState.CHECKED
 
 
-def test_what_was_set_wrong_meanwhile_is_seen_by_the_next_start() -> None:
+def test_the_next_start_sees_a_setting_that_was_changed_meanwhile() -> None:
     bench = pair(DEMAG, "PPO1", BUS)
     bench.ok("start")
     bench.ok("stop")
@@ -447,7 +447,7 @@ def test_a_start_order_that_is_cancelled_while_it_waits_sends_nothing() -> None:
 # -- reached() and the actual speed ------------------------------------------------------------------------------------
 
 
-def test_reached_does_not_believe_the_bit_alone() -> None:
+def test_reached_needs_more_than_the_bit() -> None:
     """Bit 10 is set and the motor turns at 37.5 % instead of 50 %: scale or source of the set point is another one."""
     bench = PluginBench(DEMAG.core("hoist", "PPO3"), "02 40 00 00")
     bench.order("speed", value=0.5)
@@ -502,7 +502,7 @@ def test_a_command_error_of_a_plugin_ends_the_comparison_only() -> None:
     assert "no answer of this drive" in core.status().settings_texts[0]
 
 
-def test_settings_that_one_parameter_tells_are_all_named_where_it_cannot_be_read(
+def test_all_settings_of_a_parameter_that_cannot_be_read_are_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """434 tells the source of the set point, and whether 228 is added."""

@@ -30,7 +30,7 @@ def test_d11_and_f4_scaling(fraction: float, word: int) -> None:
 
 
 @pytest.mark.parametrize("bad", [2.0, -2.001, 1e30, math.inf, -math.inf, math.nan])
-def test_what_does_not_fit_is_refused_with_the_range(bad: float) -> None:
+def test_a_value_that_does_not_fit_is_refused_with_the_range(bad: float) -> None:
     with pytest.raises(ValueError, match=r"outside -2\.\.1\.9999"):
         SPEED.encode(bad)
 

@@ -22,16 +22,16 @@ T = TypeVar("T")
 
 
 class Bench:
-    """The access alone: what it asks in octets, what it is answered."""
+    """The access alone, against requests and responses in octets."""
 
     def __init__(self) -> None:
         self.queue = RecordQueue()
         self.now = 0
-        self.said: list[str] = []
+        self.requests: list[str] = []
         self.access = AcyclicAccess(ParameterClient(0), self.queue, plain_places(TABLE, "mixer"), self)
 
     def run(self, steps: Steps[T], *responses: str) -> T:
-        """Each request is taken, each Read answered by the next of ``responses``."""
+        """Each Write is accepted, each Read answered by the next of ``responses``."""
         waiting = list(responses)
         try:
             while True:
@@ -41,7 +41,7 @@ class Bench:
                 if pending is None:
                     continue
                 if isinstance(pending.request, WriteReq):
-                    self.said.append(pending.request.data.hex(" ").upper())
+                    self.requests.append(pending.request.data.hex(" ").upper())
                     pending.outcome = outcome("")
                 else:
                     pending.outcome = outcome(waiting.pop(0))
@@ -80,13 +80,13 @@ def test_elements_that_follow_each_other_are_one_address() -> None:
     keys = [*(ParamKey(20, index=at) for at in (1, 2, 3)), ParamKey("ramp"), ParamKey(20, index=3), ParamKey(21)]
     steps = bench.access.read_many(keys, 5 * S)
     found = bench.run(steps, "01 01 01 04 06 03 00 01 00 02 00 03 06 01 00 0A 06 01 00 03 03 01 FF FF")
-    assert bench.said == [
+    assert bench.requests == [
         "01 01 01 04 10 03 00 14 00 01 10 00 00 0B 00 00 10 01 00 14 00 03 10 00 00 15 00 00",
     ]
     assert [(one["number"], one["value"]) for one in found] == [(20, 1), (20, 2), (20, 3), (11, 1.0), (20, 3), (21, -1)]
 
 
-def test_where_one_of_them_is_refused_each_is_asked_by_itself() -> None:
+def test_after_a_refusal_each_element_is_read_by_itself() -> None:
     bench = Bench()
     steps = bench.access.read_many([ParamKey(20, index=0), ParamKey(20, index=1), ParamKey("ramp")], 5 * S)
     found = bench.run(
@@ -99,10 +99,10 @@ def test_where_one_of_them_is_refused_each_is_asked_by_itself() -> None:
         "text": "parameter 20: error 3, invalid subindex (subindex 1)",
         "number": 3,
     }
-    assert len(bench.said) == 3
+    assert len(bench.requests) == 3
 
 
-def test_what_is_no_number_says_what_it_is() -> None:
+def test_a_value_that_is_no_number_is_refused_with_its_format() -> None:
     with pytest.raises(CommandError, match="parameter 919 is no number but VisibleString: 'LS'"):
         read(919, "01 01 01 01 09 02 4C 53")
     with pytest.raises(CommandError, match="parameter 919 is no number but OctetString: b'12345'"):
@@ -124,11 +124,11 @@ def test_a_change_in_the_format_that_the_drive_gives(name: str | int, value: flo
     bench = Bench()
     steps = bench.access.write(ParamKey(name), value, 5 * S)
     assert bench.run(steps, f"01 01 01 01 {format_}", "02 02 01 01")["value"] == value
-    assert bench.said[1].startswith("02 02 01 01 10 00 ")
-    assert bench.said[1].endswith(written)
+    assert bench.requests[1].startswith("02 02 01 01 10 00 ")
+    assert bench.requests[1].endswith(written)
     again = bench.run(bench.access.write(ParamKey(name), value, 5 * S), "03 02 01 01")
     assert again["value"] == value
-    assert len(bench.said) == 3  # the format is known now
+    assert len(bench.requests) == 3  # the format is known now
 
 
 @pytest.mark.parametrize(
@@ -143,12 +143,12 @@ def test_a_change_in_the_format_that_the_drive_gives(name: str | int, value: flo
         (ParamKey(11, index=70000), 1, r"indexes are 0\.\.65535"),
     ],
 )
-def test_wrong_use_is_told_before_anything_is_sent(key: ParamKey, value: float, text: str) -> None:
+def test_misuse_is_refused_before_a_request_is_sent(key: ParamKey, value: float, text: str) -> None:
     bench = Bench()
     with pytest.raises(CommandError, match=text) as caught:
         bench.run(bench.access.write(key, value, 5 * S))
     assert caught.value.kind == "usage"
-    assert bench.said == []
+    assert bench.requests == []
 
 
 def test_a_value_that_the_format_cannot_hold() -> None:
@@ -161,7 +161,7 @@ def test_a_value_that_the_format_cannot_hold() -> None:
 def test_elements_go_by_index() -> None:
     bench = Bench()
     bench.run(bench.access.read(ParamKey(947, index=3), 5 * S), "01 01 01 01 06 01 00 22")
-    assert bench.said == ["01 01 01 01 10 01 03 B3 00 03"]
+    assert bench.requests == ["01 01 01 01 10 01 03 B3 00 03"]
 
 
 def test_the_slave_is_lost_in_between() -> None:

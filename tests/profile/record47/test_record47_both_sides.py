@@ -70,7 +70,7 @@ def arrays(draw: st.DrawFn) -> Values:
     st.integers(0, 30),
 )
 def test_any_set_split_and_joined_gives_the_same_values(wanted: list[Values], limits: Limits, busy_ms: int) -> None:
-    """Whatever the drive's limits are: no request and no response is longer, and nothing gets lost or doubled."""
+    """No request and no response is longer than the drive's limits, and no value gets lost or doubled."""
     there = dict(enumerate(wanted, 1))
     model = Model(dict(there))
     wire = Wire(ParameterServer(model, Rules(limits=limits, busy_ns=busy_ms * MS)))
@@ -130,7 +130,7 @@ def _list(n: int) -> tuple[int, ...]:
 
 
 def test_a_list_of_1000_parameters_whole_with_progress() -> None:
-    """What it takes in services and octets: the time on a bus follows from them."""
+    """The numbers of services and octets: the time on a bus follows from them."""
     wire = thousand()
     master = ParameterClient(1)
     told: list[tuple[int, int]] = []

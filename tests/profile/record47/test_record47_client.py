@@ -34,7 +34,7 @@ def test_a_drive_that_still_carries_out_another_request_is_asked_again() -> None
     assert drive.said[:4] == [READ_965, "pause 2 ms", READ_965, "pause 4 ms"]
 
 
-def test_it_stays_busy() -> None:
+def test_a_drive_that_stays_busy() -> None:
     drive = Script("", *[BUSY] * 100)
     with pytest.raises(CommandError, match="record 47 of slot 1: the drive did not answer within 2000 ms") as caught:
         talk(client().read([Address(965)]), drive)
@@ -45,7 +45,7 @@ def test_it_stays_busy() -> None:
         talk(client().read([Address(965)]), drive)
 
 
-def test_the_callers_time_counts_and_so_does_the_drives_own() -> None:
+def test_the_time_is_limited_by_the_caller_and_by_the_latency_of_the_drive() -> None:
     drive = Script("", *[BUSY] * 100)
     with pytest.raises(CommandError, match="did not answer"):
         talk(client().read([Address(965)], deadline=100 * MS), drive)
@@ -55,7 +55,7 @@ def test_the_callers_time_counts_and_so_does_the_drives_own() -> None:
         talk(client(latency_ns=3000 * MS).read([Address(965)]), slow)
 
 
-def test_an_answer_to_another_request_is_never_taken() -> None:
+def test_an_answer_to_another_request_is_never_accepted() -> None:
     late, garbage, other = "07 01 01 01 06 01 00 07", "07 01", "01 02 01 01"
     drive = Script("", late, garbage, other, IS_965)
     master = client()
@@ -117,7 +117,7 @@ def test_a_response_that_was_lost_on_the_way_is_asked_for_anew() -> None:
     assert [one[:2] for one in change.said].count("5F") == 1
 
 
-def test_a_request_that_somebody_elses_replaced_is_made_again_and_a_change_is_not() -> None:
+def test_a_read_that_another_clients_request_replaced_is_sent_again_a_change_is_not() -> None:
     ours, other = "80 01 01 01 06 01 03 28", "05 01 01 01 06 01 00 07"
     drive = Script("", other, "", ours)
     master = ParameterClient(1, references=PROGRAM)
@@ -139,7 +139,9 @@ def test_a_request_that_somebody_elses_replaced_is_made_again_and_a_change_is_no
         ((Refused(0xB1),), "does not take a request of 10 octets", None),
     ],
 )
-def test_refusals_and_lies_end_at_once(answers: tuple[str | Refused, ...], text: str, number: int | None) -> None:
+def test_refusals_and_impossible_answers_end_at_once(
+    answers: tuple[str | Refused, ...], text: str, number: int | None
+) -> None:
     with pytest.raises(CommandError, match=text) as caught:
         talk(client().read([Address(965)]), Script(*answers))
     assert (caught.value.kind, caught.value.number) == ("parameter", number)
@@ -258,7 +260,7 @@ def test_974_is_respected() -> None:
         ("01 01 01 01 06 01 00 80", Limits(octets=128)),
     ],
 )
-def test_974_that_says_nothing(answer: str, limits: Limits) -> None:
+def test_limits_from_974_that_are_missing_or_impossible(answer: str, limits: Limits) -> None:
     assert talk(read_limits(client()), Script("", answer)) == limits
 
 
@@ -303,7 +305,7 @@ def test_lists_with_a_zero_with_an_end_and_with_a_continuation() -> None:
     assert talk(defined(client()), round_) == [1, 2]
 
 
-def test_a_drive_without_a_list_says_so() -> None:
+def test_a_drive_without_a_list_is_refused_by_name() -> None:
     with pytest.raises(CommandError, match="parameter 980: error 0, illegal parameter number") as caught:
         talk(defined(client()), Lists({}))
     assert caught.value.number == 0

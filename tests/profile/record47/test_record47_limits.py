@@ -48,7 +48,7 @@ ODD = {
 
 
 class Watched(Wire):
-    """Both ends joined; how many parameters the requests had."""
+    """Both ends joined; ``counts``: the number of parameters of each request."""
 
     def __init__(self, server: ParameterServer) -> None:
         super().__init__(server)
@@ -66,7 +66,7 @@ def drive(limits: Limits, busy_ns: int = 0) -> Watched:
 
 
 @pytest.mark.parametrize("limits", ODD.values(), ids=ODD)
-def test_the_whole_list_within_them(limits: Limits) -> None:
+def test_the_whole_list_within_odd_limits(limits: Limits) -> None:
     wire = drive(limits, busy_ns=limits.latency_ns * 9 // 10)
     master = ParameterClient(1, limits=Limits(elements=limits.elements))
     told = talk(read_limits(master), wire)
@@ -74,7 +74,7 @@ def test_the_whole_list_within_them(limits: Limits) -> None:
     found = talk(read_out(master), wire)
     assert [one.pnu for one in found] == [*range(1, 12), 20, 21]
     assert [one.values for one in found[:11]] == [(n,) for n in range(1, 12)]
-    if limits.octets >= 24:  # of less not even a name is told
+    if limits.octets >= 24:  # a shorter block holds no name
         assert found[0].description is not None
         assert (found[0].description.name, found[0].description.low) == ("Parameter 1", bytes(4))
     assert found[11].values == (-3,) * 8
@@ -86,7 +86,7 @@ def test_the_whole_list_within_them(limits: Limits) -> None:
 
 
 @pytest.mark.parametrize("limits", ODD.values(), ids=ODD)
-def test_changes_within_them(limits: Limits) -> None:
+def test_changes_within_odd_limits(limits: Limits) -> None:
     wire = drive(limits, busy_ns=limits.latency_ns * 9 // 10)
     master = ParameterClient(1, limits=limits)
     items = [
@@ -99,7 +99,7 @@ def test_changes_within_them(limits: Limits) -> None:
     assert wire.longest <= limits.octets
 
 
-def test_a_drive_that_says_no_latency_has_its_2_s_and_one_that_says_5_s_has_10() -> None:
+def test_a_drive_without_a_latency_has_2_s_and_one_with_5_s_has_10_s() -> None:
     for latency_ns, busy_ns, in_time in (
         (0, 1990 * NS_PER_MS, True),
         (0, 2100 * NS_PER_MS, False),
@@ -123,7 +123,7 @@ def test_a_drive_that_says_no_latency_has_its_2_s_and_one_that_says_5_s_has_10()
         (Address(980, 0, 1), 4),  # in another format
     ],
 )
-def test_a_write_to_the_drives_own_lists_is_read_only_whatever_else_is_wrong(address: Address, number: int) -> None:
+def test_the_drives_own_lists_are_read_only_before_any_other_error(address: Address, number: int) -> None:
     model = StoreParameters(ParamStore(TABLE, {}, sets=8))
     assert model.change(address, Values(number, (1,) * max(address.elements, 1))) == ErrorValue(1, address.subindex)
 
@@ -161,7 +161,7 @@ def test_arrays_whole_where_nothing_is_described(limits: Limits) -> None:
     assert [one.values for one in first] == [(7,), (0,), (5,), (9,)]
 
 
-def test_limits_that_nobody_asked_for_are_met_by_trying() -> None:
+def test_limits_that_were_not_read_are_found_by_smaller_requests() -> None:
     wire = drive(Limits(octets=32, parameters=1))
     master = ParameterClient(1)
     found = talk(master.read([Address(n) for n in range(1, 12)]), wire)
@@ -172,7 +172,7 @@ def test_limits_that_nobody_asked_for_are_met_by_trying() -> None:
 
 
 def test_a_description_longer_than_the_block_in_octets() -> None:
-    """Its elements 1 to 12 one by one: what the drive does not have is zero, without an identifier there is none."""
+    """Elements 1 to 12 are read one by one: a missing one is zero; without the identifier there is no description."""
     none = "44 01 00 09"
     master = ParameterClient(1)
     drive = Script(
@@ -199,12 +199,12 @@ def test_a_description_longer_than_the_block_in_octets() -> None:
         (Limits(octets=12), "01 01 01 01 10 00 00 01 00 00", None),
     ],
 )
-def test_what_the_drive_refuses(limits: Limits, write: str, refused: Refused | None) -> None:
+def test_requests_that_the_drive_refuses(limits: Limits, write: str, refused: Refused | None) -> None:
     server = drive(limits).server
     assert server.write_record(1, 47, octets(write), 0) == refused
 
 
-def test_what_the_drive_answers_beyond_its_block() -> None:
+def test_responses_longer_than_the_block() -> None:
     server = drive(Limits(octets=16, elements=7)).server
     assert server.write_record(1, 47, octets("01 01 01 01 10 07 00 14 00 00"), 0) is None
     assert server.read_record(1, 47, 240, 0) == octets("01 81 01 01 44 01 00 15")
