@@ -157,23 +157,31 @@ def presets(fixed: int = 1, more: str = "", most: int = 4) -> Device:
 
 
 @pytest.mark.parametrize(
-    "wanted", [["8 DO", "8 DI"], ["base", "option", "8 DO", "8 DI"], [2, "3", 1, 4], ["BASE", 3, "8 do", "8 DI"]]
+    ("wanted", "config"),
+    [
+        (["8 DO", "8 DI"], "11 21 20 10"),
+        (["base", "option", "8 DO", "8 DI"], "11 21 20 10"),
+        ([2, "3", 1, 4], "11 21 20 10"),
+        (["BASE", 3, "8 do", "8 DI"], "11 21 20 10"),
+        (["", "8 DI"], "11 21 00 10"),
+        ([], "11 21"),
+        (None, "11 21"),
+    ],
 )
-def test_fixed_presets_stand_first_named_or_not(wanted: list[int | str]) -> None:
+def test_fixed_presets_stand_first_named_or_not(wanted: list[int | str] | None, config: str) -> None:
     found = configure(presets(), wanted)
-    assert found.config.hex(" ") == "11 21 20 10"
-    assert [m.name for m in found.modules if m] == ["base", "option", "8 DO", "8 DI"]
+    assert found.config.hex(" ") == config
+    assert [m.name for m in found.modules[:2] if m] == ["base", "option"]
+
+
+@pytest.mark.parametrize(("wanted", "config"), [(None, "11 21"), (["8 DI", "base"], "10 11")])
+def test_presets_without_the_keyword_are_defaults_only(wanted: list[int | str] | None, config: str) -> None:
+    assert configure(presets(0), wanted).config.hex(" ") == config
 
 
 def test_modules_of_a_diagnosis_count_from_the_fixed_presets() -> None:
     found = configure(presets(), ["8 DO"]).texts()
     assert [found.module_name(number) for number in range(4)] == ["base", "option", "8 DO", ""]
-
-
-def test_without_a_choice_the_presets_are_plugged() -> None:
-    assert configure(presets()).config.hex(" ") == "11 21"
-    assert configure(presets(), []).config.hex(" ") == "11 21"
-    assert configure(presets(0)).config.hex(" ") == "11 21"
 
 
 WRONG: list[list[int | str]] = [["base", "8 DO"], ["8 DI", "option"], ["base", "option", "base"], ["option", "base"]]
@@ -194,14 +202,6 @@ def test_more_fixed_presets_than_any_device_has_modules_are_refused() -> None:
     many = made("FixPresetModules = 1\n" + 'Module = "x" 0x10\nPreset = 1\nEndModule\n' * 256).device
     with pytest.raises(GsdError, match="256 fixed presets, Max_Module is 255 at most"):
         configure(many)
-
-
-def test_presets_without_the_keyword_stay_defaults() -> None:
-    assert configure(presets(0), ["8 DI", "base"]).config.hex(" ") == "10 11"
-
-
-def test_an_empty_slot_behind_the_fixed_presets() -> None:
-    assert configure(presets(), ["", "8 DI"]).config.hex(" ") == "11 21 00 10"
 
 
 def test_a_module_that_shares_its_name_with_a_fixed_preset() -> None:

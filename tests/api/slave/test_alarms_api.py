@@ -35,6 +35,11 @@ def rig(
     return serving(mirror(description), world, events, dpv1={"alarms": list(ALL), "alarm_mode": mode})
 
 
+def raised(slave: ServedSlave, slot: int) -> asyncio.Task[None]:
+    """A process alarm of ``slot``, under way until it is acknowledged."""
+    return asyncio.create_task(slave.alarm(PROCESS, slot))
+
+
 async def first_of(alarms: Any, count: int) -> list[SlaveAlarm]:
     return [await anext(alarms) for _ in range(count)]
 
@@ -112,7 +117,7 @@ async def test_the_station_acknowledges_alarms_without_a_listener(world: WorldFa
 @in_virtual_time
 async def test_a_listener_that_leaves_delays_no_alarm(world: WorldFactory, how: str) -> None:
     async with rig(world()) as (bus, slave):
-        raising = [asyncio.create_task(slave.alarm(PROCESS, slot)) for slot in range(5)]
+        raising = [raised(slave, slot) for slot in range(5)]
         if how == "break":
             async for alarm in bus.slave(9).alarms():
                 assert alarm.slot == 0
@@ -144,7 +149,7 @@ async def test_a_listener_that_leaves_delays_no_alarm(world: WorldFactory, how: 
 async def test_acknowledgement_by_the_program(world: WorldFactory) -> None:
     async with rig(world()) as (bus, slave):
         alarms = bus.slave(9).alarms(acknowledge=False)
-        raising = [asyncio.create_task(slave.alarm(PROCESS, slot)) for slot in range(3)]
+        raising = [raised(slave, slot) for slot in range(3)]
         first, second, third = await first_of(alarms, 3)
         await asyncio.sleep(1)
         assert not any(task.done() for task in raising)
@@ -159,19 +164,19 @@ async def test_acknowledgement_by_the_program(world: WorldFactory) -> None:
 async def test_an_alarm_waits_until_both_listeners_have_read_it(world: WorldFactory) -> None:
     async with rig(world()) as (bus, slave):
         one, other = bus.slave(9).alarms(), bus.slave(9).alarms()
-        raising = asyncio.create_task(slave.alarm(PROCESS, 7))
+        task = raised(slave, 7)
         assert (await anext(one)).slot == 7
         await asyncio.sleep(1)
-        assert not raising.done()
+        assert not task.done()
         assert (await anext(other)).slot == 7
-        await raising
+        await task
         del one  # the other one goes on
         gc.collect()
-        raising = asyncio.create_task(slave.alarm(PROCESS, 8))
+        task = raised(slave, 8)
         await asyncio.sleep(1)
-        assert not raising.done()
+        assert not task.done()
         await anext(other)
-        await raising
+        await task
 
 
 @in_virtual_time
@@ -179,13 +184,13 @@ async def test_alarms_of_a_slave_that_leaves_data_exchange_and_comes_back(world:
     async with rig(world()) as (bus, slave):
         found = bus.slave(9)
         alarms = found.alarms(acknowledge=False)
-        raising = asyncio.create_task(slave.alarm(PROCESS, 1))
+        task = raised(slave, 1)
         lost = await anext(alarms)
-        waiting = asyncio.create_task(slave.alarm(PROCESS, 2))
+        waiting = raised(slave, 2)
         await asyncio.sleep(0.1)
         await found.deactivate()
         with pytest.raises(AlarmError):
-            await raising
+            await task
         with pytest.raises(AlarmError):
             await waiting
         await found.activate()
@@ -193,15 +198,15 @@ async def test_alarms_of_a_slave_that_leaves_data_exchange_and_comes_back(world:
         with pytest.raises(SlaveFault, match=r"slave 9 \(rig\) left data exchange: its alarms are void"):
             await lost.acknowledge()
         assert (await anext(alarms)).slot == 2  # what was delivered stays delivered
-        raising = asyncio.create_task(slave.alarm(PROCESS, 3))
+        task = raised(slave, 3)
         alarm = await anext(alarms)
         assert alarm.slot == 3
         await alarm.acknowledge()
-        await raising
+        await task
         await found.reparameterise(watchdog_ms=500)
-        raising = asyncio.create_task(slave.alarm(PROCESS, 4))
+        task = raised(slave, 4)
         await (await anext(alarms)).acknowledge()
-        await raising
+        await task
 
 
 @in_virtual_time
@@ -209,20 +214,20 @@ async def test_alarms_end_with_the_bus_and_with_the_slave(world: WorldFactory) -
     async with rig(world()) as (bus, slave):
         found = bus.slave(9)
         alarms, statuses = found.alarms(), found.status_messages()
-        raising = asyncio.create_task(slave.alarm(PROCESS, 1))
+        task = raised(slave, 1)
         await asyncio.sleep(0.2)
         await bus.remove(found)
         assert [alarm.slot async for alarm in alarms] == [1]  # an alarm that came before can still be read
         assert [status async for status in statuses] == []
         with pytest.raises(AlarmError):
-            await raising
+            await task
         added = await bus.add_slave(RIG.table(9))
         await added.ready()
         alarms, statuses = added.alarms(acknowledge=False), added.status_messages()
-        raising = asyncio.create_task(slave.alarm(PROCESS, 2))
+        task = raised(slave, 2)
         alarm = await anext(alarms)
         acknowledging = asyncio.create_task(alarm.acknowledge())
-        raising.cancel()
+        task.cancel()
         await asyncio.sleep(0)
     assert [alarm async for alarm in alarms] == []
     assert [status async for status in statuses] == []
@@ -233,23 +238,23 @@ async def test_alarms_end_with_the_bus_and_with_the_slave(world: WorldFactory) -
 async def test_an_alarm_of_a_removed_slave_is_none_of_the_slave_that_is_added_later(world: WorldFactory) -> None:
     async with rig(world()) as (bus, slave):
         old_stream = bus.slave(9).alarms(acknowledge=False)
-        raising = asyncio.create_task(slave.alarm(PROCESS, 1))
+        task = raised(slave, 1)
         old = await anext(old_stream)
         await bus.remove(bus.slave(9))
         with pytest.raises(AlarmError):
-            await raising
+            await task
         added = await bus.add_slave(RIG.table(9))
         await added.ready()
         alarms = added.alarms(acknowledge=False)
-        raising = asyncio.create_task(slave.alarm(PROCESS, 2))
+        task = raised(slave, 2)
         new = await anext(alarms)
         for _ in range(2):
             with pytest.raises(SlaveFault, match="left data exchange: its alarms are void"):
                 await old.acknowledge()
         await asyncio.sleep(1)
-        assert not raising.done()
+        assert not task.done()
         await new.acknowledge()
-        await raising
+        await task
 
 
 @pytest.mark.parametrize("listens", [True, False])
@@ -265,10 +270,10 @@ async def test_dpv1_off_and_on_again(world: WorldFactory, listens: bool) -> None
             alarms.close()
         await found.reparameterise(dpv1={"alarms": list(ALL)})
         await found.ready()
-        raising = asyncio.create_task(slave.alarm(PROCESS, 2))
+        task = raised(slave, 2)
         if listens:
             assert (await anext(alarms)).slot == 2
-        await raising
+        await task
         await asyncio.sleep(0.1)
         assert found.alarm_counts is not None
         assert found.alarm_counts.raised == 2

@@ -1,8 +1,9 @@
-"""Alarms and the GSD file: its words in either process, what it has not is refused, what it requires is enabled."""
+"""Alarms and the GSD file: its texts in either process, kinds that it excludes, kinds that it requires."""
 
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -25,17 +26,17 @@ ALL = ("pull_plug", "process", "diagnostic", "manufacturer", "status", "update")
 
 
 @pytest.mark.parametrize("rest", ["", "42 01 80 40 30"])
-def test_the_words_of_the_gsd_file_in_either_process(rest: str) -> None:
+def test_the_texts_of_the_gsd_file_in_either_process(rest: str) -> None:
     texts = DiagTexts(device("diagnosis"), [None])
     setup = SlaveParams(
         address=9, name="rig", ident=1, config=b"\x10", user_prm=bytes(3), dpv1=Dpv1(alarms=ALL), texts=texts
     )
     diagnosis = Diagnosis(8, 0x0C, 0, 2, 1, bytes.fromhex("05 21 03 01 01" + rest))
-    there: list[dpstack.Event] = []
+    events: list[dpstack.Event] = []
     for of in (setup, dataclasses.replace(setup, texts=None)):  # the bus process has none
-        handler: Any = SimpleNamespace(setup=of, reports=SlaveReports(of, there.append, 2), want_diagnosis=None)
+        handler: Any = SimpleNamespace(setup=of, reports=SlaveReports(of, events.append, 2), want_diagnosis=None)
         AlarmHandler(handler, AlarmBook()).take(diagnosis, True, 1, 7)
-    own, foreign = there
+    own, foreign = events
     assert isinstance(own, AlarmRaised)
     assert own.texts[0] == "fuse blown"
     if rest:
@@ -78,8 +79,16 @@ EndModule
 """
 
 
+def setup_of(folder: Path, dpv1: str) -> SlaveParams:
+    """The parameters of a slave with the GSD file above and the key ``dpv1``."""
+    (folder / "rig.gsd").write_text(GSD, encoding="latin-1")
+    table = f'name = "rig"\naddress = 9\ngsd = "rig.gsd"\nmodules = ["io"]\ndpv1 = {dpv1}\n'
+    text = f'[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\n{table}'
+    return parse_config(text, str(folder / "plant.toml")).slaves[0].params
+
+
 @pytest.mark.parametrize(
-    ("dpv1", "told"),
+    ("dpv1", "message"),
     [
         (
             '{ alarms = ["diagnostic"] }',
@@ -89,29 +98,20 @@ EndModule
         ("{ alarm_mode = 3 }", "alarm_mode 3 is 8 alarms at a time, its GSD file says Alarm_Sequence_Mode_Count = 4"),
     ],
 )
-def test_what_the_gsd_file_does_not_have_is_refused(tmp_path: Any, dpv1: str, told: str) -> None:
-    (tmp_path / "rig.gsd").write_text(GSD, encoding="latin-1")
-    with pytest.raises(ConfigError, match=told.replace(".", r"\.")):
-        parse_config(plant(dpv1), str(tmp_path / "plant.toml"))
+def test_alarms_that_the_gsd_file_excludes(tmp_path: Path, dpv1: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message.replace(".", r"\.")):
+        setup_of(tmp_path, dpv1)
 
 
 @pytest.mark.parametrize(
     ("dpv1", "sent"),
     [
-        ("true", "80 48 00"),  # what it requires, beside what its parameters enable
+        ("true", "80 48 00"),  # kinds that it requires, and kinds that its parameters enable
         ('{ alarms = ["process", "diagnostic"], alarm_mode = 2 }', "80 60 02"),
     ],
 )
-def test_what_is_enabled(tmp_path: Any, dpv1: str, sent: str) -> None:
-    (tmp_path / "rig.gsd").write_text(GSD, encoding="latin-1")
-    setup = parse_config(plant(dpv1), str(tmp_path / "plant.toml")).slaves[0].params
+def test_enabled_alarms_in_dpv1_status(tmp_path: Path, dpv1: str, sent: str) -> None:
+    setup = setup_of(tmp_path, dpv1)
     assert setup.user_octets(None).hex(" ") == sent
     assert setup.dpv1 is not None
     assert setup.dpv1.extra_alarm_sap
-
-
-def plant(dpv1: str) -> str:
-    return (
-        '[bus]\nport = "/dev/ttyUSB0"\nbaud = 500000\n[[slave]]\nname = "rig"\naddress = 9\ngsd = "rig.gsd"\n'
-        f'modules = ["io"]\ndpv1 = {dpv1}\n'
-    )

@@ -7,6 +7,7 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import AsyncIterator
+from typing import Any
 
 import pytest
 from api_kit import RAW, bus_of, in_virtual_time
@@ -28,19 +29,28 @@ from dpstack.trace import Severity
 
 
 @contextlib.asynccontextmanager
-async def beside(events: list[dpstack.Event] | None = None) -> AsyncIterator[tuple[dpstack.Bus, Ms2Server]]:
-    """The bus of station 5, which is nobody's class 1 master, while master 2 exchanges data with slave 9."""
+async def owner(**more: Any) -> AsyncIterator[tuple[dpstack.Bus, Ms2Server]]:
+    """The bus of master 2 in data exchange with slave 9."""
     world = World()
     server = ms2_in(world)
-    async with bus_of(RAW, world=world, gap=1) as owner:
-        await owner.ready()
-        await owner.operate()
-        owner.slave(9).outputs = b"\x55"
+    async with bus_of(RAW, world=world, **more) as bus:
+        await bus.ready()
+        yield bus, server
+
+
+@contextlib.asynccontextmanager
+async def beside(events: list[dpstack.Event] | None = None) -> AsyncIterator[tuple[dpstack.Bus, Ms2Server]]:
+    """The bus of station 5, which is nobody's class 1 master, while master 2 exchanges data with slave 9."""
+    async with owner(gap=1) as (own, server):
+        world = own.world
+        assert world is not None
+        await own.operate()
+        own.slave(9).outputs = b"\x55"
         config = make_config("virtual", 500_000, 5)
         async with dpstack.open_bus(config, world=world, on_event=None if events is None else events.append) as bus:
             yield bus, server
         await asyncio.sleep(0.05)
-        slave = owner.slave(9)
+        slave = own.slave(9)
         assert (slave.ready_now, slave.retries, slave.timeouts, slave.inputs) == (True, 0, 0, b"\x55")
         assert not server.sessions
         assert sorted(server.free) == [47, 48]
@@ -113,10 +123,7 @@ async def test_everything_over_one_connection_beside_the_slaves_own_master() -> 
 
 @in_virtual_time
 async def test_several_connections_to_a_slave_of_this_bus() -> None:
-    world = World()
-    server = ms2_in(world)
-    async with bus_of(RAW, world=world) as bus:
-        await bus.ready()
+    async with owner() as (bus, server):
         first = await bus.class2.connect("raw")
         second = await bus.class2.connect(bus.slave(9))
         assert (first.name, first.server_sap, second.server_sap) == ("raw", 48, 47)
@@ -239,10 +246,7 @@ async def test_after_a_defect_every_call_ends(monkeypatch: pytest.MonkeyPatch) -
     def defect(*_: object) -> None:
         raise ZeroDivisionError("a defect")
 
-    world = World()
-    ms2_in(world)
-    async with bus_of(RAW, world=world) as bus:
-        await bus.ready()
+    async with owner() as (bus, _):
         connection = await bus.class2.connect(9)
         monkeypatch.setattr(Acyclic, "token_received", defect)
         for what in (connection.read(1, 2), connection.read(1, 2), _connected(bus, 9)):
@@ -282,11 +286,7 @@ async def test_a_cancelled_service_leaves_the_connection_open() -> None:
 
 @in_virtual_time
 async def test_the_bus_ends_meanwhile() -> None:
-    world = World()
-    server = ms2_in(world)
-    bus = bus_of(RAW, world=world)
-    async with bus:
-        await bus.ready()
+    async with owner() as (bus, server):
         connection = await bus.class2.connect(9)
         server.serve = lambda pdu: None
         waiting = [asyncio.create_task(connection.read(1, n)) for n in range(3)]
@@ -308,8 +308,6 @@ async def _connected(bus: dpstack.Bus, address: int) -> Connection:
 
 @in_virtual_time
 async def test_the_limits_of_the_gsd_file() -> None:
-    world = World()
-    server = ms2_in(world)
     dpv1 = DpV1(
         slave=True,
         c2_read_write=True,
@@ -318,7 +316,7 @@ async def test_the_limits_of_the_gsd_file() -> None:
         c2_max_count_channels=1,
         max_initiate_pdu_length=24,
     )
-    async with bus_of(RAW, world=world) as bus:
+    async with owner() as (bus, server):
         slave = bus.slave(9)
         slave.config = _with(slave.config, Device(dpv1=dpv1))
         async with bus.class2.connect(9) as connection:

@@ -25,17 +25,8 @@ from dpstack.profile.record47 import (
 from dpstack.units import NS_PER_MS, s_to_ns
 
 
-def drive(busy_ms: int = 10) -> tuple[RecordParameters, ParamStore]:
-    """The drive of :class:`StoreParameters`; each service takes 3 ms."""
-    table = ParamTable(
-        [
-            ParamSpec(number=11, name="ramp", title="Ramp time", decimals=1, unit="s", high=600, factory=1),
-            ParamSpec(number=12, name="offset", title="Offset", low=-100, high=100, factory=-3, per_set=True),
-            ParamSpec(number=13, name="hours", title="Hours", long=True, high=1e6, factory=70000, read_only=True),
-        ]
-    )
-    store = ParamStore(table, {}, sets=4)
-    server = ParameterServer(StoreParameters(store), Rules(busy_ns=busy_ms * NS_PER_MS))
+def access_to(server: ParameterServer) -> RecordParameters:
+    """The parameters of a drive; each service takes 3 ms."""
 
     async def carry_out(service: ReadReq | WriteReq) -> bytes | Refused:
         await asyncio.sleep(0.003)
@@ -44,7 +35,20 @@ def drive(busy_ms: int = 10) -> tuple[RecordParameters, ParamStore]:
             return server.write_record(service.slot, service.index, service.data, now) or b""
         return server.read_record(service.slot, service.index, service.length, now)
 
-    return RecordParameters("pump", carry_out, 1), store
+    return RecordParameters("pump", carry_out, 1)
+
+
+def drive(busy_ms: int = 10) -> tuple[RecordParameters, ParamStore]:
+    """The parameters of a drive with :class:`StoreParameters`, and its store."""
+    table = ParamTable(
+        [
+            ParamSpec(number=11, name="ramp", title="Ramp time", decimals=1, unit="s", high=600, factory=1),
+            ParamSpec(number=12, name="offset", title="Offset", low=-100, high=100, factory=-3, per_set=True),
+            ParamSpec(number=13, name="hours", title="Hours", long=True, high=1e6, factory=70000, read_only=True),
+        ]
+    )
+    store = ParamStore(table, {}, sets=4)
+    return access_to(ParameterServer(StoreParameters(store), Rules(busy_ns=busy_ms * NS_PER_MS))), store
 
 
 @in_virtual_time
@@ -52,12 +56,12 @@ async def test_the_whole_list_with_progress_and_a_change() -> None:
     parameters, store = drive()
     assert (await parameters.limits()).parameters == 39
     assert await parameters.defined() == [11, 12, 13]
-    told: list[tuple[int, int]] = []
-    found = await parameters.read_out(progress=lambda done, of: told.append((done, of)))
+    steps: list[tuple[int, int]] = []
+    found = await parameters.read_out(progress=lambda done, of: steps.append((done, of)))
     assert [(one.pnu, one.values) for one in found] == [(11, (10,)), (12, (-3, -3, -3, -3)), (13, (70000,))]
     assert found[1].description is not None
     assert (found[1].description.name, found[1].description.elements) == ("Offset", 4)
-    assert told == [(3, 3)]
+    assert steps == [(3, 3)]
     outcome = await parameters.change([(Address(12, 1, 2), Values(3, (5, -6))), (Address(13), Values(7, (1,)))])
     assert outcome == [Values(0x40), ErrorValue(1, 0)]
     assert [store.value("offset", n) for n in (1, 2, 3, 4)] == [-3, 5, -6, -3]
@@ -132,21 +136,14 @@ def test_a_drive_over_its_store_in_octets(request_: str, answer: str) -> None:
 async def test_texts_of_values_both_ways() -> None:
     store = drive()[1]
     names = ("off", "on", "by itself, and longer than 16")
-    server = ParameterServer(StoreParameters(store, texts={11: names}))
-
-    async def carry_out(service: ReadReq | WriteReq) -> bytes | Refused:
-        if isinstance(service, WriteReq):
-            return server.write_record(service.slot, service.index, service.data, 0) or b""
-        return server.read_record(service.slot, service.index, service.length, 0)
-
-    parameters = RecordParameters("pump", carry_out, 1)
+    parameters = access_to(ParameterServer(StoreParameters(store, texts={11: names})))
     assert await parameters.texts(11, 3) == ["off", "on", "by itself, and l"]
     assert await parameters.texts(11, 1, first=1) == ["on"]
     with pytest.raises(dpstack.ParameterError, match=r"texts of parameter 11: error 3, invalid subindex \(subindex 3"):
         await parameters.texts(11, 2, first=2)
-    (told,) = await parameters.describe([11])
-    assert told is not None
-    assert told.text
+    (description,) = await parameters.describe([11])
+    assert description is not None
+    assert description.text
     (name,) = await parameters.read([Address(11, 6, 1, 0x20)])
     assert name == Values(9, (b"Ramp time".ljust(16),))
 
