@@ -8,12 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.pdu.diag_bits import ALWAYS_ONE, FLAG, FLAGS, Flag, Reaction, SetBy
+from dpstack.dp.pdu.diag_bits import ALWAYS_ONE, FLAG, FLAGS, Flag, Reaction
 from dpstack.dp.pdu.diag_blocks import Block, split_blocks
 from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, adapted
 from dpstack.errors import PduError
-
-__all__ = ["ALWAYS_ONE", "FIXED_LEN", "FLAG", "FLAGS", "MAX_LEN", "NO_MASTER", "Diagnosis", "Flag", "SetBy"]
 
 #: Fixed octets, and the longest diagnosis.
 FIXED_LEN: Final = 6

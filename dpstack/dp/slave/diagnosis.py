@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from dpstack.dp.error_origin import DEVICE_CALL
+from dpstack.dp.pdu.diag_bits import ALWAYS_ONE
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
-from dpstack.dp.pdu.diagnosis import ALWAYS_ONE, FIXED_LEN, Diagnosis
+from dpstack.dp.pdu.diagnosis import FIXED_LEN, Diagnosis
 from dpstack.dp.slave.cyclic_data import CyclicData
 from dpstack.dp.slave.device import DpV0Device
 from dpstack.dp.slave.extension import DiagMessages

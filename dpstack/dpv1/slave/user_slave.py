@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Awaitable, Callable, Iterator
 from functools import partial
-from typing import Any, Protocol, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 from dpstack.argcheck import Sealed, functions, octets, whole_number
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
@@ -26,22 +26,11 @@ from dpstack.gsd.identifiers import io_lengths
 
 #: from the outputs and the time since data exchange began in ns to the inputs
 OnCycle = Callable[[bytes, int], bytes | bytearray]
-
-
-class OnAddress(Protocol):
-    """Keeps what Set_Slave_Add brought where it survives a restart."""
-
-    def __call__(self, address: int, fixed: bool, rem_slave_data: bytes) -> None:
-        """As :meth:`~dpstack.dpv1.slave.device.Device.address_set`: all of it is kept."""
-
-
-class OnIm(Protocol):
-    """Keeps what a master wrote of I&M1 to I&M4 where it survives a restart."""
-
-    def __call__(self, slot: int, record: Im) -> None:
-        """``record`` as it is to stand from now on, at the slot that was addressed."""
-
-
+#: keeps the address, No_Add_Chg and the device's octets of Set_Slave_Add where they survive a restart
+#: (:meth:`~dpstack.dpv1.slave.device.Device.address_set`)
+OnAddress = Callable[[int, bool, bytes], None]
+#: keeps a record of I&M1 to I&M4, which a master wrote in a slot, where it survives a restart
+OnIm = Callable[[int, Im], None]
 #: a record's octets from slot and index; from slot, index and octets to nothing. Both may take their time, and raise
 #: :class:`~dpstack.errors.RecordRefused`.
 OnRead = Callable[[int, int], Awaitable[bytes]]

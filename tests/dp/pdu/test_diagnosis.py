@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dpstack.dp.pdu.diag_bits import FLAG, FLAGS, SetBy
 from dpstack.dp.pdu.diag_blocks import Block, ChannelBlock, DeviceBlock, IdentifierBlock, RevisionBlock, split_blocks
-from dpstack.dp.pdu.diagnosis import FLAG, FLAGS, Diagnosis, SetBy
+from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.errors import PduError
 
 #: the attribute of each bit that a slave sets
