@@ -42,6 +42,13 @@ config = "20 10"
 """
 
 
+def plant_of(folder: Path, port: object = "virtual") -> Path:
+    """:data:`PLANT` on ``port`` as the file ``plant.toml`` in ``folder``."""
+    path = folder / "plant.toml"
+    path.write_text(PLANT.format(port=port), encoding="utf-8")
+    return path
+
+
 def wait_for_socket(port: Path) -> None:
     """Until the program on ``port`` holds it and can be talked to."""
     path = socket_of(str(port))
@@ -122,6 +129,12 @@ class Starter:
     def __call__(self, *args: str) -> Program:
         program = Program(self.folder, *args)
         self._programs.append(program)
+        return program
+
+    def segment(self, directory: Path, stations: int = 2, *more: str) -> Program:
+        """``dpstack segment`` with the links 0, 1 ... in ``directory``, which are there now."""
+        program = self("segment", "--stations", str(stations), "--dir", str(directory), *more)
+        program.wait_for(str(directory / str(stations - 1)))
         return program
 
     def close(self) -> None:

@@ -126,7 +126,7 @@ def start(start: Starter) -> Starter:
 def segment(tmp_path: Path, start: Starter) -> Path:
     """A segment of three stations; the folder with their ports."""
     directory = tmp_path / "bus"
-    start("segment", "--stations", "3", "--dir", str(directory)).wait_for(str(directory / "2"))
+    start.segment(directory, 3)
     return directory
 
 

@@ -27,7 +27,7 @@ def bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("address")
     starter = Starter(folder)
     try:
-        starter("segment", "--stations", "2", "--dir", str(folder / "bus")).wait_for(str(folder / "bus" / "1"))
+        starter.segment(folder / "bus")
         with Responder(str(folder / "bus" / "0"), SLAVES):
             yield folder / "bus"
     finally:

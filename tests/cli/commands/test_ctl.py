@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from cli_kit import Cli
 from far_ends import until
-from programs import PLANT, Starter
+from programs import PLANT, Starter, plant_of
 
 import dpstack
 from dpstack.api.config.config import make_config
@@ -33,10 +33,8 @@ def ctl(cli: Cli, *args: str, code: int = 0) -> str:
 
 def test_three_programs_are_told_what_to_do(tmp_path: Path, start: Starter, cli: Cli) -> None:
     bus = tmp_path / "bus"
-    segment = start("segment", "--stations", "2", "--dir", str(bus))
-    segment.wait_for(str(bus / "1"))
-    config = tmp_path / "plant.toml"
-    config.write_text(PLANT.format(port=bus / "1"), encoding="utf-8")
+    segment = start.segment(bus)
+    config = plant_of(tmp_path, bus / "1")
     sim = start("sim", str(config), "--port", str(bus / "0"))
     sim.wait_for("raw")
     run = start("run", str(config), "--json")
@@ -87,8 +85,7 @@ async def ask(server: ControlServer, *order: str) -> Any:
 
 
 async def test_a_run_in_the_virtual_world_has_its_slaves_commands(tmp_path: Path) -> None:
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    path = plant_of(tmp_path)
     async with dpstack.open_bus(path) as bus, control_run(bus, "virtual") as server:
         await ask(server, "operate")
         await bus.ready()
@@ -156,8 +153,7 @@ async def treat(path: Path) -> None:
 
 
 def test_simulated_slaves_are_silenced_and_switched(tmp_path: Path) -> None:
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    path = plant_of(tmp_path)
     dpstack.run_virtual(treat(path))
 
 
@@ -182,8 +178,7 @@ def test_simulated_slaves_are_silenced_and_switched(tmp_path: Path) -> None:
     ],
 )
 async def test_wrong_arguments_of_a_run(tmp_path: Path, order: tuple[str, ...], says: str) -> None:
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    path = plant_of(tmp_path)
     async with dpstack.open_bus(path) as bus, control_run(bus, "virtual") as server:
         with pytest.raises(UsageError) as caught:
             await ask(server, *order)
@@ -192,8 +187,7 @@ async def test_wrong_arguments_of_a_run(tmp_path: Path, order: tuple[str, ...], 
 
 
 async def test_a_simulation_and_its_segment(tmp_path: Path) -> None:
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT.format(port="/dev/elsewhere"), encoding="utf-8")
+    path = plant_of(tmp_path, "/dev/elsewhere")
     config = dpstack.load_config(path)
     async with Segment(2, tmp_path / "bus") as segment, control_segment(segment) as wire:
         async with (

@@ -6,13 +6,15 @@ import asyncio
 import json
 import os
 import signal
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from cli_kit import SIMULATED, Cli
 from ends_kit import told
-from programs import PLANT, Program, Starter
+from programs import PLANT, Program, Starter, plant_of
 
 import dpstack
 from dpstack.api.bus.bus import Bus
@@ -76,17 +78,23 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT.format(port="virtual"), encoding="utf-8")
-    return path
+    return plant_of(tmp_path)
 
 
-def drive(cli: Cli, *args: str, code: int = 0) -> tuple[list[str], list[str]]:
+Drive = Callable[..., tuple[list[str], list[str]]]
+
+
+def printed(cli: Cli, *args: str, code: int = 0) -> tuple[list[str], list[str]]:
     """Lines on standard output and standard error; that the slaves are simulated is left out."""
     out, err = cli("drive", *args, code=code)
     err = err.replace(SIMULATED, "", 1)
     told = [line for line in err.splitlines() if "its ident number is" not in line]
     return out.splitlines(), told
+
+
+@pytest.fixture
+def drive(cli: Cli, plant: Path) -> Drive:
+    return partial(printed, cli, str(plant))
 
 
 # -- in the foreground --------------------------------------------------------------------------------------------
@@ -103,7 +111,7 @@ def test_every_word_for_every_drive(name: str, tmp_path: Path, cli: Cli) -> None
     words = words if name not in ("imo",) else words.replace(" quick_stop", " coast")
     # at a low rate there is less to compute; the IMO's card hears one rate only
     baud = "1500000" if name == "imo" else "93750"
-    out, err = drive(cli, str(path), name, *words.split(), "acknowledge", "--json", "--baud", baud)
+    out, err = printed(cli, str(path), name, *words.split(), "acknowledge", "--json", "--baud", baud)
     assert [line for line in err if not line.startswith(f"dpstack: drive {name}: ")] == []  # what plugins advise
     told = [json.loads(line) for line in out]
     assert [one["order"] for one in told] == [word for word in (*words.split(), "acknowledge") if word.isidentifier()]
@@ -118,25 +126,24 @@ def test_every_word_for_every_drive(name: str, tmp_path: Path, cli: Cli) -> None
 
 
 @pytest.mark.usefixtures("fast")
-def test_parameters_for_people(plant: Path, cli: Cli) -> None:
-    hoist = (str(plant), "hoist")
-    out, _ = drive(cli, *hoist, "read", "480", "read", "fixed_frequency_1", "--data-set", "3")
+def test_parameters_for_people(drive: Drive) -> None:
+    out, _ = drive("hoist", "read", "480", "read", "fixed_frequency_1", "--data-set", "3")
     assert out == [
         "hoist: 480 (fixed_frequency_1), data set 3 = 5.0 Hz",
         "hoist: fixed_frequency_1, data set 3 = 5.0 Hz",
     ]
-    drive(cli, *hoist, "dump", "h.toml", "--data-set", "3")
-    out, _ = drive(cli, *hoist, "write", "480", "-300", "compare", "h.toml", "--data-set", "3", code=1)
+    drive("hoist", "dump", "h.toml", "--data-set", "3")
+    out, _ = drive("hoist", "write", "480", "-300", "compare", "h.toml", "--data-set", "3", code=1)
     assert out[:2] == [
         "hoist: 480 (fixed_frequency_1), data set 3 = -300.0 Hz",
         "fixed_frequency_1, data set 3 (Fixed frequency 1): file 5.0 Hz, drive -300.0 Hz",
     ]
     assert out[-1] == "hoist: 17 parameters are as in h.toml, 1 differ"
     assert any(line.startswith("not compared: internal_reference_frequency, ") for line in out)
-    out, _ = drive(cli, *hoist, "compare", "h.toml", "--all", "--json")
+    out, _ = drive("hoist", "compare", "h.toml", "--all", "--json")
     (told,) = map(json.loads, out)
     assert (told["same"], told["file"]) == (24, "h.toml")
-    _, err = drive(cli, str(plant), "fan", "compare", "h.toml", code=2)
+    _, err = drive("fan", "compare", "h.toml", code=2)
     assert err[0].startswith("dpstack: drive fan: PPO3 of fuji-frenic has no parameter channel") or "demag" in err[0]
 
 
@@ -166,8 +173,8 @@ def test_parameters_for_people(plant: Path, cli: Cli) -> None:
         ("hoist start", 1, "412 is 44: control not by the bus; write 412 = 1 in the active data set (1)"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(words: str, code: int, says: str, plant: Path, cli: Cli) -> None:
-    out, err = drive(cli, str(plant), *words.split(), code=code)
+def test_what_cannot_be_done_is_one_line(drive: Drive, words: str, code: int, says: str) -> None:
+    out, err = drive(*words.split(), code=code)
     assert out == []
     assert len(err) == 1
     assert says in err[0]
@@ -195,20 +202,20 @@ def test_what_cannot_be_done_is_one_line(words: str, code: int, says: str, plant
     ],
 )
 def test_all_orders_are_judged_before_the_first_goes_out(
-    words: str, says: str, plant: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
+    drive: Drive, words: str, says: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither a run is asked nor a master of its own begun: nothing starts that a later word would stop again."""
     begun: list[object] = []
     monkeypatch.setattr("asyncio.run", begun.append)
-    out, err = drive(cli, str(plant), *words.split(), code=2)
+    out, err = drive(*words.split(), code=2)
     assert (out, begun) == ([], [])
     assert len(err) == 1
     assert says in err[0]
 
 
 @pytest.mark.usefixtures("fast")
-def test_a_file_that_an_earlier_order_makes_is_not_looked_for(plant: Path, cli: Cli) -> None:
-    out, err = drive(cli, str(plant), "hoist", "dump", "new.toml", "compare", "new.toml")
+def test_a_file_that_an_earlier_order_makes_is_not_looked_for(drive: Drive) -> None:
+    out, err = drive("hoist", "dump", "new.toml", "compare", "new.toml")
     assert err == []
     assert out[-1].endswith("parameters are as in new.toml, 0 differ")
 
@@ -227,8 +234,8 @@ async def test_a_run_is_told_nothing_when_a_later_word_is_wrong(plant: Path, cap
 
 
 @pytest.mark.usefixtures("fast")
-def test_a_set_point_alone_moves_nothing(plant: Path, cli: Cli) -> None:
-    out, err = drive(cli, str(plant), "4", "frequency", "12", "--seconds", "1")
+def test_a_set_point_alone_moves_nothing(drive: Drive) -> None:
+    out, err = drive("4", "frequency", "12", "--seconds", "1")
     assert out == [
         "fan: ready_to_switch_on at 0.0% (0.0 Hz), set point 20.0%",
         "master in the foreground until Ctrl-C, which ends",
@@ -237,7 +244,7 @@ def test_a_set_point_alone_moves_nothing(plant: Path, cli: Cli) -> None:
 
 
 @pytest.mark.usefixtures("fast")
-def test_the_end_of_the_time_stops_it_by_its_ramp(plant: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_end_of_the_time_stops_it_by_its_ramp(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
     speeds: list[float] = []
     close = Bus.close
 
@@ -246,7 +253,7 @@ def test_the_end_of_the_time_stops_it_by_its_ramp(plant: Path, cli: Cli, monkeyp
         await close(bus)
 
     monkeypatch.setattr(Bus, "close", closing)
-    out, err = drive(cli, str(plant), "fan", "start", "speed", "50%", "reached", "--seconds", "1")
+    out, err = drive("fan", "start", "speed", "50%", "reached", "--seconds", "1")
     (notice,) = err
     assert "drive fan: settings not checked: PPO3 has no parameter channel" in notice
     assert "fan: stopping by its ramp; a second Ctrl-C makes its outputs safe at once" in out
@@ -255,7 +262,7 @@ def test_the_end_of_the_time_stops_it_by_its_ramp(plant: Path, cli: Cli, monkeyp
 
 
 @pytest.mark.usefixtures("fast")
-def test_a_second_signal_cuts_the_ramp_short(plant: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_signal_cuts_the_ramp_short(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first stops the drive by its ramp, which takes seconds; after a later one there are safe values and Clear."""
     telegrams: list[bytes] = []
     times: list[float] = []
@@ -284,7 +291,7 @@ def test_a_second_signal_cuts_the_ramp_short(plant: Path, cli: Cli, monkeypatch:
     monkeypatch.setattr(dpstack.Drive, "stop", stopping)
     monkeypatch.setattr(Bus, "close", closing)
     monkeypatch.setattr(StopSignal.__init__, "__defaults__", (lambda: 4 * asyncio.get_running_loop().time(),))
-    out, err = drive(cli, str(plant), "fan", "start", "speed", "100%", "reached", code=130)
+    out, err = drive("fan", "start", "speed", "100%", "reached", code=130)
     (notice,) = err
     assert "drive fan: settings not checked: PPO3 has no parameter channel" in notice
     assert out[-1].startswith("fan: stopping at ")
@@ -293,7 +300,7 @@ def test_a_second_signal_cuts_the_ramp_short(plant: Path, cli: Cli, monkeypatch:
 
 
 @pytest.mark.usefixtures("fast")
-def test_a_drive_that_trips_ends_it(plant: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drive_that_trips_ends_it(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
     operate = Bus.operate
 
     async def trip(bus: Bus) -> None:
@@ -309,7 +316,7 @@ def test_a_drive_that_trips_ends_it(plant: Path, cli: Cli, monkeypatch: pytest.M
 
     tripping: list[asyncio.Task[None]] = []
     monkeypatch.setattr(Bus, "operate", operating)
-    out, err = drive(cli, str(plant), "fan", "start", code=1)
+    out, err = drive("fan", "start", code=1)
     assert out[-1].startswith("fan: fault at ")
     assert err[-1] == (
         "dpstack: drive fan stopped by itself: fault without a name: PPO3 and PPO4 do not carry it, the keypad shows it"
@@ -317,9 +324,9 @@ def test_a_drive_that_trips_ends_it(plant: Path, cli: Cli, monkeypatch: pytest.M
 
 
 @pytest.mark.usefixtures("fast")
-def test_a_read_only_configuration_gives_no_orders(plant: Path, cli: Cli) -> None:
+def test_a_read_only_configuration_gives_no_orders(drive: Drive, plant: Path) -> None:
     plant.write_text(plant.read_text().replace("[bus]", "[bus]\nread_only = true"), encoding="utf-8")
-    assert "no drive can be given an order" in drive(cli, str(plant), "fan", "status", code=2)[1][0]
+    assert "no drive can be given an order" in drive("fan", "status", code=2)[1][0]
 
 
 # -- through a run ------------------------------------------------------------------------------------------------
@@ -434,40 +441,40 @@ def port_of(program: Any) -> str:
     return str(program.lines[0]["port"])
 
 
-def through_the_run(plant: Path, run: Program, cli: Cli) -> None:
+def through_the_run(drive: Drive, plant: Path, run: Program, cli: Cli) -> None:
     port = dpstack.load_config(plant).port
-    out, err = drive(cli, str(plant), "fan", "acknowledge", "start", "speed", "0.3", "reached")
+    out, err = drive("fan", "acknowledge", "start", "speed", "0.3", "reached")
     assert err == []
     assert out[-1] == (
         f"it keeps running under the run on {port} (pid {run.process.pid}): "
         f"`dpstack drive {plant} fan stop` stops it, and so does the end of that run"
     )
-    (told,) = (json.loads(line) for line in drive(cli, str(plant), "fan", "status", "--json")[0])
+    (told,) = (json.loads(line) for line in drive("fan", "status", "--json")[0])
     assert (told["through"], told["status"]["running"]) == ("run", True)
     assert told["status"]["speed"] == pytest.approx(0.3, abs=0.02)
     other = plant.with_name("other.toml")
     other.write_text(plant.read_text(), encoding="utf-8")
-    _, err = drive(cli, str(other), "fan", "stop", code=2)
+    _, err = printed(cli, str(other), "fan", "stop", code=2)
     assert err == [
         f"dpstack: the run on {port} (pid {run.process.pid}) has the configuration {plant}, not {other}: give the one "
         "that the run has, or end that run"
     ]
     was = plant.read_text()
     plant.write_text(was.replace("address = 4", "address = 5"), encoding="utf-8")
-    _, err = drive(cli, str(plant), "fan", "stop", code=2)
+    _, err = drive("fan", "stop", code=2)
     assert "but a fuji-frenic at 4 for the run on" in err[0]
     plant.write_text(was, encoding="utf-8")
-    out, _ = drive(cli, str(plant), "fan", "stop", "status")
+    out, _ = drive("fan", "stop", "status")
     assert out[0].startswith("fan: ready_to_switch_on at 0.0%")
 
 
-def test_alone_on_a_port_until_ctrl_c_then_through_a_run(plant: Path, start: Starter, capsys: Out, cli: Cli) -> None:
+def test_alone_on_a_port_until_ctrl_c_then_through_a_run(drive: Drive, plant: Path, start: Starter, cli: Cli) -> None:
     sim = start("sim", str(plant), "--port", "pty", "--json")
     port = port_of(sim)
     plant.write_text(PLANT.format(port=port), encoding="utf-8")
     hand = start("drive", str(plant), "fan", "start", "speed", "0.2", "reached")
     hand.wait_for("master in the foreground until Ctrl-C, which stops the drive by its ramp and ends")
-    _, err = drive(cli, str(plant), "fan", "status", code=1)
+    _, err = drive("fan", "status", code=1)
     assert f"pid {hand.process.pid}" in err[0]
     assert hand.end(signal.SIGINT) == 0
     told = [line for line in hand.out.splitlines() if line.startswith("fan: ")]
@@ -479,13 +486,13 @@ def test_alone_on_a_port_until_ctrl_c_then_through_a_run(plant: Path, start: Sta
     run = start("run", str(plant), "--json")
     run.wait_for_slaves(3)
     for _ in range(100):  # in data exchange, and in Operate a moment later
-        (status,) = (json.loads(line) for line in drive(cli, str(plant), "fan", "status", "--json")[0])
+        (status,) = (json.loads(line) for line in drive("fan", "status", "--json")[0])
         if status["status"]["state"] != "offline":
             break
     assert status["through"] == "run"
     # Er5: its watchdog ended the data exchange with the first master (docs/drives/fuji.md#lost-communication)
     assert status["status"]["state"] == "fault"
     assert cli.out("ctl", port).startswith("sim on ")
-    through_the_run(plant, run, cli)
+    through_the_run(drive, plant, run, cli)
     assert run.end(signal.SIGTERM) == 0
     assert sim.end(signal.SIGTERM) == 0

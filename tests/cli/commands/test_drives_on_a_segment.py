@@ -44,7 +44,7 @@ simulated = {{ dr-03 = 0.1, dr-04 = 0.1 }}
 
 def test_a_users_program_runs_a_keb_and_an_ls(tmp_path: Path, start: Starter) -> None:
     directory, config = tmp_path / "bus", tmp_path / "plant.toml"
-    start("segment", "--stations", "2", "--dir", str(directory)).wait_for(str(directory / "1"))
+    start.segment(directory)
     config.write_text(PLANT.format(port=directory / "1"), encoding="utf-8")
     start("sim", str(config), "--port", str(directory / "0"))  # the bus waits for its slaves
 

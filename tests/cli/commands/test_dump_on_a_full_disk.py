@@ -8,12 +8,11 @@ from pathlib import Path
 
 import pytest
 from cli_kit import SIMULATED, Cli
-from programs import PLANT
+from programs import plant_of
 
 
 def test_all_is_read_and_there_is_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli) -> None:
-    config = tmp_path / "plant.toml"
-    config.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    config = plant_of(tmp_path)
     there, link = tmp_path / "disk" / "h.toml", tmp_path / "link.toml"
     there.parent.mkdir()
     link.symlink_to(there)

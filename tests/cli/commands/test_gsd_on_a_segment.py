@@ -30,7 +30,7 @@ def bus(tmp_path: Path, start: Starter) -> Path:
     folder = tmp_path / "bus"
     (tmp_path / "plant.toml").write_text(HEAD.format(port=folder / "1") + IO)
     (tmp_path / "sim.toml").write_text(HEAD.format(port=folder / "0") + IO + RAW)
-    start("segment", "--stations", "2", "--dir", str(folder)).wait_for(str(folder / "1"))
+    start.segment(folder)
     start("sim", str(tmp_path / "sim.toml"), "--port", str(folder / "0")).wait_for("raw")
     return folder
 

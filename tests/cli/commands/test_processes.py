@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 from cli_kit import Cli
-from programs import PLANT, Starter, wait_for_exchanges, wait_for_socket
+from programs import PLANT, Starter, plant_of, wait_for_exchanges, wait_for_socket
 
 from dpstack.cli.main import main
 
@@ -26,15 +26,12 @@ from dpstack.cli.main import main
 @pytest.fixture
 def segment(tmp_path: Path, start: Starter) -> Path:
     directory = tmp_path / "bus"
-    program = start("segment", "--stations", "2", "--dir", str(directory))
-    program.wait_for(str(directory / "1"))
+    start.segment(directory)
     return directory
 
 
 def plant(tmp_path: Path, port: object) -> str:
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT.format(port=port), encoding="utf-8")
-    return str(path)
+    return str(plant_of(tmp_path, port))
 
 
 @pytest.mark.parametrize("driver", ["asyncio", "process"])
@@ -136,8 +133,7 @@ def test_the_bus_process_is_killed_and_run_says_what_that_means(
 
 def test_the_port_vanishes(tmp_path: Path, start: Starter) -> None:
     directory = tmp_path / "bus"
-    segment = start("segment", "--stations", "2", "--dir", str(directory))
-    segment.wait_for(str(directory / "1"))
+    segment = start.segment(directory)
     config = plant(tmp_path, directory / "1")
     text = Path(config).read_text(encoding="utf-8")
     # a new segment may come sooner or later than the watchdogs run out: the outputs shall go on all the same
@@ -148,7 +144,7 @@ def test_the_port_vanishes(tmp_path: Path, start: Starter) -> None:
     run.wait_for_slaves(3)
     segment.end(signal.SIGTERM)
     run.wait_for('"lost":true')
-    start("segment", "--stations", "2", "--dir", str(directory)).wait_for(str(directory / "1"))
+    start.segment(directory)
     run.wait_for('"lost":false')
     run.wait_for('"state":"data_exchange"', 6)
     run.wait_for_slaves(3)
@@ -177,7 +173,7 @@ def test_a_held_port_names_its_holder(tmp_path: Path, start: Starter, segment: P
 
 def test_the_rate_of_a_running_bus_is_found_and_a_second_master_joins_at_it(tmp_path: Path, start: Starter) -> None:
     directory = tmp_path / "bus"
-    start("segment", "--stations", "4", "--dir", str(directory), "--baud", "187500").wait_for(str(directory / "3"))
+    start.segment(directory, 4, "--baud", "187500")
     config = tmp_path / "first.toml"
     config.write_text(PLANT.format(port=directory / "1").replace("500000", "187500"), encoding="utf-8")
     sim = start("sim", str(config), "--port", str(directory / "0"), "--baud", "auto")

@@ -16,7 +16,7 @@ import pytest
 from api_kit import slave_in
 from cli_kit import Cli
 from far_ends import HANG_S
-from programs import PLANT, Starter
+from programs import Starter, plant_of
 
 import dpstack
 from dpstack.api.config.config import load_config
@@ -36,8 +36,8 @@ SLAVES = [("0x0696", "demag-dedrive"), ("0xDD04", "fuji-frenic"), ("0x1234", Non
 def bus(tmp_path: Path, start: Starter) -> Path:
     """A segment of three with the slaves of a plant on port 0; ports 1 and 2 are free."""
     directory = tmp_path / "bus"
-    start("segment", "--stations", "3", "--dir", str(directory)).wait_for(str(directory / "2"))
-    start("sim", plant(tmp_path, directory / "1"), "--port", str(directory / "0")).wait_for("raw")
+    start.segment(directory, 3)
+    start("sim", str(plant_of(tmp_path, directory / "1")), "--port", str(directory / "0")).wait_for("raw")
     return directory
 
 
@@ -85,12 +85,6 @@ def test_a_master_that_is_there_first_is_waited_for(capsys: pytest.CaptureFixtur
     assert [station["type"] for station in json.loads(out)["stations"]] == ["master_in_ring"]
 
 
-def plant(tmp_path: Path, port: object) -> str:
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT.format(port=port), encoding="utf-8")
-    return str(path)
-
-
 def scan(capsys: pytest.CaptureFixture[str], port: Path, *more: str) -> tuple[int, str, str]:
     code = main(["scan", "--port", str(port), "--baud", "500000", *more])
     printed = capsys.readouterr()
@@ -129,7 +123,7 @@ def test_for_people(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_nobody(tmp_path: Path, start: Starter, capsys: pytest.CaptureFixture[str]) -> None:
     directory = tmp_path / "bus"
-    start("segment", "--stations", "2", "--dir", str(directory)).wait_for(str(directory / "1"))
+    start.segment(directory)
     code, out, err = scan(capsys, directory / "0", "--json")
     assert code == 1
     assert json.loads(out)["stations"] == []
@@ -142,7 +136,7 @@ def test_beside_a_master_and_read_only(
     """The slaves of the running master are shown with their owner; it keeps all of them."""
     config = tmp_path / "few.toml"
     # hsa: its GAP is short, so that it soon lets others in
-    text = Path(plant(tmp_path, bus / "1")).read_text(encoding="utf-8").replace("500000", "500000\nhsa = 5")
+    text = plant_of(tmp_path, bus / "1").read_text(encoding="utf-8").replace("500000", "500000\nhsa = 5")
     text = text.replace("max_retry = 7", "max_retry = 15")  # it keeps its slaves on a busy computer, too
     config.write_text(text, encoding="utf-8")
     run = start("run", str(config), "--json")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from far_ends import HANG_S
-from programs import PLANT, Starter, wait_for_exchanges
+from programs import Starter, plant_of, wait_for_exchanges
 
 from dpstack.cli.terminal.nonblocking_stdout import LIMIT, Queue
 
@@ -85,9 +85,8 @@ def test_a_reader_that_goes_away_is_told_once() -> None:
 def test_run_keeps_its_bus_going_when_nobody_reads(tmp_path: Path, start: Starter, full_pipe: tuple[int, int]) -> None:
     _, writing = full_pipe
     directory = tmp_path / "bus"
-    start("segment", "--stations", "2", "--dir", str(directory)).wait_for(str(directory / "1"))
-    config = tmp_path / "plant.toml"
-    config.write_text(PLANT.format(port=directory / "1"), encoding="utf-8")
+    start.segment(directory)
+    config = plant_of(tmp_path, directory / "1")
     sim = start("sim", str(config), "--port", str(directory / "0"), "--json")
     command = [sys.executable, "-m", "dpstack.cli.main", "run", str(config), "--json"]
     with subprocess.Popen(command, stdout=writing, stderr=subprocess.PIPE) as run:
@@ -103,7 +102,6 @@ def test_run_keeps_its_bus_going_when_nobody_reads(tmp_path: Path, start: Starte
 
 def test_standard_error_nobody_reads_does_not_hold_up_the_end(tmp_path: Path, full_pipe: tuple[int, int]) -> None:
     _, writing = full_pipe
-    config = tmp_path / "plant.toml"
-    config.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    config = plant_of(tmp_path)
     command = [sys.executable, "-m", "dpstack.cli.main", "run", str(config), "--rotations", "5"]
     assert subprocess.run(command, stdout=writing, stderr=writing, timeout=60, check=False).returncode == 1
