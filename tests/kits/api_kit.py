@@ -44,8 +44,8 @@ def in_virtual_time(test: Callable[P, Coroutine[Any, Any, None]]) -> Callable[P,
     return run
 
 
-def bus_of(*slaves: dict[str, object], **more: Any) -> dpstack.Bus:
-    return dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves, **more)
+def bus_of(*slaves: dict[str, object], baud: int = 500_000, **more: Any) -> dpstack.Bus:
+    return dpstack.open_bus(port="virtual", baud=baud, slaves=slaves, **more)
 
 
 @contextlib.asynccontextmanager

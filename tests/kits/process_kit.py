@@ -85,6 +85,16 @@ async def ready_bus(
             yield bus, there
 
 
+@contextlib.asynccontextmanager
+async def operating_octets(
+    driver: Driver, *slaves: dict[str, object], **more: Any
+) -> AsyncIterator[tuple[dpstack.Bus, Responder]]:
+    """A bus in Operate with ``slaves``, which exchange data; at the other end of its pty are VALVES and LAMPS."""
+    async with ready_bus(*slaves, specs=(SPEC, LAMPS_SPEC), driver=driver, **more) as (bus, there):
+        await bus.operate()
+        yield bus, there
+
+
 def runtime_of(bus: dpstack.Bus) -> ProcessRuntime:
     runtime = bus.runtime
     assert isinstance(runtime, ProcessRuntime)

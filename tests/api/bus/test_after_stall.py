@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, in_virtual_time, stack_of
+from api_kit import HOIST, RAW, bench_of, bus_of, in_virtual_time, stack_of
 
 import dpstack
 from dpstack.api.bus.events_json import event_json, severity_of
@@ -121,8 +121,7 @@ async def test_auto_clear_is_told_the_same_way() -> None:
         await bus.operate()
         await bus.ready()
         await bus.until(lambda: bus.mode is dpstack.Mode.OPERATE, 5)
-        assert bus.bench is not None
-        bus.bench.power(9, False)
+        bench_of(bus).power(9, False)
         await bus.until(lambda: bus.forced_clear is not None, 5)
         assert isinstance(bus.forced_clear, AutoCleared)
         status: Any = run_status(bus)["clear"]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from api_kit import FAN, RAW
 from far_ends import until
-from process_kit import DRIVERS, LAMPS, LAMPS_SPEC, SPEC, VALVES, Driver, begun, bus_on, octet_slaves
+from process_kit import DRIVERS, LAMPS, LAMPS_SPEC, SPEC, VALVES, Driver, begun, bus_on, octet_slaves, operating_octets
 
 import dpstack
 from dpstack.api.config.config import make_config
@@ -76,108 +76,94 @@ def mode_of(bus: dpstack.Bus) -> Mode:
 
 
 async def test_misuse_raises_at_once_and_changes_nothing(driver: Driver) -> None:
-    with octet_slaves(SPEC) as (path, _there):
-        async with bus_on(path, driver, VALVES) as bus:
-            await bus.ready(60)
-            valves = bus.slave(4)
-            with pytest.raises(UsageError, match="1 octet of outputs given"):
-                valves.outputs = b"\x01"
-            with pytest.raises(UsageError, match="goes offline by Shutdown"):
-                await bus.order(SetMode(Mode.OFFLINE))
-            with pytest.raises(UsageError, match="no slave with address 77"):
-                await bus.order(DriveCommand(77, "start", {}, 1))
-            with pytest.raises(ConfigError, match="already"):
-                await bus.add_slave(VALVES)
-            with pytest.raises(ConfigError, match="both have address 4"):
-                await bus.add_slave(VALVES | {"name": "others"})
-            with pytest.raises(ConfigError, match="master's own address 2"):
-                await bus.add_slave(LAMPS | {"address": 2})
-            with pytest.raises(ConfigError):
-                await valves.reparameterise(watchdog_ms=1_000_000)
-            with pytest.raises(UsageError, match=r"group"):
-                await bus.sync(9)
-            assert valves.ready_now
-            assert [slave.address for slave in bus.slaves] == [4]
-        with pytest.raises(UsageError, match="not open"):
-            await bus.operate()
+    async with operating_octets(driver, VALVES) as (bus, _):
+        valves = bus.slave(4)
+        with pytest.raises(UsageError, match="1 octet of outputs given"):
+            valves.outputs = b"\x01"
+        with pytest.raises(UsageError, match="goes offline by Shutdown"):
+            await bus.order(SetMode(Mode.OFFLINE))
+        with pytest.raises(UsageError, match="no slave with address 77"):
+            await bus.order(DriveCommand(77, "start", {}, 1))
+        with pytest.raises(ConfigError, match="already"):
+            await bus.add_slave(VALVES)
+        with pytest.raises(ConfigError, match="both have address 4"):
+            await bus.add_slave(VALVES | {"name": "others"})
+        with pytest.raises(ConfigError, match="master's own address 2"):
+            await bus.add_slave(LAMPS | {"address": 2})
+        with pytest.raises(ConfigError):
+            await valves.reparameterise(watchdog_ms=1_000_000)
+        with pytest.raises(UsageError, match=r"group"):
+            await bus.sync(9)
+        assert valves.ready_now
+        assert [slave.address for slave in bus.slaves] == [4]
+    with pytest.raises(UsageError, match="not open"):
+        await bus.operate()
 
 
 async def test_slaves_come_and_go(driver: Driver) -> None:
-    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
-        async with bus_on(path, driver, VALVES) as bus:
-            await bus.ready(60)
-            await bus.operate()
-            lamps = await bus.add_slave(LAMPS)
-            await lamps.ready()
-            lamps.outputs = b"\x77"
-            await until(lambda: lamps.inputs == b"\x77", "its mirror")
-            await lamps.deactivate()
-            assert lamps.deactivated
-            assert lamps.state is dpstack.SlaveState.DEACTIVATED
-            await lamps.activate()
-            await lamps.ready()
-            await bus.remove(lamps)
-            assert [slave.name for slave in bus.slaves] == ["valves"]
-            there.slaves[5].identifiers, there.slaves[5].output_count, there.slaves[5].answer_count = b"\x21\x11", 2, 2
-            again = await bus.add_slave(LAMPS | {"name": "again", "config": "21 11"})
-            await again.ready()
-            assert again.outputs == bytes(2)  # not those of the one before
-            await bus.slave("valves").reparameterise(user_prm=b"\x01\x02")
-            await until(lambda: there.slaves[4].user_prm == b"\x01\x02", "its parameters")
-            assert bus.slave("valves").ready_now
+    async with operating_octets(driver, VALVES) as (bus, there):
+        lamps = await bus.add_slave(LAMPS)
+        await lamps.ready()
+        lamps.outputs = b"\x77"
+        await until(lambda: lamps.inputs == b"\x77", "its mirror")
+        await lamps.deactivate()
+        assert lamps.deactivated
+        assert lamps.state is dpstack.SlaveState.DEACTIVATED
+        await lamps.activate()
+        await lamps.ready()
+        await bus.remove(lamps)
+        assert [slave.name for slave in bus.slaves] == ["valves"]
+        there.slaves[5].identifiers, there.slaves[5].output_count, there.slaves[5].answer_count = b"\x21\x11", 2, 2
+        again = await bus.add_slave(LAMPS | {"name": "again", "config": "21 11"})
+        await again.ready()
+        assert again.outputs == bytes(2)  # not those of the one before
+        await bus.slave("valves").reparameterise(user_prm=b"\x01\x02")
+        await until(lambda: there.slaves[4].user_prm == b"\x01\x02", "its parameters")
+        assert bus.slave("valves").ready_now
 
 
 async def test_groups(driver: Driver) -> None:
-    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
-        async with bus_on(path, driver, VALVES, LAMPS) as bus:
-            await bus.ready(60)
-            await bus.operate()
-            async with bus.group(1) as group:
-                await group.write({"valves": b"\x01\x02", "lamps": b"\x03"})
-                # the settling exchange had them: they cannot be older
-                assert (there.slaves[4].outputs, there.slaves[5].outputs) == (b"\x01\x02", b"\x03")
-                assert bus.slave("valves").synced
-                assert await group.read() == {"valves": b"\x01\x02", "lamps": b"\x03"}
-                assert bus.slave("lamps").frozen
-            assert not bus.slave("valves").synced
+    async with operating_octets(driver, VALVES, LAMPS) as (bus, there):
+        async with bus.group(1) as group:
+            await group.write({"valves": b"\x01\x02", "lamps": b"\x03"})
+            # the settling exchange had them: they cannot be older
+            assert (there.slaves[4].outputs, there.slaves[5].outputs) == (b"\x01\x02", b"\x03")
+            assert bus.slave("valves").synced
+            assert await group.read() == {"valves": b"\x01\x02", "lamps": b"\x03"}
+            assert bus.slave("lamps").frozen
+        assert not bus.slave("valves").synced
 
 
 async def test_cycles(driver: Driver) -> None:
-    with octet_slaves(SPEC, LAMPS_SPEC) as (path, _there):
-        async with bus_on(path, driver, VALVES, LAMPS, cycle_ms=150.0) as bus:
-            await bus.ready(20)
-            await bus.operate()
-            numbers, skipped = [], 0
-            async for cycle in bus.cycles():
-                numbers.append(cycle.number)
-                skipped += cycle.skipped
-                if cycle.inputs.get("lamps") == b"\x05" and {"valves", "lamps"} <= cycle.fresh:
-                    assert cycle["valves"] == {"level": 5}  # outputs of one cycle, inputs of one cycle
-                    break
-                bus.slave("valves")["target"] = 5
-                bus.slave("lamps").outputs = b"\x05"
-            assert numbers == sorted(set(numbers))
-            await until(lambda: begun(bus) >= len(numbers) + skipped, "the books of a bus process follow the cycles")
-            book = bus.stats.cycles
-            assert book is not None
-            assert book.cycle_ns == 150_000_000
-            assert book.late.count == book.begun
-            with pytest.raises(ConfigError, match="cycle"):
-                await bus.add_slave(RAW | {"min_slave_interval": 5000})
+    async with operating_octets(driver, VALVES, LAMPS, cycle_ms=150.0) as (bus, _):
+        numbers, skipped = [], 0
+        async for cycle in bus.cycles():
+            numbers.append(cycle.number)
+            skipped += cycle.skipped
+            if cycle.inputs.get("lamps") == b"\x05" and {"valves", "lamps"} <= cycle.fresh:
+                assert cycle["valves"] == {"level": 5}  # outputs of one cycle, inputs of one cycle
+                break
+            bus.slave("valves")["target"] = 5
+            bus.slave("lamps").outputs = b"\x05"
+        assert numbers == sorted(set(numbers))
+        await until(lambda: begun(bus) >= len(numbers) + skipped, "the books of a bus process follow the cycles")
+        book = bus.stats.cycles
+        assert book is not None
+        assert book.cycle_ns == 150_000_000
+        assert book.late.count == book.begun
+        with pytest.raises(ConfigError, match="cycle"):
+            await bus.add_slave(RAW | {"min_slave_interval": 5000})
 
 
 async def test_outputs_set_in_one_go_leave_in_one(driver: Driver) -> None:
-    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
-        async with bus_on(path, driver, VALVES, LAMPS) as bus:
-            await bus.ready(60)
-            await bus.operate()
-            bus.slave("valves").outputs = b"\x11\x22"
-            end = time.monotonic() + 0.05
-            while time.monotonic() < end:  # the program computes; meanwhile a bus of its own goes on
-                assert there.slaves[4].outputs != b"\x11\x22"
-            bus.slave("lamps").outputs = b"\x33"
-            await until(lambda: there.slaves[5].outputs == b"\x33", "the outputs")
-            await until(lambda: there.slaves[4].outputs == b"\x11\x22", "the outputs")
+    async with operating_octets(driver, VALVES, LAMPS) as (bus, there):
+        bus.slave("valves").outputs = b"\x11\x22"
+        end = time.monotonic() + 0.05
+        while time.monotonic() < end:  # the program computes; meanwhile a bus of its own goes on
+            assert there.slaves[4].outputs != b"\x11\x22"
+        bus.slave("lamps").outputs = b"\x33"
+        await until(lambda: there.slaves[5].outputs == b"\x33", "the outputs")
+        await until(lambda: there.slaves[4].outputs == b"\x11\x22", "the outputs")
 
 
 async def test_class_2_and_scan(driver: Driver) -> None:

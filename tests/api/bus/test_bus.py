@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import FAN, HOIST, RAW, bus_of, in_virtual_time, slave_in, stack_of
+from api_kit import FAN, HOIST, RAW, bus_of, in_virtual_time, operating, slave_in, stack_of
 from slave_kit import make_slave
 from support import WorldFactory
 
@@ -51,9 +51,7 @@ async def test_a_raw_slave_mirrors() -> None:
 
 @in_virtual_time
 async def test_stop_lets_the_watchdog_expire_and_operate_takes_up_again() -> None:
-    async with bus_of(RAW) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(RAW) as bus:
         await bus.stop()
         before = bus.slave(9).exchanges
         await asyncio.sleep(1)
@@ -65,9 +63,7 @@ async def test_stop_lets_the_watchdog_expire_and_operate_takes_up_again() -> Non
 
 def test_the_same_program_in_an_ordinary_loop() -> None:
     async def program() -> int:
-        async with bus_of(RAW) as bus:
-            await bus.operate()
-            await bus.ready()
+        async with operating(RAW) as bus:
             await bus.rotated(20)
             return bus.stats.rotations
 
@@ -150,7 +146,7 @@ async def test_wrong_length(world: WorldFactory) -> None:
 async def test_owned_by_another_master(world: WorldFactory) -> None:
     w = world()
     _, app = slave_in(w, MirrorDevice(0x1234, bytes.fromhex("20 10")), 9)
-    first = dpstack.open_bus(port="virtual", baud=500_000, address=1, slaves=[RAW], world=w)
+    first = bus_of(RAW, address=1, world=w)
     async with first:
         await first.ready()
         async with bus_of(RAW, world=w) as second:

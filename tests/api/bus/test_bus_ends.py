@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import FAN, RAW, bus_of, in_virtual_time, slave_in, stack_of, virtual
+from api_kit import FAN, RAW, bus_of, in_virtual_time, operating, slave_in, stack_of, virtual
 from foreign_master import ForeignMaster
 from support import WorldFactory
 
@@ -99,8 +99,8 @@ async def test_a_second_station_with_our_address(world: WorldFactory) -> None:
 async def test_without_a_ring_there_is_a_reason(world: WorldFactory) -> None:
     w = world()
     # master 1 does not look further than its HSA: master 50 is never asked in
-    async with dpstack.open_bus(port="virtual", baud=500_000, address=1, slaves=[], world=w, hsa=10):
-        bus = dpstack.open_bus(port="virtual", baud=500_000, address=50, slaves=[], world=w, join_timeout=2.0)
+    async with bus_of(address=1, world=w, hsa=10):
+        bus = bus_of(address=50, world=w, join_timeout=2.0)
         with pytest.raises(dpstack.BusError, match=r"masters 1 do not let it in; their HSA must be 50 or more"):
             await bus.open()
 
@@ -118,7 +118,7 @@ async def test_a_master_without_a_token_is_named_as_the_reason(world: WorldFacto
     master = Tokenless(2, 2)
     master.sent(w.now)
     w.add(master)
-    bus = dpstack.open_bus(port="virtual", baud=500_000, address=1, slaves=[], world=w, join_timeout=1.0)
+    bus = bus_of(address=1, world=w, join_timeout=1.0)
     with pytest.raises(
         dpstack.BusError,
         match=r"\d+ telegrams of other stations are heard, and no token: master 2 that passes none",
@@ -143,9 +143,7 @@ async def test_a_master_without_a_token_that_pauses_is_named_when_the_station_jo
     master.sent(w.now)
     w.add(master)
     seen: list[dpstack.Event] = []
-    async with dpstack.open_bus(
-        port="virtual", baud=500_000, address=1, slaves=[], world=w, on_event=seen.append
-    ) as bus:
+    async with bus_of(address=1, world=w, on_event=seen.append) as bus:
         await bus.until(lambda: bus.snapshot.in_ring, 1)
     heard = [e for e in seen if isinstance(e, Notice) and "listened first" in e.text]
     assert len(heard) == 1
@@ -197,9 +195,7 @@ def test_a_handler_that_raises_loses_no_event_and_does_not_hold_up_the_end() -> 
     async def program() -> int:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: told.append(context["message"]))
-        async with bus_of(RAW, on_event=on_event) as bus:
-            await bus.ready()
-            await bus.operate()
+        async with operating(RAW, on_event=on_event) as bus:
             end = asyncio.get_running_loop().time()
         assert asyncio.get_running_loop().time() - end < 0.2
         assert [event.text async for event in bus.events()] == seen

@@ -7,7 +7,7 @@ import itertools
 from typing import Any
 
 import pytest
-from api_kit import FAN, HOIST, RAW, bus_of, in_virtual_time, slave_in, stack_of
+from api_kit import FAN, HOIST, RAW, bench_of, bus_of, in_virtual_time, operating, slave_in, stack_of
 from support import WorldFactory
 
 import dpstack
@@ -28,9 +28,7 @@ def word(n: int) -> bytes:
 @in_virtual_time
 async def test_one_cycle_for_each_round_and_outputs_come_back_in_the_one_after_next() -> None:
     """The slaves mirror: set in the body of cycle n, on the wire in n + 1, which gives them back."""
-    async with bus_of(A, B, cycle_ms=4) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with operating(A, B, cycle_ms=4) as bus:
         cycles: list[dpstack.Cycle] = []
         async for cycle in bus.cycles():
             assert cycle.skipped == 0
@@ -52,9 +50,7 @@ async def test_one_cycle_for_each_round_and_outputs_come_back_in_the_one_after_n
 
 @in_virtual_time
 async def test_a_slow_reader_gets_the_latest_and_how_many_it_missed() -> None:
-    async with bus_of(A, cycle_ms=4) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with operating(A, cycle_ms=4) as bus:
         got: list[dpstack.Cycle] = []
         async for cycle in bus.cycles():
             got.append(cycle)
@@ -104,9 +100,7 @@ async def test_the_stream_ends_with_the_bus() -> None:
 
 @in_virtual_time
 async def test_free_running_rounds_are_cycles_too() -> None:
-    async with bus_of(A, gap=0) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with operating(A, gap=0) as bus:
         got = []
         async for cycle in bus.cycles():
             got.append(cycle)
@@ -121,10 +115,7 @@ async def test_free_running_rounds_are_cycles_too() -> None:
 
 @in_virtual_time
 async def test_a_loop_goes_on_while_a_slave_is_away() -> None:
-    async with bus_of(A, B, cycle_ms=8) as bus:
-        await bus.operate()
-        await bus.ready()
-        assert bus.bench is not None
+    async with operating(A, B, cycle_ms=8) as bus:
         seen: list[tuple[bool, bool, bool]] = []
         async for cycle in bus.cycles():
             bus.slave("a").outputs = word(len(seen) % 100)
@@ -144,9 +135,9 @@ async def test_a_loop_goes_on_while_a_slave_is_away() -> None:
             if not seen or seen[-1] != state:
                 seen.append(state)
                 if len(seen) == 1:
-                    bus.bench.power(6, False)
+                    bench_of(bus).power(6, False)
             if state == (False, False, False):
-                bus.bench.power(6, True)
+                bench_of(bus).power(6, True)
             if len(seen) > 2 and state == (True, True, False):
                 break
         # there and fresh; not there; there again (in the round in which it comes back nothing of it is fresh)
@@ -185,9 +176,7 @@ async def test_a_slave_added_and_removed_between_two_cycles() -> None:
 
 @in_virtual_time
 async def test_the_summary_says_how_it_went() -> None:
-    async with bus_of(A, cycle_ms=2.5) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with operating(A, cycle_ms=2.5) as bus:
         await asyncio.sleep(1)
         summary: Any = bus.stats.summary()
         assert summary["cycle_us"] == 2500
@@ -215,7 +204,7 @@ def test_groups_of_a_cycle_are_checked_with_the_configuration() -> None:
 @in_virtual_time
 async def test_drives_a_scan_and_class_2_beside_a_cycle() -> None:
     """A motor is started and its parameter read, everybody is asked who he is; no cycle begins late."""
-    bus = dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[HOIST, FAN, A], cycle_ms=5)
+    bus = bus_of(HOIST, FAN, A, baud=1_500_000, cycle_ms=5)
     async with bus:
         await bus.operate()
         await bus.ready()
@@ -247,9 +236,7 @@ async def test_a_diagnosis_is_fetched_in_the_gap_after_it_was_announced(world: W
     w = world()
     device = Ailing(0x1234, bytes.fromhex("23 13"))
     slave_in(w, device, 5)
-    async with bus_of(A, world=w, cycle_ms=8) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with operating(A, world=w, cycle_ms=8) as bus:
         stream = bus.cycles()
         await anext(stream)
         device.said = b"\x04\x11\x22\x33"

@@ -6,7 +6,7 @@ import os
 import sys
 
 import pytest
-from api_kit import RAW, virtual
+from api_kit import RAW, bus_of, virtual
 
 import dpstack
 from dpstack.api.bus import driver_choice
@@ -90,7 +90,7 @@ def test_what_a_process_cannot_do_is_refused_with_what_to_do(rights: pytest.Monk
 
 def test_a_simulated_bus_says_so() -> None:
     async def program() -> str:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[RAW], driver="auto") as bus:
+        async with bus_of(RAW, driver="auto") as bus:
             return bus.driver
 
     assert virtual(program()) == "virtual"

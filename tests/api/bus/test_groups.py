@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import FAN, RAW, bus_of, in_virtual_time
+from api_kit import FAN, RAW, bench_of, bus_of, in_virtual_time, operating
 from gsd_kit import FILES
 
 import dpstack
@@ -20,9 +20,7 @@ SOUTH = RAW | {"name": "south", "address": 6, "groups": [1, 2], "sync": True, "f
 
 @in_virtual_time
 async def test_sync_returns_when_its_last_bit_has_left() -> None:
-    async with bus_of(NORTH, SOUTH) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(NORTH, SOUTH) as bus:
         sent = await bus.sync(1)
         assert bus.runtime.now() >= sent.t_ns
         assert bus.world is not None
@@ -45,9 +43,7 @@ async def test_sync_returns_when_its_last_bit_has_left() -> None:
 
 @in_virtual_time
 async def test_a_group_is_written_and_read_at_one_moment_and_let_go_in_the_end() -> None:
-    async with bus_of(NORTH, SOUTH, RAW) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(NORTH, SOUTH, RAW) as bus:
         async with bus.group(1) as group:
             assert [slave.name for slave in group.members] == ["north", "south"]
             await group.write({"north": b"\x01", 6: b"\x02"})
@@ -63,9 +59,7 @@ async def test_a_group_is_written_and_read_at_one_moment_and_let_go_in_the_end()
 
 @in_virtual_time
 async def test_nothing_is_half_written() -> None:
-    async with bus_of(NORTH, SOUTH, RAW) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(NORTH, SOUTH, RAW) as bus:
         group = bus.group(1)
         with pytest.raises(dpstack.UsageError, match=r"slave 6 \(south\): 2 octets of outputs given"):
             await group.write({"north": b"\x01", "south": b"\x02\x03"})
@@ -85,8 +79,7 @@ async def test_what_cannot_be_sent_says_why_and_does_not_hang() -> None:
         with pytest.raises(dpstack.UsageError, match="in Clear all outputs are zero"):
             await bus.group(1).write({"north": b"\x01"})
         await bus.operate()
-        assert bus.bench is not None
-        bus.bench.power(6, False)
+        bench_of(bus).power(6, False)
         with pytest.raises(dpstack.SlaveFault, match=r"slave 6 \(south\) is not in data exchange"):
             await bus.group(1).read()
         waiting = asyncio.create_task(bus.sync(1))
@@ -103,9 +96,7 @@ async def test_what_cannot_be_sent_says_why_and_does_not_hang() -> None:
 
 @in_virtual_time
 async def test_out_of_service_and_back() -> None:
-    async with bus_of(RAW, FAN) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(RAW, FAN) as bus:
         raw, fan = bus.slave("raw"), bus.drive("fan")
         await fan.start()
         fan.speed = 0.9
@@ -133,9 +124,7 @@ async def test_out_of_service_and_back() -> None:
 
 @in_virtual_time
 async def test_parameterised_anew() -> None:
-    async with bus_of(RAW, NORTH) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(RAW, NORTH) as bus:
         raw = bus.slave("raw")
         raw.outputs = b"\x42"
         await raw.reparameterise(watchdog_ms=500, groups=(3,), sync=True, user_prm=b"\x01\x02")
@@ -209,11 +198,10 @@ async def test_auto_clear_says_who_and_why() -> None:
         assert isinstance(next(e for e in told if isinstance(e, OperateWaits)), OperateWaits)
         await bus.ready()
         await bus.until(lambda: bus.mode is dpstack.Mode.OPERATE, 1)
-        assert bus.bench is not None
-        bus.bench.power(10, False)
+        bench_of(bus).power(10, False)
         await asyncio.sleep(1)
         assert not [e for e in told if isinstance(e, AutoCleared)]
-        bus.bench.power(9, False)
+        bench_of(bus).power(9, False)
         await bus.until(lambda: any(isinstance(e, AutoCleared) for e in told), 2)
         (cleared,) = [e for e in told if isinstance(e, AutoCleared)]
         assert "slave 9 (raw) had no data exchange for 300 ms" in cleared.text

@@ -7,8 +7,8 @@ import dataclasses
 import time
 
 import pytest
-from api_kit import RAW, bus_of, in_virtual_time, stack_of, virtual
-from process_kit import SPEC, VALVES, bus_on, octet_slaves
+from api_kit import RAW, bus_of, in_virtual_time, operating, stack_of, virtual
+from process_kit import VALVES, ready_bus
 
 import dpstack
 from dpstack.api.bus.statistics import BusStats, SlaveStats
@@ -83,7 +83,7 @@ async def test_inputs_of_every_sixtieth_cycle_are_valid_up_to_two_of_its_polls()
 async def test_the_limit_follows_the_slaves_that_are_there() -> None:
     """At 9600 bit/s a slave with 244 octets each way takes more than half a second of each round."""
     big = {"name": "big", "address": 11, "ident": 0x1234, "config": "7F " * 7 + "73", "watchdog_ms": 0}
-    async with dpstack.open_bus(port="virtual", baud=9600, slaves=[RAW | {"watchdog_ms": 0}], gap=0) as bus:
+    async with bus_of(RAW | {"watchdog_ms": 0}, baud=9600, gap=0) as bus:
         raw = bus.slave("raw")
         before = raw.inputs_limit
         assert before == 1
@@ -96,9 +96,7 @@ async def test_the_limit_follows_the_slaves_that_are_there() -> None:
 
 @in_virtual_time
 async def test_a_cycle_that_is_handed_over_too_late_has_no_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
-    async with bus_of(RAW, cycle_ms=4) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with operating(RAW, cycle_ms=4) as bus:
         cycles = bus.cycles()
         cycle = await anext(cycles)
         assert set(cycle.inputs) == {"raw"}
@@ -116,39 +114,32 @@ async def test_a_cycle_that_is_handed_over_too_late_has_no_inputs(monkeypatch: p
 
 async def test_inputs_of_a_bus_that_its_application_holds_up_are_not_valid() -> None:
     """driver = "asyncio": the application blocks the loop for longer than the watchdog, and looks."""
-    with octet_slaves(SPEC) as (path, _there):
-        async with bus_on(path, "asyncio", VALVES | {"watchdog_ms": 100}) as bus:
-            valves = bus.slave("valves")
-            await bus.ready(60)
-            await bus.rotated(bus.stats.rotations + 3, 60)
-            limit = valves.inputs_limit
-            end = time.monotonic() + limit + 0.05
-            while time.monotonic() < end:
-                pass  # the program computes
-            assert valves.state is dpstack.SlaveState.DATA_EXCHANGE  # nothing was told of yet
-            assert not valves.inputs_valid
-            assert valves.inputs_age is not None
-            assert valves.inputs_age > limit
+    async with ready_bus(VALVES | {"watchdog_ms": 100}, driver="asyncio") as (bus, _):
+        valves = bus.slave("valves")
+        await bus.rotated(bus.stats.rotations + 3, 60)
+        limit = valves.inputs_limit
+        end = time.monotonic() + limit + 0.05
+        while time.monotonic() < end:
+            pass  # the program computes
+        assert valves.state is dpstack.SlaveState.DATA_EXCHANGE  # nothing was told of yet
+        assert not valves.inputs_valid
+        assert valves.inputs_age is not None
+        assert valves.inputs_age > limit
 
 
 async def test_a_defect_that_stops_the_bus_leaves_no_slave_alive(monkeypatch: pytest.MonkeyPatch) -> None:
-    with octet_slaves(SPEC) as (path, _there):
-        bus = bus_on(path, "asyncio", VALVES)
-        async with bus:
-            await bus.ready(60)
-            monkeypatch.setattr(type(stack_of(bus).master), "next_request", lambda *_: 1 / 0)
-            with pytest.raises(dpstack.BusError, match="defect"):
-                await bus.rotated(None, 60)
-            assert bus.slave("valves").state is dpstack.SlaveState.OFFLINE
-            assert not bus.slave("valves").inputs_valid
-            assert bus.stats.stale
+    async with ready_bus(VALVES, driver="asyncio") as (bus, _):
+        monkeypatch.setattr(type(stack_of(bus).master), "next_request", lambda *_: 1 / 0)
+        with pytest.raises(dpstack.BusError, match="defect"):
+            await bus.rotated(None, 60)
+        assert bus.slave("valves").state is dpstack.SlaveState.OFFLINE
+        assert not bus.slave("valves").inputs_valid
+        assert bus.stats.stale
 
 
 def test_the_tables_at_the_end_mark_what_is_old(capsys: pytest.CaptureFixture[str]) -> None:
     async def program() -> tuple[Reporter, BusStats, BusStats]:
-        async with bus_of(RAW) as bus:
-            await bus.operate()
-            await bus.ready()
+        async with operating(RAW) as bus:
             await bus.rotated(5)
             good = bus.stats
             await bus.stop()

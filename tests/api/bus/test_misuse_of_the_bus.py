@@ -1,8 +1,8 @@
-"""What a program does wrong, and is told at once: attributes that do not exist, a bus that is not open, names that are
-numbers."""
+"""Misuse by a program raises at once: attributes that do not exist, a bus that is not open, names that are numbers."""
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 
 import pytest
@@ -111,23 +111,16 @@ async def test_what_may_be_assigned_still_may() -> None:
         assert own.title == "mine"
 
 
-def read(bus: dpstack.Bus) -> object:
-    return bus.slave("valves")["flap"]
-
-
-def write(bus: dpstack.Bus) -> None:
-    bus.slave("valves")["flap"] = True
-
-
-def read_outputs(bus: dpstack.Bus) -> object:
-    return bus.slave("valves").outputs
-
-
-def write_outputs(bus: dpstack.Bus) -> None:
-    bus.slave("valves").outputs = b"\x00\x08"
-
-
-@pytest.mark.parametrize("misuse", [read, write, read_outputs, write_outputs])
+@pytest.mark.parametrize(
+    "misuse",
+    [
+        lambda bus: bus.slave("valves")["flap"],
+        lambda bus: operator.setitem(bus.slave("valves"), "flap", True),
+        lambda bus: bus.slave("valves").outputs,
+        lambda bus: setattr(bus.slave("valves"), "outputs", b"\x00\x08"),
+    ],
+    ids=["read a field", "write a field", "read the outputs", "write the outputs"],
+)
 @in_virtual_time
 async def test_data_of_a_bus_that_is_not_open(misuse: Misuse) -> None:
     bus = bus_of(VALVES)

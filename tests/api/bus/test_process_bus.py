@@ -12,7 +12,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from far_ends import until
-from process_kit import LAMPS, LAMPS_SPEC, SPEC, UNHURRIED, VALVES, begun, bus_on, eventually, octet_slaves
+from process_kit import (
+    LAMPS,
+    SPEC,
+    UNHURRIED,
+    VALVES,
+    begun,
+    bus_on,
+    eventually,
+    octet_slaves,
+    operating_octets,
+)
 from support_responder import Responder
 
 import dpstack
@@ -49,28 +59,25 @@ async def test_rounds_that_could_not_be_told_are_skipped_ones() -> None:
 
 
 async def test_rate_groups_cyclic_control_and_the_books() -> None:
-    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
-        lamps = LAMPS | {"every": 3, "groups": [2]}
-        fixed = {"cycle_ms": 60.0, "cycle_freeze": [1], "cycle_sync": [1]}
-        async with bus_on(path, "process", VALVES, lamps, **fixed) as bus:
-            await bus.ready(20)
-            await bus.operate()
-            await until(lambda: there.slaves[4].control in (b"\x08\x01", b"\x20\x01"), "cyclic FREEZE or SYNC")
-            numbers: list[int] = []
-            fresh: list[frozenset[str]] = []
-            async for cycle in bus.cycles():
-                numbers.append(cycle.number)
-                fresh.append(cycle.fresh)
-                if len(numbers) >= 7 and {frozenset({"valves"}), frozenset({"valves", "lamps"})} <= set(fresh):
-                    break
-            assert numbers == sorted(set(numbers))
-            # one cycle in three is its turn; when that was left out, a later one before the next turn
-            assert sum("lamps" in names for names in fresh) <= (numbers[-1] - numbers[0] + 2) // 3 + 1
-            await until(lambda: begun(bus) >= len(numbers), "the books follow the cycles")
-            book = bus.stats.cycles
-            assert book is not None
-            assert book.missed == book.begun_late + book.left_out == sum(book.reasons.values())
-            assert book.late.count == book.begun
+    lamps = LAMPS | {"every": 3, "groups": [2]}
+    fixed = {"cycle_ms": 60.0, "cycle_freeze": [1], "cycle_sync": [1]}
+    async with operating_octets("process", VALVES, lamps, **fixed) as (bus, there):
+        await until(lambda: there.slaves[4].control in (b"\x08\x01", b"\x20\x01"), "cyclic FREEZE or SYNC")
+        numbers: list[int] = []
+        fresh: list[frozenset[str]] = []
+        async for cycle in bus.cycles():
+            numbers.append(cycle.number)
+            fresh.append(cycle.fresh)
+            if len(numbers) >= 7 and {frozenset({"valves"}), frozenset({"valves", "lamps"})} <= set(fresh):
+                break
+        assert numbers == sorted(set(numbers))
+        # one cycle in three is its turn; when that was left out, a later one before the next turn
+        assert sum("lamps" in names for names in fresh) <= (numbers[-1] - numbers[0] + 2) // 3 + 1
+        await until(lambda: begun(bus) >= len(numbers), "the books follow the cycles")
+        book = bus.stats.cycles
+        assert book is not None
+        assert book.missed == book.begun_late + book.left_out == sum(book.reasons.values())
+        assert book.late.count == book.begun
 
 
 async def test_parameters_are_listed_dumped_and_compared(tmp_path: Path) -> None:

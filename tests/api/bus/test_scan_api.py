@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import FAN, HOIST, RAW, bus_of, in_virtual_time, slave_in
+from api_kit import FAN, HOIST, RAW, bus_of, in_virtual_time, operating, slave_in
 
 import dpstack
 from dpstack.api.bus.bus import Bus
@@ -61,9 +61,7 @@ async def test_a_slave_at_the_scanners_own_address_is_found_too() -> None:
 
 @in_virtual_time
 async def test_beside_masters_one_of_them_at_0() -> None:
-    async with bus_of(HOIST, RAW, address=0, gap=1) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(HOIST, RAW, address=0, gap=1) as bus:
         assert bus.world is not None
         result = await scan(bus.world)
         assert result.address == 1
@@ -92,9 +90,7 @@ async def test_an_address_given_and_in_use_is_refused() -> None:
 
 @in_virtual_time
 async def test_the_live_list_of_a_running_bus() -> None:
-    async with bus_of(HOIST, RAW) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(HOIST, RAW) as bus:
         assert bus.world is not None
         _, app = slave_in(bus.world, MirrorDevice(0x4321, b"\x21"), 20)
         found = await bus.scan(configs=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from api_kit import RAW, bus_of, in_virtual_time
+from api_kit import RAW, in_virtual_time, operating
 
 import dpstack
 from dpstack.sim.world import World
@@ -13,9 +13,7 @@ from dpstack.sim.world import World
 
 @in_virtual_time
 async def test_a_clean_bus_counts_every_telegram_and_nothing_wrong() -> None:
-    async with bus_of(RAW, gap=0) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(RAW, gap=0) as bus:
         await asyncio.sleep(0.5)
         world = bus.world
         assert world is not None
@@ -48,9 +46,7 @@ def damage(world: World, seconds: float) -> None:
 
 @in_virtual_time
 async def test_damage_is_counted_by_cause_and_for_the_station_asked() -> None:
-    async with bus_of(RAW, gap=0) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(RAW, gap=0) as bus:
         assert bus.world is not None
         damage(bus.world, 1.0)
         await asyncio.sleep(1.2)

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from api_kit import RAW, bench_of, bus_of, device_of, in_virtual_time
 
-import dpstack
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.control.handlers import control_run, control_segment, run_status
 from dpstack.api.control.server import ControlServer
@@ -109,7 +108,7 @@ DRIVES = [
 async def test_a_trip_stays_in_status_until_it_is_acknowledged(kind: str, code: str, keys: dict[str, Any]) -> None:
     drive_of = {"name": "it", "address": 3, "drive": kind, **keys}
     baud = 1_500_000 if kind == "imo-hd2" else 93_750  # which hears no other; at a low rate there is less to do
-    async with dpstack.open_bus(port="virtual", baud=baud, slaves=[drive_of]) as bus:
+    async with bus_of(drive_of, baud=baud) as bus:
         server = control_run(bus, "virtual")
         bench = bench_of(bus)
         await bus.operate()
@@ -140,7 +139,7 @@ async def test_a_run_on_virtual_tells_orders_and_keeps_them_in_status(capsys: py
         if isinstance(event, Injected):
             events.append(event)
 
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[RAW, station, fan], on_event=on_event) as bus:
+    async with bus_of(RAW, station, fan, on_event=on_event) as bus:
         server = control_run(bus, "virtual")
         await bus.ready()
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from api_kit import RAW, bus_of, in_virtual_time, virtual
+from api_kit import RAW, bench_of, bus_of, in_virtual_time, virtual
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -293,8 +293,7 @@ async def test_cut_short_it_keeps_what_was_read(tmp_path: Path, monkeypatch: pyt
             assert await cut_short() == [f"cut short: the 5 parameters read so far are lost: {path}: is full"]
         assert list(tmp_path.iterdir()) == [path]
         # the drive falls silent: not 39 time-outs, and the reason
-        assert bus.bench is not None
-        bus.bench.power(5, False)
+        bench_of(bus).power(5, False)
         began = bus.seconds
         with pytest.raises(dpstack.DriveError, match="slave 5"):
             await it.dump(path)
@@ -318,8 +317,7 @@ async def test_a_drive_that_does_not_answer_some() -> None:
     async with bus_with("fuji-frenic") as bus:
         await bus.operate()
         it = bus.drive("it")
-        assert bus.bench is not None
-        device = bus.bench.device(5)
+        device = bench_of(bus).device(5)
         assert isinstance(device, DriveDevice)
         device.channel = Mute()
         found: list[SavedParam] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from api_kit import in_virtual_time
+from api_kit import in_virtual_time, serving
 from slave_kit import Bench
 
 import dpstack
@@ -66,12 +66,7 @@ def test_literally() -> None:
 @in_virtual_time
 async def test_over_a_bus_by_both_classes_of_master() -> None:
     store = ParamStore(TABLE, {})
-    world = dpstack.World()
-    async with (
-        dpstack.serve_slave(rig(store, busy_ms=3), world=world, address=9),
-        dpstack.open_bus(world=world, baud=500_000, slaves=[RIG.table(9)]) as bus,
-    ):
-        await bus.ready()
+    async with serving(rig(store, busy_ms=3)) as (bus, _):
         parameters = bus.slave(9).parameters()
         assert await parameters.read([Address(965), Address(11)]) == [Values(6, (0x0328,)), ErrorValue(0)]
         assert await parameters.change([(Address(10), Values(6, (75,)))]) == [Values(0x40)]
@@ -89,12 +84,7 @@ async def test_a_list_is_read_within_the_limits_that_the_drive_tells() -> None:
     limits = Limits(octets=56, parameters=4)
     server = ParameterServer(StoreParameters(ParamStore(table, {}), limits=limits), Rules(limits=limits))
     slave = DpSlave(RIG, lambda outputs, elapsed: bytes(1), parameters=TimedRecords(server))
-    world = dpstack.World()
-    async with (
-        dpstack.serve_slave(slave, world=world, address=9),
-        dpstack.open_bus(world=world, baud=500_000, slaves=[RIG.table(9)]) as bus,
-    ):
-        await bus.ready()
+    async with serving(slave) as (bus, _):
         parameters = bus.slave(9).parameters()
         assert len(await parameters.read_out()) == 59
         first = parameters.counters.requests

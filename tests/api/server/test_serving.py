@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from api_kit import bus_of, in_virtual_time
+from api_kit import bus_of, in_virtual_time, serving
 from far_ends import open_slave, until
 from octet_wire import framed
 from support import WorldFactory
 
 import dpstack
 from dpstack import DpSlave, SlaveAppState, SlaveDescription
+from dpstack.api.server.server import ServedSlave
 from dpstack.dp.slave.device import Leave
-from dpstack.dp.slave.events import AddressChanged, DeviceFailed
+from dpstack.dp.slave.events import AddressChanged, DeviceFailed, SlaveAppStateChanged
 from dpstack.drivers.segment.hub import Segment
 from dpstack.errors import BusError, ConfigError, SlaveTimeout
 from dpstack.sim.world import World
@@ -30,6 +31,14 @@ def mirror(outputs: bytes, elapsed: int) -> bytes:
     return outputs
 
 
+class Outputs(list[bytes]):
+    """A function of a slave that keeps all its outputs, and mirrors them."""
+
+    def __call__(self, outputs: bytes, elapsed: int) -> bytes:
+        self.append(outputs)
+        return outputs
+
+
 def commissioned(**more: Any) -> DpSlave:
     description = SlaveDescription(ident=0x1234, name="rig", configs=RIG.configs, set_slave_add=True)
     return DpSlave(description, mirror, **more)
@@ -38,25 +47,19 @@ def commissioned(**more: Any) -> DpSlave:
 @in_virtual_time
 async def test_beside_a_master_in_one_world(world: WorldFactory) -> None:
     left: list[Leave] = []
-    w = world()
-    seen: list[str] = []
+    seen: list[dpstack.Event] = []
     slave = DpSlave(RIG, lambda outputs, elapsed: bytes([outputs[0] + 1]), safe=b"\x0f", on_leave=left.append)
-    async with (
-        dpstack.serve_slave(slave, world=w, address=9, on_event=lambda e: seen.append(e.text)) as server,
-        bus_of(RIG.table(9), world=w) as bus,
-    ):
-        await bus.operate()
-        await server.slave.reached(DATA_EXCH, timeout=2)
+    async with serving(slave, world(), seen) as (bus, served):
         bus.slave(9).outputs = b"\x41"
         await bus.rotated(bus.stats.rotations + 3)
-        assert (server.slave.outputs, server.slave.inputs, bus.slave(9).inputs) == (b"\x41", b"\x42", b"\x42")
-        assert (server.slave.master, server.slave.address, server.slave.name) == (2, 9, "rig")
+        assert (served.outputs, served.inputs, bus.slave(9).inputs) == (b"\x41", b"\x42", b"\x42")
+        assert (served.master, served.address, served.name) == (2, 9, "rig")
         slave.diag = dpstack.UserDiag.of(dpstack.device_block(b"\x05"))
         await bus.rotated(bus.stats.rotations + 5)
         read = bus.slave(9).diagnosis
         assert read is not None
-        assert read.ext == server.slave.diagnosis().ext == b"\x02\x05"
-    assert "rig): data_exchange" in " ".join(seen)
+        assert read.ext == served.diagnosis().ext == b"\x02\x05"
+    assert "rig): data_exchange" in " ".join(event.text for event in seen if isinstance(event, SlaveAppStateChanged))
     assert left
 
 
@@ -100,41 +103,31 @@ async def test_a_function_that_raises_stops_its_slave_only(world: WorldFactory) 
 
 @in_virtual_time
 async def test_a_function_cannot_restart_its_own_slave(world: WorldFactory) -> None:
-    w = world()
-    servers: list[dpstack.SlaveServer] = []
+    slaves: list[ServedSlave] = []
 
     def restarts(outputs: bytes, elapsed: int) -> bytes:
         if outputs == b"\x13":
-            servers[0].slave.restart()
+            slaves[0].restart()
         return outputs
 
-    async with (
-        dpstack.serve_slave(DpSlave(RIG, restarts), world=w, address=8) as server,
-        bus_of(RIG.table(8), world=w) as bus,
-    ):
-        servers.append(server)
-        await bus.operate()
-        await server.slave.reached(DATA_EXCH, timeout=2)
-        bus.slave(8).outputs = b"\x13"
-        await server.slave.reached(WAIT_PRM, timeout=2)
-        assert "cannot be restarted or reset within its own function" in str(server.slave.failure)
-        bus.slave(8).outputs = b"\x01"
-        server.slave.restart()
-        await server.slave.reached(DATA_EXCH, timeout=20)
+    async with serving(DpSlave(RIG, restarts), world()) as (bus, served):
+        slaves.append(served)
+        bus.slave(9).outputs = b"\x13"
+        await served.reached(WAIT_PRM, timeout=2)
+        assert "cannot be restarted or reset within its own function" in str(served.failure)
+        bus.slave(9).outputs = b"\x01"
+        served.restart()
+        await served.reached(DATA_EXCH, timeout=20)
 
 
 @pytest.mark.parametrize("how", ["exit", "exception", "cancelled"])
 @in_virtual_time
 async def test_outputs_are_safe_however_serving_ends(world: WorldFactory, how: str) -> None:
     w = world()
-    given: list[bytes] = []
-
-    def log(outputs: bytes, elapsed: int) -> bytes:
-        given.append(outputs)
-        return outputs
+    given = Outputs()
 
     async def serve() -> None:
-        async with dpstack.serve_slave(DpSlave(RIG, log, safe=b"\x0f"), world=w, address=9) as server:
+        async with dpstack.serve_slave(DpSlave(RIG, given, safe=b"\x0f"), world=w, address=9) as server:
             await server.slave.reached(DATA_EXCH, timeout=2)
             await asyncio.sleep(0.5)
             if how == "exception":
@@ -211,13 +204,9 @@ async def test_a_defect_of_ours_ends_serving_with_safe_outputs(
         raise ZeroDivisionError("ours")
 
     w = world(referee=False)
-    given: list[bytes] = []
+    given = Outputs()
 
-    def log(outputs: bytes, elapsed: int) -> bytes:
-        given.append(outputs)
-        return outputs
-
-    async with dpstack.serve_slave(DpSlave(RIG, log, safe=b"\x0f"), world=w, address=8) as server:
+    async with dpstack.serve_slave(DpSlave(RIG, given, safe=b"\x0f"), world=w, address=8) as server:
         for unit in ("3D 3E 80 01 01 0B 12 34 00", "3E 3E 10 20"):
             w.inject(bytes.fromhex(framed(0x88, 0x82, 0x6D, unit)), baud=500_000)
             await asyncio.sleep(0.01)
@@ -262,14 +251,10 @@ def test_impossible_arguments(make: Callable[[], object], text: str) -> None:
 
 
 async def test_on_a_port_octet_by_octet(tmp_path: Path) -> None:
-    given: list[bytes] = []
-
-    def log(outputs: bytes, elapsed: int) -> bytes:
-        given.append(outputs)
-        return outputs
+    given = Outputs()
 
     async with Segment(2, tmp_path / "bus", baud=500_000) as segment:
-        async with dpstack.serve_slave(DpSlave(RIG, log), port=segment.paths[1], baud=500_000, address=8) as server:
+        async with dpstack.serve_slave(DpSlave(RIG, given), port=segment.paths[1], baud=500_000, address=8) as server:
             far = open_slave(segment.paths[0])
             try:
                 for request, answer in [
