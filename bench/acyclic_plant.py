@@ -55,7 +55,7 @@ class Answers(Enum):
 
 
 class Load(NamedTuple):
-    """What all slaves are asked for without end."""
+    """The requests that all slaves get without end."""
 
     write: bool
     octets: int
@@ -68,7 +68,7 @@ class Load(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What was seen in ``ns``; ``done``: services that ended, ``failed``: those of them without a result."""
+    """Figures of ``ns`` of bus time; ``done``: services that ended, ``failed``: those of them without a result."""
 
     ns: int
     rotation: Histogram
@@ -103,7 +103,7 @@ class RecordDevice(MirrorDevice):
             self._table.ask(ticket)
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
-        """It is also how the device knows the time."""
+        """One exchange; the device takes the time from it too."""
         self._now = now
         return super().exchange(outputs, now)
 
@@ -176,7 +176,7 @@ class Plant:
         self._ends += [event for event in events if isinstance(event, RecordDone)]
 
     def look(self, ns: int, load: Load | None = None) -> Seen:
-        """What is seen in ``ns`` with or without a load; what has no end then is cancelled."""
+        """Measure for ``ns`` with or without a load; services without an end are cancelled then."""
         waiting: dict[int, int] = {}  # address by order
         self._keep_busy(waiting, load)
         book = self.master.cycles
@@ -230,7 +230,7 @@ class Plant:
 
 
 def setups(slaves: int) -> list[SlaveParams]:
-    """How the master parameterises them."""
+    """The parameters of the slaves at the master."""
     return [
         SlaveParams(address=_FIRST + n, name=f"s{n}", ident=_IDENT, config=_PPO1, user_prm=bytes(3), dpv1=Dpv1())
         for n in range(slaves)

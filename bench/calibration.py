@@ -93,7 +93,7 @@ class Beside:
         self.loops = [self._before]
 
     def __call__(self, work: Callable[[], _T]) -> tuple[_T, float]:
-        """What ``work`` returns, and the Python loop beside it in ns."""
+        """The result of ``work``, and the Python loop beside it in ns."""
         result = work()
         before, self._before = self._before, self._calibrate()
         self.loops.append(self._before)

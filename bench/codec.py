@@ -114,7 +114,7 @@ def _construct(sample: Sample) -> Coders:
 
 
 def _checked(*inside: Any) -> tuple[Any, ...]:
-    """What stands between SD and ED, with its FCS."""
+    """Fields between SD and ED, with FCS."""
     body = "body" / c.RawCopy(c.Struct("da" / c.Byte, "sa" / c.Byte, "fc" / c.Byte, *inside))
     return body, "fcs" / c.Checksum(c.Byte, lambda octets: sum(octets) & 0xFF, c.this.body.data), c.Const(b"\x16")
 
@@ -141,7 +141,7 @@ _MAKERS: Final[dict[str, Callable[[Sample], Coders]]] = {
 
 
 class Subject(NamedTuple):
-    """Who does what to which telegram, as calls to measure."""
+    """One measured task: a program (``who``) encodes or decodes (``does``) one kind of telegram."""
 
     title: str
     does: str

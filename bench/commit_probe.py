@@ -55,7 +55,7 @@ dpstack.run_virtual(main())
 
 
 class Adapter(NamedTuple):
-    """How one generation of commits is measured: ``needs`` are the names ("module:attribute") that it uses."""
+    """Adapter for one generation of commits: ``needs`` are the names ("module:attribute") that it uses."""
 
     needs: tuple[str, ...]
     measure: Callable[[], Figures]
@@ -167,7 +167,7 @@ def _children_ns() -> int:
 
 
 def modules() -> int:
-    """How many modules of ours ``dpstack --version`` imports."""
+    """The number of modules of dpstack that ``dpstack --version`` imports."""
     return int(_output([sys.executable, "-c", _COUNT]).split()[-1])
 
 

@@ -1,4 +1,4 @@
-"""How late the rounds of a fixed cycle begin, beside a program that is idle, blocks for 50 ms, or burns CPU.
+"""Lateness of the rounds of a fixed cycle, beside a program that is idle, blocks for 50 ms, or burns CPU.
 
 The wire notes when the first Data_Exchange of every round arrives. The grid of the rounds is found from them: no round
 begins before its place, so the grid stands behind the longest stretch of the cycle in which none began. Lateness is how

@@ -1,4 +1,4 @@
-"""How late the event loop of an application is: alone, and beside a bus that it reads and writes all the time.
+"""Lateness of an application's event loop: alone, and beside a bus that it reads and writes all the time.
 
 The application is due every millisecond; lateness is how much later it comes. Every time it reads inputs and sets
 outputs of all slaves, every tenth time it takes the statistics; orders are awaited one after the other meanwhile. In
@@ -57,7 +57,7 @@ def run(argv: list[str]) -> Report:
 
 
 async def _lateness(act: Callable[[], object], seconds: float) -> list[int]:
-    """How late each turn of the application came in ns; ``act`` is what it does then."""
+    """Lateness of each turn of the application in ns; it calls ``act`` in each turn."""
     late = []
     loop = asyncio.get_running_loop()
     end = monotonic_ns() + round(seconds * 1e9)

@@ -37,7 +37,7 @@ def load() -> float | None:
 
 
 def realtime() -> dict[str, object]:
-    """What this process may do: ``priority`` the highest SCHED_FIFO it may ask for (0: none), the kernel's throttling.
+    """Rights of this process: ``priority`` is the highest SCHED_FIFO priority (0: none); throttling by the kernel.
 
     ``runtime_us`` in every ``period_us`` belongs to real-time processes, -1: all of it.
     """
@@ -45,7 +45,7 @@ def realtime() -> dict[str, object]:
 
 
 def differences(old: Mapping[str, object], new: Mapping[str, object]) -> list[str]:
-    """What of two machines must be the same for their figures to be compared, and is not."""
+    """Differences between two machines that make their figures incomparable."""
     return [
         f"{what}: {old.get(what)} and {new.get(what)}"
         for what in ("python", "system", "processor", "processors", "usable_processors", "governor")

@@ -118,7 +118,7 @@ async def _read(slave: Any, octets: int) -> None:
 
 
 async def application(kind: str, ended: Ended) -> list[tuple[int, int]]:
-    """What the rest of the program does, until the end. Returns when it was held up for how long (ns), the longest."""
+    """The rest of the program, until the end. Returns the longest time (ns) for which it was held up, and when."""
     if kind == "burn":
         threading.Thread(target=_burn, args=(ended,), daemon=True).start()
     held_up: list[tuple[int, int]] = []

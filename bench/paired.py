@@ -63,7 +63,7 @@ Readings = Mapping[str, Reading]
 
 
 class Run(NamedTuple):
-    """What one side gave in one round, and the calibration loops beside it."""
+    """Readings of one side in one round, and the calibration loops beside them."""
 
     readings: Readings
     speeds: Speeds
@@ -127,7 +127,7 @@ def _reading(figure: Figure, loop_us: Figure | None) -> tuple[str, Reading]:
 
 
 def readings_of_probe(figures: Mapping[str, Mapping[str, float]]) -> dict[str, Reading]:
-    """What bench/commit_probe.py printed: CPU times and counts."""
+    """Readings from the output of bench/commit_probe.py: CPU times and counts."""
     return {
         name: Reading(each["loops"], PYTHON, PYTHON) if "loops" in each else Reading(each["count"], "", exact=True)
         for name, each in figures.items()
@@ -228,7 +228,7 @@ def interval(values: Sequence[float]) -> tuple[float, float]:
 
 
 def _rank(count: int) -> int:
-    """How far from either end the bounds of the interval stand, 1: the least and the greatest, 0: there are too few."""
+    """Distance of the interval's bounds from either end; 1: least and greatest value, 0: too few rounds."""
     rank, tail = 0, 1
     while 2 * tail <= (1 - _CONFIDENCE) * 2**count:
         rank += 1

@@ -1,4 +1,4 @@
-"""What the records of a paced wire say: rotations, the time on the wire by the rules, the pty's own share."""
+"""Records of a paced wire: rotations, the time on the wire by the rules, the pty's own share."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def rotations(records: Sequence[Record], baud: int, *, services: bool = False) -
 
 
 def fetched(records: Sequence[Record], octets: int) -> int:
-    """How many Reads of so many octets had their answer: with two SAPs and the four octets of DP-V1 before them."""
+    """The number of answered Reads of ``octets`` octets (two SAPs and four octets of DP-V1 stand before them)."""
     return sum(record.answer_octets == 9 + 2 + 4 + octets for record in records)
 
 

@@ -1,4 +1,4 @@
-"""What every benchmark hands back: figures with their unit, the rounds they come from, goals as ratios of one run."""
+"""Report of a benchmark: figures with their unit, the rounds they come from, goals as ratios of one run."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Figure:
 
     @property
     def spread(self) -> float | None:
-        """How far the rounds lie apart, as a share of their median: between the quartiles, of few rounds all of them.
+        """Spread of the rounds as a share of their median: between the quartiles, of few rounds all of them.
 
         None with less than two rounds: then nothing is known.
         """

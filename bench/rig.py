@@ -1,4 +1,4 @@
-"""A wire and a master on it, as processes of their own on processors of their own, and what the two have to tell."""
+"""A wire and a master on it, as processes of their own on processors of their own, and the results of both."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class MasterFailedError(RuntimeError):
 
 
 class NotAvailableError(Exception):
-    """What was to be measured is not there; the text says what and why."""
+    """A master or driver that cannot be measured here; the text names it and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +208,7 @@ class Bench:
         return int(self._data()["first_at"])
 
     def of_wire(self) -> dict[str, Any]:
-        """What the wire has to tell; only why it is over when it is no more."""
+        """The data of the wire; after its end only the reason of the end."""
         try:
             return self._data()
         except RuntimeError as error:
@@ -388,7 +388,7 @@ def _cpu_of(pid: int) -> int:
 
 
 def _waited_of(pid: int) -> int:
-    """How long threads of a process have stood in a run queue, in ns (the second figure of schedstat)."""
+    """Time in ns that threads of a process have waited in a run queue (second figure of schedstat)."""
     waited = 0
     for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
         with contextlib.suppress(OSError, IndexError):

@@ -49,7 +49,7 @@ _BUSY: Final = 1.5
 
 
 class Plan(NamedTuple):
-    """How one run of a benchmark is called, in options that commits of all ages know, and how many rounds there are
+    """Options of one run of a benchmark, as commits of all ages know them, and the number of rounds
     (1: all figures are exact).
 
     ``cpu``: all that it measures is CPU time of its own process, so that it can be run on the clock of loops.

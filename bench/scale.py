@@ -1,4 +1,4 @@
-"""What one exchange costs the master, from 1 to 100 slaves: on a medium that costs nothing, and over a pty.
+"""Cost of one exchange at the master, from 1 to 100 slaves: on a medium that costs nothing, and over a pty.
 
 The cost of an exchange must not depend on how many slaves there are. Once a round come the token to itself and what a
 round begins and ends with; with one slave that is once an exchange. So beside the mean there is the cost of *one slave

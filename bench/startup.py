@@ -1,4 +1,4 @@
-"""How long it takes from the start of a program until 32 slaves are in data exchange, on a pty that gives no time.
+"""Time from the start of a program until 32 slaves are in data exchange, on a pty that gives no time.
 
 *Program* is the interpreter and its imports; *opening* from there until the port is open: the configuration, and the
 start of the bus process where there is one; *listening* until the first telegram; *claim* from there until the token

@@ -33,7 +33,7 @@ _ENTRY: Final = re.compile(r"^(\w+): (.*(?:\n +.*)*)", re.MULTILINE)
 
 
 def sentences(table: type) -> dict[str, str]:
-    """What the docstring of ``table`` says to each key."""
+    """The text for each key from the docstring of ``table``."""
     return {key: " ".join(text.split()) for key, text in _ENTRY.findall(inspect.getdoc(table) or "")}
 
 
@@ -42,7 +42,7 @@ def _number(value: float) -> str:
 
 
 def value_text(hint: Any, key: Key) -> str:
-    """What may be given, by the annotation of the key and its limits."""
+    """The values of a key, from its annotation and its limits."""
     if hint == Octets:
         return "octets"
     if isinstance(hint, UnionType) or get_origin(hint) is Union:

@@ -62,7 +62,7 @@ _TYPE_WEIGHTS: Final = (16_266, 11_576, 3_986, 3_012, 1_118, 133, 10)
 
 @dataclass(frozen=True)
 class Size:
-    """How much of what one file holds."""
+    """The numbers of the parts of one file."""
 
     modules: int
     parameters: int

@@ -35,7 +35,7 @@ def outcome(answer: str | Refused | ServiceFailure) -> Outcome:
 
 
 class Script:
-    """A drive that says what the test says: what comes of each service, in order; ``said`` is what it was asked."""
+    """A drive that answers the services in order as the test says; ``said``: the requests."""
 
     def __init__(self, *answers: str | Refused | Silent) -> None:
         self._answers = list(answers)

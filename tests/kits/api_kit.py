@@ -1,4 +1,4 @@
-"""What tests of the API use: configured slaves, a bus of them, a program in virtual time."""
+"""Kit of the public API: configured slaves, a bus of them, a program in virtual time."""
 
 from __future__ import annotations
 

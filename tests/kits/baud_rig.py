@@ -171,7 +171,7 @@ class Line:
                 return
 
     def _time_passes(self, search: AutoBaud, receiver: Receiver, until: int) -> Receiver:
-        """Nothing is sent up to ``until``."""
+        """The line is idle up to ``until``."""
         while search.result is None and min(search.wake_at(), receiver.due) <= until:
             now = min(search.wake_at(), receiver.due)
             for char in receiver.idle(now):

@@ -36,7 +36,7 @@ IDENT = 0x1234
 
 
 def setup(address: int, dpv1: Dpv1 | None = None, **changes: Any) -> SlaveParams:
-    """How a master parameterises :func:`mirror`; with ``dpv1``, DPV1_Status stands in front of its parameters."""
+    """Parameters of a :func:`mirror` at its master; with ``dpv1``, DPV1_Status stands in front of its parameters."""
     values = {"name": f"s{address}", "ident": IDENT, "config": PPO1, "user_prm": b"" if dpv1 is None else bytes(3)}
     return SlaveParams(**{"address": address, "dpv1": dpv1, **values, **changes})
 

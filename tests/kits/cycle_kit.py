@@ -19,7 +19,7 @@ P500 = BusParams.preset(500_000, address=2)
 
 
 def slave(address: int, **changes: Any) -> SlaveParams:
-    """How the master parameterises a mirror slave with twelve octets each way."""
+    """Parameters of a mirror slave with twelve octets each way."""
     return setup(address, **changes)
 
 
@@ -35,7 +35,7 @@ class CycleBus(SimBus):
         self.station.wire = self.wire.append
 
     def quiet(self) -> None:
-        """What was kept so far is forgotten; books too."""
+        """Forget the transmissions and events so far."""
         self.wire.clear()
         self.events.clear()
 
@@ -47,7 +47,7 @@ class CycleBus(SimBus):
         return [e for e in first if e.octets[1] == 15 and e.octets[4:6] == bytes((address, self.params.address))]
 
     def exchanges(self, address: int) -> list[int]:
-        """When they began."""
+        """Start times of the Data_Exchange requests to ``address`` in ns."""
         return [e.start_ns for e in self.data(address)]
 
     def requests(self, dsap: int) -> list[WireEntry]:

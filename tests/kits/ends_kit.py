@@ -1,4 +1,4 @@
-"""What a slave was sent on the way out, read from octets; nothing of the project reads them.
+"""The last telegrams to a slave, read from octets without the project's codec.
 
 ``told`` makes words of telegrams: outputs of Data_Exchange in hex, "clear" and "operate" of Global_Control.
 """
@@ -35,7 +35,7 @@ def table(heading: str, first: str) -> Iterator[tuple[str, list[str]]]:
 
 
 def told(telegrams: Iterable[bytes], address: int) -> list[str]:
-    """What the slave at ``address`` was told, in order, without repetitions."""
+    """The telegrams to the slave at ``address`` in words, in order, without repetitions."""
     words: list[str] = []
     for octets in telegrams:
         if octets[:1] != b"\x68" or not octets[6] & 0x40:
@@ -52,7 +52,7 @@ def told(telegrams: Iterable[bytes], address: int) -> list[str]:
 
 @contextmanager
 def heard(there: Responder, address: int = 4) -> Iterator[list[str]]:
-    """What the slave at ``address`` of ``there`` is told from now on."""
+    """The telegrams to the slave at ``address`` of ``there`` from now on, in words."""
     words: list[str] = []
     take = there.request
 
@@ -66,7 +66,7 @@ def heard(there: Responder, address: int = 4) -> Iterator[list[str]]:
 
 
 def after_live(words: list[str], live: str) -> tuple[list[str], list[str]]:
-    """What came after the last of the ``live`` outputs: outputs up to the first Clear, and all from there on.
+    """The words after the last ``live`` outputs: outputs up to the first Clear, and all from there on.
 
     Operate is repeated every 200 ms, with safe values too, up to Clear.
     """

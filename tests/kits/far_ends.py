@@ -40,7 +40,7 @@ class FarEnd:
         assert os.write(self.fd, octets) == len(octets)
 
     def take(self) -> bytes:
-        """What is there now."""
+        """The octets that have arrived."""
         with contextlib.suppress(BlockingIOError):
             return os.read(self.fd, 65_536)
         return b""
@@ -129,7 +129,7 @@ class Rfc2217FarEnd(FarEnd):
         threading.Thread(target=self._serve, daemon=True).start()
 
     def write(self, octets: bytes) -> None:
-        """What the server half wants to say to its client."""
+        """Send octets of the server half to its client."""
         if self._client is not None:
             self._client.sendall(octets)
 

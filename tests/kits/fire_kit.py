@@ -88,7 +88,7 @@ class FireRing:
         self.world.command(self.masters[address], GoOnline())
 
     def drop_tokens(self, times: int, sender: str | None = None) -> None:
-        """Nobody hears the next ``times`` tokens (of ``sender``)."""
+        """The next ``times`` tokens (of ``sender``) get lost."""
         self.world.faults.drop(lambda tx: is_token(tx) and sender in (None, tx.sender), times=times)
 
     @property

@@ -62,7 +62,7 @@ class ForeignMaster:
                 self.speak(now)
 
     def speak(self, now: int) -> None:
-        """What a hold consists of, from ``now`` on."""
+        """Plan the telegrams of one token hold from ``now`` on."""
         gap = GAP_BITS
         for octets in (*self.says, self.token()):
             start = now + self.bits(gap)

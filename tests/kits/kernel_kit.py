@@ -1,4 +1,4 @@
-"""The real-time drivers on a system of its own: a clock that stands still but for what is done, one line, no waiting.
+"""The real-time drivers on a simulated kernel: every call costs a fixed time, sleeping jumps to the next event.
 
 Octets arrive when the test says; whoever sleeps is woken up ``LATE_NS`` after what it slept for. So wake-ups can be
 counted and times compared, whatever the computer that runs the test has to do. ``held_up`` keeps the processor from the
@@ -96,11 +96,11 @@ class Line(FdPort):
         self._read, self._send = self._kernel.read, self._kernel.write
 
     def _close_fd(self, fd: int) -> None:
-        """It is nobody's."""
+        """The number belongs to no open file."""
 
 
 class _Select:
-    """What the plain loop uses of the module ``select``."""
+    """The part of the module ``select`` that the plain loop uses."""
 
     POLLIN, POLLOUT, POLLNVAL = select.POLLIN, select.POLLOUT, select.POLLNVAL
 
@@ -145,7 +145,7 @@ class _Soon:
 
 
 class _Asyncio:
-    """What ports and drivers use of an asyncio loop, and the loop's timer."""
+    """The part of an asyncio loop that ports and drivers use, and its timer."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel

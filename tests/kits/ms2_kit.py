@@ -1,4 +1,4 @@
-"""A class 2 master with slaves of octets that have MS2, and what came of its connections.
+"""A class 2 master with slaves of octets that have MS2, and the ends of its connections.
 
 The slave knows telegrams as numbers only; nothing of the project is used to read or to make them.
 """
@@ -85,7 +85,7 @@ class Ms2Server:
     heard: list[tuple[int, bytes]] = field(default_factory=list)
 
     def ms2(self, sap: int, pdu: bytes) -> bytes | None:
-        """What SAP 0..49 answers: data, None for SC, empty for RS."""
+        """The answer at SAP 0..49: data, None for SC, empty for RS."""
         self.heard.append((sap, pdu))
         return self.manage(pdu) if sap == 49 else self.session(sap, pdu)
 

@@ -1,4 +1,4 @@
-"""A master of class 2 in octets: its telegrams are put together by hand, what comes back is read as numbers."""
+"""A master of class 2 in octets: telegrams made by hand, answers read as numbers."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Class2:
         return self.read(bytes.fromhex(octets), sap)
 
     def read(self, octets: bytes, sap: int) -> str:
-        """What the answer of ``sap`` says."""
+        """The answer of ``sap`` in words."""
         if not octets:
             return SILENCE
         if octets == b"\xe5":

@@ -118,7 +118,7 @@ class Bench:
                 self._pump(raw[len(raw) - 1 - left :][:1], when)
 
     def answers(self, octets: str, at: int, until: int | None = None) -> list[str]:
-        """What comes after ``octets`` until the line has been quiet for a long time."""
+        """The telegrams after ``octets`` until the line has been quiet for a long time."""
         before = len(self.sent)
         self.say(octets, at)
         self.run_until(at + 10_000 * BIT if until is None else until)

@@ -1,4 +1,4 @@
-"""A bus as it was planned, in virtual time: what its undisturbed rounds take on the wire, told by the octets alone."""
+"""Undisturbed rounds of a planned bus in virtual time: their durations, read from the octets."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def setups(configs: Sequence[bytes], min_tsdr: int = 11) -> list[SlaveParams]:
 
 
 def kind(entry: WireEntry) -> str:
-    """What stands on the wire."""
+    """The kind of a transmission on the wire."""
     octets = entry.octets
     if octets[0] == 0xDC:
         return "token"
@@ -63,7 +63,7 @@ def undisturbed(
     gap_polls: int = 0,
     rounds: int = 12,
 ) -> list[int]:
-    """What those of so many rounds take in ns that hold nothing but data, the token and ``gap_polls`` in vain.
+    """Durations in ns of those of ``rounds`` rounds that hold only data, the token and ``gap_polls`` unanswered polls.
 
     Slow rounds all have a Global_Control: 13 characters and T_ID2, which are taken off.
     """

@@ -1,4 +1,4 @@
-"""What tests of the bus process use: slaves that know only octets at the other end of a pty, seen by any process."""
+"""Kit of the bus process: slaves of octets at the other end of a pty, a bus on it, the state of its process."""
 
 from __future__ import annotations
 

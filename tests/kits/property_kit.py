@@ -1,4 +1,4 @@
-"""How many examples hypothesis tries: few and always the same in ``make test``, many and random in ``make soak``."""
+"""The number of examples of hypothesis: few and always the same in ``make test``, many and random in ``make soak``."""
 
 from __future__ import annotations
 

@@ -272,7 +272,7 @@ def mode_of(bus: ScriptedLink) -> Mode:
 
 
 def wire(bus: ScriptedLink, address: int = 3) -> list[Entry]:
-    """What was sent to one slave."""
+    """The requests to one slave."""
     return [(r.dsap, r.data.hex(" ").upper()) for r in bus.requests if r.da == address]
 
 

@@ -50,11 +50,11 @@ class OctetMaster(Bench):
         return self.dx(self.outputs).status is Resp.DH
 
     def ext(self, sa: int = MASTER) -> str:
-        """What follows the fixed octets of the diagnosis."""
+        """The octets after the fixed ones of the diagnosis."""
         return self.diag(sa)[6:].hex(" ").upper()
 
     def fetch(self) -> str:
-        """Told to fetch it, the master does; the blocks."""
+        """Fetch the diagnosis that the slave offers; its blocks."""
         assert self.must_fetch
         return self.ext()
 

@@ -1,4 +1,4 @@
-"""What tests of every layer use: worlds with a referee, the decoded wire log, and dummy stations.
+"""Kit of every layer: worlds with a referee, the decoded wire log, and dummy stations.
 
 In a test ask for the fixture ``world``: ``w = world(seed=3)`` makes a World whose referee is checked at the end.
 """

@@ -20,7 +20,7 @@ from dpstack.units import BAUD_RATES
 
 @dataclass
 class Found:
-    """What pyserial tells of a port."""
+    """The attributes of a port that pyserial finds."""
 
     device: str
     description: str = "n/a"

@@ -22,7 +22,7 @@ BAUD = 500_000
 
 
 class Heard:
-    """What a port handed over."""
+    """The octets and losses that a port delivered."""
 
     def __init__(self) -> None:
         self.octets = b""
@@ -322,7 +322,7 @@ class MemoryFarEnd:
         return self._far.read_now()
 
     def stall(self) -> None:
-        """It reads only when asked."""
+        """Nothing to do: this end reads only on request."""
 
     def hang_up(self) -> None:
         self._near.unplug("pulled out")

@@ -1,4 +1,4 @@
-"""Who holds a port, from a made-up /proc and from the real one."""
+"""The program that holds a port, from a made-up /proc and from the real one."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_command_of_dpstack_is_named_with_its_configuration(tmp_path: Path) ->
 
 
 def test_behind_a_bus_process_the_application_is_named(tmp_path: Path) -> None:
-    """It is what its user knows and may end; the bus process has no name of its own."""
+    """The user knows the application and may end it; the bus process has no name of its own."""
     proc, port = tmp_path / "proc", tmp_path / "ttyUSB0"
     port.touch()
     program(proc, 41, "python", str(port))

@@ -1,4 +1,4 @@
-"""What a port does in the child of a fork."""
+"""Ports in the child of a fork."""
 
 from __future__ import annotations
 

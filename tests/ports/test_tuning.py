@@ -1,4 +1,4 @@
-"""What is asked of an adapter's driver, that it is put back, and what is said where it cannot be had."""
+"""Settings of an adapter's driver: made, restored at the end, a notice where they are missing or refused."""
 
 from __future__ import annotations
 

@@ -233,7 +233,7 @@ def test_its_master_runs_every_drive(tmp_path: Path, segment: Path, start: Start
 
 
 def test_our_program_recognises_its_bus_by_listening(tmp_path: Path, segment: Path, start: Starter) -> None:
-    """It passes no token, so that our master can find no place beside it; ``dpstack baud`` only listens."""
+    """pyprofibus passes no token, so dpstack cannot join it as a master; ``dpstack baud`` only listens."""
     sim = ("sim", "--gsd", "io-station", "--modules", "8 DI", "8 DO", "--address", "8", "--port", str(segment / "0"))
     slave = start(*sim, "--json")
     with pyprofibus(tmp_path, segment / "1", {"io": SLAVES["io"]}) as master:

@@ -1,4 +1,4 @@
-"""Nobody is woken up before an expected answer can be whole, and nothing else changes: not what is sent, nor when."""
+"""Sleep of the drivers until an expected answer can be complete: the telegrams and their times stay the same."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ STRANGE: Final = {
 @pytest.mark.parametrize("paced", [True, False])
 @pytest.mark.parametrize("what", STRANGE)
 def test_another_answer_than_expected_leads_to_the_same(scenes: Scenes, what: str, paced: bool) -> None:
-    """What is sent is the same; when, at most by the time the usual answer would have taken longer."""
+    """The same telegrams go out, later at most by the time that the usual answer is longer."""
     plan = dict.fromkeys((40, 41, 60), STRANGE[what])
     quiet, listening = scenes.twice(plan, 80, paced=paced)
     assert quiet.said() == listening.said()

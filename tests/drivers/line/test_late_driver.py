@@ -1,4 +1,4 @@
-"""A computer that has no time for the driver costs no answer: what was there by its deadline is always met.
+"""Drivers that are held up: an answer that arrived by its deadline always counts.
 
 The line goes on while the driver is held up, and a driver may be held up anywhere: before and after every call of the
 system, in between two of them, for longer than any slot time.
@@ -42,7 +42,7 @@ class Answer:
     after: bytes = b""
 
     def pieces(self, begin: int) -> list[tuple[int, bytes]]:
-        """What arrives when, if it were due from ``begin`` on."""
+        """Times and pieces of this answer, for an answer due from ``begin`` on."""
         octets = self.before + ANSWER
         edges = [0, *sorted(len(self.before) + cut for cut in self.cuts), len(octets)]
         begin += self.late_us * NS_PER_US

@@ -1,4 +1,4 @@
-"""What a port costs, and the patience that follows: by numbers, and through the driver."""
+"""Latency of a port and the patience derived from it: by numbers, and through the driver."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ def test_a_driver_without_budget_waits_by_timer_and_is_never_early(loop: SelectL
 
 
 class Spent(Budget):
-    """Nothing is left to spin with, ever."""
+    """A budget that never permits spinning."""
 
     def may_spin(self, now: int) -> bool:
         return False

@@ -192,7 +192,7 @@ def test_a_short_sleep_changes_nothing(kind: str, monkeypatch: pytest.MonkeyPatc
 
 
 def test_the_time_of_system_sleep_never_runs_backwards() -> None:
-    """However long it slept: less never comes after more."""
+    """However long the computer slept: the value never becomes smaller."""
     first = suspended_ns()
     assert first > -50 * NS_PER_MS
     assert suspended_ns() - first < 1_000 * NS_PER_MS

@@ -16,7 +16,7 @@ OUT = b"\x11\x22"
 
 
 async def test_the_application_hangs() -> None:
-    """Nothing runs in it meanwhile, and the slave's outputs become zeros all the same."""
+    """The outputs of the slave become zeros although nothing runs in the application."""
     async with ready_bus(VALVES, application_watchdog_ms=1000, after_stall="safe") as (bus, there):
         bus.slave("valves").outputs = OUT
         await bus.operate()
@@ -30,7 +30,7 @@ async def test_the_application_hangs() -> None:
 
 @pytest.mark.parametrize("driver", DRIVERS)
 async def test_an_application_that_is_alive(driver: Driver) -> None:
-    """As fast as it likes: the bus process takes every one of them, and answers orders between them."""
+    """The bus process reads every sign of life, however many come, and answers orders between them."""
     told: list[object] = []
     async with ready_bus(
         VALVES, application_watchdog_ms=20_000, after_stall="resume", on_event=told.append, driver=driver

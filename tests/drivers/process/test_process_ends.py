@@ -1,4 +1,4 @@
-"""The bus process and its application: whoever dies, the outputs are safe, the port is free, everybody is told."""
+"""Ends of the bus process and of its application: safe outputs, a free port, an error at the survivor."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ asyncio.run(main())
 
 @contextlib.contextmanager
 def recorded(there: Responder) -> Iterator[list[str]]:
-    """What slave 4 is told from now on: outputs in hex, "clear"; and "left out" before what came after more than 20
+    """Telegrams to slave 4 from now on: outputs in hex, "clear"; and "left out" before what came after more than 20
     tokens, or after 20 looks of 50 ms in which nobody said anything (a busy computer keeps who looks waiting, too).
     """
     heard: list[str] = []

@@ -34,7 +34,7 @@ if __name__ == "__main__":
 
 
 def run(*command: str) -> list[str]:
-    """What a program says."""
+    """The words that a program prints."""
     return subprocess.run(
         [sys.executable, *command], capture_output=True, text=True, timeout=100, check=True
     ).stdout.split()

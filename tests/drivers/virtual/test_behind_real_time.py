@@ -21,7 +21,7 @@ Out = pytest.CaptureFixture[str]
 
 
 def paced(speeds: list[float]) -> list[BehindRealTime]:
-    """What is told where bus time goes at each of these speeds for one second."""
+    """Events of a bus whose time goes at each of these speeds for one second."""
     pace, real, bus = Pace(7 * NS_PER_S, 0), 7 * NS_PER_S, 0
     told = []
     for speed in speeds:

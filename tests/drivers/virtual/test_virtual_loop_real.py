@@ -1,4 +1,4 @@
-"""What is real stays real in virtual time: signals, sockets, threads, and time itself where the loop is paced."""
+"""Real things in virtual time: signals, sockets, threads, and time itself where the loop is paced."""
 
 from __future__ import annotations
 
