@@ -94,15 +94,13 @@ def test_chips_are_named_by_their_usb_identity() -> None:
         assert most in BAUD_RATES or most == 2_000_000
 
 
-def test_a_pty_takes_every_rate_and_has_nothing() -> None:
-    far = PtyFarEnd()
+def test_a_pty_takes_every_rate_and_has_nothing(far: PtyFarEnd) -> None:
     can = probe(far.path)
     assert tuple(can.rates) == tuple(BAUD_RATES)
     assert (can.parity, can.low_latency, can.rs485, can.counters, can.marks) == (False, False, False, False, True)
-    far.hang_up()
 
 
-def test_a_driver_that_has_all_but_the_high_rates(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_driver_that_has_all_but_the_high_rates(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch) -> None:
     FakeDriver(monkeypatch)
     real = termios2.set_raw
 
@@ -112,21 +110,17 @@ def test_a_driver_that_has_all_but_the_high_rates(monkeypatch: pytest.MonkeyPatc
         return real(fd, baud, marks=marks)._replace(parity=True)
 
     monkeypatch.setattr(termios2, "set_raw", at_most_1500k)
-    far = PtyFarEnd()
     can = probe(far.path)
     assert can.rates == [9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000]
     assert (can.parity, can.low_latency, can.rs485, can.counters, can.marks) == (True, True, True, True, True)
-    far.hang_up()
 
 
-def test_a_port_without_any_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_without_any_rate(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_fd: int, _baud: int | None, *, marks: bool) -> termios2.Applied:
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
 
-    far = PtyFarEnd()
     monkeypatch.setattr(termios2, "set_raw", refuse)
     assert probe(far.path).rates == []
-    far.hang_up()
 
 
 def test_the_probe_refuses_devices_that_are_no_ports(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -75,10 +75,8 @@ def test_behind_a_bus_process_the_application_is_named(tmp_path: Path) -> None:
     assert holder_of_path(str(port), proc) == "python (pid 41)"
 
 
-def test_the_real_one() -> None:
-    far = PtyFarEnd()
+def test_the_real_one(far: PtyFarEnd) -> None:
     assert holder_of_path(far.path) is None
     fd = os.open(far.path, os.O_RDWR | os.O_NOCTTY)
     assert holder_of_path(far.path) == f"this program itself (pid {os.getpid()})"
     os.close(fd)
-    far.hang_up()

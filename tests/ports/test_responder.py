@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,12 +20,14 @@ SC = b"\xe5"
 
 
 @pytest.fixture
-def far() -> PtyFarEnd:
-    return PtyFarEnd()
+def responder(far: PtyFarEnd) -> Iterator[Responder]:
+    """The responder with slave 3, fed by the test."""
+    made = Responder(far.path, [SPEC])
+    yield made
+    made.stop()
 
 
-def test_bring_up_exchange_and_repeat(far: PtyFarEnd) -> None:
-    responder = Responder(far.path, [SPEC])
+def test_bring_up_exchange_and_repeat(responder: Responder) -> None:
     slave = responder.slaves[3]
     assert responder.feed(bytes.fromhex("10 03 02 49 4E 16")) == bytes.fromhex("10 02 03 00 05 16")
     assert responder.feed(bytes.fromhex("DC 02 02")) == b""
@@ -46,8 +49,6 @@ def test_bring_up_exchange_and_repeat(far: PtyFarEnd) -> None:
     assert (slave.exchanges, slave.repeats) == (executed, 1)
     assert responder.feed(bytes.fromhex("68 07 07 68 FF 82 46 3A 3E 00 00 3F 16")) == b""
     assert slave.control == b"\x00\x00"
-    responder.stop()
-    far.hang_up()
 
 
 @pytest.mark.parametrize(
@@ -60,16 +61,12 @@ def test_refused_parameters_and_configurations_show_in_the_diagnosis(far: PtyFar
     assert responder.feed(CFG) == SC
     assert responder.feed(DIAG)[9:13].hex(" ") == status
     responder.stop()
-    far.hang_up()
 
 
-def test_garbage_and_foreign_telegrams_are_passed_over(far: PtyFarEnd) -> None:
-    responder = Responder(far.path, [SPEC])
+def test_garbage_and_foreign_telegrams_are_passed_over(responder: Responder) -> None:
     status = bytes.fromhex("10 03 02 49 4E 16")
     assert responder.feed(b"\x00\x68\x05\x06\x68" + status[:-1] + b"\x17" + status)[:3] == b"\x10\x02\x03"
     assert responder.feed(bytes.fromhex("10 04 02 49 4F 16")) == b""
-    responder.stop()
-    far.hang_up()
 
 
 async def test_as_a_script_on_a_tty(far: PtyFarEnd) -> None:
@@ -89,4 +86,3 @@ async def test_in_a_thread(far: PtyFarEnd) -> None:
     with Responder(far.path, [SPEC]):
         far.send(bytes.fromhex("10 03 02 49 4E 16"))
         assert await far.recv(6) == bytes.fromhex("10 02 03 00 05 16")
-    far.hang_up()

@@ -24,13 +24,6 @@ from dpstack.units import BAUD_RATES
 
 
 @pytest.fixture
-def far() -> Iterator[PtyFarEnd]:
-    end = PtyFarEnd()
-    yield end
-    end.hang_up()
-
-
-@pytest.fixture
 def port(far: PtyFarEnd) -> Iterator[TtyPort]:
     """A port at 9.6 kbit/s, not yet opened; closed at the end."""
     port = TtyPort(far.path, 9_600)

@@ -71,9 +71,8 @@ def test_rs485_that_is_set_up_already_is_not_touched(driver: FakeDriver, tmp_pat
 
 
 def test_rs485_is_left_alone_where_that_is_asked_for(
-    driver: FakeDriver, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    far: PtyFarEnd, driver: FakeDriver, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    far = PtyFarEnd()
     monkeypatch.setattr("dpstack.ports.tty.is_pty_path", lambda _name: False)
     port = TtyPort(far.path, 9600, rs485=False, sysfs=tmp_path)
     port.open_now()
@@ -85,7 +84,6 @@ def test_rs485_is_left_alone_where_that_is_asked_for(
     assert driver.rs485[0] == 0x03  # enabled, RTS on send
     port.close()
     assert driver.rs485 == [0] * 8
-    far.hang_up()
 
 
 def test_missing_abilities_of_a_driver_are_named_in_one_line(driver: FakeDriver, tmp_path: Path) -> None:
@@ -130,9 +128,8 @@ def test_error_counters_are_those_since_the_start(driver: FakeDriver, tmp_path: 
 
 
 def test_a_port_tunes_an_adapter_and_leaves_a_pty_alone(
-    driver: FakeDriver, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    far: PtyFarEnd, driver: FakeDriver, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    far = PtyFarEnd()
     folder = plug_in(tmp_path, os.path.basename(far.path))
     port = TtyPort(far.path, 9600, sysfs=tmp_path)
     port.open_now()
@@ -152,7 +149,6 @@ def test_a_port_tunes_an_adapter_and_leaves_a_pty_alone(
         assert driver.flags == 0x40
         assert text(folder / "latency_timer") == "16"
     assert port.damage()["parity"] == 2
-    far.hang_up()
 
 
 def test_driver_usb_identity_and_latency_come_from_sysfs(tmp_path: Path) -> None:
