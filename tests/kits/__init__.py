@@ -30,11 +30,12 @@ Drivers, ports, programs:
 - ``driver_rig``: a scripted machine under each driver; ``memory_port``: two ports joined in memory; ``kernel_kit``:
   drivers on a clock and a line of the test; ``far_ends``: other ends of ports; ``fake_adapter``: serial driver and
   sysfs in memory; ``baud_rig``: traffic behind a UART.
-- ``programs``: ``dpstack`` as a program; ``cli_kit``: commands in the process of the test; ``ends_programs``,
-  ``ends_kit``: programs that end a bus in every way, and the last telegrams to a slave.
+- ``programs``: ``dpstack`` as a program; ``control_kit``: control sockets and a client of octets; ``cli_kit``:
+  commands in the process of the test; ``ends_programs``, ``ends_kit``: programs that end a bus in every way, and the
+  last telegrams to a slave.
 
-Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``, ``fuji_kit``, ``imo_kit``, ``ls_kit``;
-``acyclic_kit`` (record 47).
+Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``, ``fuji_kit``, ``keb_kit``, ``imo_kit``,
+``ls_kit``; ``acyclic_kit`` (record 47).
 
 Others: ``gsd_kit`` (GSD files), ``fc_octets`` (FC octets by hand), ``fault_steps`` (random trouble on a bus),
 ``linear_kit`` (linear time and memory), ``property_kit`` (number of examples of hypothesis).

@@ -18,9 +18,17 @@ from dpstack.units import NEVER
 
 
 # --- what is real ---
+def goes_on(world: World, every_ns: int = 10_000) -> None:
+    """Events in ``world`` without end."""
+    world.call_at(world.now + every_ns, lambda: goes_on(world, every_ns))
+
+
 @pytest.mark.parametrize("paced", [False, True])
-def test_a_signal_ends_a_program_that_waits_for_it(paced: bool) -> None:
+@pytest.mark.parametrize("endless", [False, True], ids=["nothing else happens", "a world goes on for ever"])
+def test_a_signal_ends_a_program_that_waits_for_it(endless: bool, paced: bool) -> None:
     async def main() -> str:
+        if endless:
+            goes_on(attach(World()))
         stop = asyncio.Event()
         loop = asyncio.get_running_loop()
         loop.add_signal_handler(signal.SIGUSR1, stop.set)
@@ -35,36 +43,11 @@ def test_a_signal_ends_a_program_that_waits_for_it(paced: bool) -> None:
 
 
 @pytest.mark.parametrize("paced", [False, True])
-def test_a_signal_ends_a_program_whose_world_goes_on_for_ever(paced: bool) -> None:
-    async def main() -> str:
-        world = attach(World())
-        stop = asyncio.Event()
-
-        def again() -> None:
-            world.call_at(world.now + 10_000, again)
-
-        again()
-        asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, stop.set)
-        timer = threading.Timer(0.02, os.kill, (os.getpid(), signal.SIGUSR1))
-        timer.start()
-        await stop.wait()
-        timer.join()
-        return "stopped"
-
-    assert run(main(), paced=paced) == "stopped"
-
-
-@pytest.mark.parametrize("paced", [False, True])
 def test_ctrl_c_is_a_keyboard_interrupt(paced: bool) -> None:
     cancelled = []
 
     async def main() -> None:
-        world = attach(World())
-
-        def again() -> None:
-            world.call_at(world.now + 10_000, again)
-
-        again()
+        goes_on(attach(World()))
         threading.Timer(0.02, os.kill, (os.getpid(), signal.SIGINT)).start()
         try:
             await asyncio.Event().wait()
@@ -93,14 +76,9 @@ def test_real_sockets_are_polled(paced: bool) -> None:
 
 def test_a_reader_is_called_while_a_world_goes_on() -> None:
     async def main() -> bytes:
-        world = attach(World())
+        goes_on(attach(World()), every_ns=1_000)
         ours, theirs = socket.socketpair()
         got: asyncio.Future[bytes] = here().create_future()
-
-        def again() -> None:
-            world.call_at(world.now + 1_000, again)
-
-        again()
         with ours, theirs:
             here().add_reader(ours, lambda: got.set_result(ours.recv(10)))
             threading.Timer(0.01, theirs.send, (b"x",)).start()

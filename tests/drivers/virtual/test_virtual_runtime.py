@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
+from typing import Any
 
 import pytest
 from bus_kit import mirror, setup
@@ -177,8 +178,8 @@ async def test_a_command_wakes_a_resting_world() -> None:
     await runtime.close()
 
 
-@pytest.mark.parametrize("virtual", [True, False])
-def test_two_runtimes_share_one_world(virtual: bool) -> None:
+@pytest.mark.parametrize("run_in_loop", [run, asyncio.run], ids=["virtual loop", "ordinary loop"])
+def test_two_runtimes_share_one_world(run_in_loop: Callable[[Coroutine[Any, Any, None]], None]) -> None:
     async def main() -> None:
         world = World()
         stations = [ActiveStation(PARAMS.replace(address=address), []) for address in (2, 3)]
@@ -191,14 +192,11 @@ def test_two_runtimes_share_one_world(virtual: bool) -> None:
         await until(lambda: stations[1].las == {3})
         await runtimes[1].close()
 
-    if virtual:
-        run(main())
-    else:
-        asyncio.run(main())
+    run_in_loop(main())
 
 
-@pytest.mark.parametrize("virtual", [True, False])
-def test_a_defect_stops_the_world_and_is_reported(virtual: bool) -> None:
+@pytest.mark.parametrize("run_in_loop", [run, asyncio.run], ids=["virtual loop", "ordinary loop"])
+def test_a_defect_stops_the_world_and_is_reported(run_in_loop: Callable[[Coroutine[Any, Any, None]], None]) -> None:
     async def main() -> None:
         failures: list[Exception] = []
         told = asyncio.Event()
@@ -217,10 +215,7 @@ def test_a_defect_stops_the_world_and_is_reported(virtual: bool) -> None:
         assert world.now == 5 * MS
         await runtime.close()
 
-    if virtual:
-        run(main())
-    else:
-        asyncio.run(main())
+    run_in_loop(main())
 
 
 def test_without_on_failure_a_virtual_loop_raises_it() -> None:
