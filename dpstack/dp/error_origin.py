@@ -1,4 +1,4 @@
-"""Where in a device's own functions an exception comes from: each call of them is marked with :data:`DEVICE_CALL`."""
+"""The origin of an exception in a device's own functions. :data:`DEVICE_CALL` marks each call of them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ _ORIGIN: Final = "_dpstack_origin"
 
 
 class _DeviceCall:
-    """Context of one call of a function that the author of a device wrote: what it raises is the device's.
+    """Context of one call of a function that the author of a device wrote; marks the exceptions that it raises.
 
-    In the way of each Data_Exchange, where a context costs too much, ``except`` calls :meth:`mark`.
+    For Data_Exchange a context costs too much: there ``except`` calls :meth:`mark`.
     """
 
     __slots__ = ()
@@ -36,24 +36,24 @@ DEVICE_CALL: Final = _DeviceCall()
 
 
 def error_text(error: BaseException) -> str:
-    """Its class, and what it says where it says anything."""
+    """The class of the exception and its message, if it has one."""
     name, text = type(error).__name__, str(error)
     return f"{name}: {text}" if text else name
 
 
 def failure_text(error: BaseException) -> str:
-    """Of a function that serves: what it raised, and where."""
+    """The text for a failed function of a device: the exception and its origin."""
     origin = origin_of(error)
     return f"its function failed ({error_text(error)})" + (f", in {origin}" if origin else "")
 
 
 def origin_of(error: BaseException) -> str:
-    """Function, file and line of the device; empty where the error was raised on behalf of it: its text says it all."""
+    """Function, file and line in the device; empty if the stack raised the error itself, with a text of its own."""
     return str(error.__dict__.get(_ORIGIN, ""))
 
 
 def _innermost(trace: TracebackType | None) -> str:
-    """The last call that leads to the error; what asyncio and dpstack raise there comes from whoever called them."""
+    """The innermost call outside asyncio and dpstack; within dpstack only if there is no other."""
     found, of_whom = "", 0
     while trace is not None:
         code, package = trace.tb_frame.f_code, str(trace.tb_frame.f_globals.get("__name__")).partition(".")[0]

@@ -1,4 +1,4 @@
-"""Names for process data: what the octets of a slave's inputs or outputs mean, declared as short texts.
+"""Named fields in the process data of a slave, declared as short texts.
 
 ``bool@0.3`` is bit 3 of octet 0, ``i16@2`` two octets from octet 2 on as a signed number, most significant octet first
 as PROFIBUS has it; ``i16le@2`` the other way round. ``bytes@4:3`` are three octets as they are.
@@ -17,7 +17,7 @@ from typing import Final
 from dpstack.errors import ConfigError
 from dpstack.text import shortened
 
-#: What a field holds.
+#: the value of a field
 Value = bool | int | float | bytes
 
 #: struct's letter of every number, by type
@@ -97,7 +97,7 @@ class Field:
 
     @property
     def mask(self) -> int:
-        """Its bits in the whole image as one number, octet 0 lowest."""
+        """The bits of the field in the whole image as one number, octet 0 lowest."""
         if self.bit is not None:
             return 1 << (8 * self.octet + self.bit)
         return ((1 << 8 * self.length) - 1) << 8 * self.octet
@@ -107,7 +107,7 @@ class Field:
         return ("<" if self.little else ">") + _NUMBERS[self.type]
 
     def get(self, octets: bytes) -> Value:
-        """Its value in ``octets``, which must be long enough."""
+        """The value of the field in ``octets``, which must be long enough."""
         if self.bit is not None:
             return bool(octets[self.octet] >> self.bit & 1)
         if self.type == "bytes":
@@ -116,7 +116,7 @@ class Field:
         return value
 
     def put(self, octets: bytes, value: object) -> bytes:
-        """``octets`` with its bits, and no others, changed. Raises ValueError that says what would fit."""
+        """``octets`` with ``value`` in this field. Raises ValueError that names the possible values."""
         if self.bit is not None:
             if value not in (0, 1) or isinstance(value, float):
                 raise ValueError(f"{self.name} is a bit: {value!r} is neither true nor false")
@@ -151,7 +151,7 @@ class Field:
         raise ValueError(f"{self.name} = {value!r} is no number that {self.type} can hold")
 
     def read(self, text: str) -> Value:
-        """The value that a person wrote. Raises ValueError that says how to write it."""
+        """The value in ``text`` as a person writes it. Raises ValueError that says how to write it."""
         text = text.strip()
         try:
             if self.bit is not None:
@@ -181,13 +181,13 @@ class FieldMap(Collection[str]):
         return len(self.fields)
 
     def fitted(self, length: int, what: str) -> FieldMap:
-        """The same names for an image of another length, called ``what``. Raises ConfigError where one lies outside."""
+        """The same fields for an image of another length, called ``what``. Raises ConfigError if one lies outside."""
         if length == self.length:
             return self
         return FieldMap({name: field_of(name, f.spec, length, what) for name, f in self.fields.items()}, length)
 
     def values(self, octets: bytes) -> dict[str, Value]:
-        """All of one image; nothing when ``octets`` are too short for what is declared."""
+        """The values of all fields; empty if ``octets`` are too short for them."""
         if len(octets) < self.length:
             return {}
         return {name: found.get(octets) for name, found in self.fields.items()}
@@ -218,7 +218,7 @@ def overlap(fields: Mapping[str, Field]) -> tuple[Field, Field] | None:
 
 
 def as_json(values: Mapping[str, Value]) -> dict[str, object]:
-    """Plain JSON data: octets as hex; what JSON cannot say of a float is null."""
+    """Plain JSON data: octets as hex, infinite and undefined numbers as null."""
     made: dict[str, object] = {}
     for name, value in values.items():
         if isinstance(value, bytes):

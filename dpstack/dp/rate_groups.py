@@ -1,7 +1,7 @@
 """Rate groups: in which cycles a slave of ``every`` n has its turn, so that all cycles take about the same time.
 
-A slave is exchanged data with in the cycles whose number leaves its offset when divided by its ``every``. The plan
-and the master take the offsets from here, so that what is planned is what runs.
+A slave has its turn in the cycles whose number modulo its ``every`` is its offset. The plan and the master use the same
+offsets, so that the bus runs as planned.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ HYPERPERIOD: Final = 2520
 
 
 class Share(NamedTuple):
-    """What one slave takes of each cycle it is in: ``duration_ns`` (any unit, the same for all) every n-th cycle."""
+    """The share of one slave: it takes ``duration_ns`` (any unit, the same for all) in every n-th cycle."""
 
     address: int
     every: int
@@ -42,9 +42,9 @@ def offsets(shares: Iterable[Share], kept: Mapping[int, int] | None = None) -> d
 
 
 def fullest(shares: Iterable[Share], chosen: Mapping[int, int]) -> frozenset[int]:
-    """The addresses that are exchanged data with in the fullest cycle, with the offsets ``chosen``.
+    """The addresses of the slaves in the fullest cycle, with the offsets ``chosen``.
 
-    Families of slaves that were not set against each other are taken to have their fullest cycles together.
+    The fullest cycles of different families are assumed to coincide.
     """
     addresses: set[int] = set()
     for period, members in _families(sorted(shares)):

@@ -64,13 +64,13 @@ def planned_prm(setup: SlaveParams, watchdog: WatchdogTime | None) -> str:
 
 
 def unlock_prm(setup: SlaveParams, ident: int) -> bytes:
-    """The octets of Set_Prm that give the slave free."""
+    """The octets of Set_Prm that unlock the slave."""
     return SetPrm(ident=ident, lock=False, unlock=True, min_tsdr=setup.min_tsdr).build()
 
 
 def positive(dsap: int | None, answer: Telegram) -> bool:
-    """Whether ``answer`` is a positive one to the service at ``dsap``: what writes is acknowledged, the others are
-    answered with data."""
+    """Whether ``answer`` to the service at ``dsap`` is positive: an acknowledgement of a writing service, data of
+    another one."""
     status = answer.fc & 0x0F if answer.fc >= 0 else -1
     if dsap in _ACKNOWLEDGED:
         return answer.kind is Kind.SC or status in EMPTY_STATUS
@@ -78,7 +78,7 @@ def positive(dsap: int | None, answer: Telegram) -> bool:
 
 
 def refusal_text(answer: Telegram) -> str:
-    """How a negative answer is called: RS, UE, RR ..."""
+    """The name of a negative answer: RS, UE, RR ..."""
     if answer.kind is Kind.SC:
         return "a bare acknowledgement"
     status = answer.fc & 0x0F
@@ -93,7 +93,7 @@ _SRD: Final = frozenset((Req.SRD_LOW, Req.SRD_HIGH))
 
 
 def reading_only(request: Request) -> str | None:
-    """Why ``request`` may not be sent on a read-only bus; None for what only reads."""
+    """The reason why ``request`` may not be sent on a read-only bus; None if it only reads."""
     if request.function in _ASKING:
         return None
     if request.function in _SRD and request.dsap in _READING and not request.data:

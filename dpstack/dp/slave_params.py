@@ -1,4 +1,4 @@
-"""What a master must know of a slave before it can bring it up, checked at construction."""
+"""The parameters of one slave at the master, checked at construction."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class WatchdogTime(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveParams:
-    """One slave as the master parameterises it.
+    """The parameters of one slave.
 
     ``ident`` None takes the ident number from the slave's diagnosis. ``config`` are the identifier octets of Chk_Cfg
     (1..244), ``user_prm`` the octets after the seven fixed ones of Set_Prm (0..237). ``watchdog_ms`` 0 is off,

@@ -1,4 +1,4 @@
-"""How long telegrams and exchanges take on the wire, in octets and bit times, counted as they are really sent."""
+"""Durations of telegrams and exchanges on the wire, in octets and bit times, counted as they are really sent."""
 
 from __future__ import annotations
 
@@ -43,22 +43,22 @@ def chars(octets: int) -> int:
 
 
 def shortest_tsdr(params: BusParams, setup: SlaveParams) -> int:
-    """The T_SDR of ``setup`` at the least, in bit times: the bus's min T_SDR, or what Set_Prm tells it."""
+    """The shortest T_SDR of ``setup`` in bit times: the min T_SDR of the bus, or the one in Set_Prm."""
     return max(params.min_tsdr, setup.min_tsdr)
 
 
 def longest_tsdr(params: BusParams, setup: SlaveParams) -> int:
-    """The T_SDR of ``setup`` at the most, in bit times: its MaxTsdr, or the bus's max T_SDR."""
+    """The longest T_SDR of ``setup`` in bit times: its MaxTsdr, or the max T_SDR of the bus."""
     return max(shortest_tsdr(params, setup), setup.max_tsdr.get(params.baud, params.max_tsdr))
 
 
 def vain_bits(params: BusParams, request: int) -> int:
-    """A request of so many octets and the whole slot time in vain."""
+    """An unanswered request of ``request`` octets with the whole slot time."""
     return chars(request) + max(params.t_sl, params.t_id1)
 
 
 def exchange_bits(params: BusParams, request: int, answer: int, tsdr: int, retries: int = 0) -> int:
-    """Request, T_SDR, answer, T_ID1; before it ``retries`` times the request with the whole slot time in vain."""
+    """Request, T_SDR, answer, T_ID1; before it ``retries`` unanswered requests."""
     return retries * vain_bits(params, request) + chars(request) + tsdr + chars(answer) + params.t_id1
 
 
@@ -79,8 +79,8 @@ def service_octets(data: int) -> int:
 
 
 def service_bits(params: BusParams, request: int, answer: int, tsdr: int, retries: int = 0) -> int:
-    """One SRD from SAP to SAP with so many octets of data each way; or every attempt in vain, where that is longer:
-    a slave that exchanges data may still be silent at another SAP.
+    """One SRD from SAP to SAP with ``request`` and ``answer`` octets of data; or all attempts without an answer, if
+    that is longer: a slave in data exchange may still be silent at another SAP.
     """
     octets = service_octets(request)
     answered = exchange_bits(params, octets, service_octets(answer), tsdr, retries)
@@ -88,7 +88,7 @@ def service_bits(params: BusParams, request: int, answer: int, tsdr: int, retrie
 
 
 def acyclic_bits(params: BusParams, setups: Iterable[SlaveParams] = (), retries: int = 0) -> int:
-    """One acyclic service, the longest: what one token hold spends on it.
+    """The longest acyclic service in one token hold.
 
     That is a Write of 240 octets answered at once (or a Read of as many: the same octets the other way round). Polls,
     alarm acknowledgements, Initiate, Idle, Get_Cfg and Slave_Diag of class 2 are shorter. A Data_Transport with data
@@ -98,7 +98,7 @@ def acyclic_bits(params: BusParams, setups: Iterable[SlaveParams] = (), retries:
 
 
 def slowest_tsdr(params: BusParams, setups: Iterable[SlaveParams]) -> int:
-    """The longest T_SDR of all slaves, and of others that class 2 may ask."""
+    """The longest T_SDR of all slaves, and of other stations that class 2 may ask."""
     return max([params.max_tsdr, *(longest_tsdr(params, setup) for setup in setups)])
 
 
@@ -113,10 +113,10 @@ def gap_poll_bits(params: BusParams) -> int:
 
 
 def global_control_bits(params: BusParams) -> int:
-    """Global_Control, which nobody answers."""
+    """Global_Control, which has no answer."""
     return chars(GLOBAL_CONTROL) + params.t_id2
 
 
 def share(params: BusParams, setup: SlaveParams) -> Share:
-    """What ``setup`` takes of a cycle at the least: by this the master and the plan spread the rate groups."""
+    """The shortest time of ``setup`` in a cycle. The master and the plan spread the rate groups by it."""
     return Share(setup.address, setup.every, params.ns(data_bits(params, setup, shortest_tsdr(params, setup))))

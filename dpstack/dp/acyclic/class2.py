@@ -1,6 +1,6 @@
 """A class 2 master, beside any class 1 master: Slave_Diag, Get_Cfg, RD_Inp, RD_Outp, Set_Slave_Add.
 
-The orders, the jobs that carry them out, and what the answers of slaves mean; queue and token are
+The orders, the jobs that carry them out, and the judgement of the answers; queue and token are in
 :mod:`dpstack.dp.acyclic.queue`. Services (docs/protocol.md#services-by-state): Slave_Diag and Get_Cfg are open in every
 state, RD_Inp and RD_Outp in data exchange, all of them to every master; none of these changes anything in the slave.
 
@@ -46,15 +46,16 @@ from dpstack.units import NS_PER_MS, NS_PER_S
 #: "later": asked again; everything else that is negative is an answer
 _BUSY: Final = frozenset((int(Resp.UE), int(Resp.RR)))
 _NO_DATA: Final = EMPTY_STATUS | {int(Resp.NR)}
-#: so often a slave that does not answer a service is asked for its diagnosis
+#: attempts of Slave_Diag at a slave that does not answer a service
 _DIAGNOSIS_ATTEMPTS: Final = 2
 _CHANGE_ATTEMPTS: Final = 3
-#: a slave may restart with its new address: it is looked for every 100 ms, up to 5 s
-_LOOK_PAUSE: Final = 100 * NS_PER_MS
-_LOOKS: Final = 50
-#: from here on, and then now and then, the old address is asked too: a slave that ignored the service is still there
-_LOOK_BACK: Final = 10
-_LOOK_BACK_EVERY: Final = 5
+#: a slave may restart with its new address: Slave_Diag to that address every 100 ms, up to 5 s
+_VERIFY_PAUSE: Final = 100 * NS_PER_MS
+_VERIFY_ATTEMPTS: Final = 50
+#: after these attempts, and after each fifth further one, FDL status to the old address: the slave may have ignored the
+#: service
+_OLD_ADDRESS_AFTER: Final = 10
+_OLD_ADDRESS_EVERY: Final = 5
 READ_TIMEOUT: Final = 5 * NS_PER_S
 #: a slave that restarts with its new address takes seconds
 CHANGE_TIMEOUT: Final = 15 * NS_PER_S
@@ -75,6 +76,10 @@ class Service(IntEnum):
         return SERVICE_NAMES[self]
 
 
+#: octets of the shortest answer, by service; 0 for the others
+_LEAST: Final = {Service.DIAGNOSIS: FIXED_LEN, Service.CONFIG: 1}
+
+
 class ServiceDone(ServiceEnd):
     """The one end of the service with ``token``."""
 
@@ -82,7 +87,6 @@ class ServiceDone(ServiceEnd):
 
     @property
     def title(self) -> str:
-        """The service's."""
         return self.service.title
 
     @property
@@ -91,7 +95,7 @@ class ServiceDone(ServiceEnd):
 
 
 class ReadService(Order):
-    """Ask ``address`` (0..126) for ``service``, one that reads; the result is the :class:`ServiceDone` with ``token``.
+    """Send the reading ``service`` to ``address`` (0..126); the result is the :class:`ServiceDone` with ``token``.
 
     ``expected``: the octets that RD_Inp and RD_Outp must have, None for any number.
     """
@@ -126,23 +130,68 @@ class Class2Job(Job):
         self.service = service
         self.title = service.title
 
+    def failed(self, failure: ServiceFailure, text: str, status: str = "") -> Outcome:
+        """The outcome of a failed service; ``text`` begins with the verb, its subject is the slave."""
+        return Outcome(failure, f"slave {self.address} {text}", status)
+
+    def read(self, service: Service, answer: Telegram | Failure, expected: int | None = None) -> Outcome:
+        """The outcome of a reading ``service``; ``expected``: octets that the answer must have, None for any number."""
+        if not isinstance(answer, Telegram):
+            return self.unanswered(service, answer)
+        reads_data = service in (Service.INPUTS, Service.OUTPUTS)
+        # without inputs, or outputs, the answer is NR, OK or SC (docs/protocol.md#function-code)
+        empty = answer.kind is Kind.SC or answer.function in _NO_DATA
+        if not (positive(service, answer) or (reads_data and empty and not answer.data)):
+            return self.refused(service, answer)
+        low, got = _LEAST.get(service, 0), len(answer.data)
+        answers = f"answers {service.title} with {got} octets"
+        if not low <= got <= MAX_LEN:
+            return self.failed(
+                ServiceFailure.LENGTH,
+                f"{answers}, {low}..{MAX_LEN} are possible; it is no DP slave, or two stations have its address",
+            )
+        if expected is not None and got != expected:
+            return self.failed(
+                ServiceFailure.LENGTH,
+                f"{answers} instead of {expected}; its real configuration differs from the one here: compare it with "
+                f"what Get_Cfg says",
+            )
+        return Outcome(data=answer.data)
+
+    def unanswered(self, service: Service, why: Failure) -> Outcome:
+        """The outcome of ``service`` without an answer that can be used."""
+        failure, what, todo = _UNANSWERED[why]
+        return self.failed(failure, f"{what} {service.title}; {todo}")
+
+    def refused(self, service: Service, answer: Telegram) -> Outcome:
+        """The outcome of ``service`` after a negative ``answer``."""
+        status = refusal_text(answer)
+        if answer.kind is Kind.SC or answer.function not in _REFUSALS:
+            return self.failed(
+                ServiceFailure.WRONG,
+                f"answers {service.title} with {status}, which is no answer to it; look for a second station with its "
+                f"address",
+            )
+        todo = "it is busy: try again later" if answer.function in _BUSY else _CLOSED[service]
+        return self.failed(ServiceFailure.REFUSED, f"refuses {service.title} ({status}); {todo}", status)
+
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         return [ServiceDone(t_ns=now, token=token, address=self.address, service=self.service, outcome=outcome)]
 
 
 class Reading(Class2Job):
-    """One of the reading services."""
+    """The job of a :class:`ReadService`."""
 
     def __init__(self, order: ReadService) -> None:
         super().__init__(order.address, order.service)
         self._expected = order.expected
 
     def steps(self) -> Steps[Outcome]:
-        """One request, repeated where there is hope."""
-        answer = yield from asked(request(self.address, self.service))
-        if answer is Failure.NO_ANSWER and (yield from leaves_out(self.address, self.service)):
-            return left_out(self.address, self.title, _CLOSED[self.service])
-        return judged(self.address, self.service, answer, self._expected)
+        """The request with its repetitions. If the slave does not answer, Slave_Diag shows whether it is there."""
+        answer = yield from ask(self.address, self.service)
+        if answer is Failure.NO_ANSWER and (yield from answers_slave_diag(self.address, self.service)):
+            return service_unanswered(self.address, self.title, _CLOSED[self.service])
+        return self.read(self.service, answer, self._expected)
 
 
 class AddressChange(Class2Job):
@@ -156,7 +205,7 @@ class AddressChange(Class2Job):
         self._order = order
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
-        """A notice of a new address, too."""
+        """Also a notice of the new address."""
         events = super().ends(token, outcome, now)
         if outcome.failure is None:
             for_good = " for good" if self._order.no_add_chg else ""
@@ -166,8 +215,8 @@ class AddressChange(Class2Job):
 
     def steps(self) -> Steps[Outcome]:
         """Look, change, verify. ``data`` of a good end is the diagnosis read at the new address."""
-        answer = yield from asked(request(self.address, Service.DIAGNOSIS))
-        before = judged(self.address, Service.DIAGNOSIS, answer)
+        answer = yield from ask(self.address, Service.DIAGNOSIS)
+        before = self.read(Service.DIAGNOSIS, answer)
         diagnosis = diagnosis_of(answer)
         if before.failure is not None or diagnosis is None:
             return before
@@ -185,21 +234,21 @@ class AddressChange(Class2Job):
         self.aftermath = (
             f"Set_Slave_Add may have been sent to slave {self.address}: look for it at {self.address} and {new}"
         )
-        answer = yield from asked(request(self.address, self.service, pdu.build()), _CHANGE_ATTEMPTS)
+        answer = yield from ask(self.address, self.service, pdu.build(), _CHANGE_ATTEMPTS)
         if answer is Failure.REFUSED:
-            return unanswered(self.address, self.service, answer)
+            return self.unanswered(self.service, answer)
         acknowledged = isinstance(answer, Telegram)
         if isinstance(answer, Telegram) and not positive(self.service, answer):
-            return refused(self.address, self.service, answer)
+            return self.refused(self.service, answer)
         return (yield from self._verified(ident, acknowledged))
 
     def _forbidden(self, diagnosis: Diagnosis) -> Steps[Outcome | None]:
-        """Why this device must be left alone."""
+        """The failure if this device must keep its address: another device, or one that a master owns."""
         wanted = self._order.ident
         if wanted is not None and wanted != diagnosis.ident:
-            return Outcome(
+            return self.failed(
                 ServiceFailure.IDENT,
-                f"slave {self.address} is another device: ident 0x{diagnosis.ident:04X} instead of "
+                f"is another device: ident 0x{diagnosis.ident:04X} instead of "
                 f"0x{wanted:04X}; nothing was changed: give its ident, or look which device has that address",
             )
         owner = foreign_owner(diagnosis, self._own)
@@ -209,27 +258,24 @@ class AddressChange(Class2Job):
         no_master = isinstance(answer, Telegram) and answer.station_type is StationType.SLAVE
         if no_master or answer is Failure.NO_ANSWER:
             what, todo = left_locked(diagnosis, owner)
-        else:  # octets that cannot be read may be a master's
+        else:  # unreadable octets may come from a master
             what = f"is owned by master {owner}"
             todo = f"stop master {owner}, or take the slave out of its configuration"
-        return Outcome(
-            ServiceFailure.OWNED,
-            f"slave {self.address} {what} and takes no address meanwhile; nothing was changed: {todo}",
-        )
+        return self.failed(ServiceFailure.OWNED, f"{what} and takes no address meanwhile; nothing was changed: {todo}")
 
     def _verified(self, ident: int, acknowledged: bool) -> Steps[Outcome]:
         at_new = request(self._order.new, Service.DIAGNOSIS)
-        for look in range(_LOOKS):
-            answer = (yield Step(at_new, _LOOK_PAUSE)).answer
+        for attempt in range(_VERIFY_ATTEMPTS):
+            answer = (yield Step(at_new, _VERIFY_PAUSE)).answer
             found = diagnosis_of(answer)
             if found is not None and isinstance(answer, Telegram):
                 return (yield from self._arrived(ident, found.ident, answer.data))
-            back = look >= _LOOK_BACK and not look % _LOOK_BACK_EVERY
-            if back and (yield from _fdl_status(self.address)) is not Failure.NO_ANSWER:
+            old_too = attempt >= _OLD_ADDRESS_AFTER and not attempt % _OLD_ADDRESS_EVERY
+            if old_too and (yield from _fdl_status(self.address)) is not Failure.NO_ANSWER:
                 return self._kept(acknowledged)
-        return Outcome(
+        return self.failed(
             ServiceFailure.GONE,
-            f"slave {self.address} answers neither there nor at {self._order.new} after Set_Slave_Add; "
+            f"answers neither there nor at {self._order.new} after Set_Slave_Add; "
             f"switch it off and on, then look with `dpstack scan`",
         )
 
@@ -250,9 +296,9 @@ class AddressChange(Class2Job):
 
     def _kept(self, acknowledged: bool) -> Outcome:
         did = "acknowledged" if acknowledged else "did not acknowledge"
-        return Outcome(
+        return self.failed(
             ServiceFailure.KEPT,
-            f"slave {self.address} {did} Set_Slave_Add and kept its address; its address was locked by an "
+            f"{did} Set_Slave_Add and kept its address; its address was locked by an "
             f"earlier one (No_Add_Chg: only a reset at the device opens it), is set by switches, or changes at the "
             f"next power-up: switch it off and on, then look with `dpstack scan`",
             status="ignored",
@@ -260,9 +306,9 @@ class AddressChange(Class2Job):
 
 
 def _fdl_status(address: int) -> Steps[Telegram | Failure]:
-    """The answer of ``address`` to FDL status; octets that cannot be read are one too.
+    """The answer of ``address`` to FDL status; unreadable octets count as an answer.
 
-    The second time it is waited for as long as that of a station that matters: two stations with one address are worse.
+    The second request waits as long as for a known station, because two stations with one address must not happen.
     """
     answer: Telegram | Failure = Failure.NO_ANSWER
     for patient in (False, True):
@@ -272,19 +318,19 @@ def _fdl_status(address: int) -> Steps[Telegram | Failure]:
     return answer
 
 
-def leaves_out(address: int, service: int) -> Steps[bool]:
-    """Whether the slave that did not answer at the SAP ``service`` is there all the same: it answers Slave_Diag.
+def answers_slave_diag(address: int, service: int) -> Steps[bool]:
+    """Whether the slave answers Slave_Diag, after it did not answer at the SAP ``service``.
 
-    Some slaves leave a service that they do not have without any answer (docs/protocol.md#silent-service).
+    Some slaves do not answer a service that they do not have (docs/protocol.md#silent-service).
     """
     if service == Service.DIAGNOSIS:
         return False
-    answer = yield from asked(request(address, Service.DIAGNOSIS), _DIAGNOSIS_ATTEMPTS)
+    answer = yield from ask(address, Service.DIAGNOSIS, attempts=_DIAGNOSIS_ATTEMPTS)
     return isinstance(answer, Telegram)
 
 
-def left_out(address: int, title: str, why: str) -> Outcome:
-    """The result of the service ``title`` where the slave is there and does not answer it."""
+def service_unanswered(address: int, title: str, why: str) -> Outcome:
+    """The outcome of the service ``title`` that a present slave does not answer."""
     return Outcome(
         ServiceFailure.REFUSED,
         f"slave {address} is there (it answers Slave_Diag) and leaves {title} without an answer; {why}",
@@ -293,61 +339,30 @@ def left_out(address: int, title: str, why: str) -> Outcome:
 
 
 def request(address: int, service: Service, data: bytes = b"") -> Request:
-    """``service`` to ``address``: low priority by its place in the token hold; on the wire it is SRD high like all
-    services of DP, because some slaves know no other (docs/protocol.md#slaves-that-know-only-fcv-1)."""
+    """``service`` to ``address`` as SRD high, because some slaves know no other service of DP
+    (docs/protocol.md#slaves-that-know-only-fcv-1). The master sends it late in the token hold, like low priority."""
     return Request(address, Req.SRD_HIGH, data, service, SSAP_MS0)
 
 
-def asked(request: Request, attempts: int = ATTEMPTS) -> Steps[Telegram | Failure]:
-    """Up to ``attempts`` times, until there is an answer other than "busy"; others have their turn meanwhile.
+def ask(address: int, service: Service, data: bytes = b"", attempts: int = ATTEMPTS) -> Steps[Telegram | Failure]:
+    """Send ``service`` up to ``attempts`` times, until an answer other than "busy" comes. Other jobs run meanwhile.
 
-    The last time the answer is waited for as long as that of a station that is there, because somebody has named this
-    one; but before a fixed cycle, and beside other masters, only as long as there is room.
+    The last attempt waits for its answer as long as for a known station, because a program has named this address;
+    before a fixed cycle, and beside other masters, only as long as there is room.
     """
+    step = request(address, service, data)
     answer: Telegram | Failure = Failure.NO_ANSWER
     pause = 0
     for attempt in range(attempts):
         if 0 < attempt == attempts - 1:
-            request = request._replace(extra_ns=LONG_NS)
-        answer = (yield Step(request, pause)).answer
+            step = step._replace(extra_ns=LONG_NS)
+        answer = (yield Step(step, pause)).answer
         if answer is Failure.REFUSED:
             break
         if isinstance(answer, Telegram) and (answer.kind is Kind.SC or answer.function not in _BUSY):
             break
         pause = pause_after_silence(attempt + 1)
     return answer
-
-
-def judged(address: int, service: Service, answer: Telegram | Failure, expected: int | None = None) -> Outcome:
-    """The result of a service that reads."""
-    if not isinstance(answer, Telegram):
-        return unanswered(address, service, answer)
-    reads_data = service in (Service.INPUTS, Service.OUTPUTS)
-    # without inputs, or outputs, the answer is NR, OK or SC (docs/protocol.md#function-code)
-    empty = answer.kind is Kind.SC or answer.function in _NO_DATA
-    if not (positive(service, answer) or (reads_data and empty and not answer.data)):
-        return refused(address, service, answer)
-    low, high = (FIXED_LEN, MAX_LEN) if service is Service.DIAGNOSIS else (0 if reads_data else 1, MAX_LEN)
-    got = len(answer.data)
-    if not low <= got <= high:
-        return Outcome(
-            ServiceFailure.LENGTH,
-            f"slave {address} answers {service.title} with {got} octets, {low}..{high} are possible; "
-            f"it is no DP slave, or two stations have its address",
-        )
-    if expected is not None and got != expected:
-        return Outcome(
-            ServiceFailure.LENGTH,
-            f"slave {address} answers {service.title} with {got} octets instead of {expected}; its real "
-            f"configuration differs from the one here: compare it with what Get_Cfg says",
-        )
-    return Outcome(data=answer.data)
-
-
-def unanswered(address: int, service: Service, why: Failure) -> Outcome:
-    """The result where no answer can be used."""
-    failure, what, todo = _UNANSWERED[why]
-    return Outcome(failure, f"slave {address} {what} {service.title}; {todo}")
 
 
 _UNANSWERED: Final = {
@@ -374,23 +389,6 @@ _UNANSWERED: Final = {
 }
 
 
-def refused(address: int, service: Service, answer: Telegram) -> Outcome:
-    """The result where the slave says no, and why that may be."""
-    if answer.kind is Kind.SC or answer.function not in _REFUSALS:
-        return Outcome(
-            ServiceFailure.WRONG,
-            f"slave {address} answers {service.title} with {refusal_text(answer)}, which is no answer to it; "
-            f"look for a second station with its address",
-        )
-    status = refusal_text(answer)
-    todo = "it is busy: try again later" if answer.function in _BUSY else _CLOSED[service]
-    return Outcome(
-        ServiceFailure.REFUSED,
-        f"slave {address} refuses {service.title} ({status}); {todo}",
-        status=status,
-    )
-
-
 _REFUSALS: Final = frozenset((int(Resp.UE), int(Resp.RR), int(Resp.RS), int(Resp.NR), int(Resp.RDL), int(Resp.RDH)))
 _READS_IN_EXCHANGE: Final = "it is open in data exchange only, and not in every device: look at its state"
 _CLOSED: Final = {
@@ -404,7 +402,7 @@ _CLOSED: Final = {
 
 
 def diagnosis_of(answer: Telegram | Failure) -> Diagnosis | None:
-    """What ``answer`` to Slave_Diag says, None where it says nothing."""
+    """The diagnosis in an ``answer`` to Slave_Diag, or None."""
     if isinstance(answer, Telegram) and positive(Service.DIAGNOSIS, answer):
         return Diagnosis.parse(answer.data)
     return None

@@ -1,8 +1,8 @@
 """Jobs of the acyclic queue (:mod:`dpstack.dp.acyclic.queue`): a service as a sequence of requests with one end.
 
-A job is a generator of :class:`Step`: it gives the next request and is sent what became of it, and when
-(:class:`Heard`): that is all the time that a job knows, and it judges by it how long the slave has had. Its end is one
-:class:`Outcome`, told by one :class:`ServiceEnd` where a program waits for it. Jobs are in
+A job is a generator: it yields its next request (:class:`Step`) and receives the end of that request with its times
+(:class:`RequestEnd`). A job has no other clock. It ends with one :class:`Outcome`; if a program ordered the service,
+one :class:`ServiceEnd` reports it. Jobs are in
 :mod:`dpstack.dp.acyclic.class2`, :mod:`dpstack.dpv1.master.ms1` and
 :mod:`dpstack.dpv1.master.ms2_connection`.
 """
@@ -25,9 +25,9 @@ T = TypeVar("T")
 #: three first requests and the probe with FCV = 1 that finds slaves which know nothing else
 #: (docs/protocol.md#slaves-that-know-only-fcv-1)
 ATTEMPTS: Final = 4
-#: before a request is repeated that the slave did not take ("not now"), or did not answer for the first time
+#: before the repetition of a request that the slave refused as busy, or did not answer for the first time
 BUSY_PAUSE: Final = 10 * NS_PER_MS
-#: before it is asked again after silence, at most
+#: the longest pause before the repetition of an unanswered request
 _SILENT_PAUSE: Final = 16 * BUSY_PAUSE
 
 
@@ -42,12 +42,12 @@ class ServiceFailure(Enum):
     GUARDED = "guarded"  # this bus is read-only
     LATE = "late"  # not in the time given
     LINE = "line"  # the port vanished
-    CANCELLED = "cancelled"  # nobody wants it any more
+    CANCELLED = "cancelled"  # by order of the program
     CLOSED = "closed"  # the slave is not in data exchange (any more)
     NEGATIVE = "negative"  # a negative response of DP-V1
     ABORTED = "aborted"  # its class 2 connection is over
     IDENT = "ident"  # another device
-    OWNED = "owned"  # in the hands of a class 1 master
+    OWNED = "owned"  # by a class 1 master
     TAKEN = "taken"  # the new address is in use
     KEPT = "kept"  # the slave did not take the new address
     GONE = "gone"  # it answers neither at the old nor at the new address
@@ -86,7 +86,7 @@ class ServiceEnd(Event, abc.ABC):
     @property
     @abc.abstractmethod
     def result(self) -> str:
-        """What came of it where it has not failed."""
+        """The text of a service without failure."""
 
     def _text(self) -> str:
         outcome = self.outcome
@@ -100,10 +100,10 @@ class Step(NamedTuple):
     pause_ns: int = 0
 
 
-class Heard(NamedTuple):
-    """What became of a request: its first bit was on the wire at ``begun``, it was over at ``now``, both in ns.
+class RequestEnd(NamedTuple):
+    """The end of a request at ``now``; its first bit was on the wire at ``begun``, both in ns.
 
-    One that was never sent began at its end.
+    If the request was never sent, ``begun`` is ``now``.
     """
 
     answer: Telegram | Failure
@@ -111,8 +111,8 @@ class Heard(NamedTuple):
     now: int
 
 
-#: What a job is while it runs: the end of each request goes in, the result comes out.
-Steps = Generator[Step, Heard, T]
+#: a running job: it receives the end of each request and returns the result
+Steps = Generator[Step, RequestEnd, T]
 
 
 class Job(abc.ABC):
@@ -132,8 +132,8 @@ class Job(abc.ABC):
         return ""
 
     def bar(self) -> str:
-        """The reason why it can never end any more, to stand behind its title; empty while it can. Called in every
-        token hold."""
+        """Why the slave can never answer it any more (a text to follow its title), empty while it can. The queue calls
+        this in every token hold."""
         return ""
 
     def held_up(self, now: int) -> str:
@@ -156,8 +156,8 @@ ACKS: Final = -2
 
 
 def pause_after_silence(silent: int) -> int:
-    """Before a slave is asked again, after ``silent`` times without an answer (1 or more) one after the other.
+    """The pause in ns before the next request to a slave that left ``silent`` requests in a row unanswered (1 or more).
 
-    It grows: a computer that stands still for 30 ms must not use up all attempts at once.
+    The pause grows, because a computer that stands still for 30 ms must not use up all attempts at once.
     """
     return min(BUSY_PAUSE << (silent - 1), _SILENT_PAUSE)

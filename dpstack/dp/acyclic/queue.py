@@ -1,16 +1,15 @@
-"""Everything a station asks slaves beside the cycle: services of a class 2 master, DP-V1 (MS1, and MS2 connections).
+"""The queue of acyclic services: class 2, records of DP-V1 (MS1) and class 2 connections (MS2).
 
-A user of the link layer with a low claim: one request a token hold, in time that is left, whatever service it belongs
-to; who waited longest for a turn comes first. The queue is bounded, and every service that was taken has exactly one
-end, an event, whatever happens: the slave's answer, its silence, its refusal, a lost token, a lost port. (What the
-services are is in :mod:`dpstack.dp.acyclic.class2`, :mod:`dpstack.dpv1.master.ms1` and
-:mod:`dpstack.dpv1.master.ms2`.)
+A user of the link layer with low priority: one request a token hold, in the time that is left, for the job that has
+waited longest. The queue is bounded. Every accepted service has exactly one end, an event: the slave's answer, its
+silence, its refusal, a lost token, a lost port. (The services are in :mod:`dpstack.dp.acyclic.class2`,
+:mod:`dpstack.dpv1.master.ms1` and :mod:`dpstack.dpv1.master.ms2`.)
 
-A slave that exchanges data and left a service unanswered is asked for no other before its next exchange: to the link
-layer silence is silence, the next request to that station is a first one (FCV 0, FCB 1), and after three of these FCV
-is probed (docs/protocol.md#slaves-that-know-only-fcv-1). A probe that carries the FCB of the request before is taken
-for its repetition. That must never be a Data_Exchange, which several services in vain between two cycles would bring
-about: the slave would be given up although it exchanges data.
+A slave in data exchange that left a service unanswered gets no other service before its next exchange. The reason:
+after silence the link layer sends a first request (FCV 0, FCB 1), and after three of these it probes FCV
+(docs/protocol.md#slaves-that-know-only-fcv-1). A slave takes a probe with the FCB of the request before for a
+repetition. After several unanswered services between two cycles that probe would be a Data_Exchange, and the master
+would lose a slave that exchanges data.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
-from dpstack.dp.acyclic.job import ACKS, UNORDERED, Heard, Job, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic.job import ACKS, UNORDERED, Job, Outcome, RequestEnd, ServiceFailure, Step, Steps
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -33,8 +32,8 @@ from dpstack.machine import LineDown, Order
 from dpstack.trace import Event
 from dpstack.units import NEVER, ns_to_s
 
-#: ends of a request that the link layer takes for silence
-_IN_VAIN = frozenset((Failure.NO_ANSWER, Failure.GARBLED, Failure.WRONG))
+#: ends of a request that count as silence for the link layer
+_UNANSWERED = frozenset((Failure.NO_ANSWER, Failure.GARBLED, Failure.WRONG))
 
 
 #: services that may wait at a time: of class 2 in all, of class 1 for each slave, for each connection
@@ -42,7 +41,7 @@ CAPACITY: Final = 32
 
 
 class CancelService(Order):
-    """Nobody waits for the service with ``token`` any more; one that is over already is no error."""
+    """End the service with ``token``, because no program waits for it. A service that is over already is no error."""
 
     ENDS = True
 
@@ -56,16 +55,16 @@ class _Entry:
     deadline: int
     timeout_ns: int
     steps: Steps[Outcome]
-    #: tokens received when it was taken
+    #: tokens received before the job was queued
     since: int
-    #: who has the lowest number is next
+    #: the job with the lowest number is next
     turn: int
     step: Step | None = None
     due: int = 0
     asked: bool = False
     #: the first bit of the request of ``step`` was on the wire
     begun: int | None = None
-    #: it must end as soon as the request under way does
+    #: the end of the job, as soon as the request under way has ended
     over: tuple[ServiceFailure, str] | None = None
 
 
@@ -84,7 +83,7 @@ class Provider:
         return False
 
     def queue_jobs(self, now: int) -> None:
-        """A request may go out: the time to queue jobs that no program ordered."""
+        """Queue jobs that no program ordered; called before each request."""
 
     def started(self, request: Request) -> None:
         """A request is on the wire."""
@@ -93,17 +92,17 @@ class Provider:
         """The end of a request to any station."""
 
     def may_be_taken(self, request: Request) -> bool:
-        """Whether a request that was given up may have reached the slave: it is not to be sent again."""
+        """Whether an abandoned request may have reached the slave and must not be sent again."""
         return False
 
     def line_down(self, reason: str, now: int) -> None: ...
 
     def wake_at(self) -> int:
-        """When :meth:`tick` is wanted, in ns."""
+        """The next time for :meth:`tick`, in ns."""
         return NEVER
 
     def tick(self, now: int) -> bool:
-        """That time may have come; True where jobs cannot end any more because of it."""
+        """Called from :meth:`wake_at` on; True if a slave can never answer some job any more."""
         return False
 
 
@@ -124,17 +123,17 @@ class Acyclic:
         self._asked: _Entry | None = None
         self._turn = False
         self._tokens = 0
-        #: why there is no line, until the next token
+        #: the reason of a lost port, empty from the next token on
         self._no_line = ""
-        #: stations whose last answer came: their silence is news, they are waited for
+        #: stations that answered the last request: the next one waits longer for its answer
         self._known: set[int] = set()
         self._events: list[Event] = []
-        #: slaves that left a service unanswered, and their exchanges then, by address
+        #: address -> number of exchanges when the slave left a service unanswered
         self._unanswered: dict[int, int] = {}
         self._turns = itertools.count()
 
     def _overridden(self, name: str) -> tuple[Callable[..., Any], ...]:
-        """That method of the providers that have one of their own: these are asked in every token hold."""
+        """The method ``name`` of all providers that override it, because the queue calls it in every token hold."""
         base = getattr(Provider, name)
         return tuple(getattr(one, name) for one in self.providers if getattr(type(one), name) is not base)
 
@@ -145,7 +144,7 @@ class Acyclic:
 
     # --- orders -------------------------------------------------------------------------------------------------
     def command(self, command: object, now: int) -> bool:
-        """Take CancelService and the orders of the providers. Raises UsageError for what cannot be, or too much."""
+        """Carry out CancelService and the orders of the providers. Raises UsageError."""
         match command:
             case CancelService(token):
                 for entry in [entry for entry in self._queue if entry.token == token]:
@@ -175,7 +174,7 @@ class Acyclic:
 
     # --- providers ----------------------------------------------------------------------------------------------
     def room(self, lane: Hashable | None) -> bool:
-        """Whether ``lane`` takes one more job."""
+        """Whether ``lane`` has room for one more job."""
         return sum(entry.job.lane == lane and entry.token != ACKS for entry in self._queue) < CAPACITY
 
     def lanes(self) -> set[Hashable | None]:
@@ -183,10 +182,10 @@ class Acyclic:
         return {entry.job.lane for entry in self._queue}
 
     def put(self, job: Job, timeout_ns: int, now: int, *, token: int = UNORDERED, first: bool = False) -> None:
-        """Queue a job that no program ordered; ``first``: before those in its lane that have not begun.
+        """Queue a job; ``first``: before the jobs of its lane that have not begun.
 
-        A slave may raise no further alarm until the last one is acknowledged, and it names the connections that it gave
-        out in their order.
+        A slave may raise no further alarm until the last one is acknowledged, and it expects its connections in the
+        order in which it opened them.
         """
         new = _Entry(token, job, now + timeout_ns, timeout_ns, job.steps(), self._tokens, next(self._turns))
         at = len(self._queue)
@@ -195,13 +194,13 @@ class Acyclic:
             at = begun.index(True) + 1 if True in begun else 0
         self._queue.insert(at, new)
 
-    def tell(self, event: Event) -> None:
+    def report(self, event: Event) -> None:
         """Report ``event`` to the application."""
         self._events.append(event)
 
     # --- link user ----------------------------------------------------------------------------------------------
     def token_received(self, now: int) -> None:
-        """One request a hold. What a slave cannot answer any more ends here."""
+        """Allow one request in this hold, and end the jobs that their slaves can never answer any more."""
         self._turn = True
         self._tokens += 1
         self._no_line = ""
@@ -209,7 +208,7 @@ class Acyclic:
             self._end_barred(now)
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
-        """The next request of the service that waited longest for a turn, of those that may go on."""
+        """The next request of the job that has waited longest, among those that may go on."""
         if high_only or not self._turn:
             return None
         for queue_jobs in self._queue_jobs:
@@ -237,7 +236,7 @@ class Acyclic:
             self._queue.insert(at, entry)
 
     def _next(self, now: int) -> _Entry | None:
-        """Services with the same lane come one after the other: the queue is in the order of their orders."""
+        """The next job. Jobs of one lane run one after the other, in the order of the queue."""
         chosen: _Entry | None = None
         lanes: set[Hashable] = set()
         for entry in self._queue:
@@ -251,7 +250,7 @@ class Acyclic:
         return chosen
 
     def _awaits_exchange(self, address: int) -> bool:
-        """Whether the slave left a service unanswered, and had no exchange since. In Stop no slave has exchanges."""
+        """Whether the slave left a service unanswered and had no exchange since. (In Stop there are no exchanges.)"""
         if not self._unanswered or self.master is None or self.master.mode <= Mode.STOP:
             return False
         handler = self.master.handlers.get(address)
@@ -275,12 +274,12 @@ class Acyclic:
             entry.begun = at
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
-        """The end of a request: on with its service, or its end."""
+        """The end of a request: continue its job, or end it."""
         entry, self._asked = self._asked, None
         if entry is None:
             return
         handler = None if self.master is None else self.master.handlers.get(request.da)
-        if handler is not None and outcome in _IN_VAIN:
+        if handler is not None and outcome in _UNANSWERED:
             self._unanswered[request.da] = handler.exchanges
         elif self._unanswered:
             self._unanswered.pop(request.da, None)
@@ -297,7 +296,7 @@ class Acyclic:
         if outcome not in (Failure.ABANDONED, Failure.HELD_BACK):  # else it is asked again
             begun, entry.begun = entry.begun, None
             try:
-                entry.step = entry.steps.send(Heard(outcome, now if begun is None else begun, now))
+                entry.step = entry.steps.send(RequestEnd(outcome, now if begun is None else begun, now))
                 entry.due = now + entry.step.pause_ns
             except StopIteration as end:
                 self._end(entry, end.value, now)
@@ -306,15 +305,15 @@ class Acyclic:
             self._cut(entry, *entry.over, now)
 
     def _share(self, handler: SlaveHandler, request: Request, answer: Telegram, now: int) -> None:
-        """Some slaves show a fault in one diagnosis only (docs/protocol.md#fault-shown-once): their own master must not
-        miss it."""
+        """Hand a diagnosis to the class 1 master too: some slaves show a fault in one diagnosis only
+        (docs/protocol.md#fault-shown-once)."""
         if handler.state is SlaveState.DATA_EXCHANGE:
             handler.service_result(request, answer, now)
         else:
             handler.diagnosis_seen(answer.data, now)
 
     def wake_at(self) -> int:
-        """When the time of a service is over, or a provider wants its own."""
+        """The next time limit of a service, or of a provider."""
         at = NEVER
         for entry in self._queue:
             at = min(at, entry.deadline)
@@ -323,7 +322,7 @@ class Acyclic:
         return at
 
     def tick(self, now: int) -> None:
-        """End what had its time; a request under way is waited for."""
+        """End the jobs whose time is over; a request under way ends first."""
         for tick in self._ticks:
             if tick(now):
                 self._end_barred(now)
@@ -351,7 +350,7 @@ class Acyclic:
 
     # --- ends ---------------------------------------------------------------------------------------------------
     def _cut(self, entry: _Entry, failure: ServiceFailure, what: str, now: int) -> None:
-        """An end from outside: at once, or with the request under way, whose answer may still be the better end."""
+        """End a job early: at once, or with its request under way, whose answer may still complete the service."""
         if entry is self._asked:
             entry.over = (failure, what)
             return

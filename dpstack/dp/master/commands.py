@@ -21,37 +21,37 @@ class Mode(IntEnum):
 class SetMode(Order):
     """Go to ``mode``, up at once; down from Operate through safe values (as at the end) and Clear.
 
-    Each mode reached on the way is told by ``ModeChanged``.
+    ``ModeChanged`` reports each mode on the way.
     """
 
     mode: Mode
 
 
 class Alive(Order):
-    """The application is alive: the application watchdog begins anew. Changes nothing while it is not armed."""
+    """The application is alive: restart the application watchdog, if it is armed."""
 
 
 class Shutdown(Order):
-    """The end in order: safe values (a cycle, and 50 ms where they are not zeros), Clear twice, out of the ring; then
+    """The ordered end: safe values (a cycle, and 50 ms if they are not zeros), Clear twice, out of the ring; then
     ``MasterStopped``."""
 
     ENDS = True
 
 
 class AddSlave(Order):
-    """Take up one more slave while the bus runs."""
+    """Add one more slave while the bus runs."""
 
     setup: SlaveParams
 
 
 class RemoveSlave(Order):
-    """Give a slave up: safe outputs for 50 ms, unlock; one that was added at its address meanwhile waits for that."""
+    """Remove a slave: safe outputs for 50 ms, unlock. A slave added at this address meanwhile waits for that."""
 
     address: int
 
 
 class DeactivateSlave(Order):
-    """Take a slave out of service as :class:`RemoveSlave` does, but keep it: nothing is sent to it until activated."""
+    """Take a slave out of service as :class:`RemoveSlave` does, but keep it; :class:`ActivateSlave` brings it back."""
 
     address: int
 
@@ -65,8 +65,8 @@ class ActivateSlave(Order):
 class ReparameteriseSlave(Order):
     """Give the slave at ``setup.address`` other parameters: safe outputs for 50 ms, unlock, a new bring-up.
 
-    Its process image stays the same object where the lengths stay the same, and so does its drive plugin; with other
-    lengths they are made anew (a slave with a drive plugin is refused then).
+    With the same lengths the slave keeps its process image and its drive plugin. With other lengths it gets a new
+    image; for a slave with a drive plugin that order is refused.
     """
 
     setup: SlaveParams
@@ -76,7 +76,7 @@ class SendControl(Order):
     """Global_Control with one or more of SYNC, UNSYNC, FREEZE, UNFREEZE to ``groups`` (1..8; none: to all slaves).
 
     ``settle``: first one whole Data_Exchange with every slave concerned. ``picture``: afterwards another one, whose
-    inputs come as ``PictureTaken``. Sent exactly once: ``ControlSent``, or ``ControlFailed`` when it never can be.
+    inputs ``PictureTaken`` reports. The master sends it exactly once and reports ``ControlSent``, or ``ControlFailed``.
     """
 
     token: int
@@ -99,5 +99,5 @@ class DriveCommand(Order):
 
     @property
     def ends(self) -> bool:
-        """``cancel`` takes back an order before."""
+        """Whether this ends an earlier order."""
         return self.op == "cancel"

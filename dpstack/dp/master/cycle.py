@@ -1,4 +1,4 @@
-"""One round over the slaves: which request comes next.
+"""One round over the slaves and the order of its requests.
 
 First Global_Control that has to precede data (a slave put back into its group's mode, a cyclic FREEZE); Data_Exchange
 with every slave whose turn it is, from the process image; a cyclic SYNC; farewells of removed slaves; Global_Control
@@ -28,14 +28,14 @@ from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_GLOBAL_CONTROL, S
 # asked in every exchange: an enum's member costs ten times a name of the module
 _DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
 _OPERATE: Final = Mode.OPERATE
-#: octets of a diagnosis where Max_Diag_Data_Len is not known; a longer one is known after the first
+#: octets of a diagnosis without known Max_Diag_Data_Len; after the first longer one, the length of that
 _DIAGNOSIS: Final = 32
-#: the answers of known length
+#: octets of the answers with a known length, by SAP
 _ANSWERS: Final = {SAP_SET_PRM: 0, SAP_CHK_CFG: 0, SAP_GET_CFG: 244}
 
 
 class Round:
-    """One round over the slaves; ``open`` between its beginning and its end, when it calls ``ended(now)``."""
+    """The rounds over the slaves, one after the other; ``open`` during a round. At its end it calls ``ended(now)``."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class Round:
         self._services = 0
         self._operating = False  # the round began in Operate
         self._unsent = False  # no request of this round was sent yet
-        self._at_once = False  # the fixed cycle has ended: the next round begins within this hold
+        self._at_once = False  # the grid has ended, and the next round begins within this hold
         self._published = 0
         self._freeze = self._sync = False  # still to be sent in this round
         #: address -> earliest time in ns of the next exchange, only of slaves with a Min_Slave_Interval
@@ -68,7 +68,7 @@ class Round:
         self._paused = False  # the round waits for a Min_Slave_Interval
         self._free_at = 0  # end in ns of the last Global_Control and its idle time
 
-    # --- the link layer's questions -----------------------------------------------------------------------------
+    # --- calls of the link layer ------------------------------------------------------------------------------------
 
     def token(self, now: int) -> None:
         """A token hold begins. While rounds run free, begin a new round if the last one has ended and the next one is
@@ -115,11 +115,11 @@ class Round:
         turns, context = self._turns, self._context
         turns.begin_round()
         exchanging = turns.exchanging
-        everybody = self._everybody
-        interval = turns.interval_all if everybody else turns.interval
+        all_slaves = self._wants_all
+        interval = turns.interval_all if all_slaves else turns.interval
         self._cadence.begin(now, fixed=bool(exchanging) and not context.descending, interval=interval)
         self._controls.begin_round()
-        self._due = exchanging if everybody else turns.due(self._cadence.number)
+        self._due = exchanging if all_slaves else turns.due(self._cadence.number)
         context.on_begin()
         for handler in self._due:
             handler.image.latch()
@@ -142,12 +142,12 @@ class Round:
                 self._services = 0
 
     @property
-    def _everybody(self) -> bool:
+    def _wants_all(self) -> bool:
         """Whether every slave has a turn: on the way to a lower mode, or when an order needs it."""
         return self._context.descending or self._controls.wants_all
 
     def _may_take_all(self, now: int) -> bool:
-        return not self._everybody or self._cadence.due(now, self._turns.interval_all)
+        return not self._wants_all or self._cadence.due(now, self._turns.interval_all)
 
     def _before_data(self, now: int) -> Request | None:
         request = self._controls.before_data(now)

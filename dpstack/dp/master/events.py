@@ -43,7 +43,7 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A typed fault: what, in one clear line (``message``), and what to do (``remedy``)."""
+    """A fault of a slave: what happened (``message``, one line), and what to do (``remedy``)."""
 
     kind: FaultKind
     message: str
@@ -60,7 +60,7 @@ class SlaveEvent(Event):
 
     @property
     def who(self) -> str:
-        """The slave as it stands in front of every text."""
+        """The slave, at the beginning of each text."""
         return f"slave {self.address} ({self.name})"
 
 
@@ -73,7 +73,7 @@ class SlaveStateChanged(SlaveEvent):
 
 
 class SlaveFaulted(SlaveEvent):
-    """The slave has a fault. Told when the fault is new or has changed, not at every retry."""
+    """The slave has a new or another fault. (Not reported again at every retry.)"""
 
     fault: Fault
 
@@ -84,7 +84,7 @@ class SlaveDiagnosis(SlaveEvent):
     """A diagnosis that differs from the last one was read."""
 
     diagnosis: Diagnosis
-    #: what the extended diagnosis says, one line each, in the words of the device's GSD file where it has some
+    #: the extended diagnosis as text, one line a block, in the words of the device's GSD file if it has some
     texts: tuple[str, ...] = ()
 
     def _text(self) -> str:
@@ -93,7 +93,7 @@ class SlaveDiagnosis(SlaveEvent):
 
 
 class SlaveRemark(SlaveEvent):
-    """A deviation from the standard that is worth one line, once."""
+    """A deviation from the standard, reported once."""
 
     message: str
 
@@ -132,7 +132,7 @@ class OperateWaits(Event):
 class ForcedClear(Event):
     """The master goes to Clear by itself, and stays there until Operate is ordered."""
 
-    #: each one waits for an order of the application
+    #: the application must order Operate again
     MUST_ARRIVE = True
 
     @property
@@ -156,19 +156,19 @@ class AutoCleared(ForcedClear):
 
 
 class Blocked(Enum):
-    """What kept a master from asking its slaves; the values are those of the JSON lines."""
+    """The obstacle that kept a master from asking its slaves; the values are those of the JSON lines."""
 
-    PROGRAM = "program"  # nobody ran the master: stopped, without a processor, or its event loop was blocked
+    PROGRAM = "program"  # the driver did not run: stopped, without a processor, or its event loop was blocked
     SUSPENDED = "suspended"  # the computer slept
     PORT = "port"  # the port was lost
     TOKEN = "token"  # another master, or noise: the token did not come
 
 
 class Stalled(ForcedClear):
-    """``slaves`` were not asked for longer than their watchdogs, so the master goes to Clear before it asks them again.
+    """``slaves`` got no requests for longer than their watchdogs. The master goes to Clear before it asks them again.
 
-    ``gap_ns``: the longest time in which one of them was not asked; None where no clock shows it. ``blocked``: what
-    kept the master from asking, None where that is not known; ``reason`` is both for people.
+    ``gap_ns``: the longest time without requests to one of them; None if no clock shows it. ``blocked``: the obstacle,
+    None if it is not known; ``reason``: a text with both.
     """
 
     gap_ns: int | None
@@ -178,7 +178,7 @@ class Stalled(ForcedClear):
 
     @property
     def why(self) -> str:
-        """Which slave was not asked, for how long, and what blocked."""
+        """The slave without requests, for how long, and the obstacle."""
         return f"stall: {self.reason}"
 
     def _text(self) -> str:
@@ -189,7 +189,7 @@ class Stalled(ForcedClear):
 
 
 class ApplicationSilent(ForcedClear):
-    """The application watchdog ran out: nobody called ``alive()`` for ``limit_ns``."""
+    """The application watchdog ran out: the application did not call ``alive()`` for ``limit_ns``."""
 
     limit_ns: int
 
@@ -203,7 +203,7 @@ class ApplicationSilent(ForcedClear):
 class CyclesMissed(Event):
     """``count`` fixed cycles did not begin when they were due; ``missed`` with those before. Once a second at most.
 
-    ``number``, ``late_ns`` and ``reason`` are those of the worst one (of one left out: how late it was then).
+    ``number``, ``late_ns`` and ``reason`` are those of the worst one (of one left out: its delay at that time).
     """
 
     count: int
@@ -222,7 +222,7 @@ class CyclesMissed(Event):
 class ControlSent(Event):
     """The Global_Control ordered with ``token`` left the line; ``t_ns`` is the end of its last octet.
 
-    ``missed``: slaves of its groups that were not in data exchange and did not take it.
+    ``missed``: slaves of its groups that were not in data exchange and did not carry it out.
     """
 
     MUST_ARRIVE = True
@@ -279,9 +279,9 @@ class DriveEvent(SlaveEvent):
 
     @property
     def must_arrive(self) -> bool:
-        """The result of an order."""
+        """Whether this is the result of an order."""
         return self.payload.get("type") == "result"
 
 
-def _texts(told: object) -> tuple[str, ...]:
-    return tuple(map(str, told)) if isinstance(told, (list, tuple)) else ()
+def _texts(value: object) -> tuple[str, ...]:
+    return tuple(map(str, value)) if isinstance(value, (list, tuple)) else ()

@@ -1,7 +1,4 @@
-"""The texts of every fault of a slave: one clear line that says what happened, and what to do.
-
-One function for each fault, so that its wording stands in one place.
-"""
+"""The texts of all faults of a slave, one function a fault: what happened, and what to do."""
 
 from __future__ import annotations
 
@@ -19,17 +16,14 @@ from dpstack.units import baud_text
 
 
 @dataclass(frozen=True, slots=True)
-class CfgFault:
-    """A fault whose text ends with the difference between Chk_Cfg and the answer to Get_Cfg.
+class CfgFault(Fault):
+    """A fault that is complete with the difference between Chk_Cfg and the answer to Get_Cfg (:meth:`compared`).
 
-    ``config``: the octets of Chk_Cfg. ``remedy``: the advice where no difference is known; ``unanswered``: that where
-    the slave gives no answer to Get_Cfg. ``or_else`` follows the advice to correct a difference.
+    ``config``: the octets of Chk_Cfg. ``remedy``: the advice if no difference is known; ``unanswered``: the advice if
+    the slave does not answer Get_Cfg. ``or_else`` follows the advice to correct a difference.
     """
 
-    kind: FaultKind
-    message: str
     config: bytes
-    remedy: str
     unanswered: str = ""
     or_else: str = ""
 
@@ -51,7 +45,7 @@ class CfgFault:
         return Fault(self.kind, f"{self.message}: {difference}", remedy)
 
 
-#: a remark, once: Set_Prm switched the watchdog on, the diagnosis says it is off
+#: a remark: Set_Prm switched the watchdog on, the diagnosis says that it is off
 NOT_WATCHING = (
     "does not watch its master although Set_Prm switched its watchdog on (WD_On is 0): when this master dies it keeps "
     "its outputs; see its manual"
@@ -65,7 +59,7 @@ _UNREADABLE: Final = (
 
 
 def absent(address: int, baud: int, why: Failure = Failure.NO_ANSWER) -> Fault:
-    """No answer to Slave_Diag, several rounds long; ``why``: how the last request ended."""
+    """No answer to several requests of Slave_Diag; ``why``: the end of the last one."""
     if why is not Failure.NO_ANSWER:
         return Fault(
             FaultKind.ABSENT,
@@ -80,7 +74,7 @@ def absent(address: int, baud: int, why: Failure = Failure.NO_ANSWER) -> Fault:
 
 
 def lost(during: str, why: Failure) -> Fault:
-    """Stopped answering after it had answered; ``why``: how the last request ended."""
+    """The slave stopped answering; ``why``: the end of the last request."""
     if why is not Failure.NO_ANSWER:
         return Fault(
             FaultKind.LOST,
@@ -100,7 +94,7 @@ def bus_gone(reason: str) -> Fault:
 
 
 def wrong_ident(expected: int | None, found: int) -> Fault:
-    """Another device than the configuration says."""
+    """The ident number is another one than the configuration says."""
     return Fault(
         FaultKind.WRONG_IDENT,
         f"is another device: ident 0x{found:04X} instead of 0x{expected or 0:04X}",
@@ -120,7 +114,7 @@ def locked(diagnosis: Diagnosis, master: int, masters: Collection[int] | None) -
 
 
 def left_locked(diagnosis: Diagnosis, master: int) -> tuple[str, str]:
-    """(what, what to do) about a slave of a ``master`` that is not on the bus (any more)."""
+    """Message and remedy for a slave of a ``master`` that is not on the bus (any more)."""
     wait = (
         "wait: its watchdog is on and gives it free; or switch it off and on"
         if diagnosis.wd_on
@@ -137,7 +131,7 @@ _NOT_SUPPORTED: Final = Fault(
 )
 
 
-def refusal(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault | CfgFault:
+def refusal(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault:
     """The fault where ``diagnosis`` refuses Set_Prm, whose octets were ``sent``, or Chk_Cfg."""
     if diagnosis.prm_fault:
         return prm_fault(setup, diagnosis, sent)
@@ -161,8 +155,8 @@ def cfg_fault(setup: SlaveParams) -> CfgFault:
     return CfgFault(
         FaultKind.CFG_FAULT,
         "refuses the configuration (Cfg_Fault)",
-        setup.config,
         "check the parameters that choose its telegram",
+        setup.config,
         unanswered="compare config or telegram with its GSD file (it does not tell its own by Get_Cfg)",
     )
 
@@ -173,8 +167,8 @@ def not_ready(setup: SlaveParams, seconds: float) -> CfgFault:
     return CfgFault(
         FaultKind.NOT_READY,
         f"accepted parameters and configuration but is not ready after {seconds:.0f} s (Station_Not_Ready)",
-        setup.config,
         look,
+        setup.config,
         or_else=f"; or {look}",
     )
 
@@ -184,8 +178,8 @@ def not_taken(setup: SlaveParams) -> CfgFault:
     return CfgFault(
         FaultKind.NOT_READY,
         "acknowledges parameters and configuration, and then wants parameters again (Prm_Req)",
-        setup.config,
         "check ident, config and user parameters with its GSD file; its watchdog may be too short for this bus",
+        setup.config,
     )
 
 
@@ -203,12 +197,12 @@ def wrong_length(setup: SlaveParams, expected: int, got: int) -> CfgFault:
     return CfgFault(
         FaultKind.WRONG_LENGTH,
         f"answers Data_Exchange with {octets_text(got)} instead of {expected}",
-        setup.config,
         "its real configuration differs from config or telegram here: compare both with its GSD file",
+        setup.config,
     )
 
 
-#: what helps against a negative status of a service of MS0
+#: remedy after a negative status of a service of MS0
 _REFUSED: Final = {
     "RS": "the service access point is not active: another kind of device, or one that needs a restart",
     "RR": "the device says that it has no resources left for it: it is busy or hangs, look at its fault display",
@@ -242,8 +236,8 @@ def cfg_silent(setup: SlaveParams) -> CfgFault:
     return CfgFault(
         FaultKind.REFUSED,
         "does not acknowledge Chk_Cfg although it answers Slave_Diag",
-        setup.config,
         _DROPPED,
+        setup.config,
     )
 
 

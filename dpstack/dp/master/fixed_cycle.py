@@ -1,12 +1,10 @@
-"""When the rounds over the slaves begin: as fast as the bus allows, or on an equidistant grid (best effort).
+"""Start times of the rounds over the slaves: as fast as the bus allows, or on an equidistant grid (best effort).
 
 With a fixed cycle the grid begins with the first request of the first round with data exchange. A round begins with the
-first token held at or after its grid time; so long the token goes round. After a delay the grid stays: what is late by
-up to half a cycle begins late, what is later is left out, so that two rounds never begin less than half a cycle apart
-(but for a token and the idle time between the judgement and the first bit).
-While the master goes to a lower mode, and while nobody is in data exchange, rounds run free.
-
-What is known of the cycles of a master is plain data: the last one, and the books over all of them.
+first token held at or after its grid time; until then the token goes round. After a delay the grid stays: a round that
+is late by up to half a cycle begins late, and the master leaves out a round that is later. So two rounds never begin
+less than half a cycle apart (but for a token and the idle time between the decision and the first bit). While the
+master goes to a lower mode, and while no slave is in data exchange, rounds run free.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ _TEXTS: Final = {
 
 
 def tolerance_ns(cycle_ns: int) -> int:
-    """So late a cycle of ``cycle_ns`` may begin without being a deadline miss: a tenth of it."""
+    """The delay in ns up to which a cycle is no deadline miss: a tenth of ``cycle_ns``."""
     return cycle_ns // 10
 
 
@@ -59,10 +57,10 @@ class CycleData:
     """One round with data exchange, published when it is over. Times in ns.
 
     ``number`` counts fixed cycles by their due times, those that were left out included; free running the rounds.
-    ``published`` counts these pictures: who was handed fewer of them knows how many are missing. ``t_ns`` is the first
-    bit of its first request, ``due_ns`` when that was due (free running: the same). ``inputs`` are those of every slave
-    in data exchange by address, all as they stood at the end of the round; ``fresh`` are the slaves whose inputs came
-    in this one. ``missed`` counts the deadline misses up to here.
+    ``published`` counts these objects, so that a program sees how many it did not receive. ``t_ns`` is the first bit of
+    the first request of the round, ``due_ns`` the time when it was due (free running: the same). ``inputs``: of each
+    slave in data exchange by address, at the end of the round. ``fresh``: the slaves whose inputs came in this round.
+    ``missed`` counts the deadline misses up to this round.
     """
 
     number: int
@@ -80,10 +78,11 @@ class CycleData:
 
 @dataclass(slots=True)
 class CycleStats:
-    """The books over all fixed cycles; ``cycle_ns`` 0: free running, and nothing is counted but ``begun``.
+    """Statistics of all fixed cycles; ``cycle_ns`` 0: free running, and only ``begun`` counts.
 
-    ``late`` is how late the cycles began that did begin. A deadline miss is a cycle that began later than
-    ``tolerance_ns`` (``begun_late``), or was left out because it was late by more than half a cycle (``left_out``).
+    ``late``: the delays of the cycles that began. A deadline miss is a cycle that began later than
+    :func:`tolerance_ns` (``begun_late``), or that the master left out because it was late by more than half a cycle
+    (``left_out``).
     """
 
     cycle_ns: int
@@ -92,11 +91,6 @@ class CycleStats:
     left_out: int = 0
     late: Histogram = field(default_factory=Histogram)
     reasons: dict[MissReason, int] = field(default_factory=dict)
-
-    @property
-    def tolerance_ns(self) -> int:
-        """So late a cycle may begin."""
-        return tolerance_ns(self.cycle_ns)
 
     @property
     def missed(self) -> int:
@@ -111,18 +105,18 @@ class CycleStats:
         self.reasons[reason] = self.reasons.get(reason, 0) + count
 
 
-#: why a cycle did not begin when it was due, and that for people
+#: why a cycle did not begin when it was due, and a text for people
 Cause = tuple[MissReason, str]
-#: misses are reported at once after a quiet time of this length, else summed up over it
+#: after so long without a report the master reports a miss at once; else it sums up the misses of this time
 _REPORT_EVERY: Final = NS_PER_S
 #: the grid begins with the first bit of its first round
 _OPEN: Final = -1
 
 
 class Cadence:
-    """The grid of the fixed cycle, or none. ``window`` is for the link layer, :attr:`book` for everybody.
+    """The grid of the fixed cycle, or none. ``window`` is for the link layer, ``book`` the statistics.
 
-    ``number`` of the last round, ``started_at`` its first bit, ``due_at`` when that was due.
+    ``number`` of the last round; ``started_at``: its first bit in ns; ``due_at``: the time when it was due.
     """
 
     def __init__(self, context: MasterContext) -> None:
@@ -138,7 +132,7 @@ class Cadence:
         self._context = context
         #: the cause for the round under way, should it turn out to be late
         self._cause: Cause = (MissReason.LATE, "")
-        #: misses that were not reported yet; of the worst one how late it was, its number and why
+        #: number of misses without a report; of the worst one the delay in ns, the number of its cycle and the reason
         self._unreported = 0
         self._worst = (0, 0, "")
         self._reported_at = -_REPORT_EVERY
@@ -149,7 +143,8 @@ class Cadence:
         return self._next != NEVER
 
     def due(self, now: int, interval: int = 0) -> bool:
-        """Whether a round may begin with the token held ``now``; free running ``interval`` after the last at least."""
+        """Whether a round may begin with the token held ``now``; free running not before ``interval`` after the last
+        begin."""
         if self._next == NEVER:
             return now >= self._begun_at + max(interval, self._interval)
         late = now - self._next
@@ -189,7 +184,7 @@ class Cadence:
         late = at - self.due_at
         book.begun += 1
         book.late.add(late)
-        if late > book.tolerance_ns:
+        if late > tolerance_ns(book.cycle_ns):
             self._miss(self._cause, 1, late, self.number, at, left_out=False)
         elif self._unreported:
             self._report(at)
@@ -199,24 +194,24 @@ class Cadence:
         self._over_at = now
 
     def pause(self, until: int) -> None:
-        """The round goes on at ``until``: the token may go round so long."""
+        """Let the token go round until the round goes on at ``until``."""
         self.window.next_at = min(until, self._next)
 
     def resume(self) -> None:
         self.window.next_at = self._next
 
     def stop(self, now: int) -> None:
-        """No more rounds on this grid."""
+        """End the grid; from now on rounds run free."""
         self._next = NEVER
         self.window.end()
         self._report_all(now)
 
     def forget(self) -> None:
-        """The slaves are lost: the next round may begin at once."""
+        """Let the next round begin at once, because all slaves are lost."""
         self._begun_at = self._interval = 0
 
     def check(self, setup: SlaveParams) -> None:
-        """Raises ConfigError where the fixed cycle is too fast for a slave."""
+        """Raises ConfigError if the fixed cycle is too fast for a slave."""
         turn_ns = self.book.cycle_ns * setup.every
         interval_ns = setup.min_slave_interval_ns
         if turn_ns and interval_ns > turn_ns:
@@ -247,7 +242,7 @@ class Cadence:
         self._report(now)
 
     def _report(self, now: int) -> None:
-        """The first miss at once, those that follow within a second in one line."""
+        """Report the first miss at once, and the misses of the following second in one line."""
         if now - self._reported_at >= _REPORT_EVERY:
             self._reported_at = now
             self._report_all(now)

@@ -1,10 +1,10 @@
 """Global_Control: the master's mode, repeated; SYNC, FREEZE and their ends, each sent exactly once
 (docs/protocol.md#global_control).
 
-A further SYNC or FREEZE acts, so none is ever repeated. An order is for groups of slaves. With a fixed cycle FREEZE may
-go out at the beginning of every cycle and SYNC at its end: inputs of one moment, outputs of one moment. A slave that
-comes back into data exchange while its group is held is put back into the mode by a telegram of its own, before its
-first outputs; on every way out of Operate all are let go, or the safe values would not reach the outputs.
+A further SYNC or FREEZE acts again, so the master never repeats one. An order is for groups of slaves. With a fixed
+cycle the master may send FREEZE at the beginning of every cycle and SYNC at its end: inputs of one moment, outputs of
+one moment. A slave that comes back into data exchange while its group is held gets a telegram of its own, before its
+first outputs. On every way out of Operate the master releases all slaves, or safe values would not reach the outputs.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _PERIOD: Final = 200 * NS_PER_MS
 #: ... but takes no more than 1 % of the bus: 13 octets and T_ID2.
 _SHARE: Final = 100
 _OCTETS: Final = 13
-#: Global_Control after a change of mode, and at the end, is sent this often
+#: number of Global_Control telegrams after a change of mode, and at the end
 _URGENT: Final = 2
 
 
 class GroupMode:
-    """SYNC or FREEZE. ``held``: addresses of the slaves that are in it by an order of this master.
+    """SYNC or FREEZE. ``held``: addresses of the slaves that this master holds in it.
 
-    ``key``: "sync" or "freeze". ``groups`` (1..8): those that every cycle in Operate sends it to; none: it is not sent.
+    ``key``: "sync" or "freeze". ``groups`` (1..8): the groups that get it in every cycle in Operate.
     """
 
     def __init__(self, key: str, groups: tuple[int, ...]) -> None:
@@ -54,7 +54,7 @@ class GroupMode:
         return self.key.upper()
 
     def applies_to(self, setup: SlaveParams) -> bool:
-        """The slave is parameterised for it."""
+        """Whether the slave is parameterised for it."""
         return bool(getattr(setup, self.key))
 
     def check(self, setup: SlaveParams) -> None:
@@ -66,7 +66,7 @@ class GroupMode:
             )
 
     def check_order(self, command: SendControl, members: Iterable[SlaveParams]) -> None:
-        """Raises UsageError for an order of what every cycle does, or of what ``members`` are not parameterised for."""
+        """Raises UsageError if every cycle sends it already, or if ``members`` are not parameterised for it."""
         begins, ends = getattr(command, self.key), getattr(command, f"un{self.key}")
         unable = [setup.who for setup in members if begins and not self.applies_to(setup)]
         if unable:
@@ -83,38 +83,39 @@ class GroupMode:
 
 
 class ControlOrder:
-    """An order under way; ``sent`` once its telegram went out (then it only waits for the picture)."""
+    """An order under way; ``sent``: its telegram was sent, and it waits for the picture."""
 
-    def __init__(self, command: SendControl) -> None:
+    def __init__(self, command: SendControl, handlers: Mapping[int, SlaveHandler]) -> None:
         self.command = command
         self.mask = group_mask(command.groups)
         self.sent = False
+        self._handlers = handlers
         self._marks: dict[SlaveHandler, int] | None = None
 
-    def members(self, handlers: Iterable[SlaveHandler]) -> list[SlaveHandler]:
+    def members(self) -> list[SlaveHandler]:
         """The slaves of its groups that are in service, in any state."""
         mask = self.mask
-        in_service = (h for h in handlers if h.state is not SlaveState.DEACTIVATED)
+        in_service = (h for h in self._handlers.values() if h.state is not SlaveState.DEACTIVATED)
         return [h for h in in_service if not mask or h.setup.group_mask & mask]
 
-    def begin_round(self, handlers: Iterable[SlaveHandler]) -> None:
-        """Exchanges are counted from the first round on that began after the order (after its telegram)."""
+    def begin_round(self) -> None:
+        """Count exchanges from the first round on that began after the order (after its telegram)."""
         if self._marks is None:
-            self._marks = {h: h.exchanges for h in self.members(handlers)}
+            self._marks = {h: h.exchanges for h in self.members()}
 
     def went_out(self) -> None:
-        """Its telegram is on the wire: a whole exchange with every slave follows."""
+        """Its telegram is on the wire: wait for a whole exchange with every slave."""
         self.sent = True
         self._marks = None
 
     def missing(self, members: Iterable[SlaveHandler]) -> SlaveHandler | None:
-        """The first slave that is not in data exchange, where one whole exchange with each is wanted."""
+        """The first slave that is not in data exchange, if the order wants a whole exchange with each."""
         if not (self.command.settle or self.command.picture):
             return None
         return next((h for h in members if h.state is not SlaveState.DATA_EXCHANGE), None)
 
     def exchanged(self, members: Sequence[SlaveHandler]) -> bool:
-        """Whether there was the whole exchange with every slave that is wanted now."""
+        """Whether the whole exchange with every slave is over, if the order wants one now."""
         if not (self.sent or self.command.settle):
             return True
         marks = self._marks
@@ -124,9 +125,9 @@ class ControlOrder:
 
 
 class Controls:
-    """Global_Control of a master. ``urgent``: so many telegrams are due at once.
+    """Global_Control of a master. ``urgent``: number of telegrams that are due at once.
 
-    ``sync`` and ``freeze``: the slaves held in them, and the groups that every cycle sends them to.
+    ``sync`` and ``freeze``: the slaves in these modes, and the groups that get them in every cycle.
     """
 
     def __init__(self, context: MasterContext, handlers: Mapping[int, SlaveHandler]) -> None:
@@ -146,19 +147,19 @@ class Controls:
         self._orders: deque[ControlOrder] = deque()
         self._restore: deque[SlaveHandler] = deque()
 
-    # --- what is wanted -----------------------------------------------------------------------------------------
+    # --- orders -------------------------------------------------------------------------------------------------
 
     def check(self, setup: SlaveParams) -> None:
-        """Raises ConfigError where a slave cannot take what every cycle sends to its groups."""
+        """Raises ConfigError if every cycle sends SYNC or FREEZE to a slave that is not parameterised for it."""
         for mode in self._modes:
             mode.check(setup)
 
     def change_of_mode(self) -> None:
-        """The new mode is sent at once, twice."""
+        """Send the new mode at once, twice."""
         self.urgent = _URGENT
 
     def order(self, command: SendControl) -> None:
-        """Take an order; they are carried out one after the other. Raises UsageError where it cannot be."""
+        """Queue an order; the master carries out one after the other. Raises UsageError for an impossible one."""
         mode = self._context.mode
         if mode <= Mode.STOP:
             raise UsageError(
@@ -168,11 +169,11 @@ class Controls:
             raise UsageError("in Clear all outputs are zero: order operate() before outputs are passed on by SYNC")
         if any(not 1 <= group <= 8 for group in command.groups):
             raise UsageError(f"groups are numbered 1..8, {list(command.groups)} were given")
-        order = ControlOrder(command)
-        handlers = self._handlers.values()
-        members = [handler.setup for handler in order.members(handlers)]
+        order = ControlOrder(command, self._handlers)
+        members = [handler.setup for handler in order.members()]
         if not members:
-            groups = {g for h in handlers if h.state is not SlaveState.DEACTIVATED for g in h.setup.groups}
+            in_service = (h.setup for h in self._handlers.values() if h.state is not SlaveState.DEACTIVATED)
+            groups = {group for setup in in_service for group in setup.groups}
             known = ", ".join(map(str, sorted(groups))) or "none"
             asked = ", ".join(map(str, command.groups)) or "all"
             raise UsageError(f"no slave is in group {asked}; groups of this bus: {known}")
@@ -182,17 +183,17 @@ class Controls:
 
     @property
     def wants_all(self) -> bool:
-        """An order waits for an exchange with every slave: nobody is left out of the rounds."""
+        """Whether an order waits for an exchange with every slave, so that each round needs all slaves."""
         return bool(self._orders)
 
     def entered(self, handler: SlaveHandler) -> None:
-        """A slave came into data exchange: it is sent the mode at once, and put back into that of its group."""
+        """A slave came into data exchange: send it the mode at once, and the SYNC or FREEZE of its group."""
         self.urgent = max(self.urgent, 1)
         if any(self._is_held(handler, mode) for mode in self._modes):
             self._restore.append(handler)
 
     def _is_held(self, handler: SlaveHandler, mode: GroupMode) -> bool:
-        """The slave was in the mode itself, or another one of its groups is."""
+        """Whether the slave was in ``mode``, or another slave of its groups is."""
         address, mask = handler.setup.address, handler.setup.group_mask
         return any(
             other == address or self._handlers[other].setup.group_mask & mask
@@ -201,16 +202,16 @@ class Controls:
         )
 
     def holds(self, address: int) -> bool:
-        """Whether the slave is in SYNC or FREEZE by our order."""
+        """Whether this master holds the slave in SYNC or FREEZE."""
         return any(address in mode.held for mode in self._modes)
 
     def forget(self, address: int) -> None:
-        """The slave is given up."""
+        """Forget a slave that the master gives up."""
         for mode in self._modes:
             mode.held.discard(address)
 
-    def let_go(self, reason: str, now: int) -> None:
-        """Outputs are to become safe: whoever is held is let go after the next round, orders end."""
+    def release_all(self, reason: str, now: int) -> None:
+        """Release all held slaves after the next round, and end all orders, because outputs must become safe."""
         for mode in self._modes:
             if mode.held:
                 self._release = _URGENT
@@ -229,12 +230,12 @@ class Controls:
     # --- in the round -------------------------------------------------------------------------------------------
 
     def begin_round(self) -> None:
-        """Exchanges from here on were asked for after the orders."""
+        """Let the first order count its exchanges from this round on."""
         if self._orders:
-            self._orders[0].begin_round(self._handlers.values())
+            self._orders[0].begin_round()
 
     def before_data(self, now: int) -> Request | None:
-        """The telegram that puts a slave back into its group's mode, before its first outputs."""
+        """The telegram that puts a returned slave back into SYNC or FREEZE, before its first outputs."""
         while self._restore:
             handler = self._restore.popleft()
             setup = handler.setup
@@ -254,13 +255,13 @@ class Controls:
         return None
 
     def cyclic(self, mode: GroupMode) -> Request:
-        """The telegram that a cycle begins or ends with (in Operate only: outputs that become safe wait for none)."""
+        """The telegram at the begin or end of a cycle (in Operate only: safe outputs wait for none)."""
         return self._request(mode, sync=mode is self.sync, freeze=mode is self.freeze, group_mask=mode.mask)
 
     def after_data(self, now: int, *, repeat: bool) -> Request | None:
-        """The next Global_Control of this round, after everybody's data; None when there is no more.
+        """The next Global_Control of this round, after all Data_Exchange; None when there is no more.
 
-        ``repeat``: the mode is repeated here, when that is due.
+        ``repeat``: repeat the mode if that is due.
         """
         if self.urgent or self._release or (repeat and now >= self._due):
             release = self._release > 0
@@ -270,7 +271,7 @@ class Controls:
             return self._request(self, unsync=release, unfreeze=release)
         while self._orders:
             order, command = self._orders[0], self._orders[0].command
-            members = order.members(self._handlers.values())
+            members = order.members()
             missing = order.missing(members)
             if not members:
                 self._fail("no slave is left in its groups", now)
@@ -302,7 +303,7 @@ class Controls:
         return Request(da, Req.SDN_HIGH, data, SAP_GLOBAL_CONTROL, SSAP_MS0, tag=tag, cyclic=cyclic)
 
     def started(self, request: Request, at: int) -> None:
-        """A Global_Control goes out, its first bit at ``at``."""
+        """A Global_Control is on the line, its first bit at ``at``."""
         tag = request.tag
         if isinstance(tag, ControlOrder) and self._orders and self._orders[0] is tag:
             self._sent(tag, at + self._length_ns)
@@ -311,7 +312,7 @@ class Controls:
             tag.held |= {setup.address for setup in exchanging if setup.group_mask & tag.mask}
 
     def repetition(self, now: int) -> Request | None:
-        """Between two fixed cycles: the mode once more when that is due."""
+        """Between two fixed cycles: repeat the mode if that is due."""
         if now < self._due:
             return None
         self._due = now + self._period
@@ -322,7 +323,7 @@ class Controls:
         self._due = until
 
     def abandoned(self, request: Request) -> None:
-        """A Global_Control could not be sent: the mode, and the end of SYNC, are sent again. (Orders still stand.)"""
+        """A Global_Control could not be sent: send the mode, or the end of SYNC, again. (Orders are still queued.)"""
         if request.tag is self:
             self.urgent = max(self.urgent, 1)
             if GlobalControl.parse(request.data).unsync:
@@ -330,7 +331,7 @@ class Controls:
 
     def _sent(self, order: ControlOrder, end: int) -> None:
         command = order.command
-        members = order.members(self._handlers.values())
+        members = order.members()
         reached = {h.setup.address for h in members if h.state is SlaveState.DATA_EXCHANGE}
         missed = tuple(h.setup.address for h in members if h.setup.address not in reached)
         for mode in self._modes:

@@ -38,10 +38,10 @@ _HELD_BACK: Final = Failure.HELD_BACK
 
 
 class Master:
-    """A DP class 1 master over ``slaves``. Starts in Clear, or in Stop where the bus is read-only.
+    """A DP class 1 master of ``slaves``. It starts in Clear, or in Stop if the bus is read-only.
 
-    ``on_round(now)`` is called at the end of every round with data exchange, after :attr:`cycle` was published. With a
-    fixed cycle give :attr:`window` to the station. Raises ConfigError.
+    It calls ``on_round(now)`` at the end of every round with data exchange, when ``cycle`` is up to date. With a fixed
+    cycle give ``window`` to the station. Raises ConfigError.
     """
 
     def __init__(
@@ -60,14 +60,14 @@ class Master:
         self.controls = Controls(context, self.handlers)
         self._turns = Turns(context, self.handlers)
         self._watch = OutputsWatch(settings, self.handlers, self._force_clear)
-        self._held_in_clear = False  # by itself, until Operate is ordered
+        self._held_in_clear = False  # without an order, until Operate is ordered
         self._auto_clear = AutoClear(settings, self.handlers)
         self._token = TokenAge(params)
         self._cadence = Cadence(context)
         self.roster = Roster(context, self.handlers, self._turns, self.controls, self._cadence, self._watch)
         self._round = Round(context, self.roster, self._turns, self.controls, self._cadence, self._round_ended)
         self._round_at = 0  # first bit of the last round's first Data_Exchange
-        self._safe_until = 0  # so long safe values stand on the way down
+        self._safe_until = 0  # safe values stand until then on the way down
         for setup in slaves:
             self.roster.add(setup)
 
@@ -75,12 +75,12 @@ class Master:
 
     @property
     def mode(self) -> Mode:
-        """The mode it is in."""
+        """The present mode."""
         return self.context.mode
 
     @property
     def cycles(self) -> CycleStats:
-        """The books over the fixed cycles."""
+        """Statistics of the fixed cycles."""
         return self._cadence.book
 
     @property
@@ -94,7 +94,7 @@ class Master:
         return {address: handler.image for address, handler in self.handlers.items()}
 
     def command(self, command: object, now: int) -> bool:
-        """Take the orders of :mod:`dpstack.dp.master.commands`. Misuse raises before anything is changed."""
+        """Carry out an order of :mod:`dpstack.dp.master.commands`. Misuse raises before any change."""
         match command:
             case SetMode(mode):
                 self._set_mode(mode, now)
@@ -128,7 +128,7 @@ class Master:
         return True
 
     def take_events(self) -> list[Event]:
-        """What happened since the last call."""
+        """Return and clear the events since the last call."""
         events, self.context.events = self.context.events, []
         return events
 
@@ -158,13 +158,13 @@ class Master:
                 self._token.ending(now)
 
     def _head_for(self, target: Mode, now: int) -> None:
-        """Up at once, or when auto-clear lets it. Down from Operate over safe values and Clear, and further down when
-        everybody had that.
+        """Up at once, or when auto-clear permits it. Down from Operate through safe values and Clear, and further down
+        when all slaves had them.
         """
         if self.mode is self.context.target is Mode.OPERATE:
             for handler in self.handlers.values():
                 handler.plugin_host.lost(now)
-            self.controls.let_go(f"the master goes to {target.name.capitalize()}", now)
+            self.controls.release_all(f"the master goes to {target.name.capitalize()}", now)
         self.context.target = target
         if target is Mode.OPERATE:
             self._watch.begin(now)
@@ -188,13 +188,13 @@ class Master:
                 self._reach(target, now)
 
     def _force_clear(self, event: ForcedClear, now: int) -> None:
-        """Down to Clear, and no way back but by order."""
+        """Go to Clear; only an order leads back to Operate."""
         self.context.emit(event)
         self._held_in_clear = self._watch.outdated = True
         self._head_for(Mode.CLEAR, now)
 
     def _go_up(self, now: int) -> None:
-        """Operate with auto-clear waits in Clear for everybody (docs/protocol.md#auto-clear)."""
+        """Operate with auto-clear waits in Clear for all slaves (docs/protocol.md#auto-clear)."""
         missing = self._auto_clear.missing() if self.context.target is Mode.OPERATE else []
         if not missing:
             self._reach(self.context.target, now)
@@ -211,7 +211,7 @@ class Master:
         return not any(any(handler.plugin_host.safe_outputs()) for handler in exchanging)
 
     def _descend(self, now: int) -> None:
-        """A round on the way down is through."""
+        """The end of a round on the way down."""
         if self.mode is Mode.OPERATE:
             if now >= self._safe_until:
                 self._reach(Mode.CLEAR, now)
@@ -228,7 +228,7 @@ class Master:
             self._round.cut(now)
             self._round_at = 0
             self.roster.clear_farewells()
-            self.controls.let_go(f"the master is in {mode.name.capitalize()}", now)
+            self.controls.release_all(f"the master is in {mode.name.capitalize()}", now)
             for handler in self.handlers.values():
                 handler.image.valid = False
         if mode is Mode.OFFLINE:
@@ -236,7 +236,7 @@ class Master:
             self.context.emit(MasterStopped(t_ns=now, cleared=cleared))
 
     def _watch_data(self, now: int) -> None:
-        """Auto-clear: down when somebody had no exchange for too long, up when Operate waits and all are there."""
+        """Auto-clear: down if a slave had no exchange for too long; up if Operate waits and all slaves are there."""
         if self.mode is self.context.target is Mode.OPERATE:
             late = self._auto_clear.late(now)
             if late is not None:
@@ -247,7 +247,7 @@ class Master:
     # --- link user ----------------------------------------------------------------------------------------------
 
     def token_received(self, now: int) -> None:
-        """A hold begins, and with it perhaps a new round."""
+        """A token hold begins, and perhaps a new round with it."""
         self._token.received(now)
         self._watch.token(now)
         if self.context.mode > Mode.STOP:
@@ -273,7 +273,7 @@ class Master:
             self._descend(now)
 
     def started(self, request: Request, at: int) -> None:
-        """The rotation is taken from first bit to first bit of a round's first Data_Exchange."""
+        """Count the rotation from first bit to first bit of the first Data_Exchange of two rounds."""
         self._token.sent_at = at
         handler = request.tag
         if isinstance(handler, SlaveHandler):
@@ -291,7 +291,7 @@ class Master:
             self.controls.started(request, at)
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
-        """Hand the end of a request to the handling of its slave."""
+        """Hand the end of a request to the handler of its slave."""
         handler = request.tag
         if outcome is _HELD_BACK:
             self._round.held_back(request)
@@ -299,7 +299,7 @@ class Master:
         if outcome is _ABANDONED and request.dsap == SAP_GLOBAL_CONTROL:
             self.controls.abandoned(request)
         if not isinstance(handler, SlaveHandler) or self.handlers.get(handler.setup.address) is not handler:
-            return  # of nobody, or of a slave that was removed meanwhile
+            return  # the request of no slave, or of one that was removed meanwhile
         if request.dsap is None:
             handler.data_result(outcome, now)
             return
@@ -309,11 +309,11 @@ class Master:
     # --- without a token ----------------------------------------------------------------------------------------
 
     def wake_at(self) -> int:
-        """The watch over the token: without one for long nobody is in data exchange any more. The application's."""
+        """The end of the longest time without a token, or of the application watchdog."""
         return min(self._token.watch_at, self._watch.alive_until)
 
     def tick(self, now: int) -> None:
-        """No token for long: say so, or end an end that cannot be sent any more. (The watch is moved on only here.)"""
+        """After too long without a token: report all slaves lost, and end an ordered end that cannot be sent."""
         if now >= self._watch.alive_until:
             self._watch.look(now)
         if self._token.too_old(now):

@@ -1,9 +1,9 @@
-"""When the master goes to Clear by itself: auto-clear, the stall rule (``after_stall``), the application watchdog; and
-when it takes its slaves for lost, because it has no token.
+"""Reasons for Clear without an order: auto-clear, the stall rule (``after_stall``), the application watchdog; and the
+time without a token after which all slaves count as lost.
 
-A stall is a time in which a slave was not asked for longer than its watchdog: the slave has taken its outputs back, and
-must not be given the old ones again without an order. The master calls :meth:`OutputsWatch.look` before it sends
-anything.
+A stall is a time without requests to a slave that is longer than its watchdog. The slave has made its outputs safe, and
+the master must not send the old outputs again without an order. The master calls :meth:`OutputsWatch.look` before each
+request.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ms_text
 class AutoClear:
     """Auto-clear (docs/protocol.md#auto-clear): Error_Action_Flag, Data_Control_Time, Ignore_Aclr of each slave.
 
-    Without it no slave is ever late or missing.
+    If it is not enabled, no slave is late or missing.
     """
 
     def __init__(self, settings: MasterSettings, handlers: Mapping[int, SlaveHandler]) -> None:
@@ -34,14 +34,14 @@ class AutoClear:
         self._due = 0
 
     def began(self, now: int) -> None:
-        """Operate was reached: the time runs from here."""
+        """Start the time, because the master reached Operate."""
         self._began = now
         self._due = now + self.time_ns
 
     def late(self, now: int) -> AutoCleared | None:
-        """The end of Operate where slaves had no good exchange for the Data_Control_Time.
+        """The event that ends Operate, if slaves had no good exchange for the Data_Control_Time.
 
-        The slaves are looked at again when one of them can be late.
+        After each check, the next one comes when the first slave can be late.
         """
         if not self.enabled or now < self._due:
             return None
@@ -65,16 +65,16 @@ class AutoClear:
         return [h for h in handlers if h.state is not SlaveState.DEACTIVATED and not h.setup.ignore_auto_clear]
 
 
-#: so many slaves at least are "all": one alone may have been switched off and on
+#: number of slaves from which on "all slaves" is no coincidence: a single one may have been switched off and on
 _ALL: Final = 2
 
 
-#: what kept the master from asking, and that for people; None and "" where it is not known
-Block = tuple[Blocked | None, str]
+#: the obstacle that kept the master from asking, and its text; None and "" if it is not known
+Obstacle = tuple[Blocked | None, str]
 
 
 class OutputsWatch:
-    """Watches ``handlers`` while the master is in Operate, or on its way there. ``force_clear`` takes it to Clear.
+    """Watches ``handlers`` while the master is in Operate, or on its way there; ``force_clear`` ends that.
 
     ``look_at``: before this time (ns) :meth:`look` finds nothing.
     """
@@ -86,7 +86,7 @@ class OutputsWatch:
         force_clear: Callable[[ForcedClear, int], None],
     ) -> None:
         self.look_at = NEVER
-        #: the request made last is from before the master was taken to Clear
+        #: the last request was made before the master went to Clear
         self.outdated = False
         self._force_clear = force_clear
         #: when the application watchdog runs out in ns, NEVER while it is off
@@ -94,16 +94,16 @@ class OutputsWatch:
         self._handlers = handlers
         self._settings = settings
         self._watching = False
-        self._held: HeldUp | None = None  # the longest that the driver reported since the last look
+        self._held: HeldUp | None = None  # the longest one since the last look
         #: slaves that lost data exchange with the line; the master takes each out at its next request to it
-        self.down: dict[SlaveHandler, Block] = {}
+        self.down: dict[SlaveHandler, Obstacle] = {}
         self._token_at = 0
         self._token_gap = 0
 
     # --- what happens -------------------------------------------------------------------------------------------
 
     def begin(self, now: int) -> None:
-        """Operate was ordered: the times count from here."""
+        """Begin to watch, because Operate was ordered."""
         for handler in self._handlers.values():
             handler.asked_at = max(handler.asked_at, now)
         self.down.clear()
@@ -113,18 +113,18 @@ class OutputsWatch:
         self.look_soon()
 
     def end(self) -> None:
-        """Another mode was ordered: there are no outputs to watch."""
+        """Stop watching, because another mode was ordered."""
         self._watching = False
         self.alive_until = self.look_at = NEVER
         self.down.clear()
 
     def alive(self, now: int) -> None:
-        """The application is alive. Changes nothing where the watchdog has run out, or is off."""
+        """Restart the application watchdog, unless it has run out or is off."""
         if now < self.alive_until != NEVER:
             self.alive_until = now + self._settings.application_watchdog_ns
 
     def look_soon(self) -> None:
-        """Something changed: look before the next request."""
+        """Look before the next request, because the state of a slave changed."""
         if self._watching:
             self.look_at = 0
 
@@ -134,7 +134,7 @@ class OutputsWatch:
         self._token_at = now
 
     def held_up(self, gap: HeldUp) -> None:
-        """The driver did not run the machine for a while."""
+        """The driver reports a time in which it did not run the master."""
         if gap.suspended:  # the clock does not show it
             for handler in self._handlers.values():
                 handler.asked_at -= gap.for_ns
@@ -145,8 +145,8 @@ class OutputsWatch:
         self.look_soon()
 
     def line_lost(self, reason: str, *, port: bool) -> None:
-        """Nothing can be sent any more: the port (``port``) or the token is lost. To be called before the handlers
-        are told, because they leave data exchange by it."""
+        """The port (``port``) or the token is lost. Call this before :meth:`SlaveHandler.line_lost`, by which
+        the slaves leave data exchange."""
         if self._watching:
             for handler in self._handlers.values():
                 if handler.state is SlaveState.DATA_EXCHANGE:
@@ -154,7 +154,7 @@ class OutputsWatch:
             self.look_soon()
 
     def still_fresh(self, now: int) -> bool:
-        """Whether the request made last may still be sent, or sent again."""
+        """Whether the last request may still be sent, or repeated."""
         if now >= self.look_at:
             self.look(now)
         return not self.outdated
@@ -186,7 +186,7 @@ class OutputsWatch:
         if overdue:
             worst = max(overdue, key=lambda handler: now - handler.asked_at)
             gap = now - worst.asked_at
-            blocked, text = self._find_block(worst, gap)
+            blocked, text = self._find_obstacle(worst, gap)
             slaves = tuple(sorted(handler.setup.address for handler in overdue))
             why = (
                 f"{worst.setup.who} was not asked for {ms_text(gap)}, "
@@ -196,8 +196,8 @@ class OutputsWatch:
             return Stalled(t_ns=now, gap_ns=gap, slaves=slaves, blocked=blocked, reason=reason)
         return self._all_want_parameters(now)
 
-    def _find_block(self, handler: SlaveHandler, gap: int) -> Block:
-        """What took most of the time ``gap`` in which ``handler`` was not asked."""
+    def _find_obstacle(self, handler: SlaveHandler, gap: int) -> Obstacle:
+        """The cause of most of the time ``gap`` without requests to the slave of ``handler``."""
         held = self._held
         if held is not None and 2 * held.for_ns >= gap:
             return Blocked.SUSPENDED if held.suspended else Blocked.PROGRAM, held.what
@@ -208,9 +208,9 @@ class OutputsWatch:
         return None, ""
 
     def _all_want_parameters(self, now: int) -> Stalled | None:
-        """No gap was seen, but the watchdogs of all slaves ran out in the same moment: a clock that stood still.
+        """A stall that no clock shows: the watchdogs of all slaves ran out at the same moment.
 
-        One slave alone is its own restart.
+        A single slave may have been restarted.
         """
         present = [h for h in self._handlers.values() if h.watchdog_effective_ns and h.state not in AWAY]
         times = [handler.prm_req_at for handler in present]
@@ -223,26 +223,26 @@ class OutputsWatch:
         return Stalled(t_ns=now, gap_ns=None, slaves=slaves, blocked=None, reason=why)
 
 
-#: without a token for T_TR and so long nobody can be in data exchange any more; an ordered end waits only so long
+#: after T_TR and this time without a token no slave can be in data exchange; an ordered end waits for this time only
 _SILENCE: Final = NS_PER_S
 
 
 class TokenAge:
-    """``watch_at``: when :meth:`too_old` is to be asked, in ns, or NEVER. It is moved on only there."""
+    """Time since the last token. ``watch_at``: the next time in ns for :meth:`too_old`, which moves it on; or NEVER."""
 
     def __init__(self, params: BusParams) -> None:
-        #: first bit of the last request: what is sent after a token is its sign of life
+        #: first bit of the last request in ns: a request shows that the station holds the token
         self.sent_at = 0
         self.watch_at = NEVER
         self._at = NEVER
         self._since = 0
-        self._held_ns = 0  # nobody ran this station for so long since the last token
+        self._held_ns = 0  # times without a run of this station since the last token
         # at 9.6 kbit/s one rotation may rightly take T_TR = 5 s
         self._limit = _SILENCE + params.ns(params.t_tr)
 
     @property
     def known(self) -> bool:
-        """There was a token, and it is not known to be lost."""
+        """Whether there was a token that is not lost."""
         return self._at != NEVER
 
     def received(self, now: int) -> None:
@@ -253,17 +253,17 @@ class TokenAge:
             self.watch_at = self._quiet_at()
 
     def ending(self, now: int) -> None:
-        """The end was ordered: it is not waited for as long as otherwise."""
+        """Shorten the limit, because the end of the master was ordered."""
         self._limit = _SILENCE
         self._since = now
         self.watch_at = self._quiet_at()
 
     def held_up(self, for_ns: int) -> None:
-        """Nobody ran this station for so long: it could take no token in that time, which does not count therefore."""
+        """Leave out ``for_ns``, in which the driver did not run this station: it could receive no token."""
         self._held_ns += for_ns
 
     def lost(self) -> None:
-        """No token, or none is needed any more."""
+        """The token is lost, or the master needs none any more."""
         self._at = self.watch_at = NEVER
 
     def too_old(self, now: int) -> bool:

@@ -6,7 +6,7 @@ After an exception the slave's outputs are set to their safe values, and the mas
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.events import DriveEvent, Fault
@@ -38,9 +38,9 @@ class PluginHost:
         if self.fault is None:
             try:
                 image.outputs = plugin.cyclic(image.inputs if image.valid else b"", now)
-                self._drain(now)
+                self._drain(plugin, now)
             except Exception as error:
-                self._fail(error, now)
+                self._fail(plugin, error, now)
         return image.outputs
 
     def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
@@ -52,22 +52,13 @@ class PluginHost:
             result = {"type": "result", "token": token, "ok": False, "error": "usage", "text": text}
             self._reports.event(DriveEvent, now, payload=result)
             return
-        try:
-            plugin.command(op, args, token, now)
-            self._drain(now)
-        except Exception as error:
-            self._fail(error, now)
+        self._call(plugin, now, plugin.command, op, args, token, now)
 
     def lost(self, now: int) -> None:
         """Data exchange ended, or outputs went to their safe values: the plugin ends its pending orders."""
         plugin = self._image.plugin
-        if plugin is None or self.fault is not None:
-            return
-        try:
-            plugin.lost(now)
-            self._drain(now)
-        except Exception as error:
-            self._fail(error, now)
+        if plugin is not None and self.fault is None:
+            self._call(plugin, now, plugin.lost, now)
 
     def safe_outputs(self) -> bytes:
         """The outputs that the master sends before it leaves Operate or gives the slave up.
@@ -77,9 +68,9 @@ class PluginHost:
         plugin = self._image.plugin
         if plugin is None or self.fault is not None:
             return self._safe
-        return self._present(plugin)
+        return self._safe_outputs_of(plugin)
 
-    def _present(self, plugin: CyclicPlugin) -> bytes:
+    def _safe_outputs_of(self, plugin: CyclicPlugin) -> bytes:
         try:
             found = plugin.safe(self._safe)
         except Exception:  # no fault: the master stops sending outputs to this slave anyway
@@ -91,16 +82,20 @@ class PluginHost:
         if self.fault is not None:
             self._reports.set_fault(self.fault, now)
 
-    def _drain(self, now: int) -> None:
-        plugin = self._image.plugin
-        if plugin is not None:
-            for payload in plugin.take_events():
-                json.dumps(payload, ensure_ascii=False).encode()  # else a bus process could not send it
-                self._reports.event(DriveEvent, now, payload=payload)
+    def _call(self, plugin: CyclicPlugin, now: int, method: Callable[..., None], *args: object) -> None:
+        try:
+            method(*args)
+            self._drain(plugin, now)
+        except Exception as error:
+            self._fail(plugin, error, now)
 
-    def _fail(self, error: Exception, now: int) -> None:
-        if self._image.plugin is not None and self.fault is None:
-            self._safe = self._present(self._image.plugin)
+    def _drain(self, plugin: CyclicPlugin, now: int) -> None:
+        for payload in plugin.take_events():
+            json.dumps(payload, ensure_ascii=False).encode()  # else a bus process could not send it
+            self._reports.event(DriveEvent, now, payload=payload)
+
+    def _fail(self, plugin: CyclicPlugin, error: Exception, now: int) -> None:
+        self._safe = self._safe_outputs_of(plugin)
         self.fault = fault_texts.plugin(error)
         self._image.outputs = self._safe
         self._reports.set_fault(self.fault, now)

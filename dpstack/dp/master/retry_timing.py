@@ -1,4 +1,4 @@
-"""When the next service request to a slave is due: back-off of retries, long polls of absent slaves.
+"""Due times of service requests to a slave: back-off of retries, long polls of absent slaves.
 
 A long poll waits for the answer of an absent slave as long as for that of a present one
 (:data:`dpstack.fdl.interface.LONG_NS`); other polls of absent slaves wait for the slot time only.
@@ -28,8 +28,8 @@ class Backoff:
     def __init__(self, first: int, last: int) -> None:
         self._first, self._last, self._next = first, last, first
 
-    def take(self) -> int:
-        """The delay to wait now."""
+    def next_delay(self) -> int:
+        """The delay to wait now; the next one is twice as long."""
         delay = self._next
         self._next = min(2 * delay, self._last)
         return delay
@@ -58,14 +58,14 @@ class Pacing:
 
     def absent(self, now: int, *, long: bool = False) -> None:
         """The slave did not answer; ``long``: it was a long poll."""
-        self.due = now + self._absent.take()
+        self.due = now + self._absent.next_delay()
         self._polls = _POLLS_BEFORE_LONG[1] if long else self._polls - 1
         self.had_long_poll |= long
 
     def refused(self, now: int) -> None:
         """The slave answered, but cannot be brought up."""
         self._flapping = False
-        self.due = now + self._refused.take()
+        self.due = now + self._refused.next_delay()
 
     def anew(self, now: int) -> None:
         """Ask at once and forget earlier failures, because the station at this address may be another device."""

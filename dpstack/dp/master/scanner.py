@@ -1,9 +1,8 @@
-"""The scanner: the live list, filled up with ident number, state and owner of each slave.
+"""The scanner: the live list with ident number, state and owner of each slave.
 
-It asks FDL status, Slave_Diag and, where wanted, Get_Cfg: nothing that changes anything, so no slave is taken from its
-master (docs/protocol.md#services-by-state: both are open to every master in every state; a request from another address
-leaves watchdog and frame count of the owner alone). One request a token hold, in time that is left, like the live list.
-A live list made once while the bus runs is an order of plain data.
+It sends FDL status, Slave_Diag and, if wanted, Get_Cfg. These services change nothing in a slave and are open to every
+master in every state (docs/protocol.md#services-by-state); a request from another address leaves watchdog and frame
+count of the owner alone. The scanner sends one request a token hold, in the time that is left, like the live list.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _ATTEMPTS: Final = 4
 
 
 class SlaveView(Enum):
-    """What a slave is doing, as anybody can read it in its diagnosis; the values are those of ``scan --json``."""
+    """State of a slave as its diagnosis shows it; the values are those of ``scan --json``."""
 
     WAIT_PRM = "wait_prm"
     WAIT_CFG = "wait_cfg"
@@ -54,9 +53,9 @@ def view_of(diagnosis: Diagnosis | None) -> SlaveView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """One station. ``ident``, ``state``, ``master`` (its owner) and ``diagnosis`` of a slave, as far as it told them.
+    """One station. Of a slave also ``ident``, ``state``, ``master`` (its owner) and ``diagnosis``, as far as known.
 
-    ``config``: its identifier octets where they were asked for and given.
+    ``config``: its identifier octets, if the scanner asked for them and the slave answered.
     """
 
     address: int
@@ -79,7 +78,7 @@ class Found:
         return ", ".join(words)
 
     def as_dict(self) -> dict[str, object]:
-        """As in the JSON of ``scan``: what does not apply or is not known is null."""
+        """As in the JSON of ``scan``: null if a key does not apply or is not known."""
         return {
             "address": self.address,
             "type": self.kind.name.lower(),
@@ -90,7 +89,7 @@ class Found:
 
 
 class StationSeen(Event):
-    """A station was found, or is another one or in another state than before; ``present`` False: it fell silent."""
+    """A station was found, or it has changed; ``present`` False: it no longer answers."""
 
     found: Found
     present: bool = True
@@ -100,7 +99,7 @@ class StationSeen(Event):
 
 
 class ScanDone(Event):
-    """Every address was asked. ``token``: of the :class:`SurveyOrder`, 0 for the list of a read-only bus.
+    """The scanner has asked every address. ``token``: of the :class:`SurveyOrder`, 0 for the list of a read-only bus.
 
     ``found``: the stations in order of their addresses. ``unreadable``: addresses whose answers could not be read.
     """
@@ -123,12 +122,11 @@ class _Question:
 
 
 class Scanner(LinkUser):
-    """A ``LinkUser`` on top of ``live``; ``own`` is the asking station's address.
+    """A ``LinkUser`` on top of ``live``; ``own``: the address of this station.
 
-    ``configs``: ask for the identifier octets too. ``skip``: addresses whose slaves are not asked (those of the DP
-    master beside it know more). ``period_ns``: ask each slave again so often; then ``wanted`` addresses that
-    are silent are asked again as well. :attr:`found` is the result, complete when :attr:`done`. ``token``: see
-    :class:`ScanDone`.
+    ``configs``: ask for the identifier octets too. ``skip``: addresses whose slaves are not asked (the DP master of
+    this station knows more of them). ``period_ns``: ask each slave again after this time, and silent addresses in
+    ``wanted`` too. ``found`` is the result, complete when ``done``. ``token``: see :class:`ScanDone`.
     """
 
     def __init__(
@@ -144,7 +142,7 @@ class Scanner(LinkUser):
     ) -> None:
         self.live = live
         self.found: dict[int, Found] = {}
-        #: everything was asked, once at least
+        #: the scanner has asked every address at least once
         self.done = False
         self._own = own
         self._configs = configs
@@ -156,7 +154,7 @@ class Scanner(LinkUser):
         self._questions: deque[_Question] = deque()
         self._asked: _Question | None = None
         self._turn = False
-        self._told: dict[int, Found] = {}
+        self._reported: dict[int, Found] = {}
         self._events: list[Event] = []
 
     # --- link user ----------------------------------------------------------------------------------------------
@@ -182,8 +180,7 @@ class Scanner(LinkUser):
             return request
         self._turn = False
         question = self._asked = self._questions.popleft()
-        # its priority is that of all DP services on the wire (docs/protocol.md#slaves-that-know-only-fcv-1); here it
-        # waits for time
+        # SRD high like all DP services (docs/protocol.md#slaves-that-know-only-fcv-1), but with low priority here
         return Request(question.address, Req.SRD_HIGH, b"", question.sap, SSAP_MS0, patient=True)
 
     def started(self, request: Request, at: int) -> None:
@@ -195,7 +192,7 @@ class Scanner(LinkUser):
         question, self._asked = self._asked, None
         if question is None:
             self.live.result(request, outcome, now)
-            self._take_live(now)
+            self._read_live_list(now)
         elif outcome in (Failure.ABANDONED, Failure.REFUSED, Failure.HELD_BACK):
             self._questions.appendleft(question)
         elif isinstance(outcome, Telegram) and positive(question.sap, outcome):
@@ -216,7 +213,7 @@ class Scanner(LinkUser):
         return events
 
     # --- what was found -----------------------------------------------------------------------------------------
-    def _take_live(self, now: int) -> None:
+    def _read_live_list(self, now: int) -> None:
         for event in self.live.take_events():
             if not isinstance(event, StationFound):
                 continue
@@ -232,7 +229,7 @@ class Scanner(LinkUser):
                 if self._configs:
                     self._ask(event.address, SAP_GET_CFG)
             else:
-                self._tell(event.address, now)
+                self._report(event.address, now)
 
     def _ask(self, address: int, sap: int) -> None:
         self._questions.append(_Question(address, sap))
@@ -248,43 +245,44 @@ class Scanner(LinkUser):
         state = view_of(diagnosis)
         owner = None
         if diagnosis is not None:
-            # some slaves name whoever asks: nobody can be owned by a station that only asks
+            # some slaves name the station that asks as their master: the scanner owns no slave
             owner = foreign_owner(diagnosis, self._own)
         ident = None if diagnosis is None else diagnosis.ident
         self.found[question.address] = dataclasses.replace(
             found, state=state, ident=ident, master=owner, diagnosis=diagnosis
         )
-        self._tell(question.address, now)
+        self._report(question.address, now)
 
     def _not_answered(self, question: _Question, now: int, *, silent: bool) -> None:
-        """Asked again as often as its first requests may take; then it is what the FDL status said, or gone."""
+        """Ask again, as often as a slave may need first requests; then report its FDL status only, or its loss."""
         question.tries -= 1
         if question.tries:
             self._questions.append(question)
         elif question.sap == SAP_SLAVE_DIAG:
-            if silent and question.address in self._told:
+            if silent and question.address in self._reported:
                 self.live.forget(question.address, now)
-                self._take_live(now)
+                self._read_live_list(now)
             else:
-                self._tell(question.address, now)
+                self._report(question.address, now)
 
-    def _tell(self, address: int, now: int) -> None:
+    def _report(self, address: int, now: int) -> None:
         found = self.found.get(address)
-        if found is not None and found != self._told.get(address):
-            self._told[address] = found
+        if found is not None and found != self._reported.get(address):
+            self._reported[address] = found
             self._events.append(StationSeen(t_ns=now, found=found))
 
     def _gone(self, address: int, now: int) -> None:
         found = self.found.pop(address, None)
-        self._told.pop(address, None)
+        self._reported.pop(address, None)
         if found is not None:
             self._events.append(StationSeen(t_ns=now, found=found, present=False))
 
 
 class SurveyOrder(AttachUser):
-    """Ask ``addresses`` once: :class:`ScanDone` has the result. ``skip``: their slaves are not asked further.
+    """Ask ``addresses`` once; :class:`ScanDone` has the result. ``skip``: addresses whose slaves get no Slave_Diag.
 
-    ``configs``: ask for identifier octets too. ``quick``: silent addresses without regard to the port's share for them.
+    ``configs``: ask for identifier octets too. ``quick``: no limit for the share of the bus time that polls of silent
+    addresses take.
     """
 
     addresses: tuple[int, ...]

@@ -51,7 +51,7 @@ _BRINGING_UP: Final = (SlaveState.DIAGNOSIS, SlaveState.SET_PRM, SlaveState.CHK_
 
 
 class SlaveHandler:
-    """One slave as the master handles it. ``changed(handler, now)`` is called after a change of its state.
+    """State and requests of one slave. It calls ``changed(handler, now)`` after a change of its state.
 
     ``still(now)``: whether outputs may still be sent (see :class:`~dpstack.fdl.interface.Request`). ``before``: the
     handler of the slave under other parameters: counters go on, and the image as :func:`image_of` says.
@@ -76,13 +76,13 @@ class SlaveHandler:
         #: time in ns at which this state was entered
         self.since = 0
         self.exchanges: int = 0 if before is None else before.exchanges
-        #: Set_Prm was sent, and no answer since says that the slave is not (or no longer) this master's
+        #: Set_Prm was sent, and no answer since shows that this master does not own the slave
         self.owned = False
         #: first bit of the last request to it, in ns
         self.asked_at = 0
         #: time in ns of the diagnosis with Prm_Req after the slave left data exchange by itself, or NEVER
         self.prm_req_at = NEVER
-        #: Slave_Diag is wanted while in data exchange (DH, Stat_Diag)
+        #: Slave_Diag is due in data exchange (DH, Stat_Diag)
         self.diag_due = False
         self._context = context
         self._changed = changed
@@ -95,11 +95,11 @@ class SlaveHandler:
         self._ready = Readiness()
         #: the trigger and the fault to be reported after the answer to Get_Cfg
         self._inquiry: tuple[Trigger, CfgFault] | None = None
-        #: why it left data exchange, until the next diagnosis says more: the status that refused it, "" for Prm_Req
+        #: reason for leaving data exchange, until the next diagnosis: the status of the refusal, "" for Prm_Req
         self._left: str | None = None
         #: the octets of the last Set_Prm
         self._prm_sent = b""
-        self._refused_data = False  # it left data exchange by itself, and no diagnosis was read since
+        self._refused_data = False  # the slave left data exchange by itself, and there was no diagnosis since
         #: the last request of Data_Exchange
         self._data = Request(setup.address, _SRD_HIGH, patient=True, tag=self, cyclic=True, still=still)
         if before is not None:
@@ -340,7 +340,7 @@ class SlaveHandler:
         refused = verdict is Trigger.DIAG_REFUSED
         self._step(verdict, now, fault_texts.refusal(self.setup, diagnosis, self._prm_sent) if refused else None)
         if self.state is SlaveState.DATA_EXCHANGE:
-            self.reports.observer.take(diagnosis, self.reports.flagged, self.exchanges, now)
+            self.reports.observer.read(diagnosis, self.reports.flagged, self.exchanges, now)
             self.reports.flagged = 0
         self._changed(self, now)
 
@@ -352,7 +352,7 @@ class SlaveHandler:
 
     # --- states -------------------------------------------------------------------------------------------------
 
-    def _step(self, trigger: Trigger, now: int, fault: Fault | CfgFault | None = None) -> None:
+    def _step(self, trigger: Trigger, now: int, fault: Fault | None = None) -> None:
         """Take the row of the table. After a CfgFault the master sends Get_Cfg, to report the configuration of the
         slave.
 

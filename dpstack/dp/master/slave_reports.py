@@ -22,11 +22,11 @@ _NO_MORE: Final = "; further deviations are not told"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmCounts:
-    """What came of the alarms of one slave. ``raised``: delivered; ``acknowledged``: the slave took it.
+    """Counts of the alarms of one slave. ``raised``: delivered alarms; ``acknowledged``: accepted acknowledgements.
 
-    ``repeated``: acknowledgements sent again; ``refused``: that the slave did not take. ``too_many``: more at a time
-    than agreed, ``dropped``: those of them that nobody could keep. ``not_enabled``: kinds that Set_Prm did not enable,
-    ``malformed``: blocks that are neither alarm nor status; neither is delivered. ``statuses``: told.
+    ``repeated``: repeated acknowledgements; ``refused``: refused ones. ``too_many``: alarms beyond the agreed number,
+    ``dropped``: those of them without room in the queue. ``not_enabled``: alarms of a type that Set_Prm did not enable,
+    ``malformed``: blocks that are neither alarm nor status; the master delivers neither. ``statuses``: delivered ones.
     """
 
     raised: int = 0
@@ -45,15 +45,15 @@ class DiagObserver:
 
     @property
     def counts(self) -> AlarmCounts | None:
-        """What came of its alarms; None where it can have none."""
+        """The counts of its alarms; None for a slave that can have none."""
         return None
 
     def opened(self, last: Diagnosis | None, now: int) -> None:
         """Data exchange begins; ``last`` was read before it."""
 
-    def take(self, diagnosis: Diagnosis, flagged_at: int, exchanges: int, now: int) -> None:
-        """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged_at``: the first of them in
-        which it asked for it (DH), 0: it did not."""
+    def read(self, diagnosis: Diagnosis, flagged_at: int, exchanges: int, now: int) -> None:
+        """Read a diagnosis of the slave in data exchange, after ``exchanges`` exchanges; ``flagged_at``: the number of
+        the first exchange with DH, 0: there was none."""
 
     def closed(self, now: int) -> None:
         """Data exchange ended."""
@@ -84,33 +84,33 @@ class SlaveReports:
         self._remarks = ReportOnce(_MAX_REMARKS)
 
     def event(self, kind: type[SlaveEvent], now: int, **fields: Any) -> None:
-        """An event of the slave; ``fields`` are those that ``kind`` has besides time, address and name."""
+        """Report an event of the slave; ``fields``: all besides time, address and name."""
         self._emit(kind(t_ns=now, address=self._setup.address, name=self._setup.name, **fields))
 
     def set_fault(self, fault: Fault, now: int) -> None:
-        """Keep ``fault``; report it when it is another than the last one."""
+        """Keep ``fault``; report it if it is not the same as the last one."""
         self.fault = fault
         if fault.text != self._reported:
             self._reported = fault.text
             self.event(SlaveFaulted, now, fault=fault)
 
     def remark(self, message: str, now: int) -> None:
-        """Report ``message`` once; of a slave that always deviates in another way the first ones."""
+        """Report each distinct ``message`` once, and only the first ones of a slave that always deviates."""
         novelty = self._remarks.novelty(message)
         if novelty is not Novelty.KNOWN:
             self.event(SlaveRemark, now, message=message + (_NO_MORE if novelty is Novelty.LAST else ""))
 
     @property
     def is_silent(self) -> bool:
-        """The last fault says already that the slave does not answer."""
+        """Whether the last fault reports already that the slave does not answer."""
         return self.fault is not None and self.fault.kind in (FaultKind.ABSENT, FaultKind.LOST)
 
     def clear(self) -> None:
-        """The slave is well again: the next fault is reported even if it is the same."""
+        """End the fault: the next one is reported even if it is the same."""
         self.fault, self._reported = None, ""
 
     def read_diagnosis(self, octets: bytes, now: int) -> Diagnosis | None:
-        """Read the answer to Slave_Diag; None where it is no diagnosis."""
+        """Read the answer to Slave_Diag; None if it is no diagnosis."""
         diagnosis = Diagnosis.parse(octets)
         if diagnosis is None:
             text = f"answers Slave_Diag with {len(octets)} octets, at least 6 are required"

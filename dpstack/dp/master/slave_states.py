@@ -12,7 +12,7 @@ from dpstack.dp.master.events import SlaveState as S
 
 
 class Trigger(Enum):
-    """What a request to a slave ended in, as far as the handling is concerned."""
+    """Results of requests to a slave, and orders, that the table knows."""
 
     SILENT = "no answer"
     DIAG_FREE = "diagnosis: may be parameterised"

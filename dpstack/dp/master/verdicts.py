@@ -1,8 +1,8 @@
-"""What answers mean to a master that did not write the slave: diagnoses and odd answers to Data_Exchange.
+"""Judgement of diagnoses and of answers to Data_Exchange without good data.
 
-A diagnosis: owner, deviations, verdicts by the table of bits; and between Set_Prm and data exchange what the slave is
-asked next (docs/protocol.md#slave-handler). Answers to Data_Exchange that are no good data: when they are too many,
-and what they then mean (docs/protocol.md#answers-to-data_exchange).
+A diagnosis: its owner, its deviations from the standard, the verdict by the table of bits, and between Set_Prm and data
+exchange the next request (docs/protocol.md#slave-handler). Answers without good data: their number up to a fault, and
+the trigger that follows (docs/protocol.md#answers-to-data_exchange).
 """
 
 from __future__ import annotations
@@ -30,20 +30,18 @@ _DATA: Final = (int(Resp.DL), int(Resp.DH))
 
 
 class OddAnswers:
-    """Counts them; one good exchange forgives all (:attr:`none` is False while there is something to forgive)."""
+    """Counts answers to Data_Exchange without good data since the last good one; ``none``: there was none."""
 
     def __init__(self) -> None:
         self.clear()
 
     def clear(self) -> None:
-        """A good exchange, or a new state."""
+        """Reset the counts, after a good exchange or in a new state."""
         self.none = True
         self._wrong = self._busy = 0
 
     def judge(self, answer: Telegram) -> Trigger | None:
-        """What ``answer`` to Data_Exchange means: WRONG_LENGTH, NOT_EXCHANGING (RS) or REFUSED; None: ask again in
-        the next round.
-        """
+        """The trigger for ``answer``: WRONG_LENGTH, NOT_EXCHANGING (RS) or REFUSED; None: ask again next round."""
         self.none = False
         status = answer.fc & 0x0F
         if answer.kind is Kind.SC or status in _DATA:
@@ -55,19 +53,19 @@ class OddAnswers:
         return None if self._busy < _MAX_BUSY else Trigger.REFUSED
 
 
-#: what the master does -> what the state table calls it
+#: reaction of the master to a bit -> trigger of the state table
 _EVENT: Final = {
     Reaction.REPORTS: Trigger.DIAG_READY,
     Reaction.WAITS: Trigger.DIAG_WAIT,
     Reaction.PARAMETERISES: Trigger.DIAG_PRM_REQ,
     Reaction.REFUSES: Trigger.DIAG_REFUSED,
 }
-#: the master's own bits, octets 1 and 2: a slave's are not believed
+#: bits that only a master sets, octets 1 and 2: ignored in the diagnosis of a slave
 _MASTERS: Final = tuple(
     reduce(or_, (flag.mask for flag in FLAGS if flag.octet == octet and flag.set_by is SetBy.MASTER))
     for octet in (1, 2)
 )
-#: which of them a fault sets
+#: the bit that a fault sets
 _BY_FAULT: Final = {
     FaultKind.ABSENT: "station_non_existent",
     FaultKind.LOST: "station_non_existent",
@@ -79,8 +77,8 @@ _BY_FAULT: Final = {
 def foreign_owner(diagnosis: Diagnosis, own: int) -> int | None:
     """The other class 1 master that owns the slave, or None.
 
-    A slave that wants parameters (Prm_Req) has no owner whatever octet 4 says; some report own + 128 or whoever asked
-    (docs/protocol.md#how-real-devices-deviate).
+    A slave that wants parameters (Prm_Req) has no owner, even if octet 4 names one. Some slaves report ``own`` + 128,
+    or the station that asked (docs/protocol.md#how-real-devices-deviate).
     """
     master = diagnosis.master
     if master is None or diagnosis.prm_req or master & 0x7F == own or master > MAX_STATION:
@@ -89,7 +87,7 @@ def foreign_owner(diagnosis: Diagnosis, own: int) -> int | None:
 
 
 def deviations(diagnosis: Diagnosis, own: int) -> Iterator[str]:
-    """What in the diagnosis is against the standard and tolerated, one line each (docs/protocol.md#always-1-bit)."""
+    """Tolerated deviations of the diagnosis from the standard, one line each (docs/protocol.md#always-1-bit)."""
     if not diagnosis.always_one:
         yield "its diagnosis lacks the bit that is always 1 (octet 2 bit 2); tolerated"
     if diagnosis.master is not None and diagnosis.master == own + 128:
@@ -102,14 +100,13 @@ def deviations(diagnosis: Diagnosis, own: int) -> Iterator[str]:
 
 
 def verdict_exchanging(diagnosis: Diagnosis) -> Trigger:
-    """What a diagnosis of the right device, ours, means while in data exchange
+    """The trigger for a diagnosis of a slave of this master in data exchange
     (docs/protocol.md#what-a-diagnosis-means)."""
     return _EVENT[weightiest(tuple(flag.exchange for flag in diagnosis.findings))]
 
 
 def verdict_ready(diagnosis: Diagnosis, *, cfg_sent: bool) -> Trigger:
-    """What a diagnosis of the right device means after Set_Prm and, when ``cfg_sent``, Chk_Cfg
-    (docs/protocol.md#slave-handler)."""
+    """The trigger for a diagnosis after Set_Prm and, with ``cfg_sent``, Chk_Cfg (docs/protocol.md#slave-handler)."""
     verdict = _EVENT[weightiest(tuple(flag.bring_up for flag in diagnosis.findings))]
     if not cfg_sent and verdict in (Trigger.DIAG_WAIT, Trigger.DIAG_READY):
         return Trigger.DIAG_NO_CFG
@@ -117,8 +114,8 @@ def verdict_ready(diagnosis: Diagnosis, *, cfg_sent: bool) -> Trigger:
 
 
 def masters_view(read: Diagnosis | None, state: SlaveState, fault: Fault | None) -> Diagnosis | None:
-    """The diagnosis that a master keeps for its user: the one read last with the master's own bits, None before
-    anything is known. (A station that never answered: ident 0, no master.)
+    """The last diagnosis with the bits that a master sets, for the application; None before the first diagnosis and
+    fault. For a station that never answered: ident 0, no master.
     """
     name = _BY_FAULT.get(fault.kind) if fault is not None and state is not SlaveState.DATA_EXCHANGE else None
     if state is SlaveState.DEACTIVATED:
@@ -140,7 +137,10 @@ _SET_PRM: Final = SERVICE_NAMES[SAP_SET_PRM]
 
 
 class Readiness:
-    """Of one slave. ``cfg_sent``: Chk_Cfg went out; ``unacked``: the service that it did not acknowledge."""
+    """Progress of the bring-up of one slave between Set_Prm and data exchange.
+
+    ``cfg_sent``: Chk_Cfg was sent; ``unacked``: the service that the slave did not acknowledge.
+    """
 
     def __init__(self) -> None:
         self.cfg_sent = False
@@ -158,10 +158,10 @@ class Readiness:
 
     def judge(
         self, setup: SlaveParams, diagnosis: Diagnosis, prm_sent: bytes, waited_ns: int
-    ) -> tuple[Trigger, Fault | fault_texts.CfgFault | None]:
-        """What ``diagnosis`` means ``waited_ns`` after the last step, and what is wrong.
+    ) -> tuple[Trigger, Fault | None]:
+        """The trigger for ``diagnosis`` ``waited_ns`` after the last step, and the fault.
 
-        ``setup``: of its slave; ``prm_sent``: the octets of its last Set_Prm.
+        ``prm_sent``: the octets of the last Set_Prm.
         """
         verdict = verdict_ready(diagnosis, cfg_sent=self.cfg_sent)
         if verdict is Trigger.DIAG_WAIT:
@@ -182,5 +182,5 @@ class Readiness:
             return verdict, fault_texts.refusal(setup, diagnosis, prm_sent)
         return verdict, None
 
-    def _silent(self, setup: SlaveParams, prm_sent: bytes) -> Fault | fault_texts.CfgFault:
+    def _silent(self, setup: SlaveParams, prm_sent: bytes) -> Fault:
         return fault_texts.prm_silent(prm_sent) if self.unacked == _SET_PRM else fault_texts.cfg_silent(setup)

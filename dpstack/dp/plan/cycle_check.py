@@ -1,7 +1,7 @@
 """Check of a fixed cycle against the plan: refusals, misses and their frequency, the baud rate that it needs.
 
-A cycle is possible where the shortest rotation fits. What is not data (diagnosis, services, GAP) waits for a cycle with
-time to spare; what never fits costs whole cycles.
+A cycle is possible if the shortest rotation fits into it. Diagnoses, services and GAP polls wait for a cycle with time
+to spare; one that never fits costs whole cycles.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _TEXTS: Final = {
 
 
 class Refusal(NamedTuple):
-    """Why a bus cannot run like this, and what to do. ``slave``: whose table it is about, None for the bus."""
+    """A reason why a bus cannot run like this, and what to do. ``slave``: the address concerned, None: the bus."""
 
     what: str
     todo: str
@@ -55,8 +55,8 @@ class Refusal(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CyclePlan:
-    """The judgement of one cycle. ``load``: the part of it that the typical rotation takes. One line each:
-    ``findings`` (beside ``refusals``) and ``notes``.
+    """The judgement of one cycle. ``load``: the part of it that the typical rotation takes; ``findings`` (besides
+    ``refusals``) and ``notes``: one line each.
     """
 
     cycle_ns: int
@@ -77,7 +77,7 @@ class CyclePlan:
 def least_ns(figures: Figures) -> dict[Verdict, int]:
     """The shortest cycle for each verdict in ns, best first.
 
-    Undisturbed: all slaves need their max T_SDR and the longest of what comes beside the data fits into the rest.
+    Undisturbed: all slaves need their max T_SDR, and the longest other service fits into the rest.
     """
     params, normal = figures.params, figures.rotations[Case.NORMAL]
     beside = max(
@@ -123,8 +123,8 @@ def judge_cycle(figures: Figures) -> CyclePlan:
 
 
 def token_wait_ns(figures: Figures) -> int:
-    """How long after its time a cycle may begin while the other masters have the token, each for its longest normal
-    round; 0 alone on the bus.
+    """The longest delay of a cycle while the other masters have the token, each for its longest normal round; 0 without
+    other masters.
     """
     normal = figures.rotations[Case.NORMAL]
     return figures.params.ns(normal.others + normal.token) if figures.others.count else 0
@@ -188,7 +188,7 @@ def _too_short(figures: Figures, least: int, together: Sequence[SlaveParams]) ->
 
 
 def _missed(figures: Figures, verdict: Verdict) -> str:
-    """How often a cycle that is possible will be missed, and why."""
+    """The frequency of misses of a possible cycle, and their reasons."""
     cycle, at, least = figures.cycle_ns, baud_text(figures.params.baud), least_ns(figures)
     head = f"cycle_ms = {cycle / NS_PER_MS:g} is"
     if verdict is Verdict.POSSIBLE:

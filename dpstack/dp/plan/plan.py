@@ -18,11 +18,10 @@ _CASES: Final = (Case.SHORTEST, Case.TYPICAL, Case.LONGEST)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlavePlan:
-    """One slave: the time it takes of the shortest rotation, its watchdog and what it does when that expires.
+    """One slave: its time in the shortest rotation, its watchdog, and the text ``on_loss`` for the end of its watchdog.
 
     With ``every`` n it has its turn in the rounds whose number leaves ``offset`` when divided by n. ``set_prm`` and
-    ``chk_cfg`` are the octets that the master will send, in hex; ``....`` for an ident number that the slave is asked
-    for.
+    ``chk_cfg`` are the octets that the master will send, in hex; ``....`` for an ident number from the diagnosis.
     """
 
     setup: SlaveParams
@@ -38,9 +37,9 @@ class SlavePlan:
 class Plan:
     """The plan of one bus at one rate. Rotations in bit times.
 
-    ``findings``: one line each, what is out of bounds, why, and what to do; empty when everything fits. ``notes``:
-    what is as it is, but worth knowing. ``beside``: what other masters on the bus would need, empty when it is nothing.
-    ``cycle``: the judgement of a fixed cycle, None when the bus runs free.
+    ``findings``: values out of bounds, one line each with reason and remedy; empty if everything fits. ``notes``:
+    legal, but worth knowing. ``beside``: the needs of other masters on the bus, empty without any. ``cycle``: the
+    judgement of a fixed cycle, None if the bus runs free.
     """
 
     figures: Figures
@@ -121,12 +120,12 @@ def make_plan(
     beside: str = "",
     watchdog_ms: int | None = None,
 ) -> Plan:
-    """The whole plan of a bus with ``setups`` at ``params``; ``pty`` where another process stands at the other end.
+    """The whole plan of a bus with ``setups`` at ``params``; ``pty``: the port leads to another process.
 
     ``others`` are the other masters of the bus. ``cycle_ns`` is the fixed cycle, 0 for none.
-    ``host_slack_ns`` is how much later than the wire's deadline a known station's answer may come (see Patience).
+    ``host_slack_ns``: greatest delay of a known station's answer after the deadline of the wire (see Patience).
     ``data_control_ns`` is the Data_Control_Time of a bus with auto-clear, else 0.
-    ``findings``, ``notes`` and ``beside`` are what the caller knows beyond that; they come first.
+    ``findings``, ``notes`` and ``beside``: those of the caller; they come first.
     ``watchdog_ms`` is the default watchdog that a running bus uses; None: the recommended one.
     """
     counted = Figures(params, setups, others, cycle_ns, host_slack_ns)

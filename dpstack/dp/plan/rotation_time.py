@@ -1,7 +1,7 @@
-"""The bus rotation time from the telegrams as they are really sent, and what follows: T_TR and the watchdog.
+"""The bus rotation time from the telegrams as they are really sent; T_TR and the watchdog that follow from it.
 
 All slaves are in data exchange: for each of them Data_Exchange, T_SDR, the answer, T_ID1; then the token and T_ID1.
-With rate groups it is the fullest round that counts. Other masters take their turn before the token is back.
+With rate groups the fullest round counts. Other masters have their turn before the token is back.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Case(Enum):
 
 @dataclass(frozen=True, slots=True)
 class OtherMasters:
-    """The masters beside this one: ``alike`` that need as long as it does; ``rounds``: what each further one needs in
-    bit times, its bus rotation time when it is alone on the bus.
+    """The other masters of the bus. ``alike``: number of those that need as long as this one; ``rounds``: of each
+    further one its bus rotation time in bit times when it is alone on the bus.
     """
 
     alike: int = 0
@@ -60,11 +60,11 @@ ALONE: Final = OtherMasters()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rotation:
-    """A rotation in bit times. ``slaves``: what each takes of a round it is in, T_ID1 after its answer included;
-    ``together``: those in the fullest round, which is the one that is meant.
+    """The fullest rotation in bit times. ``slaves``: the time of each slave in its rounds, with T_ID1 after its answer;
+    ``together``: the slaves in this rotation.
 
-    ``data`` of those together, ``beside`` it services, Global_Control and GAP poll, ``token`` until the next station
-    has it, ``others`` what other masters take, ``waiting`` for Min_Slave_Interval while the token goes round.
+    ``data``: of these slaves; ``beside``: services, Global_Control and GAP poll; ``token``: until the next station has
+    the token; ``others``: of other masters; ``waiting``: for Min_Slave_Interval while the token goes round.
     """
 
     slaves: dict[int, int]
@@ -82,17 +82,17 @@ class Rotation:
 
     @property
     def work(self) -> int:
-        """The same without waiting: how soon the token can be back."""
+        """The same without waiting: the earliest return of the token."""
         return self.data + self.beside + self.token + self.others
 
     @property
     def hold(self) -> int:
-        """How long this master holds the token in it."""
+        """The token hold of this master in it."""
         return self.data + self.beside
 
 
 def rotation(params: BusParams, setups: Sequence[SlaveParams], case: Case, others: OtherMasters = ALONE) -> Rotation:
-    """The bus rotation time with every slave of ``setups`` in data exchange, other masters doing what ``case`` says."""
+    """The bus rotation time with every slave of ``setups`` in data exchange, of other masters too as in ``case``."""
     retries = params.max_retry if case is Case.LONGEST else 0
     slaves = {s.address: data_bits(params, s, _tsdr(params, s, case), retries) for s in setups}
     groups = (Share(s.address, s.every, slaves[s.address]) for s in setups)
@@ -111,7 +111,7 @@ def rotation(params: BusParams, setups: Sequence[SlaveParams], case: Case, other
 
 
 def rate_offsets(params: BusParams, setups: Sequence[SlaveParams]) -> dict[int, int]:
-    """In which rounds the slaves of ``setups`` have their turn, see :mod:`dpstack.dp.rate_groups`."""
+    """The offsets of the rounds in which the slaves of ``setups`` have their turn (:mod:`dpstack.dp.rate_groups`)."""
     return offsets(share(params, s) for s in setups)
 
 
@@ -141,7 +141,7 @@ def _tsdr(params: BusParams, setup: SlaveParams, case: Case) -> int:
 @dataclass(frozen=True, slots=True)
 class Figures:
     """The rotations of one bus at one rate. ``setups`` are sorted by address; ``cycle_ns`` 0: free running;
-    ``host_slack_ns``: how much later than the wire's deadline a known station's answer may come.
+    ``host_slack_ns``: greatest delay of a known station's answer after the deadline of the wire.
     """
 
     params: BusParams
@@ -166,12 +166,12 @@ class Figures:
         return self.params.ns(self.rotations[case].work)
 
     def data_ns(self, case: Case) -> int:
-        """The same without what comes beside the data."""
+        """The same without services, Global_Control and GAP poll."""
         return self.params.ns(self.rotations[case].work - self.rotations[case].beside)
 
     @property
     def acyclic_bits(self) -> int:
-        """By how much one acyclic service makes a rotation longer at the most, nothing repeated."""
+        """The longest time by which one acyclic service without repetition makes a rotation longer."""
         return acyclic_bits(self.params, self.setups)
 
     @property
@@ -186,7 +186,7 @@ class Figures:
 
     @property
     def dying_ns(self) -> int:
-        """How long all wait while one slave dies, beyond the longest rotation: only where the host is patient."""
+        """The time in which all wait for a slave that dies, beyond the longest rotation; 0 without host slack."""
         slack = self.host_slack_ns
         return (self.params.max_retry + 1) * (self.params.ns(self.params.t_sl) + slack) if slack else 0
 

@@ -139,7 +139,7 @@ class AlarmHandler(DiagObserver):
             else:
                 self._want_diagnosis(now)
 
-    def take(self, diagnosis: Diagnosis, flagged_at: int, exchanges: int, now: int) -> None:
+    def read(self, diagnosis: Diagnosis, flagged_at: int, exchanges: int, now: int) -> None:
         """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged_at``: the first of them in
         which it asked for it (DH), 0: it did not."""
         last, self._last = self._last, diagnosis

@@ -122,7 +122,7 @@ class Connections(Provider):
             return
         del self.connections[connection.ref]
         if connection.opened:
-            self.queue.tell(
+            self.queue.report(
                 ConnectionOver(
                     t_ns=now,
                     connection=connection.ref,
@@ -139,7 +139,7 @@ class Connections(Provider):
         """Emit ConnectionsClosed after the last one, where all are being closed."""
         if self.closing and not self.connections:
             self.closing = False
-            self.queue.tell(ConnectionsClosed(t_ns=now))
+            self.queue.report(ConnectionsClosed(t_ns=now))
 
     def uses(self, address: int, server_sap: int) -> bool:
         """Whether a connection to the slave has this server SAP."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Final
 
-from dpstack.dp.acyclic.class2 import leaves_out, left_out
+from dpstack.dp.acyclic.class2 import answers_slave_diag, service_unanswered
 from dpstack.dp.acyclic.job import ATTEMPTS, Outcome, ServiceFailure, Steps
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text
@@ -62,8 +62,8 @@ class InitiateJob(ConnectionJob):
         connection = self.connection
         managed = yield from self._ask_resource_manager(self.polling(sap=SAP_MS2_RM))
         if isinstance(managed, Outcome):
-            if managed.failure is ServiceFailure.SILENT and (yield from leaves_out(self.address, SAP_MS2_RM)):
-                return left_out(self.address, f"{self.title} (SAP {SAP_MS2_RM})", _WITHOUT_MS2)
+            if managed.failure is ServiceFailure.SILENT and (yield from answers_slave_diag(self.address, SAP_MS2_RM)):
+                return service_unanswered(self.address, f"{self.title} (SAP {SAP_MS2_RM})", _WITHOUT_MS2)
             return managed
         if self.ms2.uses(self.address, managed.server_sap):  # it cannot be another connection's
             connection.taken = False

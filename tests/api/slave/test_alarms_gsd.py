@@ -35,7 +35,7 @@ def test_the_texts_of_the_gsd_file_in_either_process(rest: str) -> None:
     events: list[dpstack.Event] = []
     for of in (setup, dataclasses.replace(setup, texts=None)):  # the bus process has none
         handler: Any = SimpleNamespace(setup=of, reports=SlaveReports(of, events.append, 2), want_diagnosis=None)
-        AlarmHandler(handler, AlarmBook()).take(diagnosis, True, 1, 7)
+        AlarmHandler(handler, AlarmBook()).read(diagnosis, True, 1, 7)
     own, foreign = events
     assert isinstance(own, AlarmRaised)
     assert own.texts[0] == "fuse blown"

@@ -9,8 +9,8 @@ from octet_slave import DL, RS, OctetSlave, sd1, sd2
 from ring_bus import fixed
 from support import WorldFactory
 
-from dpstack.dp.acyclic.class2 import ChangeAddress, Service, ServiceDone, asked, request
-from dpstack.dp.acyclic.job import Heard, Outcome, ServiceFailure
+from dpstack.dp.acyclic.class2 import ChangeAddress, Service, ServiceDone, ask
+from dpstack.dp.acyclic.job import Outcome, RequestEnd, ServiceFailure
 from dpstack.dp.services import reading_only
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
@@ -306,8 +306,8 @@ def test_beside_a_running_class_1_master_nobody_loses_an_exchange(world: WorldFa
 
 def test_whoever_is_named_is_waited_for_before_it_is_said_to_be_silent() -> None:
     """The first times no longer than for any address; the last time as for one that is there, where there is room."""
-    silence = Heard(Failure.NO_ANSWER, 0, 0)
-    steps = asked(request(9, Service.DIAGNOSIS))
+    silence = RequestEnd(Failure.NO_ANSWER, 0, 0)
+    steps = ask(9, Service.DIAGNOSIS)
     sent = [next(steps).request, *(steps.send(silence).request for _ in range(3))]
     assert [one.extra_ns for one in sent] == [0, 0, 0, LONG_NS]
     assert not any(one.patient for one in sent)
