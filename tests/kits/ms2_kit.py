@@ -84,6 +84,10 @@ class Ms2Server:
     given_out: list[bytes] = field(default_factory=list)
     heard: list[tuple[int, bytes]] = field(default_factory=list)
 
+    def received(self, function: int) -> list[bytes]:
+        """The PDUs with this function number, so far."""
+        return [pdu for _, pdu in self.heard if pdu[:1] == bytes((function,))]
+
     def ms2(self, sap: int, pdu: bytes) -> bytes | None:
         """The answer at SAP 0..49: data, None for SC, empty for RS."""
         self.heard.append((sap, pdu))

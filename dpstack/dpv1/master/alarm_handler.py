@@ -23,7 +23,7 @@ from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARM_MODE, ALARMS
 from dpstack.dpv1.master.alarm_repeats import Key, Settling
 from dpstack.dpv1.master.ms1 import Ms1, Ms1Job
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold, texts_beside
-from dpstack.dpv1.master.srd_polling import negative_outcome
+from dpstack.dpv1.master.srd_polling import negative_outcome, unreadable_outcome
 from dpstack.dpv1.pdu.error_codes import AGAIN
 from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative, parse_response
 from dpstack.errors import PduError
@@ -401,8 +401,7 @@ class AckJob(Ms1Job):
                 return negative_outcome(self.address, self.title, response)
             return Outcome() if octets[0] == Function.ALARM_ACK and AlarmAck.parse(octets) == self._ack else None
         except PduError as error:
-            text = f"slave {self.address} answers {self.title} with what cannot be read: {error}"
-            return Outcome(ServiceFailure.LENGTH, text)
+            return unreadable_outcome(self.address, self.title, error)
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """The alarm handler emits the event of the alarm's end."""

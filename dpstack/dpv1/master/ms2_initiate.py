@@ -22,7 +22,7 @@ from dpstack.dpv1.master.ms2_connection import (
     Phase,
 )
 from dpstack.dpv1.master.orders import InitiateDone, OpenConnection
-from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Polling, Reply
+from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Polling, Reply, unreadable_outcome
 from dpstack.dpv1.pdu.ms2 import AbortReason, InitiateRes, Instance, ResourceManagerRes
 from dpstack.dpv1.pdu.read_write import Function, Negative, parse_response
 from dpstack.errors import PduError
@@ -135,8 +135,7 @@ class InitiateJob(ConnectionJob):
                 return Outcome(ServiceFailure.NEGATIVE, text, codes=codes, status=status)
             self._response = InitiateRes.parse(octets)
         except PduError as error:
-            text = f"slave {self.address} answers Initiate with what cannot be read: {error}"
-            return self.unreadable(Outcome(ServiceFailure.LENGTH, text), now)
+            return self.unreadable(unreadable_outcome(self.address, self.title, error), now)
         if connection.phase is not Phase.OPENING:  # closed meanwhile
             return self.connection_over()
         connection.max_len = min(self._response.max_len or MAX_RECORD, MAX_RECORD)

@@ -161,7 +161,7 @@ def service_outcome(address: int, service: Service, octets: bytes) -> Outcome | 
         transports = isinstance(service, DataTransport) and octets[:1] == bytes((Function.DATA_TRANSPORT,))
         response = DataTransport.parse(octets) if transports else parse_response(octets)
     except PduError as error:
-        return Outcome(ServiceFailure.LENGTH, f"{who} answers {title} with what cannot be read: {error}")
+        return unreadable_outcome(address, title, error)
     if isinstance(response, Negative):
         return negative_outcome(address, title, response) if response.function == service.function else None
     if (response.slot, response.index) != (service.slot, service.index):
@@ -180,6 +180,11 @@ def service_outcome(address: int, service: Service, octets: bytes) -> Outcome | 
                 return Outcome(ServiceFailure.LENGTH, text)
             return Outcome()
     return None
+
+
+def unreadable_outcome(address: int, title: str, error: PduError) -> Outcome:
+    """The outcome of the service ``title`` by octets of the slave at ``address`` that are no PDU."""
+    return Outcome(ServiceFailure.LENGTH, f"slave {address} answers {title} with what cannot be read: {error}")
 
 
 def negative_outcome(address: int, title: str, response: Negative) -> Outcome:

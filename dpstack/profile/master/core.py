@@ -49,7 +49,6 @@ _CLOSE: Final = 0.01
 _BELIEVED: Final = 0.02
 
 _LEAST_NS: Final = 20 * NS_PER_MS
-_LOST: Final = "the drive left data exchange"
 T = TypeVar("T")
 
 
@@ -220,7 +219,7 @@ class DriveCore:
         self.now = now
         self.online = False
         self._called_at = None
-        self._orders.end("lost", _LOST)
+        self._orders.end(CommandError("lost", "the drive left data exchange"))
         if self.access is not None:
             self.access.reset()
         for lookup in self.lookups:
@@ -243,7 +242,7 @@ class DriveCore:
             steps = self._steps(op, checked)
             checked.done()
         except CommandError as error:
-            self._orders.refused(token, error)
+            self._orders.failed(token, error)
             return
         self._orders.begin(DriveJob(op, token, steps, motion=op in _MOTION))
 

@@ -157,7 +157,7 @@ class DriveJobs:
         if job.motion:
             for other in [other for other in self._jobs if other.motion]:
                 self._drop(other)
-                self._failed(other.token, "usage", f"{other.op} was superseded by {job.op}")
+                self.failed(other.token, CommandError("usage", f"{other.op} was superseded by {job.op}"))
         self._jobs.append(job)
         self._resume(job)
 
@@ -173,12 +173,12 @@ class DriveJobs:
                 if now >= job.due_ns or status != job.status:
                     self._resume(job)
 
-    def end(self, kind: ErrorKind, text: str) -> None:
+    def end(self, error: CommandError) -> None:
         """End all jobs, as failed."""
         jobs, self._jobs = self._jobs, []
         for job in jobs:
             job.steps.close()
-            self._failed(job.token, kind, text)
+            self.failed(job.token, error)
 
     def cancel(self, token: int | None) -> int:
         """End the orders with ``token`` without a result; their number."""
@@ -187,9 +187,11 @@ class DriveJobs:
             self._drop(job)
         return len(ended)
 
-    def refused(self, token: int, error: CommandError) -> None:
-        """Result of an order that was not begun."""
-        self._failed(token, error.kind, error.text, error.number)
+    def failed(self, token: int | None, error: CommandError) -> None:
+        """The result event of an order that failed; none without a ``token``."""
+        if token is not None:
+            why = {"error": error.kind, "number": error.number, "text": error.text}
+            self.tell({"type": "result", "token": token, "ok": False, **why})
 
     def tell(self, event: dict[str, object]) -> None:
         self._events.append(event)
@@ -218,12 +220,7 @@ class DriveJobs:
                 self._events.append({"type": "result", "token": job.token, "ok": True, **done.value})
         except CommandError as error:
             self._jobs.remove(job)
-            self._failed(job.token, error.kind, error.text, error.number)
+            self.failed(job.token, error)
         except BaseException:
             self._jobs.remove(job)
             raise
-
-    def _failed(self, token: int | None, kind: ErrorKind, text: str, number: int | None = None) -> None:
-        if token is not None:
-            error = {"error": kind, "number": number, "text": text}
-            self._events.append({"type": "result", "token": token, "ok": False, **error})

@@ -121,8 +121,7 @@ def test_old_data_come_before_the_request_is_taken() -> None:
 def test_idle_from_the_master() -> None:
     kit = connected()
     kit.run(500)
-    idles = [pdu for sap, pdu in kit.slave.heard if pdu[:1] == b"\x48"]
-    assert idles == [b"\x48\x01"] * 7  # every third of 200 ms
+    assert kit.slave.received(0x48) == [b"\x48\x01"] * 7  # every third of 200 ms
     assert kit.read(1).outcome.data == b"\1\2"
     kit.close(1)
     kit.freed()
@@ -133,7 +132,7 @@ def test_services_are_signs_of_life() -> None:
     for _ in range(10):
         kit.read(1)
         kit.run(50)
-    assert all(pdu[:1] != b"\x48" for _, pdu in kit.slave.heard)
+    assert not kit.slave.received(0x48)
 
 
 @pytest.mark.parametrize("answers", [False, True], ids=["Idle", "its answer"])
@@ -222,7 +221,7 @@ def test_the_answer_to_a_cancelled_service_is_fetched_without_another_service() 
     assert kit.slave.sessions[48].waiting
     kit.run(30)
     assert not kit.slave.sessions[48].waiting
-    assert all(pdu[:1] != b"\x48" for _, pdu in kit.slave.heard)
+    assert not kit.slave.received(0x48)
 
 
 def test_a_cancelled_service_that_was_never_sent_leaves_no_answer() -> None:
@@ -340,7 +339,7 @@ def test_misuse_raises_at_once() -> None:
     with pytest.raises(UsageError, match="32 services for slave 4 are waiting already"):
         kit.order_read(1, length=8)
     kit.run(300)
-    assert [pdu for _, pdu in kit.slave.heard if pdu[:1] == b"\x48"]  # and it is kept alive
+    assert kit.slave.received(0x48)  # and it is kept alive
 
 
 def test_addresses_and_profile_of_initiate() -> None:

@@ -105,8 +105,7 @@ def test_the_server_sap_refuses(answer: str, failure: ServiceFailure, text: str)
     if failure is ServiceFailure.ABORTED:
         octets = bytes.fromhex(answer)
         assert done.outcome.codes == (octets[1], octets[2] >> 4, octets[2] & 15)
-    told = [pdu for sap, pdu in kit.slave.heard if pdu[:1] == b"\x58"]
-    assert told == ([b"\x58\x00\x14"] if failure is ServiceFailure.LENGTH else [])  # ABT_RE
+    assert kit.slave.received(0x58) == ([b"\x58\x00\x14"] if failure is ServiceFailure.LENGTH else [])  # ABT_RE
 
 
 def test_the_longer_send_timeout_counts() -> None:
@@ -140,7 +139,7 @@ def test_a_server_sap_that_the_slave_names_twice_stays_with_its_connection() -> 
     done = kit.open()
     assert done.outcome.failure is ServiceFailure.WRONG
     assert "gives out server SAP 48, which is in use by this master" in done.text
-    assert all(pdu[:1] != b"\x58" for _, pdu in kit.slave.heard)
+    assert not kit.slave.received(0x58)
 
 
 @pytest.mark.parametrize("lost", [(0,), (0, 1), (1,), (1, 2), (2, 3), (3,), (4,), (5,)])

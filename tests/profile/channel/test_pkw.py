@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from acyclic_kit import octets
 from drive_bench import Times
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,11 +11,16 @@ from hypothesis import strategies as st
 from dpstack.profile import Pkw, PkwChannel, PkwDialect, PkwServer
 from dpstack.profile.channel.pkw import Exchange
 
-READ_400 = bytes.fromhex("11 90 00 00 00 00 00 00")
-REPLY_400 = bytes.fromhex("11 90 00 00 00 00 00 02")
+READ_400 = octets("11 90 00 00 00 00 00 00")
+REPLY_400 = octets("11 90 00 00 00 00 00 02")
 ZERO = bytes(8)
 STRICT = PkwDialect(answers={1: (1, 2), 2: (1,), 6: (4, 5)}, errors={0: "none"})
 LOOSE = PkwDialect(answers={1: (1,), 2: (1,)}, errors={}, zero_between=False)
+
+
+def channel(dialect: PkwDialect = STRICT) -> PkwChannel:
+    """The master's end of a drive, at time 0."""
+    return PkwChannel(dialect, Times())
 
 
 def busy(client: PkwChannel) -> bool:
@@ -27,15 +33,15 @@ def answered(exchange: Exchange) -> bool:
 
 def test_octets_of_the_manuals() -> None:
     assert Pkw(1, 400).build() == READ_400
-    assert Pkw(8, 480, 3, 0xFFFF8AD0).build() == bytes.fromhex("81 E0 03 00 FF FF 8A D0")
-    assert Pkw.parse(bytes.fromhex("51 E0 03 00 FF FF 8A D0")) == (5, 480, 3, 0xFFFF8AD0)
-    assert Pkw(2, 0x104, 0x1A, 15).build() == bytes.fromhex("21 04 1A 00 00 00 00 0F")
+    assert Pkw(8, 480, 3, 0xFFFF8AD0).build() == octets("81 E0 03 00 FF FF 8A D0")
+    assert Pkw.parse(octets("51 E0 03 00 FF FF 8A D0")) == (5, 480, 3, 0xFFFF8AD0)
+    assert Pkw(2, 0x104, 0x1A, 15).build() == octets("21 04 1A 00 00 00 00 0F")
     # SPM (bit 11) and IND's low octet are not ours to judge
-    assert Pkw.parse(bytes.fromhex("19 90 00 FF 00 00 00 02")) == (1, 400, 0, 2)
+    assert Pkw.parse(octets("19 90 00 FF 00 00 00 02")) == (1, 400, 0, 2)
 
 
 def test_d4_the_master_holds_its_order_until_the_reply_then_sends_zero_and_waits_for_zero() -> None:
-    client = PkwChannel(STRICT, Times())
+    client = channel()
     assert not busy(client)
     first, second = client.submit(Pkw(1, 400)), client.submit(Pkw(6, 480, 3))
     assert busy(client)
@@ -50,8 +56,8 @@ def test_d4_the_master_holds_its_order_until_the_reply_then_sends_zero_and_waits
         client.step(REPLY_400, 0)
     assert not answered(second)
     client.step(ZERO, 0)
-    assert client.octets == bytes.fromhex("61 E0 03 00 00 00 00 00")
-    client.step(bytes.fromhex("51 E0 03 00 00 00 01 F4"), 0)
+    assert client.octets == octets("61 E0 03 00 00 00 00 00")
+    client.step(octets("51 E0 03 00 00 00 01 F4"), 0)
     assert second.reply == (5, 480, 3, 500)
     client.step(ZERO, 0)
     assert not busy(client)
@@ -59,10 +65,10 @@ def test_d4_the_master_holds_its_order_until_the_reply_then_sends_zero_and_waits
 
 
 def test_an_answer_for_another_parameter_is_not_accepted_but_kept() -> None:
-    client = PkwChannel(STRICT, Times())
+    client = channel()
     exchange = client.submit(Pkw(1, 400))
     client.step(ZERO, 0)
-    client.step(bytes.fromhex("11 91 00 00 00 00 00 07"), 0)
+    client.step(octets("11 91 00 00 00 00 00 07"), 0)
     assert exchange.reply is None
     assert exchange.stray == (1, 401, 0, 7)
     assert client.octets == READ_400
@@ -71,7 +77,7 @@ def test_an_answer_for_another_parameter_is_not_accepted_but_kept() -> None:
 
 
 def test_a_cancelled_order_is_withdrawn_with_zero() -> None:
-    client = PkwChannel(STRICT, Times())
+    client = channel()
     running, queued = client.submit(Pkw(1, 400)), client.submit(Pkw(1, 401))
     client.step(ZERO, 0)
     client.cancel(queued)
@@ -84,37 +90,37 @@ def test_a_cancelled_order_is_withdrawn_with_zero() -> None:
 
 
 def test_without_the_rule_of_zero_a_stale_reply_is_not_the_answer() -> None:
-    client = PkwChannel(LOOSE, Times())
+    client = channel(LOOSE)
     first, second, third = (client.submit(Pkw(1, pnu)) for pnu in (0x10F, 0x104, 0x104))
     client.step(ZERO, 0)
-    client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"), 0)
+    client.step(octets("11 0F 00 00 00 00 00 03"), 0)
     assert first.reply is not None
-    client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"), 0)  # the drive still repeats it
-    assert client.octets == bytes.fromhex("11 04 00 00 00 00 00 00")
-    client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"), 0)
+    client.step(octets("11 0F 00 00 00 00 00 03"), 0)  # the drive still repeats it
+    assert client.octets == octets("11 04 00 00 00 00 00 00")
+    client.step(octets("11 0F 00 00 00 00 00 03"), 0)
     assert not answered(second)
-    client.step(bytes.fromhex("11 04 00 00 00 00 00 05"), 0)
+    client.step(octets("11 04 00 00 00 00 00 05"), 0)
     assert second.reply == (1, 0x104, 0, 5)
     # an equal order: 0 in between
-    client.step(bytes.fromhex("11 04 00 00 00 00 00 05"), 0)
+    client.step(octets("11 04 00 00 00 00 00 05"), 0)
     assert client.octets == ZERO
     assert third.reply is None
     client.step(ZERO, 0)
-    assert client.octets == bytes.fromhex("11 04 00 00 00 00 00 00")
+    assert client.octets == octets("11 04 00 00 00 00 00 00")
 
 
 def test_without_the_rule_of_zero_a_write_is_not_answered_by_the_read_before_it() -> None:
     """A drive repeats its last reply: F26 read as 2, then F26 := 15, must not end with that 2."""
-    client = PkwChannel(LOOSE, Times())
+    client = channel(LOOSE)
     read, write = client.submit(Pkw(1, 0x104, 0x1A)), client.submit(Pkw(2, 0x104, 0x1A, 15))
     client.step(ZERO, 0)
     for _ in range(3):
-        client.step(bytes.fromhex("11 04 1A 00 00 00 00 02"), 0)
+        client.step(octets("11 04 1A 00 00 00 00 02"), 0)
     assert read.reply == (1, 0x104, 0x1A, 2)
     assert (client.octets, write.reply) == (ZERO, None)
     client.step(ZERO, 0)
-    assert client.octets == bytes.fromhex("21 04 1A 00 00 00 00 0F")
-    client.step(bytes.fromhex("11 04 1A 00 00 00 00 0F"), 0)
+    assert client.octets == octets("21 04 1A 00 00 00 00 0F")
+    client.step(octets("11 04 1A 00 00 00 00 0F"), 0)
     assert write.reply == (1, 0x104, 0x1A, 15)
 
 
@@ -130,10 +136,10 @@ def test_an_order_that_timed_out_is_not_answered_into_the_next_one(dialect: PkwD
     for now in (12, 50, 109):
         client.step(ZERO, now)
         assert client.octets == ZERO
-    client.step(bytes.fromhex("11 90 00 00 00 00 00 01"), 60)
+    client.step(octets("11 90 00 00 00 00 00 01"), 60)
     assert (client.octets, again.reply) == (ZERO, None)
     client.step(ZERO, 70)  # the drive has seen both orders
-    assert client.octets == bytes.fromhex("21 90 00 00 00 00 00 02")
+    assert client.octets == octets("21 90 00 00 00 00 00 02")
     silent = client.submit(Pkw(1, 400))
     times.now = 200
     client.cancel(again)
@@ -147,7 +153,7 @@ def test_an_order_that_timed_out_is_not_answered_into_the_next_one(dialect: PkwD
 def test_the_first_order_waits_until_the_reply_is_zero() -> None:
     """docs/drives/demag.md#handshake-of-the-parameter-channel: both start at 0; after a re-entry a drive may show its
     last reply for one more scan."""
-    client = PkwChannel(STRICT, Times())
+    client = channel()
     exchange = client.submit(Pkw(1, 400))
     client.step(REPLY_400, 0)
     client.step(REPLY_400, 0)
@@ -158,7 +164,7 @@ def test_the_first_order_waits_until_the_reply_is_zero() -> None:
 
 
 def test_reset_starts_at_zero() -> None:
-    client = PkwChannel(STRICT, Times())
+    client = channel()
     client.submit(Pkw(1, 400))
     client.step(ZERO, 0)
     client.reset()
@@ -175,11 +181,11 @@ def test_d4_the_slave_ignores_a_new_order_until_it_answered_zero_with_zero() -> 
 
     server = PkwServer(STRICT, handler)
     assert server.step(ZERO) == ZERO
-    assert server.step(READ_400) == bytes.fromhex("11 90 00 00 00 00 00 01")
-    assert server.step(READ_400) == bytes.fromhex("11 90 00 00 00 00 00 01")
-    assert server.step(bytes.fromhex("11 91 00 00 00 00 00 00")) == bytes.fromhex("11 90 00 00 00 00 00 01")
+    assert server.step(READ_400) == octets("11 90 00 00 00 00 00 01")
+    assert server.step(READ_400) == octets("11 90 00 00 00 00 00 01")
+    assert server.step(octets("11 91 00 00 00 00 00 00")) == octets("11 90 00 00 00 00 00 01")
     assert server.step(ZERO) == ZERO
-    assert server.step(bytes.fromhex("11 91 00 00 00 00 00 00")) == bytes.fromhex("11 91 00 00 00 00 00 02")
+    assert server.step(octets("11 91 00 00 00 00 00 00")) == octets("11 91 00 00 00 00 00 02")
     assert [order.pnu for order in done] == [400, 401]
     server.reset()
     assert server.step(READ_400)[7] == 3
@@ -193,15 +199,15 @@ def test_a_loose_slave_repeats_reads_with_the_momentary_value_and_writes_once() 
         return 1, len(calls)
 
     server = PkwServer(LOOSE, handler)
-    write = bytes.fromhex("21 04 1A 00 00 00 00 0F")
-    read = bytes.fromhex("11 04 1A 00 00 00 00 00")
-    assert [server.step(octets)[7] for octets in (write, write, read, read, write)] == [1, 1, 2, 3, 4]
+    write = octets("21 04 1A 00 00 00 00 0F")
+    read = octets("11 04 1A 00 00 00 00 00")
+    assert [server.step(order)[7] for order in (write, write, read, read, write)] == [1, 1, 2, 3, 4]
     assert calls == [2, 1, 1, 2]
 
 
 @given(st.lists(st.binary(min_size=8, max_size=8), max_size=20), st.booleans())
 def test_any_replies_never_raise(replies: list[bytes], strict: bool) -> None:
-    client = PkwChannel(STRICT if strict else LOOSE, Times())
+    client = channel(STRICT if strict else LOOSE)
     for reply in replies:
         if not client.busy:
             client.submit(Pkw(1, 400))

@@ -9,11 +9,19 @@ from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.profile.model.jobs import CommandError
 from dpstack.profile.record47.client import PLUGIN, PROGRAM, ParameterClient
 from dpstack.profile.record47.param_lists import defined, describe, read_limits, texts
-from dpstack.profile.record47.pdu import Address, Answer, ErrorValue, Limits, Refused, Service, Silent, Values
+from dpstack.profile.record47.pdu import Address, Answer, ErrorValue, Limits, Refused, Result, Service, Silent, Values
+
+#: the results of a Read of 965 that is answered by ``IS_965``
+VALUE_965 = [Values(6, (0x328,))]
 
 
 def client(**limits: int) -> ParameterClient:
     return ParameterClient(1, limits=Limits(**limits))
+
+
+def read_965(drive: Script, master: ParameterClient | None = None) -> list[Result]:
+    """The result of a Read of parameter 965."""
+    return talk((client() if master is None else master).read([Address(965)]), drive)
 
 
 # -- one request -----------------------------------------------------------------------------------------------------
@@ -22,7 +30,7 @@ def client(**limits: int) -> ParameterClient:
 def test_l8_965_as_the_manual_prints_it() -> None:
     drive = Script("", BUSY, BUSY, IS_965)
     master = client()
-    assert talk(master.read([Address(965)]), drive) == [Values(6, (0x328,))]
+    assert read_965(drive, master) == VALUE_965
     assert drive.said == [READ_965, "5E 01 2F F0", "pause 2 ms", "5E 01 2F F0", "pause 4 ms", "5E 01 2F F0"]
     assert (master.counters.requests, master.counters.services, master.counters.busy) == (1, 4, 2)
     assert master.counters.octets == 10 + 8
@@ -30,19 +38,19 @@ def test_l8_965_as_the_manual_prints_it() -> None:
 
 def test_a_drive_that_still_carries_out_another_request_is_asked_again() -> None:
     drive = Script(BUSY, Refused(0xC2), "", IS_965)
-    assert talk(client().read([Address(965)]), drive) == [Values(6, (0x328,))]
+    assert read_965(drive) == VALUE_965
     assert drive.said[:4] == [READ_965, "pause 2 ms", READ_965, "pause 4 ms"]
 
 
 def test_a_drive_that_stays_busy() -> None:
     drive = Script("", *[BUSY] * 100)
     with pytest.raises(CommandError, match="record 47 of slot 1: the drive did not answer within 2000 ms") as caught:
-        talk(client().read([Address(965)]), drive)
+        read_965(drive)
     assert caught.value.kind == "timeout"
     assert drive.now == pytest.approx(2000 * MS, abs=60 * MS)
     drive = Script(*[BUSY] * 100)
     with pytest.raises(CommandError, match=r"the drive is still busy \(error B/5, state conflict\)"):
-        talk(client().read([Address(965)]), drive)
+        read_965(drive)
 
 
 def test_the_time_is_limited_by_the_caller_and_by_the_latency_of_the_drive() -> None:
@@ -59,11 +67,11 @@ def test_an_answer_to_another_request_is_never_accepted() -> None:
     late, garbage, other = "07 01 01 01 06 01 00 07", "07 01", "01 02 01 01"
     drive = Script("", late, garbage, other, IS_965)
     master = client()
-    assert talk(master.read([Address(965)]), drive) == [Values(6, (0x328,))]
+    assert read_965(drive, master) == VALUE_965
     assert (master.counters.strays, master.counters.garbage) == (2, 1)
     stuck = Script("", *[late] * 100)
     with pytest.raises(CommandError, match=r"the drive answers request 7 \(id 1\) instead of ours"):
-        talk(client().read([Address(965)]), stuck)
+        read_965(stuck)
 
 
 def test_each_request_has_a_reference_of_its_own_and_never_0() -> None:
@@ -72,7 +80,7 @@ def test_each_request_has_a_reference_of_its_own_and_never_0() -> None:
         said: list[str] = []
         for reference in (*references, references.start):
             drive = Script("", f"{reference:02X} 01 01 01 06 01 00 00")
-            talk(master.read([Address(965)]), drive)
+            read_965(drive, master)
             said.append(drive.said[0][12:14])
         assert len(set(said)) == len(references)
         assert " ".join((*said[:2], *said[-2:])) == expected
@@ -82,7 +90,7 @@ def test_a_lost_write_of_a_reading_request_is_repeated_that_of_a_change_is_not()
     lost = Silent("slave 9 does not answer Write")
     drive = Script(lost, lost, "", IS_965)
     master = client()
-    assert talk(master.read([Address(965)]), drive) == [Values(6, (0x328,))]
+    assert read_965(drive, master) == VALUE_965
     assert drive.said == [READ_965, READ_965, READ_965, "5E 01 2F F0"]
     assert (master.counters.requests, master.counters.services, master.counters.repeated) == (1, 4, 2)
     for answers, order in (
@@ -107,7 +115,7 @@ def test_a_response_that_was_lost_on_the_way_is_asked_for_anew() -> None:
 
     drive = Lost("", "", IS_965)
     master = client()
-    assert talk(master.read([Address(965)]), drive) == [Values(6, (0x328,))]
+    assert read_965(drive, master) == VALUE_965
     assert [one for one in drive.said if one.startswith("5F")] == [READ_965, READ_965]
     assert drive.now == pytest.approx(1000 * MS, abs=60 * MS)
     assert master.counters.repeated == 1
@@ -121,7 +129,7 @@ def test_a_read_that_another_clients_request_replaced_is_sent_again_a_change_is_
     ours, other = "80 01 01 01 06 01 03 28", "05 01 01 01 06 01 00 07"
     drive = Script("", other, "", ours)
     master = ParameterClient(1, references=PROGRAM)
-    assert talk(master.read([Address(965)]), drive) == [Values(6, (0x328,))]
+    assert read_965(drive, master) == VALUE_965
     assert [one[:2] for one in drive.said] == ["5F", "5E", "5F", "pa", "5E"]
     change = Script("", *[other] * 100)
     with pytest.raises(CommandError, match=r"the drive answers request 5 \(id 1\) instead of ours"):
@@ -143,7 +151,7 @@ def test_refusals_and_impossible_answers_end_at_once(
     answers: tuple[str | Refused, ...], text: str, number: int | None
 ) -> None:
     with pytest.raises(CommandError, match=text) as caught:
-        talk(client().read([Address(965)]), Script(*answers))
+        read_965(Script(*answers))
     assert (caught.value.kind, caught.value.number) == ("parameter", number)
 
 
