@@ -48,7 +48,7 @@ def listening(folder: Path) -> Path:
     return folder / "socket"
 
 
-#: what is no ordinary file, and what is said of it
+#: kinds of files that are not ordinary ones, and the message about each
 STRANGE: dict[str, tuple[Callable[[Path], Path], str]] = {
     "pipe": (pipe, "is a pipe, no ordinary file"),
     "socket": (listening, "is a socket, no ordinary file"),

@@ -56,7 +56,7 @@ SLAVE = {"slave": "valves", "address": 8, "slot": 1}
 LISTED = {"name": "412", "number": 412, "title": "control", "data_set": 1, "unit": "", "per_unit": 1}
 VALUE = {"number": 412, "name": "412", "value": 1, "raw": 1, "unit": "", "data_set": 1}
 HELP = {"kind": "run", "port": "/dev/plant", "pid": 4711, "name": "/dev/plant", "config": "PLANT", "commands": []}
-#: what is typed, which request is answered by what, and what came before it
+#: command line, request, answer to it, and the items before the answer
 ORDERS: dict[str, tuple[list[str], str, Any, list[Any]]] = {
     "help": (
         ["ctl", "/dev/plant"], "help", {**HELP, "commands": [{"command": "status", "args": "", "text": "t"}]}, [],
@@ -86,7 +86,7 @@ ORDERS: dict[str, tuple[list[str], str, Any, list[Any]]] = {
     ),
 }  # fmt: skip
 ORDERS["read"][2]["length"] = 2
-#: in the place of what belongs there
+#: values in the place of the right one
 STRANGE: list[Any] = [None, "x\x1b]0;owned\x07\ud800", 10**400, []]
 
 
@@ -140,7 +140,7 @@ def peer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Peer:
 
 
 def run(argv: list[str]) -> tuple[int, str, str]:
-    """The exit code and what was printed; an error is one line, and nothing of a peer's reaches a terminal as it is."""
+    """Exit code and output. An error is one line; text of the peer never reaches a terminal unescaped."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main([{"PLANT": "plant.toml", "DUMP": "dump.toml"}.get(arg, arg) for arg in argv])

@@ -1,4 +1,4 @@
-"""Any octets to any SAP of every simulated device, in every state: nothing raises, nothing breaks, nothing is kept."""
+"""Any octets to any SAP of every simulated device, in every state: no exception, no broken state, nothing left open."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dpstack.gsd.identifiers import io_lengths
 from dpstack.profile.registry import find
 
 INITIATE: Final = "57 00 00 00 00 64 01 00 00 00 00 00 00 02 00 02 00 00 00 00"
-#: requests as they should be, which are then bent
+#: right requests, which :meth:`Attacker.bent` damages
 PDUS: Final = [
     "",
     "",
@@ -79,7 +79,7 @@ class Attacker:
         self.prm = self.find_prm(device)
 
     def find_prm(self, device: Device) -> bytes:
-        """Parameters that it takes: the shortest ones with everything of DP-V1 enabled that it has."""
+        """The shortest parameters that the device accepts, with all of DP-V1 enabled that it has."""
         head = bytes.fromhex("80 01 01 0B") + device.ident.to_bytes(2, "big") + b"\0"
         for status in (b"\x80\xfc\0", b"\x80\x40\0", b"\x80\0\0", b"\0\0\0", b""):
             for length in range(16):

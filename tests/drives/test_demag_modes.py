@@ -32,7 +32,7 @@ def started(speed: str = "20 00") -> PluginBench:
 
 
 def words(bench: PluginBench, ms: int, offset: int = 0) -> set[str]:
-    """The different control words of some time, in hex."""
+    """The different control words sent within some time, in hex."""
     return {bench.run()[offset : offset + 2].hex().upper() for _ in range(ms * MS // bench.rotation)}
 
 
@@ -200,7 +200,7 @@ def test_without_a_channel_a_slow_ramp_is_left_alone() -> None:
 @pytest.mark.parametrize("op", ["stop", "quick_stop"])
 @pytest.mark.parametrize(("telegram", "lead"), [("PPO3", ""), ("PPO1", ZERO)])
 def test_412_that_changed_while_the_drive_stands_gets_no_word_of_a_stop(telegram: str, lead: str, op: str) -> None:
-    """It showed 0x40 and was ours; now another data set is active, 412 = 2 in it, and the drive shows 0x23."""
+    """With 412 = 1 the drive showed 0x40; now another data set with 412 = 2 is active, and it shows 0x23."""
     bench = plugin(lead + "02 40 00 00", telegram)
     token = bench.order("start", timeout_s=4)
     if lead:

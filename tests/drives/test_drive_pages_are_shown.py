@@ -41,7 +41,7 @@ _OCTETS: Final = re.compile(r"\b[0-9A-Fa-f]{2}(?: [0-9A-Fa-f]{2})+\b")
 
 @cache
 def definitions(path: Path) -> dict[str, ast.AST]:
-    """What a module defines at its top, and what it takes from the kits beside it, by name."""
+    """The definitions at the top of a module, and those that it imports from kits, by name."""
     found: dict[str, ast.AST] = {}
     for node in ast.parse(path.read_text()).body:
         match node:

@@ -143,7 +143,7 @@ def test_a_request_given_up_keeps_the_channel_until_the_drive_confirms_it() -> N
 
 
 def test_after_a_new_start_the_drives_own_handshake_bit_is_taken() -> None:
-    """It may stand at 1 from before; after the settling time it is believed."""
+    """The bit may be 1 from before; after the settling time the plugin takes it as it is."""
     core = KebChannel(Times(settle_ns=100))
     request: Generator[None, None, object] = core.read(ParamKey("oP.3"), 10**9)
     next(request)

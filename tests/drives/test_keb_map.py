@@ -216,7 +216,7 @@ def test_k7_a_change_resets_the_enable_and_is_lost_without_it() -> None:
 
 
 def test_k7_the_enable_is_answered_by_an_error_and_the_map_acts_after_power_on() -> None:
-    """Which error is a reading: 8/0/0034."""
+    """The number of the error is a reading: 8/0/0034."""
     line = Requests()
     line.write("60 00", [2, 0x2200, 1] + 14 * [0])
     assert line.ask(2, 0, "5F F8", 0xFF) == "error 08 00 00 34"

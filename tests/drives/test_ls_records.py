@@ -39,7 +39,7 @@ def service(bench: LsBench, request: str) -> str:
 
 
 def asked(bench: LsBench, request: str) -> str:
-    """What comes of a request: written, read until it is ready."""
+    """The response to a request: it is written, then read until the drive is ready."""
     length = len(octets(request))
     assert service(bench, f"5F 01 2F {length:02X} {request}") == f"5F 01 2F {length:02X}"
     while (answer := service(bench, "5E 01 2F F0")) == BUSY:
@@ -143,7 +143,7 @@ class Master:
         self.bench = PluginBench(DRIVE.core("pump", telegram, ALONE, records=self.queue), inputs)
 
     def asks(self) -> str:
-        """What it wants of the slave within a second, in octets."""
+        """The next service that the plugin asks for within a second, in octets."""
         for _ in range(500):
             pending = self.queue.take()
             if pending is not None:

@@ -1,4 +1,4 @@
-"""What commands share of the terminal: output, reports, signals.
+"""Terminal of the commands: output, reports, signals.
 
 - ``drawing``: Lines, tables and bars of progress as rich draws them on a terminal
 - ``nonblocking_stdout``: Standard streams that never block the program: a thread writes the queued output

@@ -11,7 +11,7 @@ from typing import Final
 from dpstack.profile import NS_PER_MS, drivecom_states
 
 BIT: Final = drivecom_states.STATUS.mask("toggle")
-#: what 880 makes of an answer that does not come
+#: reactions of 880 to a missing answer
 OFF, FAULT, SWITCH_OFF, QUICK_STOP = range(4)
 
 

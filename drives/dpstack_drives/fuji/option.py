@@ -13,7 +13,7 @@ AUTO: Final = -1
 
 
 class OptionCard:
-    """``live``: what shows at a PNU or an assignment at this moment, None for what the store holds.
+    """``live``: the present value of a PNU or an assignment, None where it is the stored one.
 
     Readings: the channel answers error 17 without the inverter's power; a write of a function code that is out of its
     range, or that can only be read, is ignored when it comes by PCD.

@@ -23,7 +23,7 @@ from dpstack_drives.imo import pzd
 from dpstack_drives.imo import table as t
 from dpstack_drives.imo.channel import PKW, Request, Response
 
-#: made up: what the motor is
+#: data of the motor (made up)
 _RATED_HZ: Final = 50.0
 _RPM_PER_HZ: Final = 30.0
 _RATED_VOLTS, _BUS_VOLTS = 400.0, 540.0
@@ -42,7 +42,7 @@ _RUNS: Final = {
 }
 _COMMANDS: Final = {int(command): command for command in t.Command if command is not t.Command.NONE}
 _INCHES: Final = frozenset({t.Command.INCH_FORWARD, t.Command.INCH_REVERSE})
-#: what the inverter does without its master
+#: reactions of the inverter to the loss of its master
 GO_ON, STOP, COAST, TRIP = "go_on", "stop", "coast", "fault"
 
 

@@ -10,7 +10,7 @@ from dpstack_drives.keb import table as t
 from dpstack_drives.keb.channel import RefusedError
 from dpstack_drives.keb.pdmap import Entry
 
-#: what process data write: never stored
+#: parameters that process data write: never stored
 _VOLATILE: Final = frozenset({t.CONTROL_WORD, t.SET_SPEED, t.CONTROL_LONG})
 _PASSWORD, _PASSWORD_INDEX = 440, 0x2801
 
@@ -41,7 +41,7 @@ class Parameters:
         return spec is not None and spec.long == entry.long
 
     def fetch(self, entry: Entry) -> int:
-        """For the operator; of sets with different values the first (a reading)."""
+        """The value for the operator; of sets with different values the first one (a reading)."""
         spec = t.PARAMETERS.get(entry.index)
         if spec is None:
             return 0

@@ -15,7 +15,7 @@ from dpstack_drives.keb.watchdog import Life, Watchdog
 
 #: the quick stop ramp in parts of the reference per second (made up)
 _QUICK: Final = 5.0
-#: what oP.10 and the ramps refer to, in Hz (made up)
+#: reference of oP.10 and of the ramps in Hz (made up)
 _RATED_HZ: Final = 50.0
 _TRIPS_AT_ONCE, _STOPS_FIRST = 0, 1
 

@@ -9,7 +9,7 @@ from dpstack.profile import DriveDevice, ParamSpec, Pkw, ReplyId, TaskId
 from dpstack_drives.ls import table as t
 
 _READS: Final = frozenset({TaskId.READ, TaskId.READ_ARRAY})
-#: what the module does not do; the error numbers are a reading
+#: requests that the module does not support, with their errors (a reading)
 _REFUSED: Final = {3: 0x05, 8: 0x05, 4: 0x09, 5: 0x07, 9: 0x04}
 _ILLEGAL_FORMAT: Final = 0x17
 #: not while the motor turns (a reading)
@@ -19,7 +19,7 @@ _TRIP_COUNTER_END: Final = 0x10000
 
 
 class Module:
-    """Answers orders. ``live``: what shows at a PNU or an address at this moment, None for what the store holds.
+    """Answers orders. ``live``: the present value of a PNU or an address, None where it is the stored one.
 
     ``changed`` is called with the address of every parameter written.
     """

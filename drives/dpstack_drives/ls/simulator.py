@@ -33,7 +33,7 @@ from dpstack_drives.ls.settings import Settings
 _STOPS: Final = t.LS_CONTROL.mask("stop", "emergency")
 
 
-#: made up: what the motor is
+#: data of the motor (made up)
 _RATED_VOLTS, _RATED_WATTS = 380, 7500
 
 

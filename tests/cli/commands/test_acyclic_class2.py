@@ -51,7 +51,7 @@ def plant(tmp_path: Path) -> Path:
 
 
 class Field:
-    """The slave at 8 in data exchange with master 2, which is not ours to stop; ``buses``: what the command made."""
+    """The slave at 8 in data exchange with another master, 2; ``buses``: the buses of the command."""
 
     def __init__(self) -> None:
         self.world = dpstack.World()
@@ -74,7 +74,7 @@ class Field:
         return self.buses[-1]
 
     def check(self) -> None:
-        """Nobody noticed, and nothing is kept."""
+        """The owner of the slave has lost no telegram, and no connection is left."""
         handler = self.owner.handlers[8]
         assert handler.state is SlaveState.DATA_EXCHANGE
         counted = self.station.stats.stations[8]

@@ -35,7 +35,7 @@ def bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def address(capsys: pytest.CaptureFixture[str], bus: Path, *args: str) -> tuple[int, str, str]:
-    """What it ends with and says. Whom a busy computer kept from answering is asked again: nothing was changed yet."""
+    """Exit code and output. Asks again where a busy computer kept the slave from answering: nothing was changed yet."""
     end = time.monotonic() + HANG_S
     while True:
         code = main(["address", *args, "--port", str(bus / "1"), "--baud", "500000"])

@@ -137,7 +137,7 @@ def test_version(cli: Cli) -> None:
 
 
 def test_run_ends_with_1_when_a_slave_is_missing(plant: str, cli: Cli) -> None:
-    """Nobody is at the other end of a new pty."""
+    """A new pty has no station at its other end."""
     err = cli.err("run", plant, "--port", "pty", "--seconds", "0.2", "--json", code=1).splitlines()
     assert err[0].startswith("dpstack: slave 3 (hoist) is not in data exchange: ")
     assert len(err) == 2

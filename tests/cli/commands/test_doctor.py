@@ -37,7 +37,7 @@ def port(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def computer(tmp_path: Path, port: Path) -> Computer:
-    """One on which all is well, with one FTDI adapter."""
+    """A computer without findings, with one FTDI adapter."""
     plug_in(tmp_path / "sys", "ttyUSB0", usb="0403:6014")
     (tmp_path / "proc").mkdir()
     return Computer(

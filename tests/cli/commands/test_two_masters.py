@@ -59,11 +59,11 @@ class Plant:
         return self.start("baud", "--port", str(self.bus / str(station)), "--timeout", "20", "--json")
 
     def twin(self, station: int) -> Program:
-        """One more master with address 2."""
+        """Start a second master with address 2."""
         return self.start("run", self.configs[2], "--port", str(self.bus / str(station)), "--json")
 
     def judge_twin(self, twin: Program) -> None:
-        """It has not sent an octet, and says why."""
+        """The second master with address 2 has sent no octet, and says why."""
         assert twin.end(limit=60) == 1
         assert twin.err.startswith("dpstack: another station on the bus sends as address 2: staying out of the ring;")
         assert '"state":' not in twin.out

@@ -38,7 +38,7 @@ def assert_clean(*printed: str) -> None:
 
 @pytest.fixture(params=["pipe", "terminal"])
 def reader(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Who reads: rich draws for a terminal, here without colours."""
+    """The reader of the output: a pipe, or a terminal, for which rich draws (here without colours)."""
     if request.param == "terminal":
         monkeypatch.setattr(output, "on_terminal", lambda: True)
         monkeypatch.setenv("COLUMNS", "400")
@@ -123,7 +123,7 @@ drive = "demag-dedrive"
 
 
 def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
-    """The exit code and what was printed, which is clean."""
+    """Exit code and output, which must be clean."""
     try:
         code = main(argv)
     except SystemExit as end:
