@@ -10,8 +10,8 @@ Buses, all in virtual time:
   ``exchange_kit`` (one station, one slave), ``order_bus`` (a station with acyclic services, orders and their ends),
   and on that ``class2_kit``, ``ms1_kit``, ``alarm_kit`` (with a DP master), ``ms2_kit``.
 - ``scripted_link``: a DP master without link layer, its slaves answer by script.
-- ``api_kit``: configured slaves and buses of the public API in virtual time; ``virtual_kit``: the loop of virtual
-  time.
+- ``api_kit``: configured slaves, buses of the public API and slaves of the program in virtual time; ``virtual_kit``:
+  the loop of virtual time.
 - ``process_kit``: buses of the public API on a pty, with either driver.
 
 One end alone, the other in literal octets:

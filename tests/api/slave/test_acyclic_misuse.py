@@ -9,7 +9,7 @@ import pytest
 from api_kit import in_virtual_time, mirror, serving
 
 import dpstack
-from dpstack import AlarmType, RecordRefused, SlaveDescription, UsageError
+from dpstack import RecordRefused, SlaveDescription, UsageError
 from dpstack.profile.record47 import Address
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process",))
@@ -86,8 +86,6 @@ async def test_a_failed_function_is_reported_with_its_place(function: Any, text:
         async with bus.class2.connect(9) as connection:
             with pytest.raises(dpstack.AcyclicError, match="read error"):
                 await connection.read(1, 2)
-        with pytest.raises(UsageError, match="data = 3 is no octets"):
-            await slave.alarm(AlarmType.PROCESS, 1, data=odd(3))
         with pytest.raises(UsageError, match="data = 3 is no octets"):
             slave.status(1, 1, data=odd(3))
     assert any(text in event.text for event in events), events

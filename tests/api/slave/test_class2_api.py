@@ -1,4 +1,4 @@
-"""``bus.class2``: services of a class 2 master awaited, beside the masters of the slaves; every error typed."""
+"""``bus.class2``: the services of a class 2 master for its own slaves and those of other masters; their errors."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ async def test_its_own_slaves_by_name_and_address() -> None:
 @pytest.mark.parametrize("read_only", [False, True])
 @in_virtual_time
 async def test_the_slaves_of_another_master(read_only: bool) -> None:
-    """A read-only bus reads them as well, and nothing that writes leaves it."""
+    """A read-only bus reads them, too, and refuses the service that writes."""
     async with bus_of(NAMED, gap=1) as owner:
         await owner.ready()
         await owner.operate()
@@ -76,7 +76,7 @@ async def test_the_slaves_of_another_master(read_only: bool) -> None:
 
 
 class Settable(SlaveApp):
-    """Takes the address it is given, once when it is told so."""
+    """Takes each new address, and none after one with No_Add_Chg."""
 
     __slots__ = ("control", "locked")
 
@@ -107,7 +107,7 @@ def settable(world: World, address: int = 126) -> Settable:
 
 @in_virtual_time
 async def test_a_slave_as_delivered_gets_its_address_and_is_taken_up() -> None:
-    """The whole commissioning: 126 becomes 9, which the master of the same bus waits for."""
+    """The whole commissioning: 126 becomes 9, the address of a slave that the master waits for."""
     world = World()
     app = settable(world)
     async with bus_of(NAMED, world=world) as bus:
@@ -177,7 +177,7 @@ async def test_too_many_at_a_time() -> None:
 
 
 @in_virtual_time
-async def test_the_bus_is_closed_meanwhile_and_before() -> None:
+async def test_services_end_with_the_bus_and_need_an_open_one() -> None:
     bus = bus_of(NAMED)
     with pytest.raises(dpstack.UsageError, match="the bus is not open"):
         await bus.class2.config(9)
@@ -193,7 +193,7 @@ async def test_the_bus_is_closed_meanwhile_and_before() -> None:
 
 
 @in_virtual_time
-async def test_a_caller_that_gives_up_leaves_nothing_behind() -> None:
+async def test_cancelled_services_leave_the_queue() -> None:
     async with bus_of(NAMED) as bus:
         await bus.ready()
         with pytest.raises(TimeoutError):

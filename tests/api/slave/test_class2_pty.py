@@ -1,4 +1,4 @@
-"""``bus.class2`` on ptys, beside the data exchange of its own bus, against slaves that know octets only."""
+"""``bus.class2`` on ptys during data exchange, against slaves of literal octets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drives that are set otherwise than their plugins believe, on a bus: what `start()` says, and where it is told."""
+"""Drives with other settings than their plugins expect: the error of `start()` and the status of a run."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ async def test_each_drive_is_refused_and_the_status_of_the_run_says_why() -> Non
 
 @in_virtual_time
 async def test_a_drive_that_comes_back_with_other_settings_is_refused() -> None:
-    """Switched off and on, it is set otherwise now: the comparison begins again with data exchange."""
+    """The drive has other settings after power-on: the comparison begins again with data exchange."""
     fan = {"name": "fan", "address": 4, "drive": "fuji-frenic"}
     async with running(fan, 1_500_000) as (bus, drive):
         await drive.start()

@@ -1,4 +1,4 @@
-"""An IMO HD2 on a bus, as a user has it: its map, a fault, the ways out, and the one rate that its card hears
+"""An IMO HD2 on a bus: process data map, fault, Clear and Stop, and the one baud rate that its card accepts
 (docs/drives/imo-hd2.md#address-and-baud-rate)."""
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ async def test_a_running_hd2_comes_to_rest(way: str) -> None:
 
 @pytest.mark.parametrize(("options", "hears"), [({}, False), ({"baud_index": 6}, False), ({"baud_index": 5}, True)])
 @in_virtual_time
-async def test_i5_it_hears_only_the_rate_it_is_set_to(options: Mapping[str, object], hears: bool) -> None:
+async def test_i5_it_answers_only_at_the_rate_it_is_set_to(options: Mapping[str, object], hears: bool) -> None:
     slaves = [{**PUMP, "options": options}, {"name": "fan", "address": 6, "drive": "fuji-frenic"}]
     async with dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves) as bus:
         await bus.operate()

@@ -1,4 +1,4 @@
-"""A KEB F5 on a bus, as a user has it: options in the configuration, its own orders, power-off, plan and skeleton."""
+"""A KEB F5 on a bus: options in the configuration, its own orders, process data map, power-off, faults."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ async def test_a_fault_on_the_bus_is_named_and_acknowledged() -> None:
 
 
 def test_on_a_real_port_the_bits_are_the_users(tmp_path: Path) -> None:
-    """The options reach the plugin; nothing that is made up is taken for a real drive."""
+    """The options reach the plugin, and a note says which data are made up."""
     path = tmp_path / "plant.toml"
     text = """
 [bus]
@@ -103,7 +103,7 @@ ident = 0x1234
 @pytest.mark.parametrize(("bits", "outputs"), [("simulated", "00 05"), ("run=15", "80 00")])
 @in_virtual_time
 async def test_the_simulated_drive_takes_the_options_that_it_shares(bits: str, outputs: str) -> None:
-    """Plugin and simulated drive read one configuration: bits of the user's own, or the made-up ones by their name."""
+    """Plugin and simulated drive have the same options: bits of the user, or the made-up ones by name."""
     async with running({**SAW, "options": {"control_bits": bits, "pd_in_cycle_ms": 25}}) as (bus, saw):
         await saw.start()
         assert bus.slave("saw").outputs[8:10] == bytes.fromhex(outputs)

@@ -1,6 +1,6 @@
 """SIGKILL among DP-V1 services over a pty: of the bus process, or of the process with the slaves.
 
-Whoever waits is told, and what the slave held for its master is given back.
+Every pending service ends with an error, and the slave gets its connections back.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ async def listen(bus: dpstack.Bus) -> None:
 
 
 async def ends(*services: Awaitable[object]) -> list[object]:
-    """What each of them comes to, all at once."""
+    """The results or errors of all ``services``."""
     async with asyncio.timeout(30):
         return await asyncio.gather(*services, return_exceptions=True)
 

@@ -1,4 +1,4 @@
-"""An LS S100 on a bus, as a user has it: profiles by configuration, ways out, power-off, faults, a scan's skeleton."""
+"""An LS S100 on a bus: profiles by configuration, Clear and Stop, power-off, faults."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ async def test_a_running_drive_comes_to_rest(telegram: str, options: Mapping[str
 
 
 @in_virtual_time
-async def test_the_wrong_profile_is_told_with_the_parameter_to_change() -> None:
+async def test_the_message_about_a_wrong_profile_names_the_parameter() -> None:
     async with running({**PUMP, "options": LS}) as (_, pump):
         await pump.start()
         await pump.stop()
@@ -74,7 +74,7 @@ async def test_the_wrong_profile_is_told_with_the_parameter_to_change() -> None:
             await pump.start()
 
 
-def test_the_configuration_tells_what_is_made_up(tmp_path: Path) -> None:
+def test_a_note_about_made_up_identifier_octets(tmp_path: Path) -> None:
     path = tmp_path / "plant.toml"
     path.write_text(
         """

@@ -1,4 +1,4 @@
-"""Misuse of what DP-V1 has for programs raises at once, typed, and says what is wanted; nothing goes to the bus."""
+"""Wrong arguments of the DP-V1 API raise at once, name the type expected, and send nothing to the bus."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from api_kit import HOIST, bus_of, in_virtual_time
+from api_kit import HOIST, bus_of, in_virtual_time, serving
 
-import dpstack
 from dpstack import ConfigError, DpSlave, Im0, Im1, IoStation, SlaveDescription, UsageError
 from dpstack.errors import PduError
 
@@ -79,7 +78,7 @@ def test_orders_to_an_io_station() -> None:
         ({"im": {"1": [Im0()]}}, PduError, "slot of I&M = '1' is no whole number"),
     ],
 )
-def test_a_slave_that_cannot_be(given: dict[str, Any], error: type[Exception], text: str) -> None:
+def test_impossible_slaves(given: dict[str, Any], error: type[Exception], text: str) -> None:
     arguments: dict[str, Any] = {"description": VALVES, "on_cycle": cycle, **given}
     with pytest.raises(error) as caught:
         DpSlave(**arguments)
@@ -102,17 +101,10 @@ async def refused(uses: list[tuple[Use, str]], error: type[Exception] = UsageErr
 
 
 @in_virtual_time
-async def test_at_the_bus() -> None:
-    world = dpstack.World()
-
-    def read(slot: int, index: int) -> bytes:
-        return b"x"
-
-    ordinary: Any = read
-    slave = DpSlave(VALVES, cycle, on_read=ordinary, im=[Im0(order_id="V")], ms2=1)
-    told: list[dpstack.Event] = []
-    async with dpstack.serve_slave(slave, world=world, address=9, on_event=told.append) as server:
-        served: Any = server.slave
+async def test_arguments_of_services_and_alarms() -> None:
+    slave = DpSlave(VALVES, cycle, im=[Im0(order_id="V")], ms2=1)
+    async with serving(slave) as (bus, server):
+        served: Any = server
         await refused(
             [
                 (lambda: served.alarm("process", 1), "type = 'process' is no whole number"),
@@ -123,61 +115,55 @@ async def test_at_the_bus() -> None:
         for states in (5, ["ok"], [4], []):
             with pytest.raises(UsageError, match="is no list of ModuleState"):
                 served.module_status(states)
-        async with dpstack.open_bus(world=world, baud=500_000, slaves=[VALVES.table(9)]) as bus:
-            await bus.ready()
-            one: Any = bus.slave("valves")
-            class2: Any = bus.class2
-            at_it: list[tuple[Use, str]] = [
-                (lambda: one.read("1", 2), "slot = '1' is no whole number"),
-                (lambda: one.read(1, None), "index = None is no whole number"),
-                (lambda: one.read(1, 2, "3"), "length = '3' is no whole number"),
-                (lambda: one.read(1, 2, timeout="x"), "timeout = 'x' is no time for a service"),
-                (lambda: one.write(1, 2, "ab"), "data = 'ab' is no octets"),
-                (lambda: one.write(1, 2, 5), "data = 5 is no octets"),
-                (lambda: one.write(1, 2, [256]), "data = [256] is no octets"),
-                (lambda: one.im("0"), "number of I&M = '0' is no whole number"),
-                (lambda: one.im(0, slot="x"), "slot = 'x' is no whole number"),
-                (lambda: one.im(0, timeout="x"), "timeout = 'x' is no time"),
-                (lambda: one.write_im("x"), "'x' is no I&M record: give Im1(tag_function=...)"),
-                (lambda: one.parameters(1).read(5), "5 is no list of parameters: give for instance [930, Address("),
+        one: Any = bus.slave("valves")
+        class2: Any = bus.class2
+        at_it: list[tuple[Use, str]] = [
+            (lambda: one.read("1", 2), "slot = '1' is no whole number"),
+            (lambda: one.read(1, None), "index = None is no whole number"),
+            (lambda: one.read(1, 2, "3"), "length = '3' is no whole number"),
+            (lambda: one.read(1, 2, timeout="x"), "timeout = 'x' is no time for a service"),
+            (lambda: one.write(1, 2, "ab"), "data = 'ab' is no octets"),
+            (lambda: one.write(1, 2, 5), "data = 5 is no octets"),
+            (lambda: one.write(1, 2, [256]), "data = [256] is no octets"),
+            (lambda: one.im("0"), "number of I&M = '0' is no whole number"),
+            (lambda: one.im(0, slot="x"), "slot = 'x' is no whole number"),
+            (lambda: one.im(0, timeout="x"), "timeout = 'x' is no time"),
+            (lambda: one.write_im("x"), "'x' is no I&M record: give Im1(tag_function=...)"),
+            (lambda: one.parameters(1).read(5), "5 is no list of parameters: give for instance [930, Address("),
+        ]
+        await refused(at_it)
+        for wrong, text in (({"slot": "1"}, "slot = '1'"), ({"object": "q"}, "object = 'q'")):
+            with pytest.raises(UsageError, match=f"{text} is no whole number"):
+                one.parameters(**wrong)
+        arguments: list[tuple[dict[str, Any], str]] = [
+            ({"source": "ab"}, "source = 'ab' is no octets"),
+            ({"source": b"\0"}, "an address in Initiate has API and access level, 1 octets are given"),
+            ({"send_timeout": "1"}, "no time"),
+        ]
+        for wrong, text in arguments:
+            with pytest.raises(UsageError, match=text):
+                class2.connect(9, **wrong)
+        for nobody in (1.5, None):
+            with pytest.raises(UsageError, match=f"{nobody} is no slave: give its address, 0..126, its name"):
+                class2.connect(nobody)
+        await refused(
+            [
+                (lambda: class2.diagnosis(None), "None is no slave"),
+                (lambda: class2.set_address("126", "5"), "old = '126' is no whole number"),
             ]
-            await refused(at_it)
-            for wrong, text in (({"slot": "1"}, "slot = '1'"), ({"object": "q"}, "object = 'q'")):
-                with pytest.raises(UsageError, match=f"{text} is no whole number"):
-                    one.parameters(**wrong)
-            arguments: list[tuple[dict[str, Any], str]] = [
-                ({"source": "ab"}, "source = 'ab' is no octets"),
-                ({"source": b"\0"}, "an address in Initiate has API and access level, 1 octets are given"),
-                ({"send_timeout": "1"}, "no time"),
-            ]
-            for wrong, text in arguments:
-                with pytest.raises(UsageError, match=text):
-                    class2.connect(9, **wrong)
-            for nobody in (1.5, None):
-                with pytest.raises(UsageError, match=f"{nobody} is no slave: give its address, 0..126, its name"):
-                    class2.connect(nobody)
+        )
+        async with bus.class2.connect(9) as opened:
+            connection: Any = opened
             await refused(
                 [
-                    (lambda: class2.diagnosis(None), "None is no slave"),
-                    (lambda: class2.set_address("126", "5"), "old = '126' is no whole number"),
+                    (lambda: connection.read("1", 2), "slot = '1' is no whole number"),
+                    (lambda: connection.write(1, 2, "ab"), "data = 'ab' is no octets"),
+                    (lambda: connection.transport(0, 0, "ab"), "data = 'ab' is no octets"),
+                    (lambda: connection.im("x"), "number of I&M = 'x' is no whole number"),
                 ]
             )
-            async with bus.class2.connect(9) as opened:
-                connection: Any = opened
-                await refused(
-                    [
-                        (lambda: connection.read("1", 2), "slot = '1' is no whole number"),
-                        (lambda: connection.write(1, 2, "ab"), "data = 'ab' is no octets"),
-                        (lambda: connection.transport(0, 0, "ab"), "data = 'ab' is no octets"),
-                        (lambda: connection.im("x"), "number of I&M = 'x' is no whole number"),
-                    ]
-                )
-                assert opened.is_open
-                assert [there.services for there in server.slave.connections] == [0]
-            # what is written where it is an ordinary function is answered, and told with what to do
-            with pytest.raises(dpstack.AcyclicError, match="read error"):
-                await one.read(1, 2)
-    assert any("on_read is an ordinary function, it has to be an async one: write async def" in e.text for e in told)
+            assert opened.is_open
+            assert [there.services for there in server.connections] == [0]
 
 
 @in_virtual_time

@@ -1,4 +1,4 @@
-"""The parameter channel over MS1 on a bus: a drive read by name, a whole list, both at once; times on the wire."""
+"""Record 47 over MS1 on a bus: a drive by name, a whole list, both at the same time; times on the wire."""
 
 from __future__ import annotations
 
