@@ -19,9 +19,9 @@ MS = 1_000_000
 #: at 500 kbit/s a bit takes 2 us, an octet 22 us
 OCTET = 22_000
 #: Set_Prm and Chk_Cfg of slave 3 from station 2, Data_Exchange with 12 octets, the token
-PRM = bytes.fromhex("68 0c 0c 68 83 82 6d 3d 3e 80 01 01 0b 06 96 00".replace(" ", ""))
-CFG = bytes.fromhex("68 07 07 68 83 82 5d 3e 3e f3 71".replace(" ", ""))
-EXCHANGE = bytes.fromhex("68 0f 0f 68 03 02 7d 00 01 02 03 04 05 06 07 08 09 0a 0b".replace(" ", ""))
+PRM = bytes.fromhex("68 0c 0c 68 83 82 6d 3d 3e 80 01 01 0b 06 96 00")
+CFG = bytes.fromhex("68 07 07 68 83 82 5d 3e 3e f3 71")
+EXCHANGE = bytes.fromhex("68 0f 0f 68 03 02 7d 00 01 02 03 04 05 06 07 08 09 0a 0b")
 TOKEN = bytes.fromhex("dc0202")
 
 
@@ -81,7 +81,7 @@ def test_a_telegram_before_the_end_of_its_idle_time_waits_and_is_counted() -> No
 
 
 def test_a_broadcast_is_followed_by_t_id2_and_silence_by_the_slot_time() -> None:
-    control = whole(bytes.fromhex("68 07 07 68 ff 82 46 3a 3e 00 00".replace(" ", "")))
+    control = whole(bytes.fromhex("68 07 07 68 ff 82 46 3a 3e 00 00"))
     status = bytes.fromhex("100902494516")[:4]
     status += bytes((sum(status[1:]) & 0xFF, 0x16))
     for request, octets, idle in ((control, 13, 100), (status, 6, 200)):

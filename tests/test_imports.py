@@ -143,19 +143,18 @@ def modules(under: Path) -> list[Path]:
     return sorted(path for path in under.rglob("*.py") if "__pycache__" not in path.parts)
 
 
-def imports(path: Path) -> Iterator[tuple[int, str]]:
-    """Every imported module of ``path`` with its line; ``from dpstack import b`` counts as ``dpstack.b`` too."""
+def imports(path: Path) -> Iterator[tuple[int, str, str]]:
+    """Line, module and target of every import of ``path``; the target of ``from package import module`` is that module,
+    else the target is the module."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
         if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield node.lineno, alias.name
+            yield from ((node.lineno, alias.name, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}:{node.lineno}: relative import; write the whole name"
             module = node.module or ""
-            yield node.lineno, module
-            if module == "dpstack":
-                for alias in node.names:
-                    yield node.lineno, f"dpstack.{alias.name}"
+            for alias in node.names:
+                dotted = f"{module}.{alias.name}"
+                yield node.lineno, module, dotted if exists(dotted) else module
 
 
 def package_of(path: Path) -> str:
@@ -172,7 +171,7 @@ def test_direction(path: Path) -> None:
     own = package_of(path)
     assert own in MAY, f"{own} is no package of the design: add it to the table"
     wrong: list[str] = []
-    for line, name in imports(path):
+    for line, _, name in imports(path):
         parts = name.split(".")
         if parts[0] == "dpstack_drives":
             wrong.append(f"{path}:{line}: {name}; drives are found by entry point, never imported")
@@ -192,15 +191,9 @@ def room_of(dotted: str) -> str:
     return (path if path.is_dir() else path.parent).relative_to(ROOT / "dpstack").as_posix()
 
 
-def modules_named(path: Path) -> Iterator[str]:
-    """The modules of ours that ``path`` imports, ``from package import module`` as that module."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names if alias.name.startswith("dpstack."))
-        elif isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("dpstack"):
-            for alias in node.names:
-                dotted = f"{node.module}.{alias.name}"
-                yield dotted if exists(dotted) else node.module
+def modules_named(path: Path) -> set[str]:
+    """The modules of ours that ``path`` imports."""
+    return {target for _, _, target in imports(path) if target.split(".")[0] == "dpstack"}
 
 
 def test_rooms_import_downwards() -> None:
@@ -231,7 +224,7 @@ def dotted_of(path: Path) -> str:
 
 def import_graph() -> dict[str, set[str]]:
     """The imports of each module, under TYPE_CHECKING and inside functions too."""
-    return {dotted_of(path): set(modules_named(path)) - {dotted_of(path)} for path in modules(ROOT / "dpstack")}
+    return {dotted_of(path): modules_named(path) - {dotted_of(path)} for path in modules(ROOT / "dpstack")}
 
 
 def test_no_import_circle() -> None:
@@ -293,22 +286,22 @@ def test_each_room_has_a_map(room: str) -> None:
     ids=lambda p: str(p.relative_to(ROOT)),
 )
 def test_pure(path: Path) -> None:
-    found = [f"{path}:{n}: {name}" for n, name in imports(path) if name.split(".")[0] in FORBIDDEN_IN_PURE]
+    found = [f"{path}:{n}: {name}" for n, name, _ in imports(path) if name.split(".")[0] in FORBIDDEN_IN_PURE]
     assert not found, "a machine owns no clock, no socket, no thread:\n" + "\n".join(found)
 
 
 @pytest.mark.parametrize("path", modules(ROOT / "drives"), ids=lambda p: str(p.relative_to(ROOT)))
 def test_drives_see_the_profile_only(path: Path) -> None:
-    for line, name in imports(path):
+    for line, name, _ in imports(path):
         if name.split(".")[0] == "dpstack":
             assert name == "dpstack.profile", f"{path}:{line}: {name}; a drive imports dpstack.profile only"
 
 
 @pytest.mark.parametrize("path", modules(ROOT / "dpstack") + modules(ROOT / "drives"), ids=lambda p: p.stem)
 def test_no_gpl_in_the_product(path: Path) -> None:
-    assert not [n for n, name in imports(path) if name.split(".")[0] in NEVER_IN_PRODUCT]
+    assert not [n for n, name, _ in imports(path) if name.split(".")[0] in NEVER_IN_PRODUCT]
 
 
 def test_the_walk_finds_something() -> None:
-    found = {name for path in modules(ROOT / "dpstack") for _, name in imports(path)}
+    found = {name for path in modules(ROOT / "dpstack") for _, _, name in imports(path)}
     assert "dpstack.units" in found
