@@ -39,7 +39,7 @@ MAY: dict[str, set[str]] = {
     "dp": DP,
     "dpv1": DP,
     "profile": {"dp", "dpv1", "units", "errors"},
-    "sim": DP | {"machine"},
+    "sim": DP | {"machine", "decode"},
     "ports": PURE_BASE,
     "drivers": DP | {"ports", "machine", "sim"},
     "api": DP | {"drivers", "ports", "sim", "profile"},

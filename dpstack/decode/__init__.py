@@ -6,4 +6,5 @@
 - ``source``: where transmissions to be explained come from: a pcapng file, octets as hex digits, a text file with such
   lines
 - ``telegram``: a telegram explained to the bit: link layer, service, fields, and what it is in the course of the bus
+- ``words``: Telegrams and wire logs in words, for people: lines of ``decode``, and the log that a failing test prints
 """

@@ -8,28 +8,16 @@ from typing import Final, NamedTuple
 
 from dpstack.decode.course import Course, Place, Step
 from dpstack.decode.fields import Fields, fields_of
-from dpstack.dpv1.describe import inside
+from dpstack.decode.words import describe, flaw_text
 from dpstack.errors import ConfigError, PduError
-from dpstack.fdl.codec import Flaw, decode, parse
-from dpstack.fdl.describe import describe, service
+from dpstack.fdl.codec import decode
+from dpstack.fdl.service_names import service
 from dpstack.fdl.telegram import FC_FCB, FC_FCV, Kind, Req, Resp, Telegram
 from dpstack.units import NS_PER_S, chars_to_ns
 
 #: the names of functions as the standard has them, of requests and of responses
 _REQUEST: Final = {number.value: number.name for number in Req if number is not Req.CLOCK_VALUE}
 _RESPONSE: Final = {number.value: number.name for number in Resp}
-#: what :class:`Flaw` says, for people
-FLAWS: Final = {
-    Flaw.BAD_START: "no start octet (10, 68, A2, DC, E5)",
-    Flaw.LE_MISMATCH: "LE and LEr differ",
-    Flaw.LE_RANGE: "LE outside of 3..249",
-    Flaw.BAD_SECOND_SD: "the second start octet is not 68",
-    Flaw.BAD_ED: "the end octet is not 16",
-    Flaw.BAD_FCS: "wrong check sequence (FCS)",
-    Flaw.BAD_ADDRESS: "an address above 127",
-    Flaw.BAD_EXTENSION: "address extensions that are not whole",
-    Flaw.BAD_FC: "a function code that does not exist",
-}
 
 
 class Transmission(NamedTuple):
@@ -58,7 +46,7 @@ class Explained:
     def text(self) -> str:
         """One line for people, without its time and octets."""
         telegram = self.telegram
-        parts = [describe(telegram, inside)] if telegram is not None else []
+        parts = [describe(telegram)] if telegram is not None else []
         if self.error is not None:
             parts.append(self.error if telegram is None else f"cannot be read: {self.error}")
         step = self.step
@@ -138,7 +126,7 @@ def _explain(number: int, sent: Transmission, course: Course) -> Explained:
     telegram = decode(octets)
     if telegram is None:
         course.damaged()
-        return Explained(number, sent, None, "", {}, _why(octets), Step())
+        return Explained(number, sent, None, "", {}, flaw_text(octets), Step())
     end = None if sent.t_ns is None or not sent.baud else sent.t_ns + chars_to_ns(len(octets), sent.baud)
     step = course.follow(telegram, Place(number, end), sent.t_ns)
     error = None
@@ -155,12 +143,3 @@ def _service(telegram: Telegram, step: Step) -> str:
     if step.request is not None and (telegram.kind is Kind.SC or telegram.dsap is telegram.ssap is None):
         return service(step.request)
     return service(telegram)
-
-
-def _why(octets: bytes) -> str:
-    if not octets:
-        return "no octets"
-    found = parse(octets, 0, len(octets))
-    if isinstance(found, Flaw):
-        return f"no telegram: {FLAWS[found]}"
-    return "no telegram: cut off" if found is None else "a telegram with other octets after it"

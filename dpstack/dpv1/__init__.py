@@ -3,6 +3,5 @@
 - ``master/``: The master's end of DP-V1: Read and Write, alarms, connections
 - ``pdu/``: The octets of DP-V1
 - ``slave/``: The slave's end of DP-V1: records, alarms, connections
-- ``describe``: Texts for the contents of DP-V1 telegrams: services with slot and index, refusals, alarms
 - ``timeouts``: The time-outs and pauses of DP-V1 at both ends, in ns
 """

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
 
-from dpstack.dpv1.describe import render
+from dpstack.decode.words import render
 from dpstack.errors import DpError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, UNANSWERED, Kind, Telegram

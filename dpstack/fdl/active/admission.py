@@ -10,9 +10,9 @@ from dpstack.fdl.active.las_gap import Ring
 from dpstack.fdl.active.parts import ActiveLine, Times
 from dpstack.fdl.active.peers import Peers
 from dpstack.fdl.active.services import SERVICES
-from dpstack.fdl.describe import request_name
 from dpstack.fdl.events import DoesNotFit
 from dpstack.fdl.interface import Request
+from dpstack.fdl.service_names import request_name
 from dpstack.trace import Event
 from dpstack.units import chars_to_ns
 

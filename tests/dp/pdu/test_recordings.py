@@ -26,6 +26,7 @@ from recordings import (
 from ring_bus import RingBus
 from slave_kit import make_slave
 
+from dpstack.decode.words import describe_octets
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -34,13 +35,11 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.pdu.requests import SetPrm
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.describe import inside
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.decoder import Decoder
-from dpstack.fdl.describe import describe_octets
 from dpstack.params import BusParams
 
 MS = 1_000_000
@@ -75,7 +74,7 @@ def test_the_decoder_finds_every_recorded_telegram_octet_by_octet(name: str) -> 
 )
 def test_recorded_telegrams_in_words(recording: Recording, line: int, text: str) -> None:
     octets = recording.lines[line][1]
-    assert describe_octets(completed(octets) if recording is ASM754 else octets, inside) == text
+    assert describe_octets(completed(octets) if recording is ASM754 else octets) == text
 
 
 def test_telegrams_of_a_logo_text_display_are_no_profibus() -> None:
