@@ -7,7 +7,7 @@ import contextlib
 from pathlib import Path
 
 import pytest
-from api_kit import FAN, HOIST, RAW, in_virtual_time, virtual
+from api_kit import FAN, HOIST, RAW, in_virtual_time
 from far_ends import until
 
 import dpstack
@@ -28,23 +28,25 @@ def make_world() -> World:
     return dpstack.World(referee=False)
 
 
-def test_slaves_in_a_users_world_follow_the_master_from_rate_to_rate() -> None:
-    async def program() -> list[int]:
-        world = make_world()
-        dpstack.simulate(world, [HOIST, RAW])
-        rates = []
-        for baud in (1_500_000, 187_500):
-            async with dpstack.open_bus(world=world, baud=baud, slaves=[HOIST, RAW]) as bus:
-                await bus.operate()
-                await bus.ready(10)
-                bus.slave("raw").outputs = b"\x5a"
-                await bus.rotated(5, 1)
-                assert bus.slave("raw").inputs == b"\x5a"
-                rates.append(bus.params.baud)
-            await asyncio.sleep(2)  # virtual seconds: the watchdogs, then the silence
-        return rates
+@pytest.fixture
+def plant() -> World:
+    """A simulated bus whose slaves HOIST and RAW search the baud rate."""
+    world = dpstack.World(referee=False)
+    dpstack.simulate(world, [HOIST, RAW])
+    return world
 
-    assert virtual(program()) == [1_500_000, 187_500]
+
+@in_virtual_time
+async def test_slaves_that_search_follow_the_master_from_rate_to_rate(plant: World) -> None:
+    for baud in (1_500_000, 187_500):
+        async with dpstack.open_bus(world=plant, baud=baud, slaves=[HOIST, RAW]) as bus:
+            await bus.operate()
+            await bus.ready(10)
+            bus.slave("raw").outputs = b"\x5a"
+            await bus.rotated(5, 1)
+            assert bus.slave("raw").inputs == b"\x5a"
+            assert bus.params.baud == baud
+        await asyncio.sleep(2)  # virtual seconds: the watchdogs, then the silence
 
 
 @in_virtual_time
@@ -63,16 +65,13 @@ async def test_slaves_that_search_are_switched_off_and_on() -> None:
         await bus.ready()
 
 
-def test_slaves_at_a_given_rate_do_not_search() -> None:
-    async def program() -> str:
-        world = make_world()
-        dpstack.simulate(world, [RAW], baud=500_000)
-        async with dpstack.open_bus(world=world, baud=187_500, slaves=[RAW]) as bus:
-            with pytest.raises(dpstack.SlaveTimeout) as caught:
-                await bus.ready(2)
-            return str(caught.value)
-
-    assert "no answer from address 9" in virtual(program())
+@in_virtual_time
+async def test_slaves_at_a_given_rate_do_not_search() -> None:
+    world = make_world()
+    dpstack.simulate(world, [RAW], baud=500_000)
+    async with dpstack.open_bus(world=world, baud=187_500, slaves=[RAW]) as bus:
+        with pytest.raises(dpstack.SlaveTimeout, match="no answer from address 9"):
+            await bus.ready(2)
 
 
 @in_virtual_time
@@ -98,20 +97,16 @@ async def test_a_second_master_finds_the_rate_of_a_simulated_bus() -> None:
         assert told.text == "bus: the bus runs at 93.75 kbit/s, recognised by telegrams with check sum"
 
 
-def test_a_silent_bus_needs_a_master_that_gives_the_rate() -> None:
-    async def program() -> tuple[str, float]:
-        world = make_world()
-        dpstack.simulate(world, [RAW])
-        bus = dpstack.open_bus(world=world, baud="auto", slaves=[RAW])
-        with pytest.raises(BusError) as caught:
-            await bus.open()
-        await bus.close()
-        return str(caught.value), world.now / 1e9
-
-    text, seconds = virtual(program())
+@in_virtual_time
+async def test_a_silent_bus_needs_a_master_that_gives_the_rate(plant: World) -> None:
+    bus = dpstack.open_bus(world=plant, baud="auto", slaves=[RAW])
+    with pytest.raises(BusError) as caught:
+        await bus.open()
+    await bus.close()
+    text = str(caught.value)
     assert text.startswith("the simulated bus: the baud rate was not found: silence: no octet in 5.0 s; is a master")
     assert text.endswith("; a master that is alone on its bus must give the rate, for instance baud = 500000")
-    assert seconds == pytest.approx(5.0)
+    assert plant.now / 1e9 == pytest.approx(5.0)
 
 
 @in_virtual_time

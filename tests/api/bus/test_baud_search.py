@@ -22,7 +22,7 @@ from dpstack.units import NS_PER_MS, NS_PER_S
 
 
 async def talk(master: FarEnd, traffic: Iterator[Sent]) -> None:
-    """One telegram after the other, for ever."""
+    """Send one telegram after the other, without end."""
     for _, octets in traffic:
         master.send(octets)
         await asyncio.sleep(0.001)

@@ -72,6 +72,7 @@ async def test_process_data_events_and_the_end(driver: Driver) -> None:
 
 
 def mode_of(bus: dpstack.Bus) -> Mode:
+    """The mode, which mypy shall not keep from an earlier comparison."""
     return bus.mode
 
 

@@ -1,4 +1,4 @@
-"""Which driver keeps a bus going, and what cannot be."""
+"""The choice of the driver: the rule of "auto", and what a bus process cannot do."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import sys
 
 import pytest
-from api_kit import RAW, bus_of, virtual
+from api_kit import RAW, bus_of, in_virtual_time
 
 import dpstack
 from dpstack.api.bus import driver_choice
@@ -29,7 +29,7 @@ def uart() -> Port:
 
 @pytest.fixture
 def rights(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    """Two processors, and the right to go before everybody else."""
+    """Two processors, and the right to real-time priority."""
     monkeypatch.setattr(driver_choice, "rights", lambda: Rights(True, None, None))
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
     return monkeypatch
@@ -88,9 +88,7 @@ def test_what_a_process_cannot_do_is_refused_with_what_to_do(rights: pytest.Monk
         driver_for(config("process"), uart())
 
 
-def test_a_simulated_bus_says_so() -> None:
-    async def program() -> str:
-        async with bus_of(RAW, driver="auto") as bus:
-            return bus.driver
-
-    assert virtual(program()) == "virtual"
+@in_virtual_time
+async def test_the_driver_of_a_simulated_bus_is_called_virtual() -> None:
+    async with bus_of(RAW, driver="auto") as bus:
+        assert bus.driver == "virtual"

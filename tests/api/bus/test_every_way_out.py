@@ -36,7 +36,7 @@ LIVE, SAFE = "1122", "a55a"
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the table."""
+    """A row of the table."""
 
     last: str
     clear: bool
@@ -51,7 +51,7 @@ TABLE = {
 
 
 def check(row: Row, words: list[str], told: str) -> None:
-    """What was heard, and what was told, is what the row says."""
+    """The row says what the slave has received in ``words``, and what the log has in ``told``."""
     assert LIVE in words
     if row.last == "live outputs":
         assert after_live(words, LIVE) == ([], [])

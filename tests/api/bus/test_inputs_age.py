@@ -7,11 +7,11 @@ import dataclasses
 import time
 
 import pytest
-from api_kit import RAW, bus_of, in_virtual_time, operating, stack_of, virtual
+from api_kit import RAW, bus_of, in_virtual_time, operating, stack_of
 from process_kit import VALVES, ready_bus
 
 import dpstack
-from dpstack.api.bus.statistics import BusStats, SlaveStats
+from dpstack.api.bus.statistics import SlaveStats
 from dpstack.api.control.handlers import run_status
 from dpstack.cli.terminal.report import Reporter
 
@@ -137,22 +137,21 @@ async def test_a_defect_that_stops_the_bus_leaves_no_slave_alive(monkeypatch: py
         assert bus.stats.stale
 
 
-def test_the_tables_at_the_end_mark_what_is_old(capsys: pytest.CaptureFixture[str]) -> None:
-    async def program() -> tuple[Reporter, BusStats, BusStats]:
-        async with operating(RAW) as bus:
-            await bus.rotated(5)
-            good = bus.stats
-            await bus.stop()
-            await asyncio.sleep(1)
-            return Reporter(bus, json=False), good, bus.stats
-
-    reporter, good, bad = virtual(program())
+@in_virtual_time
+async def test_the_tables_at_the_end_mark_what_is_old(capsys: pytest.CaptureFixture[str]) -> None:
+    async with operating(RAW) as bus:
+        await bus.rotated(5)
+        good = bus.stats
+        await bus.stop()
+        await asyncio.sleep(1)
+        reporter, bad = Reporter(bus, json=False), bus.stats
+    capsys.readouterr()
     reporter.summary(good)
-    told = capsys.readouterr().out
-    assert "not valid" not in told
-    assert "not sent" not in told
-    assert "counters are" not in told
+    out = capsys.readouterr().out
+    assert "not valid" not in out
+    assert "not sent" not in out
+    assert "counters are" not in out
     reporter.summary(dataclasses.replace(bad, age=1.5, stale=True))
-    told = capsys.readouterr().out
-    assert "00 (not valid)  00 (not sent)" in told
-    assert "the counters are 1.5 s old" in told
+    out = capsys.readouterr().out
+    assert "00 (not valid)  00 (not sent)" in out
+    assert "the counters are 1.5 s old" in out

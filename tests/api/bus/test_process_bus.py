@@ -1,4 +1,4 @@
-"""What a bus in a process of its own does on ptys and sockets, beyond what ``test_both_drivers`` asks of both."""
+"""A bus in a process of its own on ptys and sockets: the tests that ``test_both_drivers`` has not for both drivers."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def example(kind: type[DpError]) -> DpError:
 
 
 def as_answer(error: Exception) -> dict[str, object]:
-    """What goes over the socket."""
+    """The answer on the socket."""
     answer = json.loads(json.dumps({"ok": False, "error": str(error), **error_fields(error)}))
     assert isinstance(answer, dict)
     return answer

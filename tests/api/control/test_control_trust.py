@@ -71,7 +71,7 @@ def server() -> ControlServer:
 
 
 async def refused() -> str:
-    """What both ends say: the same."""
+    """The message of both ends, which is the same."""
     with pytest.raises(PortError) as at_server:
         await server().__aenter__()
     with pytest.raises(PortError) as at_client:
@@ -145,7 +145,7 @@ async def test_a_directory_of_ours_that_others_can_write_to(runtime: Path, mode:
 
 
 async def test_a_directory_on_the_way_that_others_can_write_to(runtime: Path) -> None:
-    """They could move our directory away and put another one there."""
+    """Other users could move our directory away and put another one there."""
     (runtime / "dpstack").mkdir(mode=0o700)
     runtime.chmod(0o777)
     assert (await refused()).startswith(
@@ -154,7 +154,7 @@ async def test_a_directory_on_the_way_that_others_can_write_to(runtime: Path) ->
 
 
 async def test_links_on_the_way(runtime: Path, owners: Owners, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One of ours is followed (macOS has /tmp as a link of root's); one of another user leads where he wants."""
+    """Our own links are followed (/tmp of macOS is a link of root); a link of another user is refused."""
     links = runtime / "links"
     links.mkdir()
     (links / "way").symlink_to("../real/../real")
@@ -188,7 +188,7 @@ def test_links_that_lead_in_a_circle_end(runtime: Path) -> None:
 
 
 async def test_the_directory_is_the_one_that_was_checked(runtime: Path) -> None:
-    """What happens to the path afterwards leads nobody to another program."""
+    """Later changes of the path do not lead to another program."""
     with socket_path.Sockets(make=True) as sockets:
         (runtime / "dpstack").rename(runtime / "away")
         (runtime / "dpstack").mkdir(mode=0o700)

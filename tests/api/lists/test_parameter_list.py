@@ -330,7 +330,7 @@ async def test_a_drive_that_does_not_answer_some() -> None:
 
 
 async def _compared(line: str, telegram: str = "PPO1") -> object:
-    """What a compare makes of one line of a file."""
+    """The result of comparing a drive with one line of a file."""
     text = TEXT[: TEXT.index("  {")] + line + "\n]\n"
     slaves = [{**slave("demag-dedrive"), "telegram": telegram}]
     async with dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves) as bus:

@@ -57,7 +57,7 @@ class Octets:
 
 
 def test_it_takes_all_that_a_slave_takes() -> None:
-    """What a DpSlave may be made with is stated once; here every one of them arrives."""
+    """All options of DpSlave reach it."""
 
     def called(*arguments: object) -> None:
         return None
