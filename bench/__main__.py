@@ -74,7 +74,7 @@ def main(argv: list[str] | None = None) -> int:
             plot(report, args.plot)
         if args.compare is not None:
             old = load_reference(args.name) if args.compare == Path() else load_report(args.compare)
-            return _told(old, report, as_json=args.json)
+            return _print_comparison(old, report, as_json=args.json)
     except (ValueError, PlotError) as error:
         print(f"bench: {error}", file=sys.stderr)
         return 2
@@ -113,10 +113,10 @@ def _compare(argv: list[str], *, as_json: bool) -> int:
         raise ValueError("--rounds belongs to --commit")
     old = load_report(args.file[0]) if len(args.file) == 2 else load_reference(args.name)
     new = load_report(args.file[-1]) if args.file else run(args.name, [])
-    return _told(old, new, as_json=as_json)
+    return _print_comparison(old, new, as_json=as_json)
 
 
-def _told(old: Report, new: Report, *, as_json: bool) -> int:
+def _print_comparison(old: Report, new: Report, *, as_json: bool) -> int:
     result = compare(old, new)
     print(result.as_json() if as_json else result.as_text())
     return 1 if result.worse else 0

@@ -42,8 +42,8 @@ _WRONG_USE: Final = 2
 _LEAST_ROUNDS: Final = 10
 #: at the run that is not judged: on a busy computer slaves may be lost
 _ATTEMPTS: Final = 3
-#: octets of a complaint
-_TOLD: Final = 300
+#: characters of a complaint at most
+_LONGEST_COMPLAINT: Final = 300
 #: a load average from which on other programs are worth a note
 _BUSY: Final = 1.5
 
@@ -256,7 +256,7 @@ class _Running:
         for file in (self._out, self._errors):
             file.seek(0)
         output, errors = self._out.read(), self._errors.read()
-        return Ended(code, output, (errors.strip().splitlines() or [""])[-1][:_TOLD])
+        return Ended(code, output, (errors.strip().splitlines() or [""])[-1][:_LONGEST_COMPLAINT])
 
 
 def run_in_turn(sides: Sequence[Side], words: Sequence[str]) -> list[Ended]:

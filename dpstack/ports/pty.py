@@ -113,7 +113,7 @@ class PtyPort(FdPort):
 
     def write(self, octets: bytes) -> bool:
         """Drops the octets also while nobody has the other end open."""
-        if self._watch is not None and not self._returned():
+        if self._watch is not None and not self._has_new_opener():
             return self._drop()
         return super().write(octets)
 
@@ -149,7 +149,7 @@ class PtyPort(FdPort):
         watch.register(self._fd, select.EPOLLIN | select.EPOLLET)
         watch.poll(0)  # consumes the pending hang-up
         self._watch = watch
-        loop.add_reader(watch.fileno(), self._stirred)
+        loop.add_reader(watch.fileno(), self._on_watch)
 
     def _end_watch(self, loop: Loop) -> None:
         watch, self._watch = self._watch, None
@@ -157,11 +157,11 @@ class PtyPort(FdPort):
             loop.remove_reader(watch.fileno())
             watch.close()
 
-    def _stirred(self) -> None:
+    def _on_watch(self) -> None:
         if self._watch is not None and any(event & select.EPOLLIN for _fd, event in self._watch.poll(0)):
             self._resume()
 
-    def _returned(self) -> bool:
+    def _has_new_opener(self) -> bool:
         """Whether somebody has opened the other end meanwhile."""
         if self._master is None or self._master.has_no_opener():
             return False

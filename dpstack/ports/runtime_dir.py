@@ -66,7 +66,7 @@ def open_own(path: Path, *, make: bool = False) -> int:
     links = 0
     place, fd = "/", os.open("/", _PASS)
     try:
-        _judge(os.fstat(fd), place)
+        _check_owner(os.fstat(fd), place)
         while left:
             name = left.pop()
             last = not left
@@ -84,7 +84,7 @@ def open_own(path: Path, *, make: bool = False) -> int:
                 place = os.path.normpath(os.path.join(place, name))
             os.close(fd)
             fd = below
-            _judge(os.fstat(fd), place, last=last)
+            _check_owner(os.fstat(fd), place, last=last)
     except BaseException:
         os.close(fd)
         raise
@@ -123,7 +123,7 @@ def _link_target(name: str, fd: int, place: str, *, last: bool) -> Path:
     return Path(os.readlink(name, dir_fd=fd))
 
 
-def _judge(info: os.stat_result, place: str, *, last: bool = False) -> None:
+def _check_owner(info: os.stat_result, place: str, *, last: bool = False) -> None:
     """Raises PortError where another user could put something of his own into the directory or in its place."""
     own = os.geteuid()
     if info.st_uid not in ((own,) if last else (0, own)):

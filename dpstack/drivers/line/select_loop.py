@@ -102,7 +102,7 @@ class SelectLoop:
         self._soon: deque[_Soon] = deque()
         self._alarms: list[Alarm] = []
         self._signals: dict[int, Callable[[], object]] = {}
-        self._bell: tuple[socket.socket, socket.socket] | None = None
+        self._waker: tuple[socket.socket, socket.socket] | None = None
         self._lead_ns = _LEAD_NS
         self._is_running = False
         self._stopping = False
@@ -140,14 +140,14 @@ class SelectLoop:
         if self._closed:
             raise RuntimeError("the loop is closed")
         soon = self.call_soon(callback)
-        if self._bell is not None:
+        if self._waker is not None:
             with contextlib.suppress(BlockingIOError):  # a wake-up is pending already
-                self._bell[1].send(b"\0")
+                self._waker[1].send(b"\0")
         return soon
 
     def add_signal_handler(self, sig: int, callback: Callable[[], object]) -> None:
         """Call back after signal ``sig``. From the main thread only."""
-        signal.set_wakeup_fd(self._bell_fd(), warn_on_full_buffer=False)
+        signal.set_wakeup_fd(self._waker_fd(), warn_on_full_buffer=False)
         self._signals[sig] = callback
         signal.signal(sig, self._signalled)
 
@@ -175,7 +175,7 @@ class SelectLoop:
         """Run until :meth:`stop`. May be called again."""
         if self._is_running or self._closed:
             raise UsageError("the loop is running already" if self._is_running else "the loop is closed")
-        self._bell_fd()
+        self._waker_fd()
         self._is_running = True
         self.budget.begin(monotonic_ns())
         try:
@@ -203,7 +203,7 @@ class SelectLoop:
         for fds in (self._readers, self._writers, self._read_fds, self._write_fds):
             fds.clear()
         self._poll = select.poll()
-        bell, self._bell = self._bell, None
+        bell, self._waker = self._waker, None
         if bell is not None:
             bell[0].close()
             bell[1].close()
@@ -323,19 +323,19 @@ class SelectLoop:
                 self._register(fd)
                 self.report(f"descriptor {fd} was closed without being removed", exc)
 
-    def _bell_fd(self) -> int:
+    def _waker_fd(self) -> int:
         """The write end of the socket pair that wakes the loop from another thread or a signal."""
-        if self._bell is None:
-            self._bell = socket.socketpair()
-            for end in self._bell:
+        if self._waker is None:
+            self._waker = socket.socketpair()
+            for end in self._waker:
                 end.setblocking(False)
-            self.add_reader(self._bell[0].fileno(), self._rung)
-        return self._bell[1].fileno()
+            self.add_reader(self._waker[0].fileno(), self._on_waker)
+        return self._waker[1].fileno()
 
-    def _rung(self) -> None:
-        if self._bell is not None:
+    def _on_waker(self) -> None:
+        if self._waker is not None:
             with contextlib.suppress(BlockingIOError):
-                os.read(self._bell[0].fileno(), 4096)
+                os.read(self._waker[0].fileno(), 4096)
 
     def _signalled(self, sig: int, _frame: object) -> None:
         callback = self._signals.get(sig)

@@ -266,9 +266,9 @@ class Channel:
         self._number = number
         self._sent[number] = _Sent(order, answer, on_done, began, limit, self._silent)
         if answer is not None:
-            self._loop.call_later(ns_to_s(limit - began), self._judge, number)
+            self._loop.call_later(ns_to_s(limit - began), self._check_answer, number)
 
-    def _judge(self, number: int) -> None:
+    def _check_answer(self, number: int) -> None:
         """The time for the answer to order ``number`` is over."""
         for _ in range(_CHUNKS):  # this program itself may have been late
             if number not in self._sent or not self._on_readable():
@@ -279,7 +279,7 @@ class Channel:
         taken = image.words[Word.ORDER_TAKEN] >= number
         if taken and not sent.others_unanswered and sent.until <= sent.began + LIMIT_NS:
             sent.until = sent.began + ANSWER_NS
-            self._loop.call_later(ns_to_s(max(0, sent.until - monotonic_ns())), self._judge, number)
+            self._loop.call_later(ns_to_s(max(0, sent.until - monotonic_ns())), self._check_answer, number)
             return
         self._silent = True
         del self._sent[number]

@@ -195,7 +195,7 @@ class Segment:
             except BlockingIOError:
                 return False
             except OSError:  # EIO: no program has it open, which is normal
-                station.left()
+                station.on_hang_up()
                 return False
             read += len(chunk)
             station.present = True
@@ -218,7 +218,7 @@ class Segment:
         now = monotonic_ns()
         start_ns = self._placed(sender, len(chunk), baud, now)
         flips = self._noise.flips(len(chunk))
-        received = sender.put(chunk, flips)
+        received = sender.transmit(chunk, flips)
         if flips:
             lost = len(chunk) - len(received)
             self._lost += lost
@@ -232,7 +232,7 @@ class Segment:
                 station.present = True
             reading = station.master.baud() or self.baud
             octets = received if reading == baud else station.misread(chunk, baud, reading, start_ns, flips)
-            if octets and not station.give(octets):
+            if octets and not station.deliver(octets):
                 self._report(station, "takes no more: what it does not read is dropped")
 
     def _placed(self, sender: SegmentStation, size: int, baud: int, now: int) -> int:

@@ -58,7 +58,7 @@ class SegmentStation:
         self._telegrams = Decoder(stall_ns=NEVER)
         self._damaged = self._arrived = False  # of the telegram it is sending: by noise; at least one octet
 
-    def left(self) -> None:
+    def on_hang_up(self) -> None:
         """Note that no program has the station's pty open any more."""
         if self.present:
             self.present = False
@@ -66,7 +66,7 @@ class SegmentStation:
             self._telegrams.reset()
             self._damaged = self._arrived = False
 
-    def put(self, octets: bytes, flips: dict[int, int]) -> bytes:
+    def transmit(self, octets: bytes, flips: dict[int, int]) -> bytes:
         """It sends ``octets`` with the bits ``flips`` inverted: the octets that UARTs at its rate receive.
 
         A UART drops a character with a parity or framing error; two inverted bits may give another valid octet.
@@ -102,7 +102,7 @@ class SegmentStation:
         received += receiver.sample(start_ns, waveform(octets, flips), baud)
         return bytes(character.octet for character in received if character.good)
 
-    def give(self, octets: bytes) -> bool:
+    def deliver(self, octets: bytes) -> bool:
         """Write ``octets`` to its pty; False when that is full."""
         try:
             done = os.write(self.master.fd, octets)

@@ -92,7 +92,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self._at_ns = 0
         self._attached: list[_Attached] = []
         self._running: _Attached | None = None
-        self._stirred = False  # a callback or a timer was added while worlds ran
+        self._has_new_calls = False  # a callback or a timer was added while worlds ran
         self._events = 0
         self._turns = 0
         self._threads = 0
@@ -125,7 +125,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def call_soon(
         self, callback: Callable[[Unpack[_Ts]], object], *args: *_Ts, context: Context | None = None
     ) -> asyncio.Handle:
-        self._stirred = True
+        self._has_new_calls = True
         return super().call_soon(callback, *args, context=context)
 
     def call_at(
@@ -135,7 +135,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         *args: *_Ts,
         context: Context | None = None,
     ) -> asyncio.TimerHandle:
-        self._stirred = True
+        self._has_new_calls = True
         return super().call_at(when, callback, *args, context=context)
 
     def run_in_executor(
@@ -185,8 +185,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         held = self.paced or self._threads > 0
         if held:
             self._set_origin()
-        self._stirred = False
-        while not ready and not self._stirred:
+        self._has_new_calls = False
+        while not ready and not self._has_new_calls:
             horizon = min(limit, self._allowed()) if held else limit
             if self._advance(horizon):
                 ready = self._waiting.poll(0)
@@ -235,7 +235,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def _stop(self) -> bool:
         self._events += 1
-        return self._stirred or self._events >= _EVENTS_PER_POLL
+        return self._has_new_calls or self._events >= _EVENTS_PER_POLL
 
     # --- real time ---
     def _set_origin(self) -> None:

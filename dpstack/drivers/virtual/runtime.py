@@ -254,7 +254,7 @@ class _Clockwork:
             self._origin_ns = real - self.now - DEBT_NS
         self._until_ns = real + _PORTION_NS
         self._events = 0
-        stopped = self.run(max(self.now, real - self._origin_ns), self._enough)
+        stopped = self.run(max(self.now, real - self._origin_ns), self._portion_is_over)
         if self.failed or not self._users:
             return
         pause = 0 if stopped else min(max(self.next_at() - self.now, _TICK_NS), _LONG_TICK_NS)
@@ -264,7 +264,7 @@ class _Clockwork:
         self._resting = pause_ns > _TICK_NS
         self._timer = self.loop.call_later(ns_to_s(pause_ns), self._tick)
 
-    def _enough(self) -> bool:
+    def _portion_is_over(self) -> bool:
         self._events += 1
         return self._events % _EVENTS_PER_LOOK == 0 and monotonic_ns() > self._until_ns
 
