@@ -266,7 +266,9 @@ def test_a_reversed_cable(rate: int) -> None:
 # --- what it is worth -------------------------------------------------------------------------------------------------
 
 
-def runs(rate: int, seeds: range) -> None:
+@pytest.mark.parametrize("rate", BAUD_RATES)
+@pytest.mark.parametrize("seeds", [range(30), pytest.param(range(1000), marks=pytest.mark.soak)], ids=str)
+def test_every_rate_from_any_traffic(rate: int, seeds: range) -> None:
     """The right rate, with at most 50 telegrams passing for each rate tried."""
     for seed in seeds:
         traffic = TRAFFIC[seed % len(TRAFFIC)]
@@ -277,19 +279,18 @@ def runs(rate: int, seeds: range) -> None:
         assert line.telegrams <= 50 * search.tried, where
 
 
-@pytest.mark.parametrize("rate", BAUD_RATES)
-def test_every_rate_from_any_traffic(rate: int) -> None:
-    runs(rate, range(30))
+#: from twice the true rate up nothing can be read at all (tests/phy)
+PAIRS = [(rate, wrong) for rate in BAUD_RATES for wrong in BAUD_RATES if wrong != rate and wrong < 2 * rate]
 
 
-@pytest.mark.soak
-@pytest.mark.parametrize("rate", BAUD_RATES)
-def test_a_thousand_runs_without_a_wrong_answer(rate: int) -> None:
-    runs(rate, range(1000))
-
-
-def never(rate: int, wrong: int, seeds: range) -> None:
-    """Listening at ``wrong`` only, nothing is recognised however long."""
+@pytest.mark.parametrize(("rate", "wrong"), PAIRS)
+@pytest.mark.parametrize(
+    "seeds",
+    [range(len(PAIRS) % 5, len(PAIRS) % 5 + 2), pytest.param(range(250), marks=pytest.mark.soak)],
+    ids=str,
+)
+def test_a_wrong_rate_is_never_recognised(rate: int, wrong: int, seeds: range) -> None:
+    """Listening at ``wrong`` only, the search recognises nothing however long."""
     for seed in seeds:
         traffic = TRAFFIC[seed % len(TRAFFIC)]
         rng = Random(f"{rate} {wrong} {seed}")
@@ -297,21 +298,6 @@ def never(rate: int, wrong: int, seeds: range) -> None:
         search = AutoBaud(line.begun_ns, rates=(wrong,))
         line.listen(search, most=min(3000, max(200, 40 * rate // wrong)))
         assert search.result is None, f"{traffic.__name__} at {rate} heard at {wrong}, seed {seed}"
-
-
-#: from twice the true rate up nothing can be read at all (tests/phy)
-PAIRS = [(rate, wrong) for rate in BAUD_RATES for wrong in BAUD_RATES if wrong != rate and wrong < 2 * rate]
-
-
-@pytest.mark.parametrize(("rate", "wrong"), PAIRS)
-def test_a_wrong_rate_is_never_recognised(rate: int, wrong: int) -> None:
-    never(rate, wrong, range(len(PAIRS) % 5, len(PAIRS) % 5 + 2))
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize(("rate", "wrong"), PAIRS)
-def test_a_wrong_rate_is_never_recognised_in_many_runs(rate: int, wrong: int) -> None:
-    never(rate, wrong, range(250))
 
 
 @pytest.mark.soak

@@ -63,6 +63,14 @@ def cut(octets: bytes, cuts: list[int]) -> list[bytes]:
     return [octets[a:b] for a, b in pairwise(at)]
 
 
+def whole(octets: bytes) -> list[bytes]:
+    return [octets]
+
+
+def bytewise(octets: bytes) -> list[bytes]:
+    return [octets[at : at + 1] for at in range(len(octets))]
+
+
 def feed_all(decoder: Decoder, chunks: list[bytes], now: int = 0) -> list[Telegram]:
     return [telegram for chunk in chunks for telegram in decoder.feed(chunk, now)]
 
@@ -71,7 +79,7 @@ def feed_all(decoder: Decoder, chunks: list[bytes], now: int = 0) -> list[Telegr
 @pytest.mark.parametrize(("octets", "telegram"), ALL, ids=lambda x: "")
 def test_a_telegram_whole_bytewise_in_two_pieces_and_followed_by_another(octets: bytes, telegram: Telegram) -> None:
     assert fresh().feed(octets, 0) == [telegram]
-    assert feed_all(fresh(), [octets[i : i + 1] for i in range(len(octets))]) == [telegram]
+    assert feed_all(fresh(), bytewise(octets)) == [telegram]
     for end in range(1, len(octets)):
         decoder = fresh()
         assert decoder.feed(octets[:end], 5) == []
@@ -155,15 +163,13 @@ DAMAGED: list[tuple[str, dict[str, int]]] = [
 
 
 @pytest.mark.parametrize(("octets", "counters"), DAMAGED)
-@pytest.mark.parametrize("bytewise", [False, True])
+@pytest.mark.parametrize("cut_up", [whole, bytewise])
 def test_damage_counts_once_and_the_next_telegram_is_found(
-    octets: str, counters: dict[str, int], bytewise: bool
+    octets: str, counters: dict[str, int], cut_up: Callable[[bytes], list[bytes]]
 ) -> None:
-    raw = bytes.fromhex(octets)
     decoder = fresh()
-    stream = raw + DIAG
-    chunks = [stream[i : i + 1] for i in range(len(stream))] if bytewise else [stream]
-    assert feed_all(decoder, chunks) == [DIAG_T]
+    stream = bytes.fromhex(octets) + DIAG
+    assert feed_all(decoder, cut_up(stream)) == [DIAG_T]
     assert counted(decoder.stats) == {"octets": len(stream), "telegrams": 1, **counters}
     assert decoder.stats.bad == sum(counters.values()) - counters["skipped"]
 
@@ -298,11 +304,11 @@ def test_garbage_takes_at_most_a_call_an_octet(name: str) -> None:
 
 @pytest.mark.parametrize("garbage", GARBAGE.values(), ids=GARBAGE)
 def test_runs_are_counted_as_octet_by_octet(garbage: bytes) -> None:
-    whole, single = fresh(), fresh()
-    found = whole.feed(garbage[:1_000], 0)
-    assert feed_all(single, [bytes([octet]) for octet in garbage[:1_000]]) == found
-    assert single.stats == whole.stats
-    assert whole.stats.skipped + 3 * len(found) + len(whole.pending) >= 1_000 or found[0] is SHORT_ACK
+    at_once, single = fresh(), fresh()
+    found = at_once.feed(garbage[:1_000], 0)
+    assert feed_all(single, bytewise(garbage[:1_000])) == found
+    assert single.stats == at_once.stats
+    assert at_once.stats.skipped + 3 * len(found) + len(at_once.pending) >= 1_000 or found[0] is SHORT_ACK
 
 
 def test_of_repeated_start_octets_each_claimed_length_counts_once() -> None:
@@ -352,10 +358,10 @@ def test_garbage_never_raises_and_every_octet_is_accounted_for(parts: list[tuple
 @given(garbage, st.lists(st.integers(0, 1000), max_size=6))
 @example(b"\x10\x10\xdc\x10\x10", [231])
 def test_cuts_do_not_matter_in_garbage(octets: bytes, cuts: list[int]) -> None:
-    whole, pieces = fresh(), fresh()
-    expected = whole.feed(octets, 0) + whole.stalled(0)
+    at_once, pieces = fresh(), fresh()
+    expected = at_once.feed(octets, 0) + at_once.stalled(0)
     assert feed_all(pieces, cut(octets, cuts)) + pieces.stalled(0) == expected
-    assert pieces.stats == whole.stats
+    assert pieces.stats == at_once.stats
 
 
 @given(garbage, st.sampled_from([pair for pair in ALL if len(pair[0]) > 3]))
@@ -373,9 +379,9 @@ def test_every_flaw_has_its_counter() -> None:
 
 @pytest.mark.parametrize("inside", ["DC 02 03", "E5", "E5 DC 02 03 E5"], ids=lambda x: x)
 @pytest.mark.parametrize("lost", [(0,), (1,), (2,), (3,), (0, 1), (0, 4), (5,)], ids=str)
-@pytest.mark.parametrize("bytewise", [True, False])
+@pytest.mark.parametrize("cut_up", [whole, bytewise])
 def test_data_of_a_telegram_with_a_damaged_head_are_no_token_and_no_acknowledgement(
-    inside: str, lost: tuple[int, ...], bytewise: bool
+    inside: str, lost: tuple[int, ...], cut_up: Callable[[bytes], list[bytes]]
 ) -> None:
     data = bytes(10) + bytes.fromhex(inside) + bytes(3)
     body = bytes([2, 5, 8]) + data
@@ -383,7 +389,7 @@ def test_data_of_a_telegram_with_a_damaged_head_are_no_token_and_no_acknowledgem
     frame = bytes([0x68, le, le, 0x68]) + body + bytes([sum(body) & 0xFF, 0x16])
     arrived = bytes(octet for number, octet in enumerate(frame) if number not in lost)
     decoder = fresh()
-    assert feed_all(decoder, [arrived[n : n + 1] for n in range(len(arrived))] if bytewise else [arrived]) == []
+    assert feed_all(decoder, cut_up(arrived)) == []
     assert decoder.stalled(STALL) == []
     assert decoder.stats.bad >= 1
     assert decoder.stats.doubtful >= 1
@@ -395,5 +401,5 @@ def test_a_length_that_looks_like_a_start_octet() -> None:
     frame = bytes.fromhex("68 10 10 68 02 05 08 00 00 00 00 00 00 00 00 E5 DC 02 03 00 D5 16")  # LE 16 is SD1
     assert fresh().feed(frame, 0) != []
     decoder = fresh()
-    assert feed_all(decoder, [frame[n : n + 1] for n in range(1, len(frame))]) == []
+    assert feed_all(decoder, bytewise(frame[1:])) == []
     assert decoder.stalled(STALL) == []

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import count
+
 import pytest
 from ring_bus import ListUser, RingBus, fixed
 
 from dpstack.dp.master.scanner import SurveyOrder
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import DetachUser
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, Request
@@ -20,6 +23,14 @@ TO_4, SLAVE_4 = "10 04 02 49 4F 16", "10 02 04 00 06 16"
 TO_126, SLAVE_126 = "10 7E 02 49 C9 16", "10 02 7E 00 80 16"
 
 
+def list_of(bus: RingBus, live: LiveList, ms: int = 2000) -> ActiveStation:
+    """Master 2 with ``live`` after ``ms``; station 4 is a slave."""
+    bus.slaves[4] = fixed(TO_4, SLAVE_4)
+    station = bus.master(2, live, gap=0)
+    bus.run_ms(ms)
+    return station
+
+
 def polls(bus: RingBus, sender: int = 2) -> list[int]:
     return [s.octets[1] for s in bus.log if s.octets[0] == 0x10 and s.sender == sender and s.octets[3] == 0x49]
 
@@ -27,17 +38,15 @@ def polls(bus: RingBus, sender: int = 2) -> list[int]:
 def test_all_addresses_but_the_own_one() -> None:
     bus = RingBus()
     live = LiveList(2)
-    bus.slaves[4] = fixed(TO_4, SLAVE_4)
     bus.slaves[126] = fixed(TO_126, SLAVE_126)
-    bus.master(2, live, gap=0)
-    bus.run_ms(2000)
+    list_of(bus, live)
     assert live.done
     assert live.stations == {4: StationType.SLAVE, 126: StationType.SLAVE}
     everybody = [a for a in range(127) if a != 2]
     silent = [a for a in everybody if a not in (4, 126)]
     assert polls(bus) == everybody + silent  # what was silent is asked a second time
-    told = [(e.address, e.kind) for e in bus.events_of(StationFound)]
-    assert told == [(4, StationType.SLAVE), (126, StationType.SLAVE)]
+    found = [(e.address, e.kind) for e in bus.events_of(StationFound)]
+    assert found == [(4, StationType.SLAVE), (126, StationType.SLAVE)]
 
 
 def test_one_poll_a_hold_after_all_other_traffic() -> None:
@@ -71,19 +80,10 @@ def test_the_types_of_masters() -> None:
 def test_a_damaged_answer_hides_no_station() -> None:
     bus = RingBus()
     live = LiveList(2)
-    bus.slaves[4] = fixed(TO_4, SLAVE_4)
-    damaged: list[int] = []
-
-    def once(sent: object) -> bool:
-        if getattr(sent, "sender", 0) == 4 and not damaged:
-            damaged.append(1)
-            return True
-        return False
-
-    bus.drop = once
-    station = bus.master(2, live, gap=0)
-    bus.run_ms(2000)
-    assert damaged
+    answers = count()
+    bus.drop = lambda sent: sent.sender == 4 and next(answers) == 0
+    station = list_of(bus, live)
+    assert next(answers) > 1
     assert live.stations == {4: StationType.SLAVE}
     assert live.unreadable == set()
     assert station.stats.stations[4].bad
@@ -92,10 +92,8 @@ def test_a_damaged_answer_hides_no_station() -> None:
 def test_an_address_that_is_never_readable_is_reported() -> None:
     bus = RingBus()
     live = LiveList(2)
-    bus.slaves[4] = fixed(TO_4, SLAVE_4)
     bus.drop = lambda sent: sent.sender == 4
-    bus.master(2, live, gap=0)
-    bus.run_ms(2000)
+    list_of(bus, live)
     assert live.done
     assert live.stations == {}
     assert live.unreadable == {4}
@@ -104,16 +102,14 @@ def test_an_address_that_is_never_readable_is_reported() -> None:
 def test_a_repeated_live_list_drops_stations_that_are_gone() -> None:
     bus = RingBus()
     live = LiveList(2, addresses=[3, 4], period_ns=100 * NS_PER_MS)
-    bus.slaves[4] = fixed(TO_4, SLAVE_4)
-    bus.master(2, live, gap=0)
-    bus.run_ms(300)
+    list_of(bus, live, 300)
     assert live.stations == {4: StationType.SLAVE}
     assert live.done
     bus.slaves.clear()
     bus.run_ms(300)
     assert live.stations == {}
-    told = [(e.address, e.kind) for e in bus.events_of(StationFound)]
-    assert told == [(4, StationType.SLAVE), (4, None)]
+    found = [(e.address, e.kind) for e in bus.events_of(StationFound)]
+    assert found == [(4, StationType.SLAVE), (4, None)]
     assert live.done
 
 
@@ -149,9 +145,7 @@ def test_soon_and_forgotten() -> None:
     live = LiveList(2, addresses=range(10))
     live.ask_soon(77)
     live.ask_soon(77)
-    bus.slaves[4] = fixed(TO_4, SLAVE_4)
-    bus.master(2, live, gap=0)
-    bus.run_ms(100)
+    list_of(bus, live, 100)
     assert polls(bus)[:3] == [77, 0, 1]
     live.forget(4, bus.now)
     assert live.stations == {}
@@ -187,9 +181,9 @@ def test_a_busy_computer_looks_once_more_with_patience() -> None:
     assert in_time.stations == {}
 
     # one of 52 is late: no more than what happens on any computer; one of 50 is more
-    for count, extra in ((26, 0), (25, 25)):
-        once = LiveList(2, addresses=range(3, 3 + count), long_look=look)
-        assert len(asked(once, 3_553_999, {}, first_ns=3_554_000)) == 2 * count + extra
+    for size, extra in ((26, 0), (25, 25)):
+        once = LiveList(2, addresses=range(3, 3 + size), long_look=look)
+        assert len(asked(once, 3_553_999, {}, first_ns=3_554_000)) == 2 * size + extra
 
     busy = LiveList(2, addresses=addresses, long_look=look)
     requests = asked(busy, 3_554_000, late)

@@ -36,11 +36,14 @@ class Station(OctetMaster):
             self.start_with(parameters, CFG, self.outputs)
 
     def inputs(self) -> str:
-        """What it reads."""
+        """The inputs that the master reads."""
         return self.dx(self.outputs).data.hex(" ").upper()
 
-    def take_alarm(self, block: str) -> None:
-        """Fetch this alarm block and acknowledge it, whatever stands beside it."""
+    def outputs_of_slots(self) -> list[str]:
+        return [slot.outputs.hex() for slot in self.io.slots if slot is not None and slot.module.outputs]
+
+    def acknowledge_alarm(self, block: str) -> None:
+        """Fetch the diagnosis, which begins with this alarm block, and acknowledge the alarm."""
         text = self.fetch()
         assert text.startswith(block), text
         kind, slot, specifier = bytes.fromhex(block)[1:4]
@@ -61,25 +64,23 @@ def test_inputs_and_outputs() -> None:
     assert bench.inputs() == "00 00 01 FF FE 12 34"
     bench.outputs = bytes.fromhex("AA 01 02 11 22 33 44")
     bench.inputs()
-    outputs = [slot.outputs.hex() for slot in bench.io.slots if slot is not None and slot.module.outputs]
-    assert outputs == ["aa", "0102", "11223344"]
+    assert bench.outputs_of_slots() == ["aa", "0102", "11223344"]
     bench.control(b"\x02\x00")
-    assert bench.io.slots[1] is not None
-    assert bench.io.slots[1].outputs == b"\0"
+    assert bench.outputs_of_slots()[0] == "00"
 
 
 def test_edges_raise_process_alarms_as_parameters_say() -> None:
     bench = Station()
     bench.io.set_input(1, b"\x05")
-    bench.take_alarm("06 02 01 00 05 05")
+    bench.acknowledge_alarm("06 02 01 00 05 05")
     bench.io.set_input(1, b"\x06")
-    bench.take_alarm("06 02 01 08 02 06")
+    bench.acknowledge_alarm("06 02 01 08 02 06")
     bench.io.set_input(1, b"\x00")  # falling edges are off here
     assert not bench.must_fetch
     bench.io.set_input(5, b"\x80\x01")
-    bench.take_alarm("08 02 05 10 80 01 80 01")
+    bench.acknowledge_alarm("08 02 05 10 80 01 80 01")
     bench.io.set_input(5, b"\x00\x01")
-    bench.take_alarm("08 02 05 18 80 00 00 01")
+    bench.acknowledge_alarm("08 02 05 18 80 00 00 01")
 
 
 def test_a_wire_breaks_and_is_whole_again() -> None:
@@ -91,11 +92,11 @@ def test_a_wire_breaks_and_is_whole_again() -> None:
     assert bench.inputs() == "00 00 00 7F FF 00 00"
     assert bench.ack("03 01 01") == "5C 03 01 01"
     bench.io.wire_break(3, 0, True)
-    bench.take_alarm("06 01 03 09 00 06 42 04 82 40 A6 82 41 A6")
+    bench.acknowledge_alarm("06 01 03 09 00 06 42 04 82 40 A6 82 41 A6")
     bench.io.wire_break(3, 1, False)
-    bench.take_alarm("06 01 03 13 01 06 42 04 82 40 A6")
+    bench.acknowledge_alarm("06 01 03 13 01 06 42 04 82 40 A6")
     bench.io.wire_break(3, 0, False)
-    bench.take_alarm("06 01 03 1A 00 06 06 82 00 00 00 00")
+    bench.acknowledge_alarm("06 01 03 1A 00 06 06 82 00 00 00 00")
     assert bench.ext() == ""
     assert bench.diag()[0] == 0x00
 
@@ -106,26 +107,26 @@ def test_no_diagnosis_where_parameters_say_so() -> None:
     assert not bench.must_fetch
     assert bench.inputs() == "00 00 00 7F FF 00 00"
     assert bench.record("5F 03 01 01 01") == "5F 03 01 01"  # switched on by its record
-    bench.take_alarm("06 01 03 01 01 06")
+    bench.acknowledge_alarm("06 01 03 01 01 06")
     bench.record("5F 03 01 01 00")
-    bench.take_alarm("06 01 03 0A 01 06")
+    bench.acknowledge_alarm("06 01 03 0A 01 06")
 
 
 def test_pull_and_plug() -> None:
     bench = Station()
     bench.io.set_input(1, b"\x05")
-    bench.take_alarm("06 02 01 00 05 05")
+    bench.acknowledge_alarm("06 02 01 00 05 05")
     bench.io.pull(1)
-    bench.take_alarm("05 03 01 09 10 06 82 00 00 03 00 42 01")
+    bench.acknowledge_alarm("05 03 01 09 10 06 82 00 00 03 00 42 01")
     assert bench.inputs() == "00 00 00 00 00 00 00"
-    bench.io.set_input(1, b"\x07")  # nobody is there to see it
+    bench.io.set_input(1, b"\x07")  # no module is there to see it
     assert not bench.must_fetch
     bench.io.plug(1, "16DO")
-    bench.take_alarm("05 04 01 13 21 06 82 00 00 02 00 42 01")
+    bench.acknowledge_alarm("05 04 01 13 21 06 82 00 00 02 00 42 01")
     bench.io.pull(1)
-    bench.take_alarm("05 03 01 19 21 06 82 00 00 03 00 42 01")
+    bench.acknowledge_alarm("05 03 01 19 21 06 82 00 00 03 00 42 01")
     bench.io.plug(1)
-    bench.take_alarm("05 04 01 22 10 06 82 00 00 00 00")
+    bench.acknowledge_alarm("05 04 01 22 10 06 82 00 00 00 00")
     assert bench.inputs() == "07 00 00 00 00 00 00"
     assert bench.ext() == ""
 
@@ -134,23 +135,22 @@ def test_a_pulled_module_takes_its_outputs_and_its_channel_faults_along() -> Non
     bench = Station()
     bench.outputs = b"\xaa" + bytes(6)
     bench.io.wire_break(3, 0, True)
-    bench.take_alarm("06 01 03 01 00 06")
+    bench.acknowledge_alarm("06 01 03 01 00 06")
     bench.io.pull(2)
     assert bench.fetch() == "05 03 02 09 20 06 82 00 00 1C 00 42 06 82 40 A6"
     bench.io.pull(3)  # one pull alarm at a time; the channel goes with its module
     assert bench.fetch() == "05 03 02 09 20 06 82 00 00 3C 00 42 06"
-    assert bench.io.slots[1] is not None
-    assert bench.io.slots[1].outputs == b"\0"
+    assert bench.outputs_of_slots()[0] == "00"
     assert bench.ack("02 03 09") == "5C 02 03 09"
-    bench.take_alarm("05 03 03 11 51")
+    bench.acknowledge_alarm("05 03 03 11 51")
     bench.io.plug(3)
-    bench.take_alarm("05 04 03 1B 51 06 82 00 00 1C 00 42 06 82 40 A6")  # the wire is still broken
+    bench.acknowledge_alarm("05 04 03 1B 51 06 82 00 00 1C 00 42 06 82 40 A6")  # the wire is still broken
 
 
 def test_parameters_changed_at_the_device() -> None:
     bench = Station()
     bench.io.set_parameter(1, 0x02)
-    bench.take_alarm("05 06 01 00 02")
+    bench.acknowledge_alarm("05 06 01 00 02")
     assert bench.record("5E 01 01 F0") == "5E 01 01 01 02"
     bench.start_with(PRM, CFG, bytes(7))
     assert bench.record("5E 01 01 F0") == "5E 01 01 01 01"  # those of Set_Prm count again

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import pytest
+from bus_kit import add_station
 from ring_bus import ListUser
 from support import MS, WorldFactory
 
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.interface import SC_REPLY, Reply, Request, Responder
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Req, Resp, StationType, Telegram
 from dpstack.params import BusParams
-from dpstack.sim.world import World
 from dpstack.units import BAUD_RATES
 
 
@@ -21,13 +19,6 @@ class Echo(Responder):
 
     def serve(self, request: Telegram, now: int) -> Reply | None:
         return Reply(Resp.DL, request.data) if request.data else SC_REPLY
-
-
-def master(world: World, params: BusParams, *users: ListUser) -> ActiveStation:
-    station = ActiveStation(params, users, now=world.now)
-    world.add(station)
-    world.command(station, GoOnline())
-    return station
 
 
 def dx(address: int, n: int = 0) -> Request:
@@ -39,7 +30,7 @@ def test_exchange_and_gap_at_every_rate(world: WorldFactory, baud: int) -> None:
     w = world()
     params = BusParams.preset(baud, address=2, hsa=8, gap=1, t_tr=20_000)
     user = ListUser(per_hold=[dx(4, n) for n in range(3)])
-    station = master(w, params, user)
+    station = add_station(w, params, user)
     w.add(PassiveStation(4, Echo(), params))
     w.run_for(params.ns(120_000))
     assert station.stations == {4: StationType.SLAVE}
@@ -53,7 +44,7 @@ def test_noise_is_survived(world: WorldFactory, seed: int) -> None:
     w = world(seed=seed, referee=False)
     params = BusParams.preset(1_500_000, address=2, hsa=10, t_tr=20_000, gap=1)
     users = [ListUser(per_hold=[dx(20)]) for _ in range(3)]
-    masters = [master(w, params.replace(address=a), u) for a, u in zip((2, 5, 9), users, strict=True)]
+    masters = [add_station(w, params.replace(address=a), u) for a, u in zip((2, 5, 9), users, strict=True)]
     w.add(PassiveStation(20, Echo(), params))
     w.run_for(100 * MS)
     w.faults.noise(1e-3)
@@ -71,7 +62,7 @@ def test_late_slaves(world: WorldFactory, delay: int) -> None:
     w = world(referee=False)
     params = BusParams.preset(500_000, address=2, gap=0)
     user = ListUser(per_hold=[dx(4, 1), dx(4, 2), *(dx(5, n) for n in range(4))])
-    station = master(w, params, user)
+    station = add_station(w, params, user)
     w.add(PassiveStation(4, Echo(), params, t_sdr=delay))
     w.add(PassiveStation(5, Echo(), params))
     w.run_for(100 * MS)
