@@ -1,6 +1,6 @@
-"""MS1 and MS2 together, master and slaves of ours in a world with loss, damage and services that overtake each other:
+"""MS1 and MS2 together, master and slaves of ours in a world with loss, damage and services that overtake each other.
 
-every Initiate, Read, Write and Data_Transport has exactly one end, no answer is taken for another one's, and no
+Every Initiate, Read, Write and Data_Transport has exactly one end, no answer is taken for another one's, and no
 connection is left at either end.
 """
 
@@ -41,6 +41,12 @@ from dpstack.sim.world import World
 MS = 1_000_000
 S = 1_000 * MS
 LIMIT = 60 * MS
+#: function and data of the services over MS1 and class 2 connections
+FUNCTIONS = {
+    "read": (Function.READ, b""),
+    "write": (Function.WRITE, b"\1"),
+    "carry": (Function.DATA_TRANSPORT, b"\1\2"),
+}
 
 
 class Both(SimBus):
@@ -53,38 +59,28 @@ class Both(SimBus):
         super().__init__(World(seed=seed), params, [setup(address, dpv1) for address in devices], devices=devices)
         self.world.run_for(200 * MS)
         self.tokens = 0
-        #: of the services that were taken: what, slot and index
-        self.taken: dict[int, tuple[str, int, int]] = {}
+        #: service, slot and index of the orders that were accepted, by token
+        self.accepted: dict[int, tuple[str, int, int]] = {}
         self.opened: list[int] = []
 
-    def take(self, what: str, number: int, slot: int, index: int) -> None:
-        """Order a service; what cannot be is refused at once and has no end."""
+    def order(self, what: str, number: int, slot: int, index: int) -> None:
+        """Order a service; an impossible one is refused at once and has no end."""
         self.tokens += 1
         token = self.tokens
         connection = self.opened[number % len(self.opened)] if self.opened else 0
         address = 3 + number % 2
-        order: object
-        match what:
-            case "open":
-                order = OpenConnection(token, address, InitiateReq(S), LIMIT, timeout_ns=S)
-            case "read":
-                order = RecordOrder(token, Function.READ, slot, index, 3, address=address, timeout_ns=S)
-            case "write":
-                order = RecordOrder(token, Function.WRITE, slot, index, data=b"\1", address=address, timeout_ns=S)
-            case "read over":
-                order = RecordOrder(token, Function.READ, slot, index, 3, connection=connection, timeout_ns=S)
-            case "write over":
-                order = RecordOrder(token, Function.WRITE, slot, index, data=b"\1", connection=connection, timeout_ns=S)
-            case _:
-                order = RecordOrder(
-                    token, Function.DATA_TRANSPORT, slot, index, data=b"\1\2", connection=connection, timeout_ns=S
-                )
+        if what == "open":
+            order: object = OpenConnection(token, address, InitiateReq(S), LIMIT, timeout_ns=S)
+        else:
+            function, data = FUNCTIONS[what.split()[0]]
+            way = {"connection": connection} if what.endswith("over") else {"address": address}
+            order = RecordOrder(token, function, slot, index, 3, data, timeout_ns=S, **way)
         try:
             self.send(order)
         except UsageError:
             assert what.endswith("over")
             return
-        self.taken[token] = (what, slot, index)
+        self.accepted[token] = (what, slot, index)
         if what == "open":
             self.opened.append(token)
 
@@ -113,8 +109,8 @@ def _acyclic(sent: Transmission) -> bool:
 def test_every_service_ends_once_with_lost_telegrams(steps: list[tuple[str, int, int, int]], seed: int) -> None:
     both = Both(seed)
     world = both.world
-    both.take("open", 0, 0, 0)
-    both.take("open", 1, 0, 0)
+    both.order("open", 0, 0, 0)
+    both.order("open", 1, 0, 0)
     world.run_for(50 * MS)
     for what, number, slot, index in steps:
         match what:
@@ -128,7 +124,7 @@ def test_every_service_ends_once_with_lost_telegrams(steps: list[tuple[str, int,
             case "restart":
                 both.apps[number % 2].restart(world.now)
             case _ if what in SERVICES:
-                both.take(what, number, slot, index)
+                both.order(what, number, slot, index)
             case _:
                 fault_step(world, both.station, what, number, _acyclic)
     world.faults.noise(0)
@@ -140,7 +136,7 @@ def test_every_service_ends_once_with_lost_telegrams(steps: list[tuple[str, int,
     note(wire_log(world, 80))
     # one end each
     done = both.done()
-    assert Counter(one.token for one in done) == Counter(list(both.taken))
+    assert Counter(one.token for one in done) == Counter(list(both.accepted))
     assert both.acyclic.waiting == connections_of(both.acyclic) == 0
     opened = [one.token for one in done if isinstance(one, InitiateDone) and one.outcome.failure is None]
     over = Counter(one.connection for one in both.events if isinstance(one, ConnectionOver))
@@ -150,7 +146,7 @@ def test_every_service_ends_once_with_lost_telegrams(steps: list[tuple[str, int,
     for one in done:
         if isinstance(one, InitiateDone):
             continue
-        what, slot, index = both.taken[one.token]
+        what, slot, index = both.accepted[one.token]
         assert (one.slot, one.index) == (slot, index)
         if one.outcome.failure is ServiceFailure.NEGATIVE:
             assert index == 98
