@@ -213,7 +213,7 @@ def flags_of(device: Device, names: Mapping[str, str]) -> list[str]:
 
 
 def alarms_text(device: Device) -> str | None:
-    """The alarms that the device has, for people; None where it has none."""
+    """The alarms of the device as text; None where it has none."""
     kinds, required = alarm_kinds(device.dpv1.alarms), alarm_kinds(device.dpv1.required)
     if not kinds:
         return None

@@ -39,9 +39,9 @@ Handler: TypeAlias = Callable[[Any, Statement], None]
 
 @dataclass
 class Block:
-    """``title`` as the file writes it; ``head``: what has to stand behind the opening keyword, for people.
+    """``title`` as the file writes it; ``head``: the text, for messages, that must stand behind the opening keyword.
 
-    ``end``: the closing keyword in lower case. The parser sets it; nothing but its end closes a file.
+    ``end``: the closing keyword in lower case, set by the parser. The device has none: its block ends with the file.
     """
 
     title = ""
@@ -58,11 +58,11 @@ class Block:
 
     @property
     def full_title(self) -> str:
-        """The block for people: ``Module 'x'``, ``PrmText 3``."""
+        """The block in messages: ``Module 'x'``, ``PrmText 3``."""
         return self.title
 
     def other(self, statement: Statement) -> bool:
-        """Handle a keyword that has no handler. False: this block has no use for it either."""
+        """Handle a keyword that has no handler. False: this block does not use it either."""
         return False
 
     def add(self, inner: Block) -> None:
@@ -287,7 +287,7 @@ class SlotBlock(Block):
 
 @dataclass
 class RawBlock(Block):
-    """A block that dpstack has no use for. Its statements are kept as they stand."""
+    """A block that dpstack does not use. It keeps its statements unchanged."""
 
     name: str
     raws: list[Raw] = field(default_factory=list)

@@ -21,7 +21,7 @@ _EMPTY: Final = b"\0"
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """A checked choice of modules (None: an empty slot). ``inputs``/``outputs``: octets, seen from the master."""
+    """A checked row of modules (None: an empty slot). ``inputs``/``outputs``: octets, seen from the master."""
 
     device: Device
     modules: tuple[Module | None, ...]
@@ -220,7 +220,7 @@ def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:
         several = "the device is no modular station (Modular_Station = 0), but several modules are plugged"
         notes = (several, *notes)
     found = Configuration(device, row, config, inputs, outputs, notes)
-    found.user_prm()  # refuses what does not fit
+    found.user_prm()  # raises GsdError for parameters that do not fit
     return found
 
 
@@ -264,9 +264,9 @@ def _check_slots(device: Device, modules: Sequence[Module | None]) -> None:
 
 
 def f_notes(device: Device, modules: Sequence[Module | None], *, in_slots: bool = True) -> tuple[str, ...]:
-    """A note for people where ``device`` or ``modules`` have F_ parameters (PROFIsafe), else nothing.
+    """A note if ``device`` or ``modules`` have F_ parameters (PROFIsafe), else nothing.
 
-    Without ``in_slots`` it does not name the slots.
+    Without ``in_slots`` the note does not name the slots.
     """
     places = ["the device itself"] if device.f_parameters else []
     for slot, module in enumerate(modules, device.first_slot):

@@ -62,7 +62,7 @@ class Statement:
 def lex(line: str) -> Statement | None:
     """The statement of a logical line; None where it holds blanks or a comment only."""
     match = _LINE.match(line)
-    if match is None:  # cannot be: every part may be missing
+    if match is None:  # impossible: every part of the pattern is optional
         return None
     written, index, equals, value = match.groups()
     if written is None:

@@ -44,7 +44,7 @@ def alarm_kinds(keywords: Iterable[str]) -> tuple[str, ...]:
 
 
 def ranges_text(ranges: Ranges) -> str:
-    """``0..3, 5`` for people."""
+    """``ranges`` as text: ``0..3, 5``."""
     return ", ".join(f"{low}..{high}" if low != high else str(low) for low, high in ranges)
 
 
@@ -105,7 +105,7 @@ class Findings:
 
 @dataclass(frozen=True, slots=True)
 class Raw:
-    """A statement that dpstack has no use for, as it stands: ``keyword(index) = value``.
+    """A statement that dpstack does not use, unchanged: ``keyword(index) = value``.
 
     ``block`` is the keyword of the block around it, empty outside of all.
     """
@@ -248,7 +248,7 @@ class Diagnosis:
 class Module:
     """One module: a name (no key: several may share it), its number where it has one, identifier octets.
 
-    ``complete`` is False when the file breaks off in it or its EndModule is missing: such a module is not to be used.
+    ``complete`` is False when the file breaks off in it or its EndModule is missing: such a module cannot be used.
     """
 
     name: str
@@ -269,7 +269,7 @@ class Module:
 
     @property
     def title(self) -> str:
-        """Name with reference for messages."""
+        """Name and reference number, for messages."""
         return f"{self.name!r}" if self.reference is None else f"{self.name!r} (reference {self.reference})"
 
 
@@ -338,7 +338,7 @@ class Device:
 
     Keywords that dpstack does not use have no field of their own. ``settings``: every ``keyword = value`` of the device
     as written, by keyword in lower case (the last one counts), used or not. ``raw``: statements and blocks that dpstack
-    has no use for.
+    does not use.
     """
 
     ident: int | None = None

@@ -34,7 +34,7 @@ _OTHERS: Final = (
 )
 #: closing keyword in lower case -> as files write it
 _CLOSING: Final = {end.lower(): end for end in (*(end for _, end in BLOCKS.values()), *RAW_BLOCKS.values())}
-#: the keywords of the GSD specification. The parser keeps any other one as it stands and reports it.
+#: the keywords of the GSD specification. The parser keeps all others unchanged and reports them.
 _KNOWN: Final = KEYWORDS.union(
     RAW_BLOCKS, _CLOSING, BLOCKS, DeviceBlock.handlers, *(kind.handlers for kind, _ in BLOCKS.values())
 )
@@ -81,7 +81,7 @@ def parse_gsd(octets: bytes, name: str = "GSD file") -> GsdFile:
 
 
 def _refused(octets: bytes) -> str:
-    """Why ``octets`` can be no GSD file, judged by length and first octets; empty: they may be one."""
+    """The reason why ``octets`` are no GSD file, by length and first octets; empty: they may be one."""
     if len(octets) > MAX_OCTETS:
         return f"no GSD file: more than {MAX_OCTETS // 1_000_000} MB; the largest known one has half of one"
     bare = octets[:4096].removeprefix(b"\xef\xbb\xbf").lstrip(b"\0 \t\r\n\x1a")
@@ -144,7 +144,7 @@ class _Reader:
 
     def _open_known(self, statement: Statement, kind: type[Block], end: str) -> None:
         """Open a block of ``kind``. Where its head cannot be parsed, its inside is kept raw."""
-        # only areas stand in other blocks: where another block begins, the end of the open one is missing
+        # only areas stand inside other blocks: if another block begins, the end of the open one is missing
         while self._outer and not (kind is AreaBlock and isinstance(self._block, DiagBlock)):
             self._broken_off(f"{statement.written} on line {statement.line}")
         block = kind.opened_by(statement, self._findings)
@@ -156,7 +156,7 @@ class _Reader:
         self._open(block, end.lower())
 
     def _open_raw(self, statement: Statement) -> bool:
-        """Open a block that dpstack has no use for, if the file has its closing keyword too."""
+        """Open a block that dpstack does not use, if the file has its closing keyword too."""
         keyword, block = statement.keyword, self._block
         if isinstance(block, RawBlock) or statement.index is not None or not keyword[:1].isalpha():
             return False

@@ -206,7 +206,7 @@ KEYWORDS: Final = frozenset(_FIELDS).union(
 
 
 def contradictions(dpv1: DpV1) -> Iterator[tuple[str, str]]:
-    """(keyword in lower case that has the line, text for people) of each contradiction between the DP-V1 keywords.
+    """(keyword in lower case whose line is named, message) of each contradiction between the DP-V1 keywords.
 
     GSD specification (PNO order 2.122), DP extensions: a keyword that is left out means 0. ``..._supp`` is what a
     device can do, ``..._required`` what its master has to use, lengths and counts how much of it.

@@ -1,7 +1,7 @@
 """From the octets of a file to its logical lines: decoding, line ends, continuations.
 
 ``\\`` at the end of a line (blanks or a comment may follow) joins the next one to it, also inside a string. At such a
-seam inside a string a run of blanks becomes one blank: it is how the file was laid out, not what it says.
+seam inside a string several blanks become one: they belong to the layout of the file, not to the text.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def decode(octets: bytes) -> tuple[str, str]:
 def read_text(octets: bytes) -> Text:
     """Logical lines of ``octets`` (at most :data:`MAX_OCTETS`)."""
     text, encoding = decode(octets)
-    text = text.rstrip("\0\x1a")  # how DOS ended files
+    text = text.rstrip("\0\x1a")  # DOS ended files with these
     for end in ("\r\r\n", "\r\n", "\r", "\x0b", "\x0c"):
         text = text.replace(end, "\n")
     physical = text.split("\n")
@@ -77,7 +77,7 @@ def _joined(physical: list[str], encoding: str) -> Text:
                 lines.append(line)
                 continue
         elif listing and line.lstrip(" \t").startswith(";"):
-            continue  # a remark between the lines of a list that is not complete
+            continue  # a comment between the lines of a list that goes on
         head, inside, goes_on = _split(line, inside)
         parts.append(_behind_seam(head, parts[-1]) if parts else head)
         length += len(head)

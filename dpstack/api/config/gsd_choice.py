@@ -42,7 +42,9 @@ def module_key(device: Device, module: Module | None) -> int | str:
 
 
 def as_toml(device: Device, choice: Choice) -> str:
-    """The table, with what is on the wire as comments. Raises GsdError where the choices do not fit together."""
+    """The table, with identifier octets and user parameters as comments. Raises GsdError where the choices do not fit
+    together.
+    """
     configuration = plug(device, choice.modules)
     prm = configuration.user_prm()
     for name, value in choice.parameters.items():

@@ -131,7 +131,7 @@ class _Walk:
             self._brackets += 1
         elif mark == "]" and self._brackets:
             self._header(array=self._brackets > 1)
-            self._in_value = True  # what follows belongs to nothing
+            self._in_value = True  # the rest of the line belongs to no key
 
     def _header(self, *, array: bool) -> None:
         """A part that names an array of tables means its last element."""
