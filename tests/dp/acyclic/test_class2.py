@@ -292,7 +292,7 @@ def test_beside_another_class_1_master_that_notices_nothing(world: WorldFactory)
     while not station.in_ring:
         w.run_for(10 * MS)
     w.run_for(100 * MS)
-    states = len([e for e in bus.events if isinstance(e, SlaveStateChanged)])
+    states = sum(isinstance(e, SlaveStateChanged) for e in bus.events)
     bus.master.images[4].outputs = bytes(range(12))
     w.run_for(50 * MS)
     token = 0
@@ -310,7 +310,7 @@ def test_beside_another_class_1_master_that_notices_nothing(world: WorldFactory)
     assert found[2].outcome.data == PPO1
     assert found[3].outcome.data == found[4].outcome.data == bytes(range(12))
     assert bus.exchanging
-    assert len([e for e in bus.events if isinstance(e, SlaveStateChanged)]) == states
+    assert sum(isinstance(e, SlaveStateChanged) for e in bus.events) == states
     stats = bus.station.stats
     assert [(s.retries, s.timeouts, s.late, s.wrong) for a, s in stats.stations.items() if a in (3, 4, 5)] == [
         (0, 0, 0, 0)
@@ -330,7 +330,7 @@ def test_beside_the_class_1_master_of_its_own_station(world: WorldFactory) -> No
     rounds = bus.master.rounds
     begun = w.now
     for token in range(CAPACITY):
-        w.command(bus.station, ReadService(token, 4, Service.CONFIG))
+        bus.send(ReadService(token, 4, Service.CONFIG))
     while bus.acyclic.waiting:
         w.run_for(MS)
     found = ends(bus.events)
@@ -349,7 +349,7 @@ def test_without_time_to_spare_it_ends_and_says_so(world: WorldFactory) -> None:
     params = BusParams.preset(500_000, address=2, gap=0).replace(t_tr=256)
     bus = SimBus(w, params, (3, 4))
     bus.until_exchanging()
-    w.command(bus.station, ReadService(1, 3, Service.CONFIG, timeout_ns=300 * MS))
+    bus.send(ReadService(1, 3, Service.CONFIG, timeout_ns=300 * MS))
     w.run_for(301 * MS)
     outcome = ends(bus.events)[1].outcome
     assert outcome.failure is ServiceFailure.LATE

@@ -264,7 +264,7 @@ def test_a_slave_of_its_own_station_is_refused_at_once(world: WorldFactory) -> N
     bus = SimBus(w, BusParams.preset(500_000, address=2), (3,))
     bus.until_exchanging()
     with pytest.raises(UsageError, match="slave 3 is parameterised by this master"):
-        w.command(bus.station, ChangeAddress(1, 3, 9))
+        bus.send(ChangeAddress(1, 3, 9))
 
 
 class Addressable(SlaveApp):
@@ -292,8 +292,8 @@ def test_beside_a_running_class_1_master_nobody_loses_an_exchange(world: WorldFa
     w.add(PassiveStation(126, Addressable(MirrorDevice(IDENT, PPO1)), params))
     bus.until_exchanging()
     w.run_for(200 * MS)
-    w.command(bus.station, ChangeAddress(1, 126, 4))
-    w.command(bus.station, ChangeAddress(2, 126, 5, ident=IDENT))
+    bus.send(ChangeAddress(1, 126, 4))
+    bus.send(ChangeAddress(2, 126, 5, ident=IDENT))
     while bus.acyclic.waiting:
         w.run_for(MS)
     found = {e.token: e.outcome for e in bus.events if isinstance(e, ServiceDone)}

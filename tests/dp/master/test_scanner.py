@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import pytest
 from bus_kit import IDENT, PPO1, SimBus, mirror
 from ring_bus import ListUser, RingBus
-from support import MS, S, WorldFactory
+from support import MS, KeepsEvents, S, WorldFactory
 
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveStateChanged
@@ -31,18 +32,24 @@ from dpstack.trace import Event, Notice
 
 
 @dataclass
-class Scan:
+class Scan(KeepsEvents):
     """A scanning master in ``world``."""
 
     world: World
     address: int = 0
     baud: int = 500_000
     configs: bool = False
+    #: addresses of the live list, None for all
+    addresses: Sequence[int] | None = None
+    #: see Scanner
+    period_ns: int = 0
+    wanted: Sequence[int] = ()
 
     def __post_init__(self) -> None:
         params = BusParams.preset(self.baud, address=self.address)
         self.events: list[Event] = []
-        self.scanner = Scanner(self.address, LiveList(self.address), configs=self.configs)
+        live = LiveList(self.address) if self.addresses is None else LiveList(self.address, addresses=self.addresses)
+        self.scanner = Scanner(self.address, live, configs=self.configs, period_ns=self.period_ns, wanted=self.wanted)
         self.station = ActiveStation(params, [self.scanner], guard=reading_only, now=self.world.now)
         self.world.add(self.station, on_events=self.events.extend)
 
@@ -86,11 +93,11 @@ def test_beside_another_master_that_notices_nothing(world: WorldFactory) -> None
         bus = SimBus(w, params, (3, 4, 5))
         bus.until_exchanging()
         w.run_for(500 * MS)
-        before = len([e for e in bus.events if isinstance(e, SlaveStateChanged)])
+        before = sum(isinstance(e, SlaveStateChanged) for e in bus.events)
         if scanned:
             scan = Scan(w, configs=True)
             found = scan.run()
-            assert not [event for event in scan.events if isinstance(event, TokenLost)]
+            assert not scan.events_of(TokenLost)
             assert brief(found) == [
                 (2, "MASTER_IN_RING", None, None, None),
                 *((a, "SLAVE", IDENT, "data_exchange", 2) for a in (3, 4, 5)),
@@ -98,7 +105,7 @@ def test_beside_another_master_that_notices_nothing(world: WorldFactory) -> None
             assert {found[a].config for a in (3, 4, 5)} == {PPO1}
         w.run_for(2 * S)
         assert bus.exchanging
-        assert len([e for e in bus.events if isinstance(e, SlaveStateChanged)]) == before
+        assert sum(isinstance(e, SlaveStateChanged) for e in bus.events) == before
         stats = bus.station.stats
         assert [(s.retries, s.timeouts, s.late, s.wrong) for a, s in stats.stations.items() if a in (3, 4, 5)] == [
             (0, 0, 0, 0)
@@ -122,19 +129,16 @@ def test_the_owners_watchdog_still_runs_while_others_ask(world: WorldFactory) ->
     params = BusParams.preset(500_000, address=2)
     bus = SimBus(w, params, (3,))
     bus.until_exchanging()
-    scan = Scan(w)
-    scan.scanner = Scanner(0, LiveList(0, addresses=[3]), period_ns=MS)
-    scan.station = ActiveStation(BusParams.preset(500_000, address=0), [scan.scanner], guard=reading_only, now=w.now)
-    w.add(scan.station, on_events=scan.events.extend)
+    scan = Scan(w, addresses=[3], period_ns=MS)
     w.command(scan.station, GoOnline())
     w.run_for(500 * MS)
     assert bus.exchanging
-    states = [e.found.state for e in scan.events if isinstance(e, StationSeen)]
+    states = [e.found.state for e in scan.events_of(StationSeen)]
     assert states == [SlaveView.DATA_EXCHANGE]
-    w.command(bus.station, SetMode(Mode.STOP))
+    bus.send(SetMode(Mode.STOP))
     w.run_for(1 * S)
     assert bus.apps[0].stats.watchdogs == 1
-    states = [e.found.state for e in scan.events if isinstance(e, StationSeen)]
+    states = [e.found.state for e in scan.events_of(StationSeen)]
     assert states == [SlaveView.DATA_EXCHANGE, SlaveView.WAIT_PRM]
 
 
@@ -143,10 +147,7 @@ def test_a_slave_that_goes_and_comes_while_it_is_watched(world: WorldFactory) ->
     params = BusParams.preset(500_000)
     slave = mirror(3, params)
     w.add(slave)
-    scan = Scan(w)
-    scan.scanner = Scanner(0, LiveList(0), period_ns=50 * MS, wanted=[3])
-    scan.station = ActiveStation(BusParams.preset(500_000, address=0), [scan.scanner], guard=reading_only, now=w.now)
-    w.add(scan.station, on_events=scan.events.extend)
+    scan = Scan(w, period_ns=50 * MS, wanted=[3])
     w.command(scan.station, GoOnline())
     w.run_for(1 * S)
     w.remove(slave)
@@ -154,7 +155,7 @@ def test_a_slave_that_goes_and_comes_while_it_is_watched(world: WorldFactory) ->
     assert scan.scanner.found == {}
     w.add(slave)
     w.run_for(1 * S)
-    told = [(e.present, e.text) for e in scan.events if isinstance(e, StationSeen)]
+    told = [(e.present, e.text) for e in scan.events_of(StationSeen)]
     assert told == [
         (True, "station 3: slave, ident 0x1234, wait_prm"),
         (False, "station 3 no longer answers"),
@@ -162,14 +163,20 @@ def test_a_slave_that_goes_and_comes_while_it_is_watched(world: WorldFactory) ->
     ]
 
 
+def scan_octets(bus: RingBus, addresses: Sequence[int]) -> Scanner:
+    """Station 2 scans slaves that know octets only."""
+    scanner = Scanner(2, LiveList(2, addresses=addresses), configs=True)
+    bus.master(2, scanner, gap=0)
+    bus.run(200 * MS)
+    return scanner
+
+
 def test_what_is_no_dp_slave_stays_unknown() -> None:
     """It answers FDL status, and RS to everything else."""
     bus = RingBus()
     status, refusal = bytes.fromhex("10 02 04 00 06 16"), bytes.fromhex("10 02 04 03 09 16")
     bus.slaves[4] = lambda octets, now: (11, status if octets[0] == 0x10 else refusal)
-    scanner = Scanner(2, LiveList(2, addresses=range(8)), configs=True)
-    bus.master(2, scanner, gap=0)
-    bus.run(200 * MS)
+    scanner = scan_octets(bus, range(8))
     assert scanner.done
     assert brief(scanner.found) == [(4, "SLAVE", None, "unknown", None)]
     assert scanner.found[4].as_dict() == {
@@ -195,9 +202,7 @@ def test_literal_octets() -> None:
         return None if answer is None else (11, bytes.fromhex(answer))
 
     bus.slaves[4] = slave
-    scanner = Scanner(2, LiveList(2, addresses=[4]), configs=True)
-    bus.master(2, scanner, gap=0)
-    bus.run(50 * MS)
+    scanner = scan_octets(bus, [4])
     assert brief(scanner.found) == [(4, "SLAVE", 0x0CDA, "data_exchange", 1)]
     assert scanner.found[4].config == b"\x21"
     assert scanner.found[4].text == "station 4: slave, ident 0x0CDA, data_exchange, master 1"
@@ -210,9 +215,7 @@ def test_a_slave_that_names_whoever_asks_has_no_owner() -> None:
         "68 05 05 68 84 82 6d 3c 3e ed 16": "68 0b 0b 68 82 84 08 3e 3c 00 0c 00 02 0c da 7c 16",
     }
     bus.slaves[4] = lambda octets, now: (11, bytes.fromhex(answers.get(octets.hex(" "), "e5")))
-    scanner = Scanner(2, LiveList(2, addresses=[4]))
-    bus.master(2, scanner, gap=0)
-    bus.run(50 * MS)
+    scanner = scan_octets(bus, [4])
     assert brief(scanner.found) == [(4, "SLAVE", 0x0CDA, "data_exchange", None)]
 
 
