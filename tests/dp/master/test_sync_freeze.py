@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import replace
 from typing import Any
 
 import pytest
-from bus_kit import IDENT, add_station, all_exchange
+from bus_kit import IDENT, SimBus
 from scripted_link import MS, ScriptedLink, data, operating
 from scripted_link import setup as slave
-from slave_kit import make_slave
 from support import US, WorldFactory
 
 from dpstack.dp.master.commands import Mode, RemoveSlave, SendControl, SetMode, Shutdown
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken
-from dpstack.dp.master.master import Master
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.device import Device
 from dpstack.errors import BusError, UsageError
@@ -227,32 +225,21 @@ class Valve(Device):
         return bytes((self.clock() & 0xFF,))
 
 
-@dataclass
-class Three:
+class Three(SimBus):
     """Three valves in group 2 under a master in Operate."""
 
-    world: World
-    events: list[Event] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.valves = [Valve(lambda: self.world.now // (100 * US)) for _ in range(3)]
-        for address, valve in enumerate(self.valves, 3):
-            self.world.add(make_slave(address, valve, PARAMS))
-        setups = [
-            SlaveParams(
-                address=a, name=f"v{a}", ident=IDENT, config=b"\x20\x10", groups=(2,), sync=True, freeze=True
-            )
-            for a in (3, 4, 5)
-        ]  # fmt: skip
-        self.master = Master(PARAMS, setups)
-        self.station = add_station(self.world, PARAMS, self.master, on_events=self.events.extend)
-        self.world.run_for(200 * MS)
-        assert all_exchange(self.master)
+    def __init__(self, world: World) -> None:
+        self.valves = [Valve(lambda: world.now // (100 * US)) for _ in range(3)]
+        valve = slave(3, ident=IDENT, config=b"\x20\x10", groups=(2,), sync=True, freeze=True)
+        setups = [replace(valve, address=address, name=f"v{address}") for address in (3, 4, 5)]
+        super().__init__(world, PARAMS, setups, devices=dict(enumerate(self.valves, 3)))
+        self.until_exchanging()
+        self.world.run_for(100 * MS)
 
     def order(self, **what: bool) -> ControlSent:
         """Give an order, run until it is carried out."""
         self.events.clear()
-        self.world.command(self.station, SendControl(1, (2,), **what))
+        self.send(SendControl(1, (2,), **what))
         done = PictureTaken if what.get("picture") else ControlSent
         while not any(isinstance(e, done) for e in self.events):
             self.world.run_for(100 * US)
