@@ -36,7 +36,7 @@ def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
 
     Raises ConfigError where it cannot be read.
     """
-    file = folder / Path(path).expanduser()
+    file = _place(path, folder)
     try:
         return read_file(file, MAX_OCTETS)
     except (OSError, ValueError) as error:
@@ -49,6 +49,13 @@ def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
         raise ConfigError(f"{file}: {getattr(error, 'strerror', None) or error}; {todo}") from None
 
 
+def _place(path: str | Path, folder: Path) -> Path:
+    try:
+        return folder / Path(path).expanduser()
+    except RuntimeError:  # "~name" where no user has this name: it can be the name of a file
+        return folder / path
+
+
 def _bundled_octets(drive: str) -> bytes:
     package, _, name = bundled()[drive].partition(":")
     return (resources.files(package) / name).read_bytes()
@@ -57,7 +64,7 @@ def _bundled_octets(drive: str) -> bytes:
 def read_gsd(path: str | Path, folder: Path = Path()) -> GsdFile:
     """Read a GSD file as :func:`read_octets` does. Raises ConfigError, GsdError where it cannot be used at all."""
     octets = read_octets(path, folder)
-    return load_gsd(octets, str(folder / Path(path).expanduser()))
+    return load_gsd(octets, str(_place(path, folder)))
 
 
 def copy_gsd(drive: str, target: str | Path) -> None:

@@ -146,8 +146,9 @@ class SimBus(KeepsEvents):
 
     @property
     def exchanging(self) -> bool:
-        """All slaves that are there are in data exchange."""
-        return all(self.state(address) is SlaveState.DATA_EXCHANGE for address in self.slaves)
+        """All slaves that are there and that the master knows are in data exchange."""
+        known = self.slaves.keys() & self.master.handlers.keys()
+        return all(self.state(address) is SlaveState.DATA_EXCHANGE for address in known)
 
     def until_exchanging(self, within_ns: int = 5 * S) -> None:
         """Run until all slaves that are there are in data exchange."""

@@ -167,3 +167,8 @@ def test_any_value_is_read_or_refused(text: str) -> None:
         quoted = text.replace("\\", "").replace('"', "").replace("\n", "")
         read_or_refuse(parse_config, f'{BUS}[[slave]]\naddress = 8\n{key} = "{quoted}"\n')
         read_or_refuse(parse_config, f'{BUS}{SLAVE}inputs = {{ a = "{quoted}" }}\n')
+
+
+def test_a_gsd_file_of_a_user_that_does_not_exist() -> None:
+    with pytest.raises(ConfigError, match=r"~nobody-has-this-name\.gsd: No such file or directory"):
+        parse_config(f'{BUS}[[slave]]\naddress = 8\ngsd = "~nobody-has-this-name.gsd"\n')

@@ -48,6 +48,10 @@ def test_a_cycle_behind_a_global_control_and_a_service() -> None:
     each_has_its_turns((187_500, {39: 4, 29: 4}, set(), 1.462823418402993))
 
 
+def test_a_slave_whose_turns_are_a_third_of_a_second_apart() -> None:
+    each_has_its_turns((187_500, {3: 5}, set(), 1.58203125))
+
+
 def each_has_its_turns(plant: Plant) -> None:
     baud, every, absent, room = plant
     params = BusParams.preset(baud, address=2)
@@ -55,7 +59,8 @@ def each_has_its_turns(plant: Plant) -> None:
     class2 = acyclic_services(2)
     setups = [slave(address, every=n) for address, n in every.items()]
     world = World()
-    bus = CycleBus(world, params, setups, cycle_ns, silent=sorted(absent), more=[class2])
+    watchdog_ms = max(200, 3 * max(every.values()) * cycle_ns // MS)
+    bus = CycleBus(world, params, setups, cycle_ns, watchdog_ms=watchdog_ms, silent=sorted(absent), more=[class2])
     bus.until_exchanging(20 * S)
     world.run_for(5 * cycle_ns)
     bus.quiet()
