@@ -46,7 +46,7 @@ class Late(Adapter):
             self._looks_at = now + self._lateness()
         super().receive(chunk, now)
 
-    def _due(self) -> int:
+    def _packet_due(self) -> int:
         return self._looks_at if self._fifo else NEVER
 
     def _frame(self, at: int) -> int:
