@@ -34,7 +34,7 @@ MAY: dict[str, set[str]] = {
     "phy": PARAMS,
     "fdl": PHY | {"machine", "stats"},
     "gsd": PURE_BASE,
-    "capture": PURE_BASE,
+    "capture": PHY | {"fdl", "machine"},
     "decode": DP | {"capture"},
     "dp": DP,
     "dpv1": DP,
@@ -43,15 +43,15 @@ MAY: dict[str, set[str]] = {
     "ports": PURE_BASE,
     "drivers": DP | {"ports", "machine", "sim"},
     "api": DP | {"drivers", "ports", "sim", "profile"},
-    "cli": {"api", "decode", "gsd", "profile", "trace"} | PURE_BASE,
+    "cli": {"api", "capture", "decode", "gsd", "profile", "trace"} | PURE_BASE,
     "__init__": {"api", "errors", "profile", "dp", "dpv1", "trace"},
 }
 #: Rooms from the ground up: each imports from lower floors only; rooms of one floor not from one another.
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("phy",),
     ("gsd",),
-    ("capture",),
     ("fdl",),
+    ("capture",),
     ("fdl/active", "fdl/passive"),
     ("dp/pdu",),
     ("dpv1/pdu",),

@@ -1,4 +1,7 @@
-"""Captures: transmissions on a line, kept in files that other programs read.
+"""Captures: the transmissions on a line, heard by a station that never sends, kept in files that other programs read.
 
+- ``cutter``: Cuts a stream of octets into transmissions: whole telegrams, and the octets between them that are none
+- ``listener``: A station that only listens and delivers each transmission of the line. It never sends
 - ``pcapng``: pcapng files: a writer for what was heard on a line, and a reader for files of any program
+- ``transmission``: One transmission on a line: its octets, the time of its first bit, damage
 """

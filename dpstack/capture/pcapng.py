@@ -9,9 +9,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from enum import IntFlag
 from typing import BinaryIO, Final, NamedTuple, Protocol
 
+from dpstack.capture.transmission import Damage
 from dpstack.errors import CaptureFileError
 from dpstack.units import NS_PER_S
 
@@ -38,16 +38,6 @@ _OTHER_FILES: Final[dict[bytes, str]] = {
     b"\xa1\xb2\x3c\x4d": "pcap",
     b"\x4d\x3c\xb2\xa1": "pcap",
 }
-
-
-class Damage(IntFlag):
-    """Error bits of a packet (epb_flags): what was wrong with its octets on the line."""
-
-    FCS = 1 << 24
-    TOO_LONG = 1 << 25
-    TOO_SHORT = 1 << 26
-    START_DELIMITER = 1 << 29
-    PARITY_OR_FRAMING = 1 << 31
 
 
 @dataclass(frozen=True, slots=True)

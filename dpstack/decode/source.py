@@ -6,11 +6,10 @@ import re
 from collections.abc import Iterator
 from typing import BinaryIO, Final
 
-from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Damage, Packet, Reader
-from dpstack.decode.telegram import Transmission
+from dpstack.capture.cutter import split
+from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Packet, Reader
+from dpstack.capture.transmission import Damage, Transmission
 from dpstack.errors import CaptureFileError, UsageError
-from dpstack.fdl.codec import Flaw, claimed, parse
-from dpstack.fdl.telegram import Kind, Telegram
 
 #: what may stand between hex digits
 _BETWEEN: Final = re.compile(r"0x|[\s,;:-]+", re.IGNORECASE)
@@ -35,32 +34,6 @@ def from_hex(text: str) -> bytes:
         wrong = re.search(r"[^0-9A-Fa-f]", digits)
         why = f"{wrong[0]!r} is no hex digit" if wrong else "an octet has two hex digits, one is missing"
         raise UsageError(f"{why}; octets are written as in 68 05 05 68") from None
-
-
-def split(octets: bytes) -> Iterator[bytes]:
-    """The telegrams in ``octets`` one by one, and between them what is none.
-
-    Within the length that a damaged telegram claimed, only telegrams with a check sequence count: an octet E5 among
-    its data is no acknowledgement.
-    """
-    at = begun = doubt = 0
-    end = len(octets)
-    while at < end:
-        found = parse(octets, at, end)
-        checked = octets[at] not in (Kind.SC, Kind.SD4)
-        if isinstance(found, Telegram) and (checked or at >= doubt):
-            if begun < at:
-                yield octets[begun:at]
-            size = claimed(octets, at, end)
-            yield octets[at : at + size]
-            at += size
-            begun = doubt = at
-            continue
-        if at >= doubt and found is not Flaw.BAD_START:
-            doubt = at + claimed(octets, at, end)
-        at += 1
-    if begun < end:
-        yield octets[begun:]
 
 
 def read_transmissions(file: BinaryIO, name: str) -> Iterator[Transmission]:
@@ -96,7 +69,9 @@ def _captured(reader: Reader) -> Iterator[Transmission]:
                 f"{reader.name}: packets of link type {packet.interface.linktype}, "
                 f"PROFIBUS has {USER0} (USER0) or {PROFIBUS_DL}"
             )
-        yield Transmission(packet.octets, packet.t_ns, packet.interface.bits_per_s, _note(packet))
+        yield Transmission(
+            packet.octets, packet.t_ns, packet.interface.bits_per_s, _note(packet), packet.flags & sum(Damage)
+        )
     if reader.cut:
         raise CaptureFileError(f"{reader.name}: the file ends within a block: {reader.cut}")
 

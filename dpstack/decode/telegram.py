@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
+from dpstack.capture.transmission import Transmission
 from dpstack.decode.course import Course, Place, Step
 from dpstack.decode.fields import Fields, fields_of
 from dpstack.decode.words import describe, flaw_text
@@ -18,15 +19,6 @@ from dpstack.units import NS_PER_S, chars_to_ns
 #: the names of functions as the standard has them, of requests and of responses
 _REQUEST: Final = {number.value: number.name for number in Req if number is not Req.CLOCK_VALUE}
 _RESPONSE: Final = {number.value: number.name for number in Resp}
-
-
-class Transmission(NamedTuple):
-    """Octets from a line or a file. ``t_ns``: of their first bit, None where nobody knows; ``baud``: 0 likewise."""
-
-    octets: bytes
-    t_ns: int | None = None
-    baud: int = 0
-    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Damage, Interface, Packet, Reader, Writer
+from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Interface, Packet, Reader, Writer
+from dpstack.capture.transmission import Damage
 from dpstack.errors import CaptureFileError
 
 T = 1_790_000_000_123_456_789

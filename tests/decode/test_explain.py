@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from recordings import IM151_PLC, WHOLE
 
 import dpstack
+from dpstack.capture.transmission import Transmission
 from dpstack.decode.filter import parse_filter
-from dpstack.decode.telegram import Explained, Transmission, explain
+from dpstack.decode.telegram import Explained, explain
 from dpstack.errors import UsageError
 
 POLL = bytes.fromhex("68 04 04 68 03 02 5D 07 69 16")  # Data_Exchange 2 -> 3, FCV=1 FCB=0

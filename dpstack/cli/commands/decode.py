@@ -7,11 +7,13 @@ import os
 import sys
 from collections.abc import Iterator
 
+from dpstack.capture.cutter import split
+from dpstack.capture.transmission import Transmission
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.decode.filter import parse_filter
-from dpstack.decode.source import from_hex, read_transmissions, split
-from dpstack.decode.telegram import Explained, Transmission, explain
+from dpstack.decode.source import from_hex, read_transmissions
+from dpstack.decode.telegram import Explained, explain
 from dpstack.errors import UsageError
 from dpstack.units import NS_PER_S
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from cli_kit import Cli
 
-from dpstack.capture.pcapng import PROFIBUS_DL, Damage, Writer
+from dpstack.capture.pcapng import PROFIBUS_DL, Writer
+from dpstack.capture.transmission import Damage
 from dpstack.cli.main import main
 
 DIAG = "68 05 05 68 83 82 6D 3C 3E EC 16"

@@ -1,0 +1,140 @@
+"""Cuts a stream of octets into transmissions: whole telegrams, and the octets between them that are none.
+
+Real ports show neither idle times nor gaps between characters, so a telegram ends where its length says so. Within the
+length that a damaged telegram claims, only telegrams with a check sequence count: an octet E5 among its data is no
+acknowledgement (the same rule as in :mod:`dpstack.fdl.decoder`).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from typing import Final
+
+from dpstack.capture.transmission import Damage, Transmission
+from dpstack.fdl.codec import Flaw, claimed, decode, parse
+from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.units import NEVER, chars_to_ns
+
+#: Octets that are no telegram are kept together up to this number: the longest telegram has 255.
+_MOST_HELD: Final = 1024
+_LONGEST_TELEGRAM: Final = 255
+#: for octets without times
+_ANY_BAUD: Final = 9600
+#: the damage of octets at which a telegram with this flaw begins
+DAMAGE_OF: Final = {
+    Flaw.BAD_FCS: Damage.FCS,
+    Flaw.BAD_ED: Damage.FCS,
+    Flaw.BAD_ADDRESS: Damage.FCS,
+    Flaw.BAD_EXTENSION: Damage.FCS,
+    Flaw.BAD_FC: Damage.FCS,
+    Flaw.BAD_START: Damage.START_DELIMITER,
+    Flaw.LE_MISMATCH: Damage.START_DELIMITER,
+    Flaw.LE_RANGE: Damage.START_DELIMITER,
+    Flaw.BAD_SECOND_SD: Damage.START_DELIMITER,
+}
+
+
+class Cutter:
+    """Cuts the octets of one line at ``baud``. A telegram whose rest does not come within ``stall_ns`` is given up.
+
+    The times of :meth:`feed` are arrival times: the last octet of a chunk was on the line no later. Telegrams that
+    arrive together in one chunk get times without gaps between them, counted back from its arrival.
+    """
+
+    def __init__(self, baud: int, stall_ns: int) -> None:
+        self.baud = baud
+        self.stall_ns = stall_ns
+        self._held = bytearray()
+        self._cut = 0  # number of octets cut off so far: the position of the first held one in the stream
+        self._arrivals: deque[tuple[int, int]] = deque()  # of chunks: position of their end, time
+        self._last_ns = 0  # arrival of the last chunk
+        self._begun = 0  # where the octets begin that are no telegram, in _held
+        self._at = 0  # where the next telegram may begin, in _held
+        self._doubt = 0  # end of the length that a damaged telegram claims, in _held
+        self._free_ns = 0  # end of the last transmission
+        self._chars_ns = [chars_to_ns(count, baud) for count in range(_LONGEST_TELEGRAM + 1)]
+
+    def feed(self, chunk: bytes, now: int) -> list[Transmission]:
+        """The transmissions that end within ``chunk``, which arrived at ``now`` (ns)."""
+        if not self._held and len(chunk) <= _LONGEST_TELEGRAM and decode(chunk) is not None:
+            # the fast path: one chunk, one telegram
+            start = now - self._chars_ns[len(chunk)]
+            if start < self._free_ns:
+                start = self._free_ns
+            self._free_ns = now
+            return [Transmission(chunk, start, self.baud)]
+        self._held += chunk
+        self._last_ns = now
+        self._arrivals.append((self._cut + len(self._held), now))
+        return list(self._scan(at_end=False))
+
+    def stall_at(self) -> int:
+        """When the octets held count as no telegram, in ns; NEVER where none are held."""
+        return self._last_ns + self.stall_ns if self._held else NEVER
+
+    def give_up(self) -> list[Transmission]:
+        """The line was silent: the transmissions among the octets held, none of which waits for more."""
+        return list(self._scan(at_end=True))
+
+    def _scan(self, *, at_end: bool) -> Iterator[Transmission]:
+        held = self._held
+        end = len(held)
+        while self._at < end:
+            at = self._at
+            found = parse(held, at, end)
+            if found is None and not at_end:
+                break
+            checked = held[at] not in (Kind.SC, Kind.SD4)
+            if isinstance(found, Telegram) and (checked or at >= self._doubt):
+                yield from self._no_telegram(at)
+                size = claimed(held, at, end)
+                yield self._piece(at, at + size, 0)
+                self._begun = self._doubt = self._at = at + size
+                continue
+            if at >= self._doubt and found is not Flaw.BAD_START:
+                self._doubt = at + claimed(held, at, end)
+            self._at += 1
+            if self._at - self._begun >= _MOST_HELD:
+                yield from self._no_telegram(self._at)
+        if at_end:
+            yield from self._no_telegram(end)
+            self._doubt = 0
+        self._drop()
+
+    def _no_telegram(self, stop: int) -> Iterator[Transmission]:
+        """The octets up to ``stop`` that belong to no telegram, if there are any."""
+        begun = self._begun
+        if begun < stop:
+            found = parse(self._held, begun, stop)
+            damage = DAMAGE_OF[found] if isinstance(found, Flaw) else Damage.TOO_SHORT
+            yield self._piece(begun, stop, damage)
+            self._begun = stop
+
+    def _piece(self, begin: int, stop: int, damage: int) -> Transmission:
+        position = self._cut + stop
+        arrivals = self._arrivals
+        while arrivals[0][0] < position:
+            arrivals.popleft()
+        after, arrival = arrivals[0]
+        end_ns = arrival - chars_to_ns(after - position, self.baud)
+        start_ns = max(end_ns - chars_to_ns(stop - begin, self.baud), self._free_ns)
+        self._free_ns = max(end_ns, start_ns)
+        return Transmission(bytes(self._held[begin:stop]), start_ns, self.baud, "", damage)
+
+    def _drop(self) -> None:
+        """Forget the octets that were cut off."""
+        size = self._begun
+        del self._held[:size]
+        self._cut += size
+        self._begun = 0
+        self._at -= size
+        self._doubt = max(0, self._doubt - size)
+        if not self._held:
+            self._arrivals.clear()
+
+
+def split(octets: bytes) -> list[bytes]:
+    """The telegrams in ``octets`` one by one, and between them the octets that are none."""
+    cutter = Cutter(_ANY_BAUD, 0)
+    return [piece.octets for piece in (*cutter.feed(octets, 0), *cutter.give_up())]

@@ -1,0 +1,155 @@
+"""A station that only listens and delivers each transmission of the line. It never sends.
+
+It is a protocol machine like every other station: the drivers run it on a port, the virtual world hands it telegrams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from dpstack.capture.cutter import Cutter
+from dpstack.capture.transmission import Transmission
+from dpstack.errors import UsageError
+from dpstack.fdl.baud_search import AutoBaud, BaudFound
+from dpstack.fdl.codec import encode
+from dpstack.fdl.telegram import Telegram
+from dpstack.machine import HeldUp, LineDown, LineUp, RateRefused
+from dpstack.params import T_SYN
+from dpstack.trace import Event
+from dpstack.units import NEVER, bits_to_ns
+
+#: This many octets in a row that belong to no telegram mean that the rate of the bus has changed.
+_OTHER_RATE: Final = 2_000
+
+#: called with each transmission, in the order of their times
+OnTransmission = Callable[[Transmission], None]
+
+
+class Listener:
+    """Listens at ``baud`` bit/s; None: finds the rate first, and again where it changes.
+
+    Each transmission goes to ``on_transmission``; its time is the machine's time plus ``epoch_ns``. ``slack_ns``: delay
+    of the port; ``settle_ns``: see :class:`AutoBaud`. Events: :class:`BaudFound`, at each rate found.
+    """
+
+    #: a listening station has no address
+    address: Final = -1
+    hears_all: Final = True
+
+    def __init__(
+        self,
+        now: int,
+        on_transmission: OnTransmission,
+        *,
+        baud: int | None = None,
+        epoch_ns: int = 0,
+        slack_ns: int = 0,
+        settle_ns: int = 0,
+    ) -> None:
+        self._on_transmission = on_transmission
+        self._epoch_ns = epoch_ns
+        self._slack_ns = slack_ns
+        self._settle_ns = settle_ns
+        self._fixed = baud is not None
+        self._events: list[Event] = []
+        self._search: AutoBaud | None = None
+        self._cutter: Cutter | None = None
+        self._unread = 0  # octets in a row that belong to no telegram
+        if baud is None:
+            self._begin_search(now)
+        else:
+            self._listen_at(baud)
+
+    @property
+    def baud(self) -> int:
+        """The rate to listen at now, in bit/s."""
+        if self._search is not None:
+            return self._search.baud
+        assert self._cutter is not None
+        return self._cutter.baud
+
+    @property
+    def found(self) -> int | None:
+        """The rate of the bus in bit/s; None while it is searched for."""
+        return None if self._cutter is None else self._cutter.baud
+
+    def receive(self, chunk: bytes, now: int) -> None:
+        if self._search is not None:
+            self._search.receive(chunk, now)
+            self._end_search()
+        elif self._cutter is not None:
+            self._deliver(self._cutter.feed(chunk, now), now)
+
+    def telegram(self, telegram: Telegram, now: int) -> None:
+        """A whole telegram, decoded by the virtual medium."""
+        if self._search is not None:
+            self._search.telegram(telegram, now)
+            self._end_search()
+        elif self._cutter is not None:
+            self._deliver([*self._cutter.give_up(), *self._cutter.feed(encode(telegram), now)], now)
+
+    def activity(self, now: int) -> None:
+        """Ignored: the time of a transmission follows from the end of its octets."""
+
+    def sent(self, at: int) -> None:
+        """Never called: it sends nothing."""
+
+    def take_tx(self, now: int) -> None: ...
+
+    def wake(self, now: int) -> None:
+        if self._search is not None:
+            self._search.wake(now)
+            self._end_search()
+        elif self._cutter is not None and self._cutter.stall_at() <= now:
+            self._deliver(self._cutter.give_up(), now)
+
+    def wake_at(self) -> int:
+        if self._search is not None:
+            return self._search.wake_at()
+        return NEVER if self._cutter is None else self._cutter.stall_at()
+
+    def take_events(self) -> list[Event]:
+        events, self._events = self._events, []
+        return events
+
+    def command(self, command: object, now: int) -> None:
+        """Commands of a driver. Raises ConfigError where the port can do no rate, UsageError on other commands."""
+        match command:
+            case LineDown() | LineUp():
+                if self._search is not None:
+                    self._search.command(command, now)
+                elif self._cutter is not None:
+                    self._deliver(self._cutter.give_up(), now)
+            case RateRefused() if self._search is not None:
+                self._search.command(command, now)
+            case RateRefused(reason=reason):
+                raise UsageError(reason)
+            case HeldUp():
+                pass
+            case _:
+                raise UsageError(f"a station that only listens knows no {type(command).__name__}")
+
+    # --- inside ---
+    def _begin_search(self, now: int) -> None:
+        self._cutter = None
+        self._search = AutoBaud(now, slack_ns=self._slack_ns, settle_ns=self._settle_ns)
+
+    def _end_search(self) -> None:
+        search = self._search
+        if search is not None and isinstance(search.result, BaudFound):
+            self._events += search.take_events()
+            self._listen_at(search.result.baud)
+
+    def _listen_at(self, baud: int) -> None:
+        self._search = None
+        self._unread = 0
+        self._cutter = Cutter(baud, bits_to_ns(T_SYN, baud) + self._slack_ns)
+
+    def _deliver(self, transmissions: list[Transmission], now: int) -> None:
+        for one in transmissions:
+            assert one.t_ns is not None
+            self._on_transmission(one._replace(t_ns=one.t_ns + self._epoch_ns))
+            self._unread = self._unread + len(one.octets) if one.damage else 0
+        if self._unread > _OTHER_RATE and not self._fixed:
+            self._begin_search(now)

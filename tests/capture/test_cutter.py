@@ -1,0 +1,80 @@
+"""Octets in chunks of any size are cut into the same transmissions."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpstack.capture.cutter import Cutter, split
+from dpstack.capture.transmission import Damage, Transmission
+from dpstack.units import NEVER, chars_to_ns
+
+TOKEN = bytes.fromhex("DC 02 05")
+REQUEST = bytes.fromhex("68 05 05 68 83 82 6D 3C 3E EC 16")
+POLL = bytes.fromhex("10 05 02 49 50 16")
+ACK = b"\xe5"
+BAUD = 500_000
+
+
+def test_telegrams_in_one_chunk_lie_before_its_arrival_without_gaps() -> None:
+    cutter = Cutter(BAUD, 1_000)
+    now = 10_000_000
+    pieces = cutter.feed(TOKEN + POLL + ACK, now)
+    starts = [now - chars_to_ns(size, BAUD) for size in (10, 7, 1)]
+    assert pieces == [
+        Transmission(octets, start, BAUD) for octets, start in zip((TOKEN, POLL, ACK), starts, strict=True)
+    ]
+    assert cutter.stall_at() == NEVER
+
+
+def test_a_telegram_in_two_chunks_ends_with_the_second() -> None:
+    cutter = Cutter(BAUD, 1_000_000)
+    assert cutter.feed(REQUEST[:4], 1_000_000) == []
+    assert cutter.stall_at() == 2_000_000
+    (piece,) = cutter.feed(REQUEST[4:], 1_500_000)
+    assert (piece.octets, piece.t_ns) == (REQUEST, 1_500_000 - chars_to_ns(len(REQUEST), BAUD))
+
+
+def test_the_rest_of_a_telegram_does_not_come() -> None:
+    cutter = Cutter(BAUD, 1_000_000)
+    cutter.feed(REQUEST[:9], 1_000_000)
+    (piece,) = cutter.give_up()
+    assert (piece.octets, piece.damage) == (REQUEST[:9], Damage.TOO_SHORT)
+    assert cutter.feed(POLL, 9_000_000)[0].octets == POLL
+
+
+def test_the_length_of_a_damaged_telegram_hides_acknowledgements_but_no_telegram_with_fcs() -> None:
+    damaged = bytearray(REQUEST)
+    damaged[6] = 0xE5
+    assert split(bytes(damaged) + POLL) == [bytes(damaged), POLL]
+    assert split(bytes(damaged[:8]) + POLL + ACK) == [bytes(damaged[:8]), POLL, ACK]
+
+
+def test_octets_that_are_no_telegram_are_kept_in_pieces_of_bounded_size() -> None:
+    pieces = split(bytes(5_000))
+    assert sum(map(len, pieces)) == 5_000
+    assert max(map(len, pieces)) <= 1_024
+
+
+_telegrams = st.sampled_from([TOKEN, REQUEST, POLL, ACK, bytes.fromhex("A2 05 02 08 01 02 03 04 05 06 07 08 33 16")])
+_stream = st.lists(_telegrams | st.binary(max_size=12), max_size=25).map(b"".join)
+
+
+@given(_stream, st.lists(st.integers(1, 30), min_size=1))
+def test_no_octet_is_lost_and_chunks_make_no_difference(stream: bytes, sizes: list[int]) -> None:
+    cutter = Cutter(BAUD, 0)
+    pieces: list[Transmission] = []
+    now = at = turn = 0
+    while at < len(stream):
+        chunk = stream[at : at + sizes[turn % len(sizes)]]
+        turn += 1
+        at += len(chunk)
+        now += chars_to_ns(len(chunk), BAUD) + 1_000 * (turn % 3)
+        pieces += cutter.feed(chunk, now)
+    pieces += cutter.give_up()
+    assert b"".join(piece.octets for piece in pieces) == stream
+    assert [piece.octets for piece in pieces] == split(stream)
+    times = [piece.t_ns for piece in pieces if piece.t_ns is not None]
+    assert all(early <= late for early, late in pairwise(times))
