@@ -75,12 +75,9 @@ class HeldUp:
     suspended: bool = False
 
 
-class Machine(Protocol):
-    """A protocol machine. ``now`` is CLOCK_MONOTONIC or virtual time in nanoseconds and never runs backwards."""
-
-    @property
-    def baud(self) -> int:
-        """The rate in bit/s at which it wants to receive and send. It may change with each step: the driver follows."""
+class Pumped(Protocol):
+    """The methods of a machine that :func:`pump` calls. ``now`` is CLOCK_MONOTONIC or virtual time in nanoseconds and
+    never runs backwards."""
 
     def receive(self, chunk: bytes, now: int) -> None:
         """Process received octets; the last bit of the last one was on the line no later than ``now``."""
@@ -100,6 +97,14 @@ class Machine(Protocol):
     def wake_at(self) -> int:
         """When to call again: a time in ns, ``units.NOW``, or ``units.NEVER`` (on input only)."""
 
+
+class Machine(Pumped, Protocol):
+    """A protocol machine."""
+
+    @property
+    def baud(self) -> int:
+        """The rate in bit/s at which it wants to receive and send. It may change with each step: the driver follows."""
+
     def take_events(self) -> list[Event]:
         """The events since the last call, oldest first."""
 
@@ -107,7 +112,7 @@ class Machine(Protocol):
         """Carry out a command of the application. Misuse raises at once; results are events."""
 
 
-def pump(machine: Machine, chunk: bytes, now: int, transmit: Transmit) -> int:
+def pump(machine: Pumped, chunk: bytes, now: int, transmit: Transmit) -> int:
     """One step: octets before timers, run until settled, at most one transmission. Returns the new deadline in ns.
 
     Call it for every chunk read, when the returned deadline is reached, and after every command. A deadline

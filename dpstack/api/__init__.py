@@ -3,6 +3,7 @@
 - ``bus/``: The ``Bus`` of the public API: opening, plan, cycles, events, statistics, end
 - ``config/``: Configurations: a TOML file or a dict, checked key by key
 - ``control/``: Orders to running programs over a Unix socket with JSON lines
+- ``listen/``: Listening to a bus without sending: on an own port, or through the program that holds it
 - ``lists/``: Parameter lists in files: dumped from a drive or device, loaded, compared
 - ``server/``: Slaves in this program: the user's own, and simulated ones
 - ``slave/``: ``Slave`` and ``Drive`` of the public API

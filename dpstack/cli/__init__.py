@@ -1,6 +1,7 @@
 """The program ``dpstack``: its commands, options and terminal output.
 
 - ``commands/``: The commands of the program, one module for each
+- ``listening/``: The commands that only listen, or explain what was heard
 - ``terminal/``: Output, reports and signals
 - ``main``: Entry point: command line, error output, exit codes
 - ``options``: Options and argument types that several commands share

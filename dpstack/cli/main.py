@@ -36,6 +36,8 @@ _COMMANDS = {
     "doctor": "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
     "gsd": "GSD files: show, check, configure",
 }
+#: those whose modules stand in the room ``listening``
+_LISTENING = ("baud", "decode")
 _INTERRUPTED = 130
 #: environment variable; any value: errors are printed with their traceback
 _DEBUG = "DPSTACK_DEBUG"
@@ -50,7 +52,8 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"dpstack {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
     for name, text in _COMMANDS.items():
-        commands.add_parser(name, help=text, description=text).command = name
+        room = "listening" if name in _LISTENING else "commands"
+        commands.add_parser(name, help=text, description=text).module = f"dpstack.cli.{room}.{name}"
     return parser
 
 

@@ -13,8 +13,8 @@ from dpstack.text import printable
 class Parser(argparse.ArgumentParser):
     """Prints errors in one line, and imports the module of a command when it is used."""
 
-    #: the command whose module still has to add its arguments; empty afterwards
-    command = ""
+    #: name of the module that still has to add the arguments of its command; empty afterwards
+    module = ""
 
     def __init__(self, **how: Any) -> None:
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **how)
@@ -35,9 +35,9 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Also called for the help of a command."""
-        if self.command:
-            importlib.import_module(f"dpstack.cli.commands.{self.command}").add_to(self)
-            self.command = ""
+        if self.module:
+            importlib.import_module(self.module).add_to(self)
+            self.module = ""
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:

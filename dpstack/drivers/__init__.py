@@ -9,4 +9,5 @@
 - ``runtime``: The interface of all drivers to the API, and their events
 - ``snapshots``: Snapshots of a bus for its application, the same with every driver
 - ``stack``: The machines of one bus, made from plain data, and their snapshots
+- ``tap``: Tap: a bounded ring with the octets that a running machine receives and sends, for programs that look on
 """

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, Protocol
 
 from dpstack.dp.master.events import SlaveEvent
+from dpstack.drivers.tap import Tap
 from dpstack.errors import DpError
 from dpstack.params import BusParams
 from dpstack.trace import Event
@@ -164,3 +165,6 @@ class Runtime(Protocol):
 
     def now(self) -> int:
         """The machine's time in ns."""
+
+    def tap(self, tap: Tap | None) -> None:
+        """Copy all octets received and sent into ``tap`` from now on; None ends it. Never delays the machine."""

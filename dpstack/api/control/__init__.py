@@ -16,4 +16,5 @@ the requests of one connection one after the other.
 - ``remote``: Orders to the ``run`` that holds the port: to a drive, or to the records of a slave
 - ``server``: The server's end of the control socket of a run, sim or segment
 - ``socket_path``: Control sockets as files: names, directory, owner of the peer process
+- ``tap_feed``: The octets on the line of a running program, for the clients of its control socket
 """

@@ -16,11 +16,14 @@ from dpstack.api.control.commands import KINDS, SLAVES
 from dpstack.api.control.drive_orders import drive_order
 from dpstack.api.control.record_orders import acyclic_order
 from dpstack.api.control.server import ControlServer, Handler
+from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.api.server.virtual_bench import Bench, Injected, silence_text
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import OnEvent, call_on_event
 from dpstack.dp.process_data import as_json
+from dpstack.drivers.runtime import Runtime
+from dpstack.drivers.tap import Tap
 from dpstack.errors import UsageError
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.sim.io_station import IoStation
@@ -46,6 +49,7 @@ def control_run(bus: Bus, port: str) -> ControlServer:
         "acyclic": lambda args: acyclic_order(bus, args),
         "class2": lambda args: acyclic_order(bus, args, class2=True),
         "stats": lambda _: bus.stats.summary(),
+        "tap": _run_feed(bus).handler,
     }
     if not bus.searching and bus.bench is not None:
         specs = (*specs, *SLAVES)
@@ -57,7 +61,13 @@ def control_run(bus: Bus, port: str) -> ControlServer:
 
 def control_sim(simulation: Simulation, port: str) -> ControlServer:
     """The control server of simulated slaves on ``port``, or on the pty that they have made."""
-    handlers = {"status": lambda _: simulation.status(), **slave_handlers(simulation, simulation)}
+    runtime = simulation.runtime
+    feed = TapFeed(runtime.tap, runtime.now, lambda: _line_of(runtime, simulation.baud))
+    handlers = {
+        "status": lambda _: simulation.status(),
+        "tap": feed.handler,
+        **slave_handlers(simulation, simulation),
+    }
     own, also = (simulation.port_name, PTY) if port == PTY else (port, None)
     return ControlServer("sim", own, KINDS["sim"], handlers, also=also, config=simulation.config.file)
 
@@ -87,8 +97,22 @@ def control_segment(segment: Segment, on_event: OnEvent | None = None) -> Contro
         "silence": reported("silence", silence),
         "resume": reported("resume", lambda args: segment.resume(_station(args[0]))),
         "stats": lambda _: segment.stats(),
+        "tap": TapFeed(segment.tap, monotonic_ns, lambda: {"baud": segment.baud, "paced": segment.paced}).handler,
     }
     return ControlServer("segment", str(segment.directory), KINDS["segment"], handlers)
+
+
+def _run_feed(bus: Bus) -> TapFeed:
+    def attach(tap: Tap | None) -> None:
+        if bus.searching:
+            raise UsageError(SEARCHING)
+        bus.runtime.tap(tap)
+
+    return TapFeed(attach, lambda: bus.runtime.now(), lambda: _line_of(bus.runtime, bus.params.baud))
+
+
+def _line_of(runtime: Runtime, baud: int | None) -> dict[str, object]:
+    return {"baud": baud, "paced": runtime.paced}
 
 
 def segment_status(segment: Segment) -> dict[str, object]:

@@ -2,9 +2,7 @@
 
 - ``acyclic``: ``dpstack acyclic``: DP-V1 records and I&M of one slave
 - ``address``: ``dpstack address``: gives a slave another station address
-- ``baud``: ``dpstack baud``: finds the baud rate by listening only
 - ``ctl``: ``dpstack ctl``: tells a running program what to do
-- ``decode``: ``dpstack decode``: explains every telegram of a capture, or of octets in hex, to the bit
 - ``demo``: ``dpstack demo``: every known drive, simulated, under one master
 - ``demo_stories``: The programs that ``dpstack demo`` runs, one for each known drive
 - ``doctor``: ``dpstack doctor``: checks of adapters, permissions, latency and real-time rights

@@ -19,8 +19,9 @@ from dpstack.drivers.line.port_latency import PortLatency, Tune
 from dpstack.drivers.line.rate import BACKOFF_NS, LONGEST, NoRateError, ReopenAttempts, follow, wire_times
 from dpstack.drivers.line.timers import Timer, boottime_ns, suspended_ns
 from dpstack.drivers.runtime import OnEvents, OnFailure, PortBack, PortLost
+from dpstack.drivers.tap import Tap, TappedMachine, tapped_transmit
 from dpstack.errors import BusError, DpError, PortError, UsageError
-from dpstack.machine import HeldUp, LineDown, LineUp, Machine, pump
+from dpstack.machine import HeldUp, LineDown, LineUp, Machine, Pumped, Transmit, pump
 from dpstack.ports import Loop, Pending, Port
 from dpstack.text import printable
 from dpstack.trace import Event, Notice, Severity
@@ -99,7 +100,8 @@ class LineRuntime(ABC):
         self._pending_step: Pending | None = None
         self._wire_ns = wire_times(port)
         self._flood_from = 1  # number of discarded octets from which on the next notice is due
-        self._transmit = self._write  # bound once, for speed
+        self._transmit: Transmit = self._write  # bound once, for speed
+        self._pumped: Pumped = machine  # the machine, or what copies its octets into a tap
 
     @property
     def port_name(self) -> str:
@@ -114,6 +116,14 @@ class LineRuntime(ABC):
     def damage(self) -> dict[str, int]:
         """Number of damaged octets by cause, as far as the port counts them."""
         return self._port.damage()
+
+    def tap(self, tap: Tap | None) -> None:
+        """Copy all octets received and sent into ``tap`` from now on; None ends it."""
+        if tap is None:
+            self._pumped, self._transmit = self._machine, self._write
+        else:
+            self._pumped = TappedMachine(self._machine, self._port, tap)
+            self._transmit = tapped_transmit(self._port, self._write, tap)
 
     @property
     def echo(self) -> Echo:
@@ -194,7 +204,7 @@ class LineRuntime(ABC):
 
     def _step(self, chunk: bytes) -> None:
         """Pump until nothing is due within the spin time, then arm the timer and dispatch events."""
-        machine, transmit, spin_ns = self._machine, self._transmit, self._spin_ns
+        machine, pumped, transmit, spin_ns = self._machine, self._pumped, self._transmit, self._spin_ns
         steps = _BURST
         count, sent_at, spun = 0, 0, 0
         try:
@@ -212,7 +222,7 @@ class LineRuntime(ABC):
                 if count:
                     sent_at, self.lateness.sent_at = self.lateness.sent_at, 0
             while True:
-                deadline = pump(machine, chunk, now, transmit)
+                deadline = pump(pumped, chunk, now, transmit)
                 began, now = now, monotonic_ns()
                 if now - began >= _HELD_UP_NS and self._held_up is not None:
                     self._held_up(self._late(now - began), now)

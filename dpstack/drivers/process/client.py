@@ -30,7 +30,16 @@ from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
 from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.line.shutdown import at_slaves
 from dpstack.drivers.process import channel
-from dpstack.drivers.process.messages import CloseBus, News, SetUp, TakeOutputs, checked_arguments, event_of, typed
+from dpstack.drivers.process.messages import (
+    CloseBus,
+    News,
+    SetUp,
+    TakeOutputs,
+    TapLine,
+    checked_arguments,
+    event_of,
+    typed,
+)
 from dpstack.drivers.process.shared_image import Outputs, Picture, SharedImage, Word, make_memory
 from dpstack.drivers.runtime import (
     IN_PARENT,
@@ -42,6 +51,7 @@ from dpstack.drivers.runtime import (
     OutputsDropped,
 )
 from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot, no_image
+from dpstack.drivers.tap import Tap
 from dpstack.errors import BusError, DpError, OrderDropped, UsageError
 from dpstack.fdl.interface import LinkStats
 from dpstack.machine import Order
@@ -93,6 +103,7 @@ class ProcessRuntime:
         self._watchdogs_then: dict[str, int] = {}
         self._silence_events: list[Event] = []  # of the silence
         self._watch: asyncio.TimerHandle | None = None
+        self._tap: Tap | None = None
 
     # --- Runtime ----------------------------------------------------------------------------------------------------
 
@@ -215,6 +226,11 @@ class ProcessRuntime:
                 self._put_outputs(address, None)
                 del self.setups[address]
                 self._slaves.pop(address, None)
+
+    def tap(self, tap: Tap | None) -> None:
+        """The tap is in the bus process, which sends its entries here. Raises like :meth:`command`."""
+        self._tap = tap
+        self.command(TapLine(tap is not None))
 
     # --- drives -------------------------------------------------------------------------------
 
@@ -459,6 +475,10 @@ class ProcessRuntime:
         self._slaves |= news.slaves
         if news.cycle is not None:
             self.cycle = news.cycle
+        if self._tap is not None:
+            self._tap.lost += news.tap_lost
+            for entry in news.tapped:
+                self._tap.add(entry)
         try:
             if news.round_over:
                 if self._on_round is not None:

@@ -26,6 +26,7 @@ from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.process.plugins import AttachPlugin
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import StackSpec
+from dpstack.drivers.tap import Tapped
 from dpstack.errors import BusError, DpError
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.machine import Order
@@ -76,6 +77,12 @@ class TakeOutputs(Order):
     """Read the outputs that the application has published; the answer comes after that."""
 
 
+class TapLine(Order):
+    """Copy the octets on the line into :attr:`News.tapped` from now on (``on``), or end it."""
+
+    on: bool
+
+
 class CloseBus(Order):
     """Release the port and end the process, after the end of the bus. The answer is the last :class:`Counters`."""
 
@@ -107,7 +114,8 @@ class News:
     ``round_over``: a round ended, ``cycle`` is its data (sent while the application watches the rounds). ``over``: the
     reason of the end, in the last message; ``defect``: a defect of dpstack. ``silence``: the bus process answers that
     it is alive to an application that found it silent for the so-many-th time; everything of the state is in this
-    message. ``dropped``: outputs that came too late, by address with their ``until_ns``.
+    message. ``dropped``: outputs that came too late, by address with their ``until_ns``. ``tapped``: the octets on the
+    line since the last message, while they are tapped; ``tap_lost``: entries lost since then.
     """
 
     bus: BusSnapshot | None = None
@@ -120,6 +128,8 @@ class News:
     defect: bool = False
     silence: int = 0
     dropped: dict[int, int] = field(default_factory=dict)
+    tapped: list[Tapped] = field(default_factory=list)
+    tap_lost: int = 0
 
 
 @dataclass(slots=True)

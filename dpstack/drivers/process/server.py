@@ -26,6 +26,7 @@ from dpstack.drivers.process.messages import (
     Question,
     SetUp,
     TakeOutputs,
+    TapLine,
     error_pair,
     named,
     order_of,
@@ -35,6 +36,7 @@ from dpstack.drivers.process.plugins import AttachPlugin, core_at, load
 from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import Stack, image_snapshot
+from dpstack.drivers.tap import TAP_PAUSE_NS, TAP_PORTION, Tap
 from dpstack.errors import BusError, OrderDropped, UsageError
 from dpstack.fdl.commands import GoOffline
 from dpstack.ports import open_port
@@ -91,6 +93,7 @@ class Host:
             loop, self.runtime.command, stack.station, lambda: stack.master.rotation.max_ns, self._finish
         )
         self._rounds_watched = False
+        self._tap: Tap | None = None
         self._beats = 0
         self._dropped = 0
         self._over = False
@@ -186,6 +189,8 @@ class Host:
                 self._publish_drives()
             case TakeOutputs():
                 self._take_outputs()
+            case TapLine(on):
+                self._tap_line(on=on)
             case GoOffline() if self._master.mode is not Mode.OFFLINE:
                 self.end("the application ended the bus")  # without a token no Clear could be sent
             case CloseBus():
@@ -262,6 +267,29 @@ class Host:
         if dropped:
             self._publish()
             self._outbox.send(News(dropped=dropped))
+
+    # --- the tap ---
+
+    def _tap_line(self, *, on: bool) -> None:
+        if on is not (self._tap is None):
+            return
+        self._tap = Tap() if on else None
+        self.runtime.tap(self._tap)
+        self._send_tapped()
+
+    def _send_tapped(self) -> None:
+        """Send the octets on the line, in portions that delay no cycle. If the application does not read, the tap's
+        ring fills and counts the losses."""
+        tap = self._tap
+        if tap is None or self._over:
+            return
+        pause = TAP_PAUSE_NS
+        if tap.ring and not self._outbox.full:
+            lost, tap.lost = tap.lost, 0
+            self._outbox.send(News(tapped=tap.take(TAP_PORTION), tap_lost=lost))
+            if tap.ring:
+                pause = TAP_PAUSE_NS // 20
+        self._loop.call_at(monotonic_ns() + pause, self._send_tapped)
 
     # --- news for the application ---
 

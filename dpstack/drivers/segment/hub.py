@@ -27,6 +27,7 @@ from time import monotonic_ns
 from typing import Final
 
 from dpstack.drivers.segment.station import SegmentStation
+from dpstack.drivers.tap import Tap, Tapped
 from dpstack.errors import ConfigError, PortBusyError, PortError, UsageError
 from dpstack.params import T_SYN
 from dpstack.phy.noise import BitNoise
@@ -77,6 +78,7 @@ class Segment:
         self._noise = BitNoise(error_rate, random.Random(seed + 1))
         self._lost = self._changed = 0  # octets dropped or changed by noise
         self._on_notice = on_notice
+        self._tap: Tap | None = None
         self._links = [self.directory / str(n) for n in range(stations)]
         self._stations: list[SegmentStation] = []
         self._by_fd: dict[int, SegmentStation] = {}
@@ -161,6 +163,10 @@ class Segment:
             loop.remove_reader(self._epoll.fileno())
         self._release()
 
+    def tap(self, tap: Tap | None) -> None:
+        """Copy all octets on the segment into ``tap`` from now on; None ends it."""
+        self._tap = tap
+
     async def __aenter__(self) -> Segment:
         await self.open()
         return self
@@ -219,6 +225,8 @@ class Segment:
         start_ns = self._placed(sender, len(chunk), baud, now)
         flips = self._noise.flips(len(chunk))
         received = sender.transmit(chunk, flips)
+        if self._tap is not None and received:
+            self._tap.add(Tapped(self._line_free_ns, baud, bytes(received), False))
         if flips:
             lost = len(chunk) - len(received)
             self._lost += lost

@@ -15,6 +15,7 @@ from typing import Final
 from dpstack.drivers.futures import ActsAtOnce
 from dpstack.drivers.line.port_latency import PortLatency
 from dpstack.drivers.runtime import IN_PARENT, BehindRealTime, OnEvents, OnFailure
+from dpstack.drivers.tap import Tap, TapStation
 from dpstack.drivers.virtual.loop import DEBT_NS, VirtualLoop
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.interface import BusStation
@@ -61,6 +62,7 @@ class VirtualRuntime(ActsAtOnce):
         self._on_events = on_events
         self._clockwork: _Clockwork | None = None
         self._in_child = False
+        self._ear: TapStation | None = None
         self._behind_at_open_ns = 0
         self._behind_ns = 0  # at the closing
 
@@ -97,6 +99,7 @@ class VirtualRuntime(ActsAtOnce):
         if clockwork is not None:
             self._behind_ns = self.behind_ns
             self._clockwork = None
+            self.tap(None)
             self._world.remove(self._station)
             clockwork.leave(self)
 
@@ -125,6 +128,15 @@ class VirtualRuntime(ActsAtOnce):
     def now(self) -> int:
         """The world's time in ns."""
         return self._world.now
+
+    def tap(self, tap: Tap | None) -> None:
+        """A station that only listens copies the octets of the simulated wire. Without a tap there is none."""
+        ear, self._ear = self._ear, None
+        if ear is not None:
+            self._world.remove(ear)
+        if tap is not None:
+            self._ear = TapStation(self._station, tap)
+            self._world.add(self._ear, name="tap")
 
     def emit(self, events: list[Event]) -> None:
         """Call the application's event handler; the loop reports its exceptions."""

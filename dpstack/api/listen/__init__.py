@@ -1,0 +1,4 @@
+"""Listening to a bus without sending: on a port of its own, or through the program that holds the port.
+
+- ``listening``: The transmissions of a line, from an own port or from the tap of a running program
+"""

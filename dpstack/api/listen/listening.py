@@ -1,0 +1,192 @@
+"""The transmissions of a line, from an own port or from the tap of a running program. Nothing is ever sent."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import monotonic_ns, time_ns
+from typing import Any, Final
+
+from dpstack.api.control.client import ControlClient, connect
+from dpstack.capture.cutter import Cutter
+from dpstack.capture.listener import Listener, OnTransmission
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
+from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.port_latency import patience_of
+from dpstack.drivers.line.rate import settle_ns_of
+from dpstack.errors import BusError, PortError, UsageError
+from dpstack.ports import Delivery, open_port
+from dpstack.ports.base import VIRTUAL
+from dpstack.trace import Event
+from dpstack.units import BAUD_RATES, NS_PER_MS
+
+#: a telegram from a tap comes in pieces only while it is on the line
+_TAP_STALL_NS: Final = 50 * NS_PER_MS
+
+
+class OctetsLost(Event):
+    """The program that holds the port, or this computer, lost ``count`` chunks of octets: there is a gap here."""
+
+    count: int
+    port: str
+
+    TEMPLATE = (
+        "{e.port}: {e.count} chunks of octets were lost: this computer cannot keep up; the transmissions have a gap"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """The line that is listened to. ``port``: its name; ``program``: the kind of dpstack program that holds it ("run",
+    "sim", "segment"), None for an own port. ``baud`` in bit/s, None while the rate is searched.
+
+    ``source``: "tap" (the times of a program of ours), "host" (octets come from another process: a pty, a socket) or
+    "adapter" (a UART or a USB adapter). ``paced``: octets take their time on a wire; otherwise the times are those of
+    the computer.
+    """
+
+    port: str
+    source: str
+    program: str | None
+    baud: int | None
+    paced: bool
+
+
+class Listening:
+    """Listens on ``port`` while it is entered (``async with``): through the ``run``, ``sim`` or ``segment`` that holds
+    it, else on the port itself, at ``baud`` bit/s (None: the rate is found by listening).
+
+    ``on_transmission`` gets each transmission, ``on_event`` :class:`BaudFound`, :class:`PortLost`, :class:`PortBack`,
+    notices, :class:`OctetsLost`. Entering raises PortError where the port cannot be opened, UsageError for a port that
+    has no wire.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        baud: int | None,
+        on_transmission: OnTransmission,
+        on_event: Callable[[Event], None] = lambda event: None,
+    ) -> None:
+        self.port = port
+        self._baud = baud
+        self._on_transmission = on_transmission
+        self._on_event = on_event
+        self._line: Line | None = None
+        self._listener: Listener | None = None
+        self._runtime: AsyncioRuntime | None = None
+        self._reading: asyncio.Task[None] | None = None
+        self._failed: asyncio.Future[None] | None = None
+
+    @property
+    def line(self) -> Line:
+        """The line, once it is entered."""
+        assert self._line is not None
+        if self._listener is None or self._line.baud == self._listener.found:
+            return self._line
+        self._line = Line(self._line.port, self._line.source, None, self._listener.found, self._line.paced)
+        return self._line
+
+    async def __aenter__(self) -> Listening:
+        self._failed = asyncio.get_running_loop().create_future()
+        client = _program_on(self.port)
+        if client is None:
+            await self._open_own()
+        else:
+            await self._open_tap(client)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        if self._reading is not None:
+            self._reading.cancel()
+            with contextlib.suppress(asyncio.CancelledError, Exception):
+                await self._reading
+        if self._runtime is not None:
+            await self._runtime.close()
+        if self._failed is not None and self._failed.done() and not self._failed.cancelled():
+            self._failed.exception()  # whoever waits for the end has got it
+
+    async def ended(self) -> None:
+        """Wait for the end of the line. An own port that vanishes is opened again. Raises PortError when the program
+        that held the port has ended, BusError for a defect."""
+        assert self._failed is not None
+        await asyncio.shield(self._failed)
+
+    # --- an own port ---
+    async def _open_own(self) -> None:
+        if self.port in (VIRTUAL, "pty"):
+            raise UsageError(f'no program of yours holds the port "{self.port}", and nobody else can be on it')
+        port = open_port(self.port, self._baud or BAUD_RATES[0], rs485=False)
+        self._listener = Listener(
+            monotonic_ns(),
+            self._on_transmission,
+            baud=self._baud,
+            epoch_ns=time_ns() - monotonic_ns(),
+            slack_ns=patience_of(port).known_ns,
+            settle_ns=settle_ns_of(port),
+        )
+        self._runtime = AsyncioRuntime(
+            port, self._listener, self._on_events, echo=Echo.OFF, on_failure=self._on_failure
+        )
+        await self._runtime.open()
+        source = "adapter" if port.delivery is Delivery.ADAPTER else "host"
+        self._line = Line(self._runtime.port_name, source, None, self._baud, self._runtime.paced)
+
+    def _on_events(self, events: list[Event]) -> None:
+        for event in events:
+            self._on_event(event)
+
+    def _on_failure(self, error: Exception) -> None:
+        self._fail(BusError(f"listening was stopped by a defect in dpstack ({type(error).__name__}: {error})"))
+
+    def _fail(self, error: Exception) -> None:
+        if self._failed is not None and not self._failed.done():
+            self._failed.set_exception(error)
+
+    # --- the tap of a program ---
+    async def _open_tap(self, client: ControlClient) -> None:
+        kind = client.help()["kind"]
+        items = client.stream("tap")
+        about = await anext(items)
+        self._line = Line(self.port, "tap", kind, about["baud"], about["paced"])
+        self._reading = asyncio.create_task(self._read_tap(items, about["epoch_ns"]))
+
+    async def _read_tap(self, items: Any, epoch_ns: int) -> None:
+        cutter: Cutter | None = None
+        try:
+            async for item in items:
+                if item["lost"]:
+                    self._on_event(OctetsLost(t_ns=monotonic_ns(), count=item["lost"], port=self.port))
+                for end_ns, baud, octets, sent in item["octets"]:
+                    if cutter is None or cutter.baud != baud:
+                        self._deliver(cutter, epoch_ns)
+                        cutter = Cutter(baud, _TAP_STALL_NS)
+                    elif sent or cutter.stall_at() <= end_ns:
+                        self._deliver(cutter, epoch_ns)
+                    for one in cutter.feed(bytes.fromhex(octets), end_ns):
+                        self._on_transmission(one._replace(t_ns=(one.t_ns or 0) + epoch_ns))
+                if not item["octets"]:
+                    self._deliver(cutter, epoch_ns)
+        except PortError as error:
+            self._fail(error)
+        except (KeyError, TypeError, ValueError) as error:
+            self._fail(PortError(f"{self.port}: the tap is not as dpstack writes it ({error}): is it another version?"))
+        else:
+            self._fail(PortError(f"{self.port}: the program ended"))
+
+    def _deliver(self, cutter: Cutter | None, epoch_ns: int) -> None:
+        """The octets held by ``cutter`` wait for nothing more."""
+        if cutter is not None:
+            for one in cutter.give_up():
+                self._on_transmission(one._replace(t_ns=(one.t_ns or 0) + epoch_ns))
+
+
+def _program_on(port: str) -> ControlClient | None:
+    """A connection to the program that holds ``port``; None where there is none. Raises UsageError where there are
+    several."""
+    try:
+        return connect(port)
+    except PortError:
+        return None
