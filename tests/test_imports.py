@@ -36,6 +36,7 @@ MAY: dict[str, set[str]] = {
     "gsd": PURE_BASE,
     "capture": PHY | {"fdl", "machine"},
     "decode": DP | {"capture"},
+    "monitor": DP | {"capture", "decode"},
     "dp": DP,
     "dpv1": DP,
     "profile": {"dp", "dpv1", "units", "errors"},
@@ -43,7 +44,7 @@ MAY: dict[str, set[str]] = {
     "ports": PURE_BASE,
     "drivers": DP | {"ports", "machine", "sim"},
     "api": DP | {"drivers", "ports", "sim", "profile", "capture"},
-    "cli": {"api", "capture", "decode", "gsd", "profile", "trace"} | PURE_BASE,
+    "cli": {"api", "capture", "decode", "monitor", "gsd", "profile", "trace"} | PURE_BASE,
     "__init__": {"api", "errors", "profile", "dp", "dpv1", "trace"},
 }
 #: Rooms from the ground up: each imports from lower floors only; rooms of one floor not from one another.
@@ -59,6 +60,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("dp/slave",),
     ("dpv1/slave",),
     ("decode",),
+    ("monitor",),
     ("dp/master",),
     ("dp/acyclic",),
     ("dp/plan",),

@@ -58,8 +58,8 @@ class Spec:
 COMMON: Final = (
     Spec("help", "", "what this program knows", ""),
     Spec("status", "", "what it is doing at this moment", ""),
-    Spec("tap", "", "the octets on its line, for `dpstack capture` and `dpstack monitor`", ""),
 )
+TAP: Final = Spec("tap", "", "the octets on its line, for `dpstack capture` and `dpstack monitor`", "")
 SLAVES: Final = (
     Spec("trip", "SLAVE CODE", "a fault of the simulated drive, by its code or name", "3 F2100"),
     Spec("warn", "SLAVE MASK", "its warning word in hex, 0 clears it", "3 0080"),
@@ -99,7 +99,7 @@ RUN: Final = (
 )
 
 #: commands by kind of program; a ``run`` on the port "virtual" also has SLAVES
-KINDS: Final = {"run": COMMON + RUN, "sim": COMMON + SLAVES, "segment": COMMON + SEGMENT}
+KINDS: Final = {"run": (*COMMON, TAP, *RUN), "sim": (*COMMON, TAP, *SLAVES), "segment": (*COMMON, TAP, *SEGMENT)}
 
 
 def find_word(word: str, known: Sequence[Spec], who: str = "a drive") -> Spec:
