@@ -11,7 +11,7 @@ help:
 	@echo "make test    all tests"
 	@echo "make check   lint, types, documentation"
 	@echo "make soak    the long runs"
-	@echo "make strangers  the tests with programs of others (installs them into $(VENV))"
+	@echo "make strangers  the tests with programs of others (installs them: Debian packages, and Python's into $(VENV))"
 
 demo: $(VENV)/.core
 	$(VENV)/bin/dpstack demo
@@ -35,9 +35,10 @@ soak: $(VENV)/.test
 	@echo "what hypothesis tries: SEED=$(SEED)"
 	$(PY) -m pytest -m soak --hypothesis-profile=soak --hypothesis-seed=$(SEED) $(TESTS)
 
-# Programs of others at one end: each is installed, run in processes of its own, and missed with an error, not skipped.
-strangers: $(VENV)/.strangers
-	$(PY) -m pytest -m strangers tests/strangers
+# Programs of others at one end: each is installed where that may be (root, or sudo without a password), run in processes
+# of its own, and missed with an error, not skipped. make strangers TESTS=tests/strangers/test_report.py runs a part
+strangers: $(VENV)/.test
+	$(PY) -m tools.strangers $(TESTS)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info drives/*.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
@@ -58,8 +59,4 @@ $(VENV)/.test: pyproject.toml | $(PY)
 
 $(VENV)/.check: pyproject.toml | $(PY)
 	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[test,check]'
-	@touch $@ $(VENV)/.core $(VENV)/.test
-
-$(VENV)/.strangers: pyproject.toml | $(PY)
-	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[test,strangers]'
 	@touch $@ $(VENV)/.core $(VENV)/.test

@@ -1,0 +1,102 @@
+"""``make strangers`` installs through apt-get where it may, and names each program that is missing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tools import strangers
+
+APT = """#!/bin/sh
+echo "$@" >> {log}
+case "$*" in
+*install*) {install} ;;
+esac
+"""
+
+
+def _program(folder: Path, name: str, text: str = "#!/bin/sh\n") -> None:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    path.chmod(0o755)
+
+
+@pytest.fixture
+def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder that is the whole PATH."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    monkeypatch.setenv("PATH", str(folder))
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    return folder
+
+
+def test_missing_programs_are_installed_by_the_names_of_their_packages(path: Path, tmp_path: Path) -> None:
+    for name in strangers.PROGRAMS.keys() - {"tshark"}:
+        _program(path, name)
+    log = tmp_path / "log"
+    _program(path, "apt-get", APT.format(log=log, install=f"/bin/cp {path}/chromium {path}/tshark"))
+    assert strangers.missing_programs() == {"tshark": "tshark"}
+    strangers.install_debian(strangers.missing_programs().values())
+    assert strangers.missing_programs() == {}
+    assert log.read_text(encoding="utf-8") == "install -y -qq --no-install-recommends tshark\n"
+
+
+def test_a_list_of_packages_that_is_old_is_updated_once(path: Path, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    _program(path, "apt-get", APT.format(log=log, install="exit 100"))
+    strangers.install_debian(["tshark", "tshark", "chromium"])
+    asked = [line.split()[0] for line in log.read_text(encoding="utf-8").splitlines()]
+    assert asked == ["install", "update", "install"]
+    lines = strangers.missing_lines()
+    assert "missing: tshark: install it with: sudo apt-get install tshark" in lines
+    assert "missing: capinfos: install it with: sudo apt-get install wireshark-common" in lines
+
+
+def test_without_rights_nothing_is_tried(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = tmp_path / "log"
+    _program(path, "apt-get", APT.format(log=log, install="exit 0"))
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    strangers.install_debian(["tshark"])  # no sudo at all
+    _program(path, "sudo", "#!/bin/sh\nexit 1\n")  # sudo wants a password
+    strangers.install_debian(["tshark"])
+    assert not log.exists()
+    _program(path, "sudo", '#!/bin/sh\ncase "$*" in\n*install*) ' + f'echo "$@" >> {log} ;;\nesac\n')
+    strangers.install_debian(["tshark"])
+    assert "apt-get install" in log.read_text(encoding="utf-8")
+
+
+def test_python_packages_are_those_of_the_extra() -> None:
+    modules = strangers.python_packages()
+    assert {"pyprofibus", "scapy", "pcapng"} <= set(modules.values())
+
+
+def test_a_skipped_test_counts_as_failed() -> None:
+    xml = """<testsuites><testsuite><testcase classname="a" name="one"/><testcase classname="a" name="two">
+      <failure message="x"/></testcase><testcase classname="a" name="three"><skipped/></testcase>
+      </testsuite></testsuites>"""
+    assert strangers.counted(xml) == (["a::two", "a::three"], 3)
+    assert strangers.counted("<none/>") == ([], 0)
+
+
+def test_the_last_lines_name_what_is_missing_and_the_exit_code_is_1(tmp_path: Path) -> None:
+    (tmp_path / "test_nothing.py").write_text(
+        "import pytest\n@pytest.mark.strangers\ndef test_one(): pass\n", encoding="utf-8"
+    )
+    (tmp_path / "bin").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.strangers", str(tmp_path), "-p", "no:cacheprovider"],
+        cwd=strangers.ROOT,
+        env={**os.environ, "PATH": str(tmp_path / "bin")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    lines = done.stdout.splitlines()
+    assert "missing: chromium: install it with: sudo apt-get install chromium" in lines
+    assert lines[-1].startswith("strangers: 1 ran, 0 failed, ")

@@ -1,0 +1,153 @@
+"""``make strangers``: installs the programs of others that tests need, runs those tests, and says what is missing.
+
+Debian packages come through apt-get, as root or with sudo where it asks for no password; Python packages through pip:
+the extra ``strangers`` of pyproject.toml. A test whose program is missing fails. The exit code is 1 where a program is
+missing or a test failed.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+from xml.etree import ElementTree
+
+ROOT: Final = Path(__file__).resolve().parent.parent
+#: programs, and the Debian package of each
+PROGRAMS: Final[Mapping[str, str]] = {
+    "tshark": "tshark",
+    "capinfos": "wireshark-common",
+    "chromium": "chromium",
+    "pdfinfo": "poppler-utils",
+    "pdftotext": "poppler-utils",
+}
+#: Python packages of the extra ``strangers`` whose module has another name
+MODULES: Final[Mapping[str, str]] = {"python-pcapng": "pcapng"}
+_APT_S: Final = 600
+_PIP_S: Final = 300
+
+
+def missing_programs() -> dict[str, str]:
+    """Programs that are not there, with the Debian package of each."""
+    return {name: package for name, package in PROGRAMS.items() if shutil.which(name) is None}
+
+
+def python_packages() -> dict[str, str]:
+    """The requirements of the extra ``strangers``, and the module by which each is found."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    found = {}
+    for requirement in project["optional-dependencies"]["strangers"]:
+        name = re.split(r"[^\w.-]", requirement)[0]
+        found[requirement] = MODULES.get(name, name.replace("-", "_"))
+    return found
+
+
+def missing_python() -> list[str]:
+    """The requirements whose module is not there."""
+    importlib.invalidate_caches()
+    return [
+        requirement for requirement, module in python_packages().items() if importlib.util.find_spec(module) is None
+    ]
+
+
+def apt_get() -> list[str] | None:
+    """The command that installs Debian packages; None where there is none, or no right to use it."""
+    if shutil.which("apt-get") is None:
+        return None
+    if os.geteuid() == 0:
+        return ["apt-get"]
+    if shutil.which("sudo") and _runs(["sudo", "-n", "true"], 10):
+        return ["sudo", "-n", "env", "DEBIAN_FRONTEND=noninteractive", "apt-get"]
+    return None
+
+
+def install_debian(packages: Iterable[str]) -> None:
+    """Install ``packages`` where that is possible."""
+    names = sorted(set(packages))
+    command = apt_get()
+    if not names or command is None:
+        return
+    print(f"strangers: installing {', '.join(names)} with apt-get", flush=True)
+    install = [*command, "install", "-y", "-qq", "--no-install-recommends", *names]
+    if not _runs(install, _APT_S):  # its list of packages may be old, or empty
+        _runs([*command, "update", "-qq"], _APT_S)
+        _runs(install, _APT_S)
+
+
+def install_python(requirements: Sequence[str]) -> None:
+    """Install ``requirements`` into the environment of this interpreter where that is possible."""
+    if requirements:
+        print(f"strangers: installing {', '.join(requirements)} with pip", flush=True)
+        _runs([sys.executable, "-m", "pip", "install", "-q", "--disable-pip-version-check", *requirements], _PIP_S)
+
+
+def _runs(command: Sequence[str], seconds: float) -> bool:
+    environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+    try:
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=environment, timeout=seconds, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        print(f"strangers: {command[0]}: {error}", file=sys.stderr)
+        return False
+    return done.returncode == 0
+
+
+def missing_lines() -> list[str]:
+    """One line for each program or Python package that is missing: its name and how to install it."""
+    lines = [
+        f"missing: {name}: install it with: sudo apt-get install {package}"
+        for name, package in missing_programs().items()
+    ]
+    lines += [
+        f"missing: {requirement}: install it with: {sys.executable} -m pip install '{requirement}'"
+        for requirement in missing_python()
+    ]
+    return lines
+
+
+def run_tests(arguments: Sequence[str]) -> tuple[int, list[str], int]:
+    """Run the tests with programs of others. Returns pytest's exit code, the tests that failed, how many ran."""
+    with tempfile.TemporaryDirectory() as folder:
+        result = Path(folder) / "strangers.xml"
+        command = [sys.executable, "-m", "pytest", "-m", "strangers", f"--junitxml={result}"]
+        command += arguments or ["tests/strangers"]
+        code = subprocess.run(command, cwd=ROOT, check=False).returncode
+        return (code, *counted(result.read_text(encoding="utf-8") if result.exists() else "<none/>"))
+
+
+def counted(xml: str) -> tuple[list[str], int]:
+    """The tests that failed, and how many ran, of pytest's result in JUnit form. A skipped test counts as failed."""
+    cases = list(ElementTree.fromstring(xml).iter("testcase"))
+    failed = [
+        f"{case.get('classname')}::{case.get('name')}"
+        for case in cases
+        if any(child.tag in ("failure", "error", "skipped") for child in case)
+    ]
+    return failed, len(cases)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """``arguments``: of pytest, in place of tests/strangers."""
+    install_debian(missing_programs().values())
+    install_python(missing_python())
+    code, failed, ran = run_tests(arguments)
+    missing = missing_lines()
+    for name in failed:
+        print(f"failed: {name}")
+    for line in missing:
+        print(line)
+    print(f"strangers: {ran} ran, {len(failed)} failed, {len(missing)} missing", flush=True)
+    return 1 if code or failed or missing or not ran else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
