@@ -7,8 +7,6 @@
   choice
 - ``nodes``: Register of the stations on the medium: by address, by baud rate, and the listeners to all telegrams
 - ``referee``: The referee: watches every transmission and fails a run on broken timing or token rules
-- ``token_watch``: Checks of the token rules: one token, only its holder sends requests, it goes to the next higher
-  address
 - ``transmission``: A transmission: octets of one sender on the wire, and the octets that receivers at the same rate get
   of it
 - ``world``: The virtual world: stations on one simulated bus line, in integer nanoseconds, driven by a heap of events

@@ -16,8 +16,7 @@ from dpstack import DpSlave, Im0, IoStation, SlaveDescription
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.events import DeviceFailed, RequestRefused
 from dpstack.dpv1.slave.device import Device
-from dpstack.dpv1.slave.ms2_connection import ConnectionClosed, ConnectionOpened
-from dpstack.dpv1.slave.resource_manager import ms2_of
+from dpstack.dpv1.slave.resource_manager import ConnectionClosed, ConnectionOpened, ms2_of
 from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.gsd.identifiers import io_lengths

@@ -12,7 +12,7 @@ from typing import TypeVar
 from dpstack.decode.words import render
 from dpstack.fdl.interface import BusStation
 from dpstack.fdl.telegram import Telegram
-from dpstack.sim.token_watch import Rule
+from dpstack.sim.referee import Rule
 from dpstack.sim.world import World
 from dpstack.trace import Event
 from dpstack.units import NEVER, chars_to_ns

@@ -17,7 +17,7 @@ from dpstack.fdl.telegram import token
 from dpstack.params import BusParams
 from dpstack.phy.patience import ADAPTER, Patience, slack
 from dpstack.sim.adapter import FTDI, FTDI_LOW_LATENCY, Adapter, Habits
-from dpstack.sim.token_watch import Rule
+from dpstack.sim.referee import Rule
 from dpstack.sim.world import World
 
 TOKEN = bytes.fromhex("DC 02 05")

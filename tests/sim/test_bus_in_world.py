@@ -11,7 +11,7 @@ from support import MS, S, WorldFactory
 
 from dpstack.dp.master.events import SlaveState
 from dpstack.params import BusParams
-from dpstack.sim.token_watch import Rule
+from dpstack.sim.referee import Rule
 from dpstack.trace import WireEntry
 from dpstack.units import BAUD_RATES, bits_to_ns
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from support import MS, Dummy, WorldFactory, ends
 
 from dpstack.fdl.telegram import Kind, Telegram
-from dpstack.sim.token_watch import Rule
+from dpstack.sim.referee import Rule
 from dpstack.sim.world import World
 from dpstack.trace import WireEntry
 from dpstack.units import NEVER

@@ -10,8 +10,7 @@ from support import Dummy, WorldFactory
 
 from dpstack.fdl.codec import encode_sd1, encode_sd2, encode_token
 from dpstack.params import BusParams
-from dpstack.sim.referee import RefereeError
-from dpstack.sim.token_watch import Rule, TokenWatch
+from dpstack.sim.referee import RefereeError, Rule, TokenWatch
 from dpstack.sim.world import World
 from dpstack.units import chars_to_ns
 

@@ -17,7 +17,7 @@ from dpstack.params import BusParams
 from dpstack.phy.neighbours import Neighbours, t_sl_of_answers
 from dpstack.phy.patience import ADAPTER, EXACT, HOST, Patience, measured, slack
 from dpstack.sim.adapter import FTDI, FTDI_LOW_LATENCY, Habits
-from dpstack.sim.token_watch import Rule
+from dpstack.sim.referee import Rule
 from dpstack.sim.world import World
 from dpstack.trace import Severity
 

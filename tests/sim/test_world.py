@@ -8,7 +8,7 @@ import pytest
 from support import MS, Dummy, WorldFactory, ends, wire_log
 
 from dpstack.errors import ConfigError, UsageError
-from dpstack.sim.token_watch import Rule
+from dpstack.sim.referee import Rule
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
 from dpstack.trace import Event, Notice

@@ -1,23 +1,29 @@
-"""The user's own slaves: made from a GSD file, served on a real port or in a virtual world."""
+"""The user's own slaves: made from a GSD file, served on a real port or in a virtual world.
+
+Async functions that serve the records of a slave: a task for each request.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Unpack
+from typing import TypeVar, Unpack
 
 from dpstack.api.gsd_info import read_gsd
-from dpstack.api.server.async_device import AsyncRecords
 from dpstack.api.streams import OnEvent, Waiters, call_on_event
 from dpstack.argcheck import Sealed, octets, whole_number
+from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Specifier, Status, module_status
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, SlaveAppStats
+from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.pdu.read_write import DataTransport, ReadReq
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, Raised
 from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.dpv1.slave.device import Device
+from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.resource_manager import ServedConnection, ms2_of
 from dpstack.dpv1.slave.user_slave import DpSlave, OnCycle, SlaveOptions
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
@@ -36,6 +42,65 @@ from dpstack.ports import open_port
 from dpstack.sim.world import World
 from dpstack.trace import Event
 from dpstack.units import baud_text
+
+T = TypeVar("T")
+
+
+class AsyncRecords:
+    """Serves records and Data_Transport by the functions of ``device``. Refuses requests without a function."""
+
+    def __init__(self, device: DpSlave) -> None:
+        self._device = device
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def ask(self, request: RecordRequest) -> None:
+        """Start the function; its result is the answer. Cancel it if the master gives up polling."""
+        task = asyncio.get_running_loop().create_task(self._serve(request), name=request.title)
+        self._tasks.add(task)
+        request.abandoned = task.cancel
+        task.add_done_callback(lambda done: self._on_done(request, done))
+
+    def end(self) -> None:
+        """The end of the slave: cancel the running functions."""
+        for task in self._tasks:
+            task.cancel()
+
+    def _on_done(self, request: RecordRequest, task: asyncio.Task[None]) -> None:
+        """If other code has cancelled the function, answer with an error: the master still polls."""
+        self._tasks.discard(task)
+        if task.cancelled():
+            request.fail(asyncio.CancelledError("what it awaited was cancelled"))
+
+    async def _serve(self, request: RecordRequest) -> None:
+        service = request.service
+        name, result, refusal = "on_write", "", Code.ACCESS_DENIED
+        if isinstance(service, ReadReq):
+            name, result = "on_read", "a record"
+        elif isinstance(service, DataTransport):
+            name, result, refusal = "on_transport", "what goes back", Code.FEATURE_NOT_SUPPORTED
+        function: Callable[..., Awaitable[object]] | None = getattr(self._device, name)
+        if function is None:
+            request.refuse(refusal)
+            return
+        try:
+            octets = () if isinstance(service, ReadReq) else (service.data,)
+            data = await _result_of(name, function, service.slot, service.index, *octets)
+            if not result:
+                data = b""
+            if not isinstance(data, (bytes, bytearray)):
+                raise TypeError(f"{name} returned {type(data).__name__}, {result} is bytes")
+            request.answer(bytes(data))
+        except Exception as error:  # of the user's function: only this request fails
+            request.fail(error)
+
+
+async def _result_of(name: str, function: Callable[..., Awaitable[T]], *args: object) -> T:
+    with DEVICE_CALL:
+        result = function(*args)
+    if not isinstance(result, Awaitable):
+        raise TypeError(f"{name} is an ordinary function, it has to be an async one: write async def")
+    with DEVICE_CALL:
+        return await result
 
 
 def slave_from_gsd(

@@ -4,7 +4,6 @@
 - ``auto_baud``: Slaves that find the baud rate by themselves, as nearly all do
 - ``cyclic_data``: The cyclic data of a slave in data exchange: double buffers for SYNC and FREEZE, Clear and Operate
 - ``device``: The base class of a device: its data, its checks, its reaction to a lost master
-- ``diagnosis``: The diagnosis of a slave application: its fault bits, and whether the master has read the rest
 - ``events``: Events and counters of a slave application; each refusal is reported once
 - ``extension``: Services of a device beyond those of DP-V0 (MS1, MS2), and their blocks in the diagnosis
 - ``prm_cfg_check``: Checks of Set_Prm and Chk_Cfg at a slave

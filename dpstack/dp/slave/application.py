@@ -4,7 +4,7 @@
 author, processes the data. The other services are in :mod:`dpstack.dp.slave.services`, state, lock and watchdog in
 :mod:`dpstack.dp.slave.state`, the tables of states in :mod:`dpstack.dp.slave.state_table`, cyclic data in
 :mod:`dpstack.dp.slave.cyclic_data`, checks of parameters and configuration in :mod:`dpstack.dp.slave.prm_cfg_check`,
-fault bits in :mod:`dpstack.dp.slave.diagnosis`.
+fault bits in :mod:`dpstack.dp.slave.state`.
 """
 
 from __future__ import annotations

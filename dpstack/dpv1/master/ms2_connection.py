@@ -1,6 +1,6 @@
 """Class 2 connections of a master: their state, and the jobs over them: services, Idle, and Abort at the end.
 
-Each job is one entry of the acyclic queue. Initiate is in :mod:`dpstack.dpv1.master.ms2_initiate`, the polling in
+Each job is one entry of the acyclic queue. Initiate is in :mod:`dpstack.dpv1.master.ms2`, the polling in
 :mod:`dpstack.dpv1.master.srd_polling`. Decisions where the sources leave something open:
 docs/decisions/ms2.md#connections-at-the-master.
 """

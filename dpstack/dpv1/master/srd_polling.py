@@ -5,7 +5,7 @@ The master sends SRDs with the request until the slave takes it, then empty ones
 docs/decisions/services.md#polling.
 
 The jobs decide what silence means: :mod:`dpstack.dpv1.master.ms1`, :mod:`dpstack.dpv1.master.ms2_connection`,
-:mod:`dpstack.dpv1.master.ms2_initiate`.
+:mod:`dpstack.dpv1.master.ms2`.
 """
 
 from __future__ import annotations

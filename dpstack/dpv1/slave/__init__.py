@@ -5,8 +5,6 @@
 - ``description_from_gsd``: The description of a slave from its GSD file
 - ``device``: The base class of a device with DP-V1: its records, alarms and class 2 connections
 - ``loopback_device``: Devices that mirror their outputs to their inputs: the simulation of a slave without a drive
-- ``ms1``: MS1 of a slave: the master sends a request, a record answers now or later, the master polls for it
-- ``ms2_connection``: A class 2 connection at the slave, from Initiate to its end
 - ``ms2_states``: The states of one class 2 connection at the slave as a table: trigger, action, source
 - ``record_requests``: A request for a record and its answer, the same for MS1 and MS2
 - ``record_table``: Ready-made records of a slave: a table of octets, and I&M at index 255

@@ -1,5 +1,4 @@
 """Simulated RS-485 segment of ptys, for programs that open serial ports.
 
 - ``hub``: A virtual RS-485 segment: ptys joined as one bus, which any program may open as serial ports
-- ``station``: One station of a segment: its pty, its receiver, counters of octets and telegrams before noise
 """

@@ -1,7 +1,6 @@
 """A simulated modular I/O station: slots that are pulled and plugged, channels with faults, alarms, records, I&M.
 
 - ``modules``: The module types of the I/O station as in its GSD file, and a slot with the module plugged into it
-- ``records``: The records of the I/O station: parameters and state of a module, I&M of every slot
 - ``station``: The simulated I/O station: a head and up to eight modules
 """
 

@@ -17,7 +17,7 @@ from dpstack.dp.pdu.requests import GlobalControl, SetPrm, SetSlaveAdd
 from dpstack.dpv1.pdu import im
 from dpstack.dpv1.pdu.ms2 import Abort, InitiateReq, InitiateRes, ResourceManagerRes
 from dpstack.dpv1.pdu.read_write import AlarmAck, DataTransport, parse_request, parse_response
-from dpstack.dpv1.slave.ms2_connection import parse_transport
+from dpstack.dpv1.slave.resource_manager import parse_transport
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.codec import decode
 from dpstack.gsd.identifiers import agree, parse_identifiers

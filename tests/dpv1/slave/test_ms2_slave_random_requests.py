@@ -14,9 +14,8 @@ from slave_kit import Recorder, make_slave
 
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.pdu.read_write import DataTransport
-from dpstack.dpv1.slave.ms2_connection import ConnectionClosed, ConnectionOpened
 from dpstack.dpv1.slave.record_requests import RecordRequest
-from dpstack.dpv1.slave.resource_manager import ms2_of
+from dpstack.dpv1.slave.resource_manager import ConnectionClosed, ConnectionOpened, ms2_of
 from dpstack.params import BusParams
 
 COUNT = 3

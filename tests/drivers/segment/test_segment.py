@@ -18,8 +18,7 @@ from typing import Any
 import pytest
 from far_ends import FarEnd, open_slave, set_rate, until
 
-from dpstack.drivers.segment.hub import Segment, default_directory
-from dpstack.drivers.segment.station import StationStats
+from dpstack.drivers.segment.hub import Segment, StationStats, default_directory
 from dpstack.errors import ConfigError, PortBusyError, PortError, UsageError
 from dpstack.ports.pacing import slice_octets
 

@@ -16,7 +16,7 @@ from dpstack.fdl.active.states import State
 from dpstack.fdl.events import AddressCollision, RingJoined, StationFound, TokenLost
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Kind, Req
-from dpstack.sim.token_watch import Rule
+from dpstack.sim.referee import Rule
 from dpstack.trace import WireEntry
 
 Make = Callable[..., FireRing]
