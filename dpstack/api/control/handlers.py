@@ -24,6 +24,7 @@ from dpstack.api.streams import OnEvent, call_on_event
 from dpstack.dp.process_data import as_json
 from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.tap import Tap
+from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.errors import UsageError
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.sim.io_station import IoStation
@@ -112,7 +113,7 @@ def _run_feed(bus: Bus) -> TapFeed:
 
 
 def _line_of(runtime: Runtime, baud: int | None) -> dict[str, object]:
-    return {"baud": baud, "paced": runtime.paced}
+    return {"baud": baud, "paced": runtime.paced, "exact": isinstance(runtime, VirtualRuntime)}
 
 
 def segment_status(segment: Segment) -> dict[str, object]:

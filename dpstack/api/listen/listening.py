@@ -12,6 +12,7 @@ from typing import Any, Final
 from dpstack.api.control.client import ControlClient, connect
 from dpstack.capture.cutter import Cutter
 from dpstack.capture.listener import Listener, OnTransmission
+from dpstack.capture.timing import ADAPTER, HOST, TAP, LineTiming, timing_of
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import patience_of
@@ -52,6 +53,13 @@ class Line:
     program: str | None
     baud: int | None
     paced: bool
+    #: the times are those of a simulated wire
+    exact: bool = False
+
+    @property
+    def timing(self) -> LineTiming:
+        """How finely the transmissions are timed, at the slowest rate where the rate is not known yet."""
+        return timing_of(self.source, self.baud or BAUD_RATES[0], exact=self.exact)
 
 
 class Listening:
@@ -131,7 +139,7 @@ class Listening:
             port, self._listener, self._on_events, echo=Echo.OFF, on_failure=self._on_failure
         )
         await self._runtime.open()
-        source = "adapter" if port.delivery is Delivery.ADAPTER else "host"
+        source = ADAPTER if port.delivery is Delivery.ADAPTER else HOST
         self._line = Line(self._runtime.port_name, source, None, self._baud, self._runtime.paced)
 
     def _on_events(self, events: list[Event]) -> None:
@@ -150,7 +158,7 @@ class Listening:
         kind = client.help()["kind"]
         items = client.stream("tap")
         about = await anext(items)
-        self._line = Line(self.port, "tap", kind, about["baud"], about["paced"])
+        self._line = Line(self.port, TAP, kind, about["baud"], about["paced"], about.get("exact", False))
         self._reading = asyncio.create_task(self._read_tap(items, about["epoch_ns"]))
 
     async def _read_tap(self, items: Any, epoch_ns: int) -> None:
