@@ -7,7 +7,7 @@ Sources: draft-ietf-opsawg-pcapng (blocks, options), the list of link types of t
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import BinaryIO, Final, NamedTuple, Protocol
 
@@ -28,6 +28,11 @@ _FLAGS: Final = 2
 _START, _STOP, _RECEIVED, _DROPPED = 2, 3, 4, 5
 #: A PROFIBUS telegram has 255 octets at most, a stranger's packet up to 64 KiB; no block that is read needs more.
 _MOST: Final = 1 << 20
+#: octets that are read from a file at once
+_PIECE: Final = 1 << 16
+_KNOWN: Final = frozenset((_SECTION, _INTERFACE, _PACKET, _SIMPLE_PACKET, _OLD_PACKET))
+_DAMAGED: Final = int(sum(Damage))
+_NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
 #: interfaces of one section
 _MOST_INTERFACES: Final = 4096
 _NANO: Final = 9
@@ -70,7 +75,7 @@ class Packet(NamedTuple):
 
     @property
     def damage(self) -> Damage:
-        return Damage(self.flags & sum(Damage))
+        return Damage(self.flags & _DAMAGED)
 
 
 def _option(code: int, value: bytes) -> bytes:
@@ -142,103 +147,157 @@ class Readable(Protocol):
 
 
 class Reader:
-    """Iterates over the packets of a pcapng ``file``, in the file's order; reads block by block, in bounded memory.
+    """Iterates over the packets of a pcapng ``file``, in the file's order, in bounded memory: a block that it keeps,
+    and one piece of the file. ``name`` is the file's in messages.
 
-    ``name`` is the file's in messages. The iteration raises CaptureFileError, with the place in the file, where a block
-    cannot be read: the packets before it have been delivered. A file that ends within a block, as one whose writer was
-    killed, ends the iteration, and ``cut`` says how much was left over.
+    The iteration raises CaptureFileError, with the place in the file, where a block cannot be read: the packets before
+    it have been delivered. A file that ends within a block, as one whose writer was killed, ends the iteration, and
+    ``cut`` says how much was left over.
     """
 
     def __init__(self, file: Readable, name: str) -> None:
         self.name = name
         self.cut = ""
-        self._file = file
-        self._at = 0
-        self._held = b""
-        self._order = "<"
+        #: a pipe delivers what is there; its ``read`` would wait for all that was asked for
+        self._read: Callable[[int], bytes] = getattr(file, "read1", file.read)
+        self._held = b""  # a piece of the file
+        self._at = 0  # where the block begins in _held
+        self._before = 0  # octets of the file before _held
+        self._kind = 0
         self._interfaces: list[Interface] = []
+        self._turn("<")
+
+    def _turn(self, order: str) -> None:
+        """Take the byte order of a section, "<" or ">"."""
+        self._order = order
+        self._one = struct.Struct(order + "I").unpack_from
+        self._two = struct.Struct(order + "II").unpack_from
+        self._five = struct.Struct(order + "IIIII").unpack_from
 
     def __iter__(self) -> Iterator[Packet]:
-        read: Mapping[int, Callable[[bytes], Packet | None]] = {
-            _SECTION: self._section,
-            _INTERFACE: self._interface,
-            _PACKET: self._packet,
-            _SIMPLE_PACKET: self._simple_packet,
-            _OLD_PACKET: self._old_packet,
-        }
         self._first()
-        while True:
-            block = self._next(read)
-            if block is None:
-                return
-            kind, body = block
-            if kind in read:
-                try:
-                    packet = read[kind](body)
-                except struct.error:
-                    raise self._wrong("a block is shorter than its fields") from None
-                if packet is not None:
-                    yield packet
+        while size := self._next():
+            begin, stop = self._at + 8, self._at + size - 4
+            try:
+                if self._kind == _PACKET:
+                    yield self._packet(begin, stop)
+                elif self._kind == _OLD_PACKET:
+                    yield self._old_packet(begin, stop)
+                elif self._kind == _SIMPLE_PACKET:
+                    yield self._simple_packet(self._held[begin:stop])
+                elif self._kind == _INTERFACE:
+                    self._interface(self._held[begin:stop])
+                else:
+                    self._section(self._held[begin:stop])
+            except struct.error:
+                raise self._wrong("a block is shorter than its fields") from None
+            self._at += size
 
-    def _wrong(self, text: str) -> CaptureFileError:
-        return CaptureFileError(f"{self.name}: {text} (at octet {self._at})")
+    def _wrong(self, text: str, back: int = 0) -> CaptureFileError:
+        return CaptureFileError(f"{self.name}: {text} (at octet {self._before + self._at - back})")
 
-    def _exactly(self, size: int) -> bytes:
-        """Up to ``size`` octets, fewer at the end of the file only; a pipe delivers them in pieces."""
-        parts = bytearray()
-        while len(parts) < size:
-            more = self._file.read(min(size - len(parts), _MOST))
+    def _fill(self, size: int) -> int:
+        """Hold ``size`` octets from the begin of the block; returns how many there are, fewer at the end of the file
+        only."""
+        have = len(self._held) - self._at
+        if have >= size:
+            return have
+        held = bytearray(memoryview(self._held)[self._at :])
+        while len(held) < size:
+            more = self._read(_PIECE)
             if not more:
                 break
-            parts += more
-        return bytes(parts)
+            held += more
+        self._before += self._at
+        self._at = 0
+        self._held = bytes(held)
+        return len(held)
+
+    def _pass(self, size: int) -> int:
+        """Pass over ``size`` octets without keeping them; returns how many there were, fewer at the end of the file."""
+        left = size
+        while left > (have := len(self._held) - self._at):
+            left -= have
+            self._before += len(self._held)
+            self._at = 0
+            self._held = self._read(_PIECE) or b""
+            if not self._held:
+                return size - left
+        self._at += left
+        return size
 
     def _first(self) -> None:
-        """The head of the first block, which tells what kind of file this is; it is read again as a block."""
-        self._held = self._exactly(12)
-        if self._held[:4] == _SECTION.to_bytes(4, "little"):
+        """The head of the first block, which tells what kind of file this is."""
+        self._fill(12)
+        head = self._held[:4]
+        if head == _SECTION.to_bytes(4, "little"):
             return
-        known = _OTHER_FILES.get(self._held[:4])
+        known = _OTHER_FILES.get(head)
         if known is not None:
             raise self._wrong(f"this is a {known} file, not pcapng; convert it: editcap -F pcapng OLD NEW")
-        if self._held[:2] == b"\x1f\x8b":
+        if head[:2] == b"\x1f\x8b":
             raise self._wrong("this file is compressed; unpack it with gunzip")
-        raise self._wrong("this is no pcapng file" if self._held else "the file is empty")
+        raise self._wrong("this is no pcapng file" if head else "the file is empty")
 
-    def _next(self, wanted: Mapping[int, object]) -> tuple[int, bytes] | None:
-        """The next block's type and body (empty where it is not ``wanted``); None at the end."""
-        head, self._held = self._held + self._exactly(12 - len(self._held)), b""
-        if len(head) < 12:
-            self.cut = f"{len(head)} octets of a last block are not read" if head else ""
-            return None
-        if head[:4] == _SECTION.to_bytes(4, "little"):  # the same octets in both orders
-            self._order = "<" if head[8:] == _MAGIC.to_bytes(4, "little") else ">"
-            if head[8:] != struct.pack(self._order + "I", _MAGIC):
-                raise self._wrong("a section without the magic number of pcapng")
-        kind, size = struct.unpack(self._order + "II", head[:8])
-        if size < 12 or size % 4:
-            raise self._wrong(f"a block of type {kind} claims {size} octets: lengths are multiples of 4, at least 12")
-        if kind in wanted and size > _MOST:
-            raise self._wrong(f"a block of type {kind} claims {size} octets, more than {_MOST}")
-        body = head[8:] if size > 12 else b""
-        rest = size - 12 if size > 12 else 0
-        tail = head[8:] if size == 12 else b""
-        read = 12
-        while rest:
-            part = self._exactly(min(rest, _MOST))
-            read += len(part)
-            rest -= len(part)
-            if kind in wanted:
-                body += part
-            tail = (tail + part)[-4:]
-            if not part:
-                self.cut = f"{read} octets of a last block are not read"
-                return None
-        (again,) = struct.unpack(self._order + "I", tail)
+    def _next(self) -> int:
+        """The size of the next block whose type is known: all of it is held, its type is in ``_kind``. 0: there is none
+        any more."""
+        size: int
+        while True:
+            have = len(self._held) - self._at
+            if have < 12:
+                have = self._fill(12)
+                if have < 12:
+                    return self._end(have)
+            kind, size = self._two(self._held, self._at)
+            if kind == _SECTION:
+                size = self._turned()
+            if size < 12 or size & 3:
+                raise self._wrong(
+                    f"a block of type {kind} claims {size} octets: lengths are multiples of 4, at least 12"
+                )
+            if kind not in _KNOWN:
+                if not self._passed(kind, size):
+                    return 0
+                continue
+            if size > _MOST:
+                raise self._wrong(f"a block of type {kind} claims {size} octets, more than {_MOST}")
+            if have < size:
+                have = self._fill(size)
+                if have < size:
+                    return self._end(have)
+            (again,) = self._one(self._held, self._at + size - 4)
+            if again != size:
+                raise self._wrong(f"a block of type {kind} has two lengths, {size} and {again}")
+            self._kind = kind
+            return size
+
+    def _turned(self) -> int:
+        """Take the byte order of the section that begins; returns the size of its block."""
+        magic = self._held[self._at + 8 : self._at + 12]
+        self._turn("<" if magic == _MAGIC.to_bytes(4, "little") else ">")
+        if self._one(magic) != (_MAGIC,):
+            raise self._wrong("a section without the magic number of pcapng")
+        return int(self._one(self._held, self._at + 4)[0])
+
+    def _passed(self, kind: int, size: int) -> bool:
+        """Pass over a block of an unknown type, of any size; False where the file ends within it."""
+        passed = self._pass(size - 4)
+        if passed == size - 4:
+            passed += min(self._fill(4), 4)
+        if passed < size:
+            self._end(passed)
+            return False
+        (again,) = self._one(self._held, self._at)
         if again != size:
-            raise self._wrong(f"a block of type {kind} has two lengths, {size} and {again}")
-        self._at += size
-        return kind, body[:-4] if size > 12 else b""
+            raise self._wrong(f"a block of type {kind} has two lengths, {size} and {again}", size - 4)
+        self._at += 4
+        return True
+
+    def _end(self, left: int) -> int:
+        """The file ends within a block, after ``left`` octets of it, or before one."""
+        self.cut = f"{left} octets of a last block are not read" if left else ""
+        return 0
 
     def _options(self, octets: bytes) -> Iterator[tuple[int, bytes]]:
         at = 0
@@ -267,10 +326,10 @@ class Reader:
             Interface(
                 name=found.get(_IF_NAME, b"").decode(errors="replace"),
                 linktype=linktype,
-                bits_per_s=self._number(found.get(_IF_SPEED, b"")),
+                bits_per_s=self._number(found.get(_IF_SPEED, b"")[:8]),
                 description=found.get(_IF_DESCRIPTION, b"").decode(errors="replace"),
                 unit=unit[0] if unit else _MICRO,
-                offset_s=self._number(found.get(_IF_TSOFFSET, b""), signed=True),
+                offset_s=self._number(found.get(_IF_TSOFFSET, b"")[:8], signed=True),
                 snap=snap,
             )
         )
@@ -285,25 +344,37 @@ class Reader:
             )
         return self._interfaces[number]
 
-    def _timed(self, interface: Interface, high: int, low: int, rest: bytes, size: int) -> Packet:
-        if size > len(rest):
-            raise self._wrong(f"a packet claims {size} octets, its block has {len(rest)}")
+    def _packet(self, begin: int, stop: int) -> Packet:
+        if stop - begin < 20:
+            raise struct.error
+        number, high, low, kept, _ = self._five(self._held, begin)
+        return self._timed(number, high << 32 | low, kept, begin + 20, stop)
+
+    def _old_packet(self, begin: int, stop: int) -> Packet:
+        if stop - begin < 20:
+            raise struct.error
+        (number,) = struct.unpack_from(self._order + "H", self._held, begin)
+        _, high, low, kept, _ = self._five(self._held, begin)
+        return self._timed(number, high << 32 | low, kept, begin + 20, stop)
+
+    def _timed(self, number: int, ticks: int, kept: int, begin: int, stop: int) -> Packet:
+        """The packet whose ``kept`` octets begin at ``begin``, with its options after them up to ``stop``."""
+        interfaces = self._interfaces
+        interface = interfaces[number] if number < len(interfaces) else self._of(number)
+        end = begin + kept
+        if end > stop:
+            raise self._wrong(f"a packet claims {kept} octets, its block has {stop - begin}")
         flags = 0
-        comments = []
-        for code, value in self._options(rest[size + (-size % 4) :]):
-            if code == _COMMENT:
-                comments.append(value.decode(errors="replace"))
-            elif code == _FLAGS:
-                flags = self._number(value[:4])
-        return Packet(interface, interface.to_ns(high << 32 | low), rest[:size], flags, tuple(comments))
-
-    def _packet(self, body: bytes) -> Packet:
-        number, high, low, size, _ = struct.unpack_from(self._order + "IIIII", body)
-        return self._timed(self._of(number), high, low, body[20:], size)
-
-    def _old_packet(self, body: bytes) -> Packet:
-        number, _, high, low, size, _ = struct.unpack_from(self._order + "HHIIII", body)
-        return self._timed(self._of(number), high, low, body[20:], size)
+        comments: list[str] = []
+        options = end + (-kept & 3)
+        if options < stop:
+            for code, value in self._options(self._held[options:stop]):
+                if code == _COMMENT:
+                    comments.append(value.decode(errors="replace"))
+                elif code == _FLAGS:
+                    flags = self._number(value[:4])
+        t_ns = ticks if interface.unit == _NANO and not interface.offset_s else interface.to_ns(ticks)
+        return _NEW(Packet, (interface, t_ns, self._held[begin:end], flags, tuple(comments)))
 
     def _simple_packet(self, body: bytes) -> Packet:
         (size,) = struct.unpack_from(self._order + "I", body)

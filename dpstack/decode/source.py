@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import BinaryIO, Final
 
 from dpstack.capture.cutter import split
-from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Packet, Reader
+from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Reader
 from dpstack.capture.transmission import Damage, Transmission
 from dpstack.errors import CaptureFileError, UsageError
 
@@ -22,7 +22,9 @@ _DAMAGE: Final = {
     Damage.START_DELIMITER: "start octet",
     Damage.PARITY_OR_FRAMING: "parity or framing",
 }
+_DAMAGED: Final = int(sum(Damage))
 _PCAPNG: Final = b"\n\r\r\n"
+_NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
 
 
 def from_hex(text: str) -> bytes:
@@ -55,31 +57,30 @@ class _Again:
 
     def __init__(self, head: bytes, file: BinaryIO) -> None:
         self._head = head
-        self._file = file
+        self._more: Callable[[int], bytes] = getattr(file, "read1", file.read)  # a pipe delivers what is there
 
     def read(self, size: int, /) -> bytes:
         head, self._head = self._head[:size], self._head[size:]
-        return head or self._file.read(size)
+        return head or self._more(size)
 
 
 def _captured(reader: Reader) -> Iterator[Transmission]:
-    for packet in reader:
-        if packet.interface.linktype not in (USER0, PROFIBUS_DL):
+    for interface, t_ns, octets, flags, comments in reader:
+        if interface.linktype not in (USER0, PROFIBUS_DL):
             raise CaptureFileError(
-                f"{reader.name}: packets of link type {packet.interface.linktype}, "
+                f"{reader.name}: packets of link type {interface.linktype}, "
                 f"PROFIBUS has {USER0} (USER0) or {PROFIBUS_DL}"
             )
-        yield Transmission(
-            packet.octets, packet.t_ns, packet.interface.bits_per_s, _note(packet), packet.flags & sum(Damage)
-        )
+        note = _note(flags, comments) if flags or comments else ""
+        yield _NEW(Transmission, (octets, t_ns, interface.bits_per_s, note, flags & _DAMAGED))
     if reader.cut:
         raise CaptureFileError(f"{reader.name}: the file ends within a block: {reader.cut}")
 
 
-def _note(packet: Packet) -> str:
-    damage = [text for bit, text in _DAMAGE.items() if packet.flags & bit]
+def _note(flags: int, comments: tuple[str, ...]) -> str:
+    damage = [text for bit, text in _DAMAGE.items() if flags & bit]
     marked = [f"marked by the port: {', '.join(damage)}"] if damage else []
-    return "; ".join([*marked, *packet.comments])
+    return "; ".join([*marked, *comments])
 
 
 def _lines(file: _Again, name: str) -> Iterator[Transmission]:
