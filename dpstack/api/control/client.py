@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import json
 import os
 import socket
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from time import monotonic_ns
 from typing import Any, Final, NotRequired, TypedDict, TypeVar
@@ -129,31 +128,9 @@ class ControlClient:
         self.pid = found["pid"]
         return found
 
-    async def stream(self, command: str, *args: str) -> AsyncIterator[Any]:
-        """The items of a command that goes on until this generator is closed, without blocking the event loop.
-
-        It uses up the connection. Raises like :meth:`call`; PortError when the program ends.
-        """
-        self._socket.setblocking(False)
-        reader, writer = await asyncio.open_unix_connection(sock=self._socket, limit=LONGEST_ANSWER)
-        try:
-            writer.write(json.dumps({"command": command, "args": list(args)}).encode() + b"\n")
-            while True:
-                line = await reader.readline()
-                if not line.endswith(b"\n"):
-                    raise PortError(f"{self.port}: the program ended")
-                answer = self._read(line)
-                if answer.get("ok") is False:
-                    raise failure(answer)
-                if "ok" in answer:
-                    return
-                yield answer.get("item")
-        except (OSError, ValueError) as exc:
-            if isinstance(exc, DpError):
-                raise
-            raise PortError(f"{self.port}: the program ended ({exc})") from None
-        finally:
-            writer.close()
+    def detach(self) -> socket.socket:
+        """Hand the connection over; this client can send no more commands."""
+        return self._socket
 
     def _answers(self, command: str, args: tuple[str, ...]) -> Iterator[Mapping[str, Any]]:
         limit_s = self._socket.gettimeout() or TIMEOUT_S
@@ -190,9 +167,10 @@ class ControlClient:
         line = bytes(rest[:end])
         del rest[: end + 1]
         self._searched = 0
-        return self._read(line)
+        return self.parsed(line)
 
-    def _read(self, line: bytes) -> Mapping[str, Any]:
+    def parsed(self, line: bytes) -> Mapping[str, Any]:
+        """A line of the program. Raises PortError where it is no answer of dpstack."""
         try:
             answer = json.loads(line)
         except (ValueError, RecursionError):

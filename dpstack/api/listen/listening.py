@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+import json
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from time import monotonic_ns, time_ns
 from typing import Any, Final
 
-from dpstack.api.control.client import ControlClient, connect
+from dpstack.api.control.client import LONGEST_ANSWER, ControlClient, connect
+from dpstack.api.control.errors import failure
 from dpstack.capture.cutter import Cutter
 from dpstack.capture.listener import Listener, OnTransmission
 from dpstack.capture.timing import ADAPTER, HOST, TAP, LineTiming, timing_of
@@ -17,7 +19,7 @@ from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.line.rate import settle_ns_of
-from dpstack.errors import BusError, PortError, UsageError
+from dpstack.errors import BusError, DpError, PortError, UsageError
 from dpstack.ports import Delivery, open_port
 from dpstack.ports.base import VIRTUAL
 from dpstack.trace import Event
@@ -156,7 +158,7 @@ class Listening:
     # --- the tap of a program ---
     async def _open_tap(self, client: ControlClient) -> None:
         kind = client.help()["kind"]
-        items = client.stream("tap")
+        items = _items(client, "tap")
         about = await anext(items)
         self._line = Line(self.port, TAP, kind, about["baud"], about["paced"], about.get("exact", False))
         self._reading = asyncio.create_task(self._read_tap(items, about["epoch_ns"]))
@@ -198,3 +200,31 @@ def _program_on(port: str) -> ControlClient | None:
         return connect(port)
     except PortError:
         return None
+
+
+async def _items(client: ControlClient, command: str) -> AsyncIterator[Any]:
+    """The items of a command that goes on until this generator is closed, without blocking the event loop.
+
+    It uses up the connection. Raises the error of the program, PortError when it ends.
+    """
+    connection = client.detach()
+    connection.setblocking(False)
+    reader, writer = await asyncio.open_unix_connection(sock=connection, limit=LONGEST_ANSWER)
+    try:
+        writer.write(json.dumps({"command": command}).encode() + b"\n")
+        while True:
+            line = await reader.readline()
+            if not line.endswith(b"\n"):
+                raise PortError(f"{client.port}: the program ended")
+            answer = client.parsed(line)
+            if answer.get("ok") is False:
+                raise failure(answer)
+            if "ok" in answer:
+                return
+            yield answer.get("item")
+    except (OSError, ValueError) as exc:
+        if isinstance(exc, DpError):
+            raise
+        raise PortError(f"{client.port}: the program ended ({exc})") from None
+    finally:
+        writer.close()

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from dpstack.cli.main import _COMMANDS
+from dpstack.cli.main import _COMMANDS, _LISTENING
 
 _PROGRAM = """
 import sys
@@ -49,4 +49,5 @@ def test_the_package_loads_nothing_of_itself() -> None:
 
 @pytest.mark.parametrize("name", _COMMANDS)
 def test_a_command_is_the_module_of_its_name(name: str) -> None:
-    assert callable(importlib.import_module(f"dpstack.cli.commands.{name}").add_to)
+    room = "listening" if name in _LISTENING else "commands"
+    assert callable(importlib.import_module(f"dpstack.cli.{room}.{name}").add_to)

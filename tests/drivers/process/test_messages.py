@@ -98,6 +98,8 @@ def made(hint: Any) -> st.SearchStrategy[Any]:
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         hints = get_type_hints(hint)
         return st.builds(hint, **{field.name: made(hints[field.name]) for field in dataclasses.fields(hint)})
+    if hasattr(hint, "_fields"):  # a NamedTuple
+        return st.builds(hint, **{name: made(kind) for name, kind in get_type_hints(hint).items()})
     origin, arguments = get_origin(hint), [made(argument) for argument in get_args(hint) if argument is not ...]
     if origin in (Union, UnionType):
         return st.one_of(arguments)
