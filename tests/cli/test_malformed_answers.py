@@ -129,7 +129,7 @@ def peer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Peer:
     monkeypatch.setattr(acyclic, "load_config", lambda _path: config)
     peer = Peer()
     monkeypatch.setattr(client_module, "_open_directory", lambda: contextlib.nullcontext(object()))
-    monkeypatch.setattr(client_module, "_reach", lambda *_: ControlClient("/dev/plant", peer))  # type: ignore[arg-type]
+    monkeypatch.setattr(client_module, "_connect_first", lambda *_: ControlClient("/dev/plant", peer))  # type: ignore[arg-type]
     peer.answers = {
         "help": HELP | {"config": str(config.file)},
         "status": {**DRIVE, "status": STATUS},
