@@ -13,6 +13,8 @@ import unicodedata
 from typing import Final
 
 _MOST_DIGITS: Final = 9
+_SEPARATORS: Final = (",", ":")
+_to_json: Final = json.JSONEncoder(separators=_SEPARATORS, ensure_ascii=False).encode  # json.dumps makes one a call
 _SHORT: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
@@ -74,11 +76,13 @@ def json_text(value: object, *, encoding: str = "utf-8", **how: object) -> str:
 
     ``how``: further arguments of :func:`json.dumps`. Raises TypeError for values that JSON does not have.
     """
-    text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, **how)  # type: ignore[arg-type]
-    try:
-        text.encode(encoding)
-    except UnicodeEncodeError:
-        text = json.dumps(value, separators=(",", ":"), **how)  # type: ignore[arg-type]
+    encode = json.JSONEncoder(separators=_SEPARATORS, ensure_ascii=False, **how).encode if how else _to_json  # type: ignore[arg-type]
+    text = encode(value)
+    if not text.isascii():
+        try:
+            text.encode(encoding)
+        except UnicodeEncodeError:
+            text = json.dumps(value, separators=_SEPARATORS, **how)  # type: ignore[arg-type]
     if text.isprintable():
         return text
     return "".join(letter if is_plain(letter) else _in_json(letter) for letter in text)

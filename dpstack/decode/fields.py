@@ -67,9 +67,11 @@ def fields_of(telegram: Telegram) -> Fields:
     Raises PduError, or ConfigError for identifiers, where the octets are not what their SAP says.
     """
     data = telegram.data
+    if not data or (telegram.dsap is None and telegram.ssap is None):
+        return {}
     request = telegram.is_request
     slave, master = (telegram.dsap, telegram.ssap) if request else (telegram.ssap, telegram.dsap)
-    if slave is None or not data:
+    if slave is None:
         return {}
     read = (_REQUESTS if request else _ANSWERS).get(slave)
     if read is not None:

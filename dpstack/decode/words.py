@@ -7,6 +7,7 @@ DP-V1.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import Final
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, alarm_name, parse_block
@@ -60,6 +61,8 @@ _SHORT_NAMES: Final[dict[int, str]] = {
 #: Global_Control octet 1, in the order of the bits; Operate is the absence of Clear_Data
 _CONTROLS: Final = ((0x04, "Unfreeze"), (0x08, "Freeze"), (0x10, "Unsync"), (0x20, "Sync"))
 
+#: number of cached lines: 126 stations with both FCB and both directions have 504
+_KEPT_LINES: Final = 1_024
 #: a wire log shows so many octets of a transmission in full
 SHOWN_OCTETS: Final = 32
 #: the texts of :class:`Flaw`
@@ -82,6 +85,19 @@ def describe(telegram: Telegram) -> str:
     >>> describe(Telegram(Kind.SD2, 3, 2, 0x5D, 61, 62, bytes(7)))
     'Set_Prm request 2 -> 3, 7 octets (SRD high, FCV=1 FCB=0)'
     """
+    kind, da, sa, fc, dsap, ssap, data, dseg, sseg = telegram
+    if dsap is ssap is dseg is sseg is None:
+        return _line_without_saps(int(kind), da, sa, fc, len(data))
+    return _line(telegram)
+
+
+@lru_cache(_KEPT_LINES)
+def _line_without_saps(kind: int, da: int, sa: int, fc: int, size: int) -> str:
+    """The line of a telegram whose data has no words, such as Data_Exchange; cached, for a cycle repeats it."""
+    return _line(Telegram(Kind(kind), da, sa, fc, data=bytes(size)))
+
+
+def _line(telegram: Telegram) -> str:
     name = service(telegram)
     if telegram.kind is Kind.SC:
         return "SC"
