@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import BinaryIO, Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from dpstack.capture.transmission import Damage
 from dpstack.errors import CaptureFileError
@@ -92,10 +92,16 @@ _TAIL: Final = struct.Struct("<I").pack
 _PAD: Final = (b"", b"\0\0\0", b"\0\0", b"\0")
 
 
+class Writable(Protocol):
+    """A file open for writing octets."""
+
+    def write(self, octets: bytes, /) -> object: ...
+
+
 class Writer:
     """Writes one section to ``file``, each block with one call of ``write``."""
 
-    def __init__(self, file: BinaryIO, application: str) -> None:
+    def __init__(self, file: Writable, application: str) -> None:
         self._write: Callable[[bytes], object] = file.write
         self._interfaces = 0
         body = struct.pack("<IHHq", _MAGIC, 1, 0, -1) + _option(_APPLICATION, application.encode()) + _option(_END, b"")
@@ -127,11 +133,14 @@ class Writer:
         body = struct.pack("<IIIII", interface, t_ns >> 32, t_ns & 0xFFFFFFFF, size, size) + octets + pad
         self._write(_block(_PACKET, body + options + _option(_END, b"")))
 
-    def statistics(self, interface: int, start_ns: int, end_ns: int, received: int, dropped: int) -> None:
+    def statistics(
+        self, interface: int, start_ns: int, end_ns: int, received: int, dropped: int, comment: str = ""
+    ) -> None:
         """Counters of the capture of a port up to ``end_ns``: packets received, packets lost in the computer."""
         times = [struct.pack("<II", t >> 32, t & 0xFFFFFFFF) for t in (start_ns, end_ns)]
         options = (
-            _option(_START, times[0])
+            (_option(_COMMENT, comment.encode()) if comment else b"")
+            + _option(_START, times[0])
             + _option(_STOP, times[1])
             + _option(_RECEIVED, struct.pack("<Q", received))
             + _option(_DROPPED, struct.pack("<Q", dropped))

@@ -108,9 +108,20 @@ class Explained:
 
 def explain(transmissions: Iterable[Transmission]) -> Iterator[Explained]:
     """Explain a log, one :class:`Explained` for each transmission, numbered from 1. Never raises for octets."""
-    course = Course()
-    for number, sent in enumerate(transmissions, 1):
-        yield _explain(number, sent, course)
+    return map(Explainer().add, transmissions)
+
+
+class Explainer:
+    """Explains the transmissions of one bus as they come, numbered from 1."""
+
+    def __init__(self) -> None:
+        self._course = Course()
+        self._number = 0
+
+    def add(self, sent: Transmission) -> Explained:
+        """Never raises for octets."""
+        self._number += 1
+        return _explain(self._number, sent, self._course)
 
 
 def _explain(number: int, sent: Transmission, course: Course) -> Explained:

@@ -44,6 +44,7 @@ __all__ = [
     "MasterSeen",
     "MasterStopped",
     "Notice",
+    "PortLost",
     "RingJoined",
     "Severity",
     "SlaveDiagnosis",

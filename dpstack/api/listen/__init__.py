@@ -1,4 +1,5 @@
 """Listening to a bus without sending: on a port of its own, or through the program that holds the port.
 
+- ``capture_file``: The pcapng file of a capture: a new file or standard output, written in whole blocks
 - ``listening``: The transmissions of a line, from an own port or from the tap of a running program
 """

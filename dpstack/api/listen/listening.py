@@ -69,8 +69,8 @@ class Listening:
     it, else on the port itself, at ``baud`` bit/s (None: the rate is found by listening).
 
     ``on_transmission`` gets each transmission, ``on_event`` :class:`BaudFound`, :class:`PortLost`, :class:`PortBack`,
-    notices, :class:`OctetsLost`. Entering raises PortError where the port cannot be opened, UsageError for a port that
-    has no wire.
+    notices, :class:`OctetsLost`. ``own`` False: only through a program, the port itself is never opened. Entering
+    raises PortError where the port cannot be opened, UsageError for a port that has no wire.
     """
 
     def __init__(
@@ -79,8 +79,11 @@ class Listening:
         baud: int | None,
         on_transmission: OnTransmission,
         on_event: Callable[[Event], None] = lambda event: None,
+        *,
+        own: bool = True,
     ) -> None:
         self.port = port
+        self._own = own
         self._baud = baud
         self._on_transmission = on_transmission
         self._on_event = on_event
@@ -103,6 +106,8 @@ class Listening:
         self._failed = asyncio.get_running_loop().create_future()
         client = _program_on(self.port)
         if client is None:
+            if not self._own:
+                raise PortError(f"{self.port}: no program of yours holds it")
             await self._open_own()
         else:
             await self._open_tap(client)

@@ -1,5 +1,7 @@
 """The commands that only listen to a bus, or explain what was heard on it; none of them sends an octet.
 
 - ``baud``: ``dpstack baud``: finds the baud rate by listening only
+- ``capture``: ``dpstack capture``: listens and keeps what it hears in a pcapng file, or explains it on the screen
 - ``decode``: ``dpstack decode``: explains every telegram of a capture, or of octets in hex, to the bit
+- ``telegram_lines``: Explained telegrams on the screen or as JSON lines, and the argument of ``--filter``
 """

@@ -9,13 +9,11 @@ from collections.abc import Iterator
 
 from dpstack.capture.cutter import split
 from dpstack.capture.transmission import Transmission
+from dpstack.cli.listening.telegram_lines import filter_argument, show
 from dpstack.cli.parser import Parser
-from dpstack.cli.terminal import output
-from dpstack.decode.filter import parse_filter
 from dpstack.decode.source import from_hex, read_transmissions
-from dpstack.decode.telegram import Explained, explain
+from dpstack.decode.telegram import explain
 from dpstack.errors import UsageError
-from dpstack.units import NS_PER_S
 
 
 def add_to(parser: Parser) -> None:
@@ -25,15 +23,8 @@ def add_to(parser: Parser) -> None:
     )
     what = "a pcapng file, or a text file of hex digits; octets; or - for standard input"
     parser.add_argument("source", metavar="FILE|HEX|-", nargs="+", help=what)
-    parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/decode.md", type=_filter)
+    parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/decode.md", type=filter_argument)
     parser.run_by(execute)
-
-
-def _filter(text: str) -> object:
-    try:
-        return parse_filter(text)
-    except UsageError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def execute(args: argparse.Namespace) -> int:
@@ -42,7 +33,7 @@ def execute(args: argparse.Namespace) -> int:
     for one in explain(_transmissions(args.source)):
         bad += one.error is not None
         if args.filter is None or args.filter(one):
-            _show(one, json=args.json)
+            show(one, json=args.json)
     return 1 if bad else 0
 
 
@@ -65,29 +56,3 @@ def _transmissions(source: list[str]) -> Iterator[Transmission]:
         if not octets:
             raise UsageError("no octets to decode; give a file, octets such as 68 05 05 68, or -")
         yield from map(Transmission, split(octets))
-
-
-def _show(one: Explained, *, json: bool) -> None:
-    if json:
-        output.json_line(one.as_dict())
-        return
-    sent = one.transmission
-    time = "" if sent.t_ns is None else f"{sent.t_ns // NS_PER_S}.{sent.t_ns % NS_PER_S:09}  "
-    output.line(f"{one.number:>6}  {time}{sent.octets.hex(' ')}")
-    output.line(f"        {one.text}")
-    for name, value in one.fields.items():
-        output.line(f"          {name}: {_plain(value)}")
-
-
-def _plain(value: object) -> str:
-    """A field's value in words."""
-    match value:
-        case bool():
-            return "yes" if value else "no"
-        case None:
-            return "none"
-        case list():
-            return "; ".join(map(_plain, value)) or "none"
-        case dict():
-            return ", ".join(f"{key} {_plain(inner)}" for key, inner in value.items())
-    return str(value) or "none"

@@ -199,6 +199,8 @@ NAMES = [
     ["scan", "--port", f"/nowhere/{EVIL}"],
     ["address", "--port", f"/nowhere/{EVIL}", "126", "5", "--ident", "0x1234"],
     ["baud", "--port", f"/nowhere/{EVIL}", "--timeout", "0.1"],
+    ["capture", "--port", f"/nowhere/{EVIL}"],
+    ["capture", "--port", "pty", "--write", f"/nowhere/{EVIL}"],
     ["decode", EVIL],
     ["decode", "E5", "--filter", EVIL],
     ["doctor", "--port", f"/nowhere/{EVIL}"],
