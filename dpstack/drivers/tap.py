@@ -1,18 +1,19 @@
 """Tap: a bounded ring with the octets that a running machine receives and sends, for programs that look on.
 
 A tap adds one Python call and one tuple to each chunk received and to each telegram sent; without a tap nothing is
-added. A reader that is too slow loses octets, which the tap counts. It never delays the machine.
+added. A reader that is too slow loses entries, which the tap counts with their place. It never delays the machine.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Final, NamedTuple, Protocol
+from collections.abc import Sequence
+from typing import Final, Protocol
 
 from dpstack.errors import UsageError
 from dpstack.fdl.codec import encode
 from dpstack.fdl.telegram import Telegram
-from dpstack.machine import Machine, Transmit
+from dpstack.machine import Machine
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_MS
 
@@ -20,29 +21,26 @@ from dpstack.units import NEVER, NS_PER_MS
 CAPACITY: Final = 8_192
 #: A reader takes at most this many entries at once, so that it delays no cycle ...
 TAP_PORTION: Final = 64
-#: ... and comes back after this time
+#: ... and comes back after this time ...
 TAP_PAUSE_NS: Final = 20 * NS_PER_MS
+#: ... or after this one, where entries are left.
+TAP_SHORT_PAUSE_NS: Final = NS_PER_MS
 
-
-class Tapped(NamedTuple):
-    """Octets on the line. ``end_ns``: no later than this the last bit was on the line (the machine's time).
-
-    ``baud`` in bit/s. ``sent``: sent by the machine itself; ``end_ns`` is its exact end then.
-    """
-
-    end_ns: int
-    baud: int
-    octets: bytes
-    sent: bool
+#: Octets on the line: ``(end_ns, baud, octets, sent)``. No later than ``end_ns`` (the machine's time) the last bit was
+#: on the line; ``baud`` in bit/s; ``sent``: the machine itself sent them. An entry without octets: the port was lost
+#: (``baud`` 0), or is back. A plain tuple, as making one of a class takes four times as long.
+Tapped = tuple[int, int, bytes, bool]
 
 
 class Tap:
-    """The ring. ``lost``: chunks and telegrams that found it full."""
+    """The ring. ``lost``: chunks and telegrams that found it full since the last :meth:`take`."""
 
     def __init__(self, capacity: int = CAPACITY) -> None:
         self.ring: deque[Tapped] = deque()
         self.capacity = capacity
         self.lost = 0
+        self._taken = 0  # entries taken so far
+        self._gaps: deque[tuple[int, int]] = deque()  # entries before the gap, counted from the first; entries lost
 
     def add(self, entry: Tapped) -> None:
         if len(self.ring) < self.capacity:
@@ -50,10 +48,48 @@ class Tap:
         else:
             self.lost += 1
 
-    def take(self, most: int) -> list[Tapped]:
-        """Remove the oldest entries, at most ``most``."""
-        ring = self.ring
-        return [ring.popleft() for _ in range(min(most, len(ring)))]
+    def extend(self, entries: Sequence[Tapped], lost: int) -> None:
+        """Add ``entries``, before which another ring lost ``lost`` entries."""
+        self._note_losses()
+        if lost:
+            self._add_gap(lost)
+        room = max(0, self.capacity - len(self.ring))
+        self.ring.extend(entries[:room])
+        self.lost += len(entries[room:])
+
+    def take(self, most: int = CAPACITY) -> tuple[int, list[Tapped]]:
+        """Remove the oldest entries, at most ``most``, and none behind the next gap. Returns the number of entries
+        that were lost directly before them, and the entries."""
+        self._note_losses()
+        ring, gaps = self.ring, self._gaps
+        lost = 0
+        if gaps and gaps[0][0] == self._taken:
+            lost = gaps.popleft()[1]
+        count = min(most, len(ring), gaps[0][0] - self._taken if gaps else most)
+        self._taken += count
+        if count == len(ring):
+            entries = list(ring)
+            ring.clear()
+        else:
+            entries = [ring.popleft() for _ in range(count)]
+        return lost, entries
+
+    @property
+    def waiting(self) -> bool:
+        """There is something to take."""
+        return bool(self.ring or self.lost or self._gaps)
+
+    def _note_losses(self) -> None:
+        """Whatever was lost since the last call found the ring full: all entries in it are older."""
+        if self.lost:
+            lost, self.lost = self.lost, 0
+            self._add_gap(lost)
+
+    def _add_gap(self, lost: int) -> None:
+        position = self._taken + len(self.ring)
+        if self._gaps and self._gaps[-1][0] == position:
+            lost += self._gaps.pop()[1]
+        self._gaps.append((position, lost))
 
 
 class Line(Protocol):
@@ -81,25 +117,10 @@ class TappedMachine:
     def receive(self, chunk: bytes, now: int) -> None:
         tap = self._tap
         if len(self._ring) < tap.capacity:
-            self._ring.append(Tapped(now, self._line.baud, chunk, False))
+            self._ring.append((now, self._line.baud, chunk, False))
         else:
             tap.lost += 1
         self._receive(chunk, now)
-
-
-def tapped_transmit(line: Line, transmit: Transmit, tap: Tap) -> Transmit:
-    """``transmit``, which also copies the octets into ``tap``."""
-    ring = tap.ring
-
-    def transmit_and_copy(octets: bytes, now: int) -> int:
-        end_ns = transmit(octets, now)
-        if len(ring) < tap.capacity:
-            ring.append(Tapped(end_ns, line.baud, octets, True))
-        else:
-            tap.lost += 1
-        return end_ns
-
-    return transmit_and_copy
 
 
 class TapStation:
@@ -118,10 +139,10 @@ class TapStation:
         return self._station.baud
 
     def receive(self, chunk: bytes, now: int) -> None:
-        self._tap.add(Tapped(now, self.baud, chunk, False))
+        self._tap.add((now, self.baud, chunk, False))
 
     def telegram(self, telegram: Telegram, now: int) -> None:
-        self._tap.add(Tapped(now, self.baud, encode(telegram), False))
+        self._tap.add((now, self.baud, encode(telegram), False))
 
     def activity(self, now: int) -> None:
         """Ignored: only octets count."""

@@ -59,6 +59,7 @@ COMMON: Final = (
     Spec("help", "", "what this program knows", ""),
     Spec("status", "", "what it is doing at this moment", ""),
 )
+#: a stream of items without end, which `dpstack ctl` refuses
 TAP: Final = Spec("tap", "", "the octets on its line, for `dpstack capture` and `dpstack monitor`", "")
 SLAVES: Final = (
     Spec("trip", "SLAVE CODE", "a fault of the simulated drive, by its code or name", "3 F2100"),

@@ -23,7 +23,6 @@ from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import OnEvent, call_on_event
 from dpstack.dp.process_data import as_json
 from dpstack.drivers.runtime import Runtime
-from dpstack.drivers.tap import Tap
 from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.errors import UsageError
 from dpstack.profile.simulator.device import DriveDevice
@@ -104,12 +103,11 @@ def control_segment(segment: Segment, on_event: OnEvent | None = None) -> Contro
 
 
 def _run_feed(bus: Bus) -> TapFeed:
-    def attach(tap: Tap | None) -> None:
-        if bus.searching:
-            raise UsageError(SEARCHING)
-        bus.runtime.tap(tap)
+    def about() -> dict[str, object]:
+        return {"baud": None, "paced": True} if bus.searching else _line_of(bus.runtime, bus.params.baud)
 
-    return TapFeed(attach, lambda: bus.runtime.now(), lambda: _line_of(bus.runtime, bus.params.baud))
+    # nothing of these is there while the bus searches for its rate
+    return TapFeed(lambda tap: bus.runtime.tap(tap), lambda: bus.runtime.now(), about)
 
 
 def _line_of(runtime: Runtime, baud: int | None) -> dict[str, object]:

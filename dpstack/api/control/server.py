@@ -44,7 +44,7 @@ Handler = Callable[[list[str]], object]
 #: Sends the client of a long command an item before the result.
 Send = Callable[[object], Awaitable[None]]
 #: Carries out a command with items; cancelled when the client closes the connection.
-LongCommand = Callable[[Send], Awaitable[object]]
+LongCommand = Callable[["Sender"], Awaitable[object]]
 
 #: octets of a request at most
 _LONGEST: Final = 65_536
@@ -57,6 +57,8 @@ _PAUSE_S: Final = 1.0
 _IDLE_S: Final = 60.0
 #: limits of unread octets, and of the time in which a client reads its answer; beyond them it is disconnected
 _UNREAD: Final = 1 << 18
+#: octets that wait for the client of a stream (:meth:`Sender.offer`) at most, and one line
+_MOST_OFFERED: Final = 1 << 20
 _PATIENCE_S: Final = 5.0
 
 
@@ -93,6 +95,42 @@ class _Client:
                 transport.abort()
             else:
                 transport.close()
+
+
+class Sender:
+    """Sends the items of a long command to its client; a :data:`Send`."""
+
+    def __init__(self, send: Send, writer: asyncio.StreamWriter) -> None:
+        self._send = send
+        self._writer = writer
+
+    async def __call__(self, item: object) -> None:
+        """Send an item, and wait for a client that reads slowly. Raises where it has gone or does not read."""
+        await self._send(item)
+
+    def offer(self, line: bytes) -> bool:
+        """Send ``line``, an encoded ``{"item": ...}`` with its line end, without waiting. False where it is not sent,
+        as the client has too many octets to read, or has gone."""
+        transport = self._writer.transport
+        if transport.is_closing() or transport.get_write_buffer_size() > _MOST_OFFERED:
+            return False
+        transport.write(line)
+        return True
+
+    @property
+    def unread(self) -> int:
+        """Octets that wait for the client beyond those in the system's own buffers."""
+        return self._writer.transport.get_write_buffer_size()
+
+    def check(self) -> None:
+        """Raises where the client has gone."""
+        if self._writer.transport.is_closing():
+            raise _ClientGoneError
+
+    def give_up(self) -> None:
+        """Disconnect a client that does not read. Raises."""
+        self._writer.transport.abort()
+        raise _ClientGoneError
 
 
 class ControlServer:
@@ -334,7 +372,7 @@ class ControlServer:
             spec, args = self._parse_request(line)
             result = self._handlers[spec.name](args)
             if callable(result):
-                result = result(lambda item: self._send(writer, {"item": item}))
+                result = result(Sender(lambda item: self._send(writer, {"item": item}), writer))
             if inspect.isawaitable(result):
                 result = await result
             answer: dict[str, object] = {"ok": True, "result": result}

@@ -1,112 +1,156 @@
 """The octets on the line of a running program, for the clients of its control socket.
 
 The machine of the program only fills a bounded ring (:mod:`dpstack.drivers.tap`). The feed empties it beside the bus,
-in small portions, and hands each portion to all its clients. A client that does not read in time loses portions; the
-feed counts their entries. Nothing waits for a client.
+in small portions, encodes each portion once, and writes it to all its clients. Nothing waits for a client: one that
+does not read in time loses portions, and learns their number in the place of the gap.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
-from time import time_ns
+from collections.abc import Callable, Mapping
+from time import monotonic_ns, time_ns
 from typing import Final
 
-from dpstack.api.control.server import LongCommand, Send
-from dpstack.drivers.tap import TAP_PAUSE_NS, TAP_PORTION, Tap
+from dpstack.api.control.server import LongCommand, Sender
+from dpstack.drivers.tap import TAP_PAUSE_NS, TAP_PORTION, TAP_SHORT_PAUSE_NS, Tap, Tapped
+from dpstack.text import json_text
 from dpstack.units import ns_to_s
 
-#: portions that wait for one client
-_WAITING: Final = 256
 #: a client gets an empty portion after this time on a silent line: a sign of life
 _SIGN_OF_LIFE_S: Final = 1.0
+#: a client that reads nothing for so many signs of life is disconnected
+_PATIENCE: Final = 60
 
 
 class _Reader:
-    """One client: its queue, and the entries that found the queue full."""
+    """One client. ``lost``: entries that it has not got since its last line."""
 
-    def __init__(self) -> None:
-        self.queue: asyncio.Queue[list[list[object]]] = asyncio.Queue(_WAITING)
+    def __init__(self, sender: Sender) -> None:
+        self.sender = sender
         self.lost = 0
+        self.served = False  # it got a line since the last sign of life was due
 
-    def put(self, portion: list[list[object]]) -> None:
-        try:
-            self.queue.put_nowait(portion)
-        except asyncio.QueueFull:
-            self.lost += len(portion)
+    def put(self, lost: int, octets: bytes, count: int) -> None:
+        """Send a portion of ``count`` entries, before which ``lost`` were lost; ``octets``: the entries as JSON."""
+        self.lost += lost
+        if self.sender.offer(b'{"item":{"lost":%d,"octets":%s}}\n' % (self.lost, octets)):
+            self.lost = 0
+            self.served = True
+        else:
+            self.lost += count
 
 
 class TapFeed:
     """``attach`` connects a tap to the program's line, or ends it with None; ``now`` is the time of its entries in ns;
-    ``about`` describes the line: ``baud``, ``paced``."""
+    ``about`` describes the line: ``baud`` (None: it is searched for, and nothing is tapped), ``paced``."""
 
     def __init__(
         self,
         attach: Callable[[Tap | None], None],
         now: Callable[[], int],
-        about: Callable[[], dict[str, object]],
+        about: Callable[[], Mapping[str, object]],
     ) -> None:
         self._attach = attach
         self._now = now
         self._about = about
-        self._tap: Tap | None = None
+        self._tap = Tap()
+        self._attached = False
         self._readers: set[_Reader] = set()
         self._timer: asyncio.TimerHandle | None = None
 
     def handler(self, _args: list[str]) -> LongCommand:
         """The command ``tap``: items until the client closes the connection.
 
-        The first one describes the line; ``epoch_ns`` plus the time of an entry is the time since 1970. The others have
-        ``octets``, a list of [time, rate, octets in hex, sent by the program itself], and ``lost``, the number of
-        entries lost since the item before.
+        The first one describes the line, again when its rate was searched and found; ``epoch_ns`` plus the time of an
+        entry is the time since 1970. The others have ``octets``, a list of [time, rate, octets in hex, sent by the
+        program itself], and ``lost``, the number of entries that are missing directly before them. An entry without
+        octets: the program has lost its port (rate 0), or has it back.
         """
         return self._feed
 
-    async def _feed(self, send: Send) -> Awaitable[object]:
-        reader = _Reader()
-        self._join(reader)
+    async def _feed(self, sender: Sender) -> object:
+        reader = _Reader(sender)
+        unread = deaf = 0
         try:
-            await send({"epoch_ns": time_ns() - self._now(), **self._about()})
+            self._join(reader)
             while True:
-                try:
-                    async with asyncio.timeout(_SIGN_OF_LIFE_S):
-                        portion = await reader.queue.get()
-                except TimeoutError:
-                    portion = []
-                tap = self._tap
-                lost, reader.lost = reader.lost, 0
-                if tap is not None:
-                    tap_lost, tap.lost = tap.lost, 0
-                    lost += tap_lost
-                    for other in self._readers - {reader}:
-                        other.lost += tap_lost
-                await send({"octets": portion, "lost": lost})
+                await asyncio.sleep(_SIGN_OF_LIFE_S)
+                sender.check()
+                deaf = deaf + 1 if sender.unread >= unread > 0 else 0
+                unread = sender.unread
+                if deaf >= _PATIENCE:
+                    sender.give_up()
+                if not reader.served:
+                    reader.put(0, b"[]", 0)
+                reader.served = False
         finally:
             self._leave(reader)
 
     def _join(self, reader: _Reader) -> None:
-        if not self._readers:
-            self._tap = tap = Tap()
-            self._attach(tap)
-            self._timer = asyncio.get_running_loop().call_later(ns_to_s(TAP_PAUSE_NS), self._hand_out)
+        first = not self._readers
+        if first:
+            self._tap = Tap()
         self._readers.add(reader)
+        about = self._about()
+        self._describe(about, [reader])
+        if first:
+            self._follow_search(about)
+            self._set_timer(TAP_PAUSE_NS)
 
     def _leave(self, reader: _Reader) -> None:
+        """The last octets go to the client, too, where the program ends."""
+        self._hand_out(all_of_it=True)
         self._readers.discard(reader)
-        if not self._readers and self._tap is not None:
-            self._tap = None
-            if self._timer is not None:
-                self._timer.cancel()
+        if self._readers:
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if self._attached:
+            self._attached = False
             self._attach(None)
 
-    def _hand_out(self) -> None:
-        """Hand a portion to each client; come back soon where there is more."""
-        tap = self._tap
-        if tap is None:
-            return
-        portion = [[end_ns, baud, octets.hex(), sent] for end_ns, baud, octets, sent in tap.take(TAP_PORTION)]
-        if portion:
+    def _describe(self, about: Mapping[str, object], readers: list[_Reader]) -> None:
+        epoch_ns = time_ns() - (monotonic_ns() if about["baud"] is None else self._now())
+        line = json_text({"item": {"epoch_ns": epoch_ns, **about}}).encode() + b"\n"
+        for reader in readers:
+            reader.sender.offer(line)
+
+    def _follow_search(self, about: Mapping[str, object]) -> bool:
+        """Tap the line while its rate is known. Returns whether that has changed."""
+        known = about["baud"] is not None
+        if known is self._attached:
+            return False
+        self._attached = known
+        if known:
+            self._tap = Tap()
+        self._attach(self._tap if known else None)
+        return True
+
+    def _tick(self) -> None:
+        about = self._about()
+        if self._follow_search(about):
+            self._describe(about, list(self._readers))
+        elif self._attached:
+            self._hand_out()
+        self._set_timer(TAP_SHORT_PAUSE_NS if self._tap.waiting else TAP_PAUSE_NS)
+
+    def _set_timer(self, pause_ns: int) -> None:
+        self._timer = asyncio.get_running_loop().call_later(ns_to_s(pause_ns), self._tick)
+
+    def _hand_out(self, *, all_of_it: bool = False) -> None:
+        """Hand a portion to each client, or all there is."""
+        while self._attached and self._tap.waiting:
+            lost, entries = self._tap.take(TAP_PORTION)
+            octets = _encoded(entries)
             for reader in self._readers:
-                reader.put(portion)
-        pause = TAP_PAUSE_NS // 20 if tap.ring else TAP_PAUSE_NS
-        self._timer = asyncio.get_running_loop().call_later(ns_to_s(pause), self._hand_out)
+                reader.put(lost, octets, len(entries))
+            if not all_of_it:
+                return
+
+
+def _encoded(entries: list[Tapped]) -> bytes:
+    import msgspec  # here, as most programs are never tapped; the time of `json` would be three times as long
+
+    return msgspec.json.encode([(end_ns, baud, octets.hex(), sent) for end_ns, baud, octets, sent in entries])

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from dataclasses import dataclass
 from time import monotonic_ns, time_ns
-from typing import Any, Final
 
-from dpstack.api.control.client import LONGEST_ANSWER, ControlClient, connect
-from dpstack.api.control.errors import failure
-from dpstack.capture.cutter import Cutter
+from dpstack.api.control.client import ControlClient, connect
+from dpstack.api.listen.program_tap import OctetsLost, ProgramTap
 from dpstack.capture.listener import Listener, OnTransmission
 from dpstack.capture.timing import ADAPTER, HOST, TAP, LineTiming, timing_of
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
@@ -23,21 +20,9 @@ from dpstack.errors import BusError, DpError, PortError, UsageError
 from dpstack.ports import Delivery, open_port
 from dpstack.ports.base import VIRTUAL
 from dpstack.trace import Event
-from dpstack.units import BAUD_RATES, NS_PER_MS
+from dpstack.units import BAUD_RATES
 
-#: a telegram from a tap comes in pieces only while it is on the line
-_TAP_STALL_NS: Final = 50 * NS_PER_MS
-
-
-class OctetsLost(Event):
-    """The program that holds the port, or this computer, lost ``count`` chunks of octets: there is a gap here."""
-
-    count: int
-    port: str
-
-    TEMPLATE = (
-        "{e.port}: {e.count} chunks of octets were lost: this computer cannot keep up; the transmissions have a gap"
-    )
+__all__ = ["Line", "Listening", "OctetsLost"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,12 +75,16 @@ class Listening:
         self._line: Line | None = None
         self._listener: Listener | None = None
         self._runtime: AsyncioRuntime | None = None
+        self._tap: ProgramTap | None = None
         self._reading: asyncio.Task[None] | None = None
         self._failed: asyncio.Future[None] | None = None
 
     @property
     def line(self) -> Line:
         """The line, once it is entered."""
+        tap = self._tap
+        if tap is not None:
+            return Line(self.port, TAP, tap.program, tap.baud, tap.paced, tap.exact)
         assert self._line is not None
         if self._listener is None or self._line.baud == self._listener.found:
             return self._line
@@ -118,6 +107,8 @@ class Listening:
             self._reading.cancel()
             with contextlib.suppress(asyncio.CancelledError, Exception):
                 await self._reading
+        if self._tap is not None:
+            await self._tap.close()
         if self._runtime is not None:
             await self._runtime.close()
         if self._failed is not None and self._failed.done() and not self._failed.cancelled():
@@ -162,40 +153,18 @@ class Listening:
 
     # --- the tap of a program ---
     async def _open_tap(self, client: ControlClient) -> None:
-        kind = client.help()["kind"]
-        items = _items(client, "tap")
-        about = await anext(items)
-        self._line = Line(self.port, TAP, kind, about["baud"], about["paced"], about.get("exact", False))
-        self._reading = asyncio.create_task(self._read_tap(items, about["epoch_ns"]))
+        tap = ProgramTap(client, self._on_transmission, self._on_event)
+        await tap.open()
+        self._tap = tap
+        self._reading = asyncio.create_task(self._read_tap(tap))
 
-    async def _read_tap(self, items: Any, epoch_ns: int) -> None:
-        cutter: Cutter | None = None
+    async def _read_tap(self, tap: ProgramTap) -> None:
         try:
-            async for item in items:
-                if item["lost"]:
-                    self._on_event(OctetsLost(t_ns=monotonic_ns(), count=item["lost"], port=self.port))
-                for end_ns, baud, octets, sent in item["octets"]:
-                    if cutter is None or cutter.baud != baud:
-                        self._deliver(cutter, epoch_ns)
-                        cutter = Cutter(baud, _TAP_STALL_NS)
-                    elif sent or cutter.stall_at() <= end_ns:
-                        self._deliver(cutter, epoch_ns)
-                    for one in cutter.feed(bytes.fromhex(octets), end_ns):
-                        self._on_transmission(one._replace(t_ns=(one.t_ns or 0) + epoch_ns))
-                if not item["octets"]:
-                    self._deliver(cutter, epoch_ns)
-        except PortError as error:
+            await tap.read()
+        except DpError as error:
             self._fail(error)
-        except (KeyError, TypeError, ValueError) as error:
-            self._fail(PortError(f"{self.port}: the tap is not as dpstack writes it ({error}): is it another version?"))
-        else:
-            self._fail(PortError(f"{self.port}: the program ended"))
-
-    def _deliver(self, cutter: Cutter | None, epoch_ns: int) -> None:
-        """The octets held by ``cutter`` wait for nothing more."""
-        if cutter is not None:
-            for one in cutter.give_up():
-                self._on_transmission(one._replace(t_ns=(one.t_ns or 0) + epoch_ns))
+        except Exception as error:
+            self._on_failure(error)
 
 
 def _program_on(port: str) -> ControlClient | None:
@@ -205,31 +174,3 @@ def _program_on(port: str) -> ControlClient | None:
         return connect(port)
     except PortError:
         return None
-
-
-async def _items(client: ControlClient, command: str) -> AsyncIterator[Any]:
-    """The items of a command that goes on until this generator is closed, without blocking the event loop.
-
-    It uses up the connection. Raises the error of the program, PortError when it ends.
-    """
-    connection = client.detach()
-    connection.setblocking(False)
-    reader, writer = await asyncio.open_unix_connection(sock=connection, limit=LONGEST_ANSWER)
-    try:
-        writer.write(json.dumps({"command": command}).encode() + b"\n")
-        while True:
-            line = await reader.readline()
-            if not line.endswith(b"\n"):
-                raise PortError(f"{client.port}: the program ended")
-            answer = client.parsed(line)
-            if answer.get("ok") is False:
-                raise failure(answer)
-            if "ok" in answer:
-                return
-            yield answer.get("item")
-    except (OSError, ValueError) as exc:
-        if isinstance(exc, DpError):
-            raise
-        raise PortError(f"{client.port}: the program ended ({exc})") from None
-    finally:
-        writer.close()

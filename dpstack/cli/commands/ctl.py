@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from dpstack.api.control.client import Help, connect
+from dpstack.api.control.commands import TAP
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
+from dpstack.errors import UsageError
 
 #: longest line (characters) in which an entry is shown whole
 _LINE: Final = 130
@@ -27,6 +29,10 @@ def add_to(parser: Parser) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
+    if args.order == TAP.name:
+        raise UsageError(
+            f"tap goes on without end and is for programs; to see the telegrams: dpstack capture --port {args.port}"
+        )
     with connect(args.port) as client:
         result = client.call(args.order, *args.args, kind=Help if args.order == "help" else None)
     if args.json:

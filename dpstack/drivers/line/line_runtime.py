@@ -19,9 +19,9 @@ from dpstack.drivers.line.port_latency import PortLatency, Tune
 from dpstack.drivers.line.rate import BACKOFF_NS, LONGEST, NoRateError, ReopenAttempts, follow, wire_times
 from dpstack.drivers.line.timers import Timer, boottime_ns, suspended_ns
 from dpstack.drivers.runtime import OnEvents, OnFailure, PortBack, PortLost
-from dpstack.drivers.tap import Tap, TappedMachine, tapped_transmit
+from dpstack.drivers.tap import Tap, TappedMachine
 from dpstack.errors import BusError, DpError, PortError, UsageError
-from dpstack.machine import HeldUp, LineDown, LineUp, Machine, Pumped, Transmit, pump
+from dpstack.machine import HeldUp, LineDown, LineUp, Machine, Pumped, pump
 from dpstack.ports import Loop, Pending, Port
 from dpstack.text import printable
 from dpstack.trace import Event, Notice, Severity
@@ -99,9 +99,12 @@ class LineRuntime(ABC):
         self._tolerated: set[str] = set()  # notices of the port that were reported, once for all openings
         self._pending_step: Pending | None = None
         self._wire_ns = wire_times(port)
-        self._flood_from = 1  # number of discarded octets from which on the next notice is due
-        self._transmit: Transmit = self._write  # bound once, for speed
-        self._pumped: Pumped = machine  # the machine, or what copies its octets into a tap
+        self._flood_from = 1  # number of discarded octets from which on the next one is looked at
+        self._flood_notice = 1  # and from which on the next notice is due
+        self._transmit = self._write  # bound once, for speed
+        self._tap: Tap | None = None
+        self._pumped: Pumped = machine  # the machine, or what copies received octets into the tap
+        self._put: Callable[[bytes], bool] = port.write  # or what copies sent octets, too
 
     @property
     def port_name(self) -> str:
@@ -118,12 +121,26 @@ class LineRuntime(ABC):
         return self._port.damage()
 
     def tap(self, tap: Tap | None) -> None:
-        """Copy all octets received and sent into ``tap`` from now on; None ends it."""
+        """Copy all octets received and sent into ``tap`` from now on; None ends it. At any time, also while closed."""
+        self._tap = tap
         if tap is None:
-            self._pumped, self._transmit = self._machine, self._write
+            self._pumped, self._put = self._machine, self._port.write
+            self._flood_from = self._flood_notice
         else:
-            self._pumped = TappedMachine(self._machine, self._port, tap)
-            self._transmit = tapped_transmit(self._port, self._write, tap)
+            self._pumped, self._put = TappedMachine(self._machine, self._port, tap), self._put_and_copy
+            self._flood_from = self._port.discarded + 1  # octets thrown away unread are a gap
+
+    def _put_and_copy(self, octets: bytes) -> bool:
+        """Write to the port; octets that it took go into the tap."""
+        port, tap = self._port, self._tap
+        if not port.write(octets):
+            return False
+        if tap is not None:
+            if len(tap.ring) < tap.capacity:
+                tap.ring.append((monotonic_ns() + self._wire_ns[len(octets)], port.baud, octets, True))
+            else:
+                tap.lost += 1
+        return True
 
     @property
     def echo(self) -> Echo:
@@ -284,7 +301,7 @@ class LineRuntime(ABC):
                 return before + self._wire_ns[len(octets)]  # as if it had been lost on the line
         if self._echo is not None:
             self._echo.sent(octets)
-        if not self._port.write(octets):
+        if not self._put(octets):
             self._dropped()
         end = self.lateness.sent_at = monotonic_ns() + self._wire_ns[len(octets)]
         answers = self._answers
@@ -385,6 +402,8 @@ class LineRuntime(ABC):
             return
         self._port.close()
         self._attempts = ReopenAttempts(self._backoff_ns)
+        if self._tap is not None:
+            self._tap.add((monotonic_ns(), 0, b"", False))
         self._dispatch([PortLost(t_ns=monotonic_ns(), port=self.port_name, reason=reason)])
         self._command_machine(LineDown(reason))
         if self._at is not None:
@@ -401,6 +420,8 @@ class LineRuntime(ABC):
         if attempts is not self._attempts:
             return
         self._attempts = None
+        if self._tap is not None:
+            self._tap.add((monotonic_ns(), self._port.baud, b"", False))
         self._dispatch([PortBack(t_ns=monotonic_ns(), port=self.port_name)])
         self._attach()
         self._command_machine(LineUp())
@@ -425,7 +446,14 @@ class LineRuntime(ABC):
     def _report_flood(self) -> None:
         """Octets were discarded unread: a notice at the first ones, then at ten times as many."""
         count = self._port.discarded
-        self._flood_from = 10 * count
+        if self._tap is not None:
+            self._tap.lost += 1
+            self._flood_from = count + 1
+            if count < self._flood_notice:
+                return
+            self._flood_notice = 10 * count
+        else:
+            self._flood_from = self._flood_notice = 10 * count
         self._warn_soon(
             f"the line brings octets faster than this computer can look at them, {count} were thrown away: "
             f"is a station sending without end?"

@@ -30,16 +30,7 @@ from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
 from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.line.shutdown import at_slaves
 from dpstack.drivers.process import channel
-from dpstack.drivers.process.messages import (
-    CloseBus,
-    News,
-    SetUp,
-    TakeOutputs,
-    TapLine,
-    checked_arguments,
-    event_of,
-    typed,
-)
+from dpstack.drivers.process.messages import CloseBus, News, SetUp, TakeOutputs, checked_arguments, event_of, typed
 from dpstack.drivers.process.shared_image import Outputs, Picture, SharedImage, Word, make_memory
 from dpstack.drivers.runtime import (
     IN_PARENT,
@@ -134,6 +125,7 @@ class ProcessRuntime:
         try:
             self._image = SharedImage(memory)
             self._image.words[Word.ROUNDS_WATCHED] = self._on_round is not None
+            self._image.words[Word.TAPPED] = self._tap is not None
             self._publish()
             hello = await self._channel.start(self._setup, memory, self._image)
         finally:
@@ -228,9 +220,11 @@ class ProcessRuntime:
                 self._slaves.pop(address, None)
 
     def tap(self, tap: Tap | None) -> None:
-        """The tap is in the bus process, which sends its entries here. Raises like :meth:`command`."""
+        """The tap is in the bus process, which sends its entries here within some 20 ms. At any time: a word in the
+        shared memory cannot be refused, and a bus process that was stopped finds it when it goes on."""
         self._tap = tap
-        self.command(TapLine(tap is not None))
+        if self._image is not None:
+            self._image.words[Word.TAPPED] = tap is not None
 
     # --- drives -------------------------------------------------------------------------------
 
@@ -475,10 +469,10 @@ class ProcessRuntime:
         self._slaves |= news.slaves
         if news.cycle is not None:
             self.cycle = news.cycle
-        if self._tap is not None:
-            self._tap.lost += news.tap_lost
-            for entry in news.tapped:
-                self._tap.add(entry)
+        if news.tapped or news.tap_lost:
+            if self._tap is not None:
+                self._tap.extend(news.tapped, news.tap_lost)
+            return
         try:
             if news.round_over:
                 if self._on_round is not None:

@@ -77,12 +77,6 @@ class TakeOutputs(Order):
     """Read the outputs that the application has published; the answer comes after that."""
 
 
-class TapLine(Order):
-    """Copy the octets on the line into :attr:`News.tapped` from now on (``on``), or end it."""
-
-    on: bool
-
-
 class CloseBus(Order):
     """Release the port and end the process, after the end of the bus. The answer is the last :class:`Counters`."""
 
@@ -114,8 +108,8 @@ class News:
     ``round_over``: a round ended, ``cycle`` is its data (sent while the application watches the rounds). ``over``: the
     reason of the end, in the last message; ``defect``: a defect of dpstack. ``silence``: the bus process answers that
     it is alive to an application that found it silent for the so-many-th time; everything of the state is in this
-    message. ``dropped``: outputs that came too late, by address with their ``until_ns``. ``tapped``: the octets on the
-    line since the last message, while they are tapped; ``tap_lost``: entries lost since then.
+    message. ``dropped``: outputs that came too late, by address with their ``until_ns``. ``tapped``: octets on the
+    line, in a message of their own; ``tap_lost``: number of entries lost directly before them.
     """
 
     bus: BusSnapshot | None = None

@@ -26,7 +26,6 @@ from dpstack.drivers.process.messages import (
     Question,
     SetUp,
     TakeOutputs,
-    TapLine,
     error_pair,
     named,
     order_of,
@@ -36,7 +35,7 @@ from dpstack.drivers.process.plugins import AttachPlugin, core_at, load
 from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import Stack, image_snapshot
-from dpstack.drivers.tap import TAP_PAUSE_NS, TAP_PORTION, Tap
+from dpstack.drivers.tap import TAP_PORTION, TAP_SHORT_PAUSE_NS, Tap
 from dpstack.errors import BusError, OrderDropped, UsageError
 from dpstack.fdl.commands import GoOffline
 from dpstack.ports import open_port
@@ -94,6 +93,7 @@ class Host:
         )
         self._rounds_watched = False
         self._tap: Tap | None = None
+        self._tap_goes_on = False  # the next portion is due soon
         self._beats = 0
         self._dropped = 0
         self._over = False
@@ -189,13 +189,12 @@ class Host:
                 self._publish_drives()
             case TakeOutputs():
                 self._take_outputs()
-            case TapLine(on):
-                self._tap_line(on=on)
             case GoOffline() if self._master.mode is not Mode.OFFLINE:
                 self.end("the application ended the bus")  # without a token no Clear could be sent
             case CloseBus():
                 if self._has_ended:
                     self.runtime.close()
+                    self._send_last_tapped()
                 return self._stack.counted()
             case _:
                 if isinstance(order, SendControl):  # it acts on the outputs that were set before it
@@ -270,26 +269,37 @@ class Host:
 
     # --- the tap ---
 
-    def _tap_line(self, *, on: bool) -> None:
-        if on is not (self._tap is None):
-            return
-        self._tap = Tap() if on else None
-        self.runtime.tap(self._tap)
+    def _follow_tap(self) -> None:
+        """Begin or end the tap as the application wants it; send what the tap holds."""
+        wanted = bool(self._image.words[Word.TAPPED])
+        if wanted is (self._tap is None):
+            self._tap = Tap() if wanted else None
+            self.runtime.tap(self._tap)
         self._send_tapped()
 
     def _send_tapped(self) -> None:
-        """Send the octets on the line, in portions that delay no cycle. If the application does not read, the tap's
-        ring fills and counts the losses."""
+        """Send a portion of the octets on the line; portions are small, so that they delay no cycle. While the
+        application does not read, nothing is sent: the ring fills and counts the losses, and events have the room."""
         tap = self._tap
-        if tap is None or self._over:
+        if tap is None or self._over or self._outbox.waiting:
             return
-        pause = TAP_PAUSE_NS
-        if tap.ring and not self._outbox.full:
-            lost, tap.lost = tap.lost, 0
-            self._outbox.send(News(tapped=tap.take(TAP_PORTION), tap_lost=lost))
-            if tap.ring:
-                pause = TAP_PAUSE_NS // 20
-        self._loop.call_at(monotonic_ns() + pause, self._send_tapped)
+        lost, entries = tap.take(TAP_PORTION)
+        if entries or lost:
+            self._outbox.send(News(tapped=entries, tap_lost=lost))
+        if tap.waiting and not self._tap_goes_on:
+            self._tap_goes_on = True
+            self._loop.call_at(monotonic_ns() + TAP_SHORT_PAUSE_NS, self._continue_tapped)
+
+    def _continue_tapped(self) -> None:
+        self._tap_goes_on = False
+        self._send_tapped()
+
+    def _send_last_tapped(self) -> None:
+        """At the end: all that the tap holds."""
+        tap = self._tap
+        while tap is not None and tap.waiting and not self._outbox.full:
+            lost, entries = tap.take(TAP_PORTION)
+            self._outbox.send(News(tapped=entries, tap_lost=lost))
 
     # --- news for the application ---
 
@@ -341,6 +351,7 @@ class Host:
         now = monotonic_ns()
         self._image.words[Word.HEARTBEAT] = now
         self._take_outputs()
+        self._follow_tap()
         self._beats += 1
         if not self._beats % _BEATS_TO_NEWS:
             self._publish_counters()
@@ -366,12 +377,14 @@ class Host:
 
     def _on_failure(self, error: Exception) -> None:
         """The machine raised: a defect of ours."""
+        self._send_last_tapped()
         self._send_news([], over=f"{type(error).__name__}: {error}", defect=True)
         self._loop.call_soon(self._stop)
 
     def _finish(self, why: str) -> None:
         """The bus was left in order."""
         self.runtime.close()
+        self._send_last_tapped()
         self._send_news([], over=why)
         self._stop()
 

@@ -76,6 +76,8 @@ class Word(IntEnum):
     SILENCES = 3
     #: application: 1 while it wants news of the end of each round
     ROUNDS_WATCHED = 4
+    #: application: 1 while it wants the octets on the line
+    TAPPED = 5
 
 
 _encoder: Final = msgspec.msgpack.Encoder()

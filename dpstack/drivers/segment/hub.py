@@ -28,7 +28,7 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Final
 
-from dpstack.drivers.tap import Tap, Tapped
+from dpstack.drivers.tap import Tap
 from dpstack.errors import ConfigError, PortBusyError, PortError, UsageError
 from dpstack.fdl.decoder import Decoder
 from dpstack.params import T_SYN
@@ -332,7 +332,8 @@ class Segment:
         flips = self._noise.flips(len(chunk))
         received = sender.transmit(chunk, flips)
         if self._tap is not None and received:
-            self._tap.add(Tapped(self._line_free_ns, baud, bytes(received), False))
+            # without pace the line's own time would run ahead of the clock, for ever
+            self._tap.add((self._line_free_ns if self.paced else now, baud, bytes(received), False))
         if flips:
             lost = len(chunk) - len(received)
             self._lost += lost

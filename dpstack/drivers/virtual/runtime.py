@@ -62,7 +62,8 @@ class VirtualRuntime(ActsAtOnce):
         self._on_events = on_events
         self._clockwork: _Clockwork | None = None
         self._in_child = False
-        self._ear: TapStation | None = None
+        self._tap: Tap | None = None
+        self._ear: TapStation | None = None  # fills the tap
         self._behind_at_open_ns = 0
         self._behind_ns = 0  # at the closing
 
@@ -90,6 +91,7 @@ class VirtualRuntime(ActsAtOnce):
         clockwork = _clockwork(self._world, asyncio.get_running_loop())
         self._world.add(self._station, on_events=self.emit)
         self._clockwork = _clockworks[self._world] = clockwork
+        self.tap(self._tap)
         clockwork.join(self)
         self._behind_at_open_ns = clockwork.behind_ns
 
@@ -99,7 +101,7 @@ class VirtualRuntime(ActsAtOnce):
         if clockwork is not None:
             self._behind_ns = self.behind_ns
             self._clockwork = None
-            self.tap(None)
+            self.tap(self._tap)
             self._world.remove(self._station)
             clockwork.leave(self)
 
@@ -130,11 +132,13 @@ class VirtualRuntime(ActsAtOnce):
         return self._world.now
 
     def tap(self, tap: Tap | None) -> None:
-        """A station that only listens copies the octets of the simulated wire. Without a tap there is none."""
+        """A station that only listens copies the octets of the simulated wire while this runtime is open. Without a
+        tap there is none."""
+        self._tap = tap
         ear, self._ear = self._ear, None
         if ear is not None:
             self._world.remove(ear)
-        if tap is not None:
+        if tap is not None and self._clockwork is not None:
             self._ear = TapStation(self._station, tap)
             self._world.add(self._ear, name="tap")
 

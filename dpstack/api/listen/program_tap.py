@@ -1,0 +1,227 @@
+"""The transmissions of a line that a running program of ours holds, from the tap of its control socket."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncGenerator, Callable
+from time import monotonic_ns
+from typing import Annotated, Final, TypedDict
+
+import msgspec
+from msgspec import Meta
+
+from dpstack.api.control.client import LONGEST_ANSWER, TIMEOUT_S, ControlClient
+from dpstack.api.control.errors import failure
+from dpstack.capture.cutter import Cutter
+from dpstack.capture.listener import OnTransmission
+from dpstack.capture.transmission import Transmission
+from dpstack.drivers.runtime import PortBack, PortLost
+from dpstack.errors import DpError, PortError
+from dpstack.trace import Event, Notice, Severity
+from dpstack.units import BAUD_RATES, NS_PER_MS
+
+#: a telegram from a tap comes in pieces only while it is on the line
+_STALL_NS: Final = 50 * NS_PER_MS
+
+#: 64 bits, and room for the sum of two
+_TimeNs = Annotated[int, Meta(gt=-(2**62), lt=2**62)]
+_Octets = Annotated[str, Meta(pattern="^([0-9a-f]{2})*$")]
+
+
+class _TapItem(TypedDict, total=False):
+    """An item of the tap: of the line (``epoch_ns``, ``baud``, ``paced``, ``exact``) or of octets (see
+    :meth:`dpstack.api.control.tap_feed.TapFeed.handler`)."""
+
+    epoch_ns: _TimeNs
+    baud: int | None
+    paced: bool
+    exact: bool
+    octets: list[tuple[_TimeNs, int, _Octets, bool]]
+    lost: Annotated[int, Meta(ge=0, lt=2**62)]
+
+
+class _TapLine(TypedDict):
+    item: _TapItem
+
+
+class OctetsLost(Event):
+    """The program that holds the port, or this computer, lost ``count`` chunks of octets: there is a gap here."""
+
+    count: int
+    port: str
+
+    TEMPLATE = (
+        "{e.port}: {e.count} chunks of octets were lost: this computer cannot keep up; the transmissions have a gap"
+    )
+
+
+class ProgramTap:
+    """The tap of the program behind ``client``, which is closed at the end.
+
+    ``on_transmission`` gets each transmission, ``on_event`` :class:`OctetsLost`, PortLost and PortBack of the program's
+    port, notices.
+    """
+
+    def __init__(
+        self, client: ControlClient, on_transmission: OnTransmission, on_event: Callable[[Event], None]
+    ) -> None:
+        self.port = client.port
+        #: kind of the program: run, sim or segment
+        self.program = ""
+        #: rate in bit/s; None while the program searches for it
+        self.baud: int | None = None
+        #: see :class:`dpstack.api.listen.listening.Line`
+        self.paced = self.exact = False
+        self._client = client
+        self._on_transmission = on_transmission
+        self._on_event = on_event
+        self._epoch_ns = 0
+        self._cutter: Cutter | None = None
+        self._items: AsyncGenerator[_TapItem | None] | None = None
+
+    async def open(self) -> None:
+        """Ask the program, and read what it says about its line. Raises PortError where it has no tap, or does not
+        answer."""
+        try:
+            about = await asyncio.to_thread(self._client.help)  # it blocks
+            self.program = about["kind"]
+            if not any(one["command"] == "tap" for one in about["commands"]):
+                raise PortError(
+                    f"{self.port}: the {self.program} that holds it (pid {about['pid']}) has no tap, as it is another "
+                    f"version of dpstack: end it, or start it again with this version"
+                )
+            self._items = _items(self._client)
+            first = await anext(self._items, None)
+            if first is None or "epoch_ns" not in first:
+                raise PortError(f"{self.port}: the {self.program} that holds it does not begin its tap: is it stopped?")
+            self._describe(first)
+        except BaseException:
+            await self.close()
+            raise
+
+    async def close(self) -> None:
+        items, self._items = self._items, None
+        if items is not None:
+            await items.aclose()
+        self._client.close()
+
+    async def read(self) -> None:
+        """Deliver transmissions until the end of the program. Raises PortError then, and for a tap of another kind."""
+        assert self._items is not None
+        silent = False
+        async for item in self._items:
+            if item is None:
+                if not silent:
+                    self._remark(f"the {self.program} has sent nothing for {TIMEOUT_S:g} s: is it stopped, or busy?")
+                silent = True
+                continue
+            if silent:
+                self._remark(f"the {self.program} goes on")
+                silent = False
+            if "epoch_ns" in item:
+                self._describe(item)
+            if "octets" in item:
+                self._read_portion(item)
+        self._give_up()
+        raise PortError(f"{self.port}: the program ended")
+
+    def _describe(self, item: _TapItem) -> None:
+        self._give_up()
+        self._epoch_ns = item["epoch_ns"]
+        self.baud = item.get("baud")
+        self.paced = item.get("paced", False)
+        self.exact = item.get("exact", False)
+
+    def _read_portion(self, item: _TapItem) -> None:
+        lost = item.get("lost", 0)
+        if lost:
+            self._give_up()
+            self._on_event(OctetsLost(t_ns=monotonic_ns(), count=lost, port=self.port))
+        for end_ns, baud, octets, sent in item["octets"]:
+            if not octets:
+                self._port_changed(there=bool(baud))
+                continue
+            cutter = self._cutter
+            if cutter is None or cutter.baud != baud:
+                cutter = self._new_cutter(baud)
+            elif sent or cutter.stall_at() <= end_ns:
+                self._deliver(cutter.give_up())
+            self._deliver(cutter.feed(bytes.fromhex(octets), end_ns))
+        if not item["octets"]:
+            self._give_up()
+
+    def _new_cutter(self, baud: int) -> Cutter:
+        if baud not in BAUD_RATES:
+            raise PortError(f"{self.port}: its tap speaks of {baud} bit/s, which is no PROFIBUS rate: is it dpstack?")
+        self._give_up()
+        self.baud = baud
+        cutter = self._cutter = Cutter(baud, _STALL_NS)
+        return cutter
+
+    def _port_changed(self, *, there: bool) -> None:
+        self._give_up()
+        now = monotonic_ns()
+        if there:
+            self._on_event(PortBack(t_ns=now, port=self.port))
+        else:
+            self._on_event(PortLost(t_ns=now, port=self.port, reason=f"for the {self.program} that holds it"))
+
+    def _give_up(self) -> None:
+        """The octets held wait for nothing more."""
+        if self._cutter is not None:
+            self._deliver(self._cutter.give_up())
+
+    def _deliver(self, transmissions: list[Transmission]) -> None:
+        for one in transmissions:
+            self._on_transmission(one._replace(t_ns=(one.t_ns or 0) + self._epoch_ns))
+
+    def _remark(self, text: str) -> None:
+        self._on_event(Notice(t_ns=monotonic_ns(), source=self.port, message=text, severity=Severity.WARNING))
+
+
+async def _items(client: ControlClient) -> AsyncGenerator[_TapItem | None]:
+    """The items of the tap until this generator is closed, without blocking the event loop. None where the program has
+    sent nothing for 10 s (:data:`TIMEOUT_S`).
+
+    It uses up the connection. Raises the error of the program, PortError when it ends, or is no dpstack.
+    """
+    decoder = msgspec.json.Decoder(_TapLine)
+    connection = client.detach()
+    connection.setblocking(False)
+    reader, writer = await asyncio.open_unix_connection(sock=connection, limit=LONGEST_ANSWER)
+    try:
+        writer.write(json.dumps({"command": "tap"}).encode() + b"\n")
+        while True:
+            try:
+                async with asyncio.timeout(TIMEOUT_S):
+                    line = await reader.readline()
+            except TimeoutError:
+                yield None
+                continue
+            if not line.endswith(b"\n"):
+                return
+            try:
+                item = decoder.decode(line)["item"]
+            except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+                _refuse(client, line, error)
+                return
+            yield item
+    except DpError:  # some of them are OSErrors, too
+        raise
+    except ValueError:  # a line without end
+        raise PortError(f"{client.port}: an answer of more than {LONGEST_ANSWER} octets; is it dpstack?") from None
+    except OSError as exc:
+        raise PortError(f"{client.port}: the program ended ({exc.strerror or exc})") from None
+    finally:
+        writer.close()
+
+
+def _refuse(client: ControlClient, line: bytes, error: Exception) -> None:
+    """``line`` is no item. Raises the error that it tells, or PortError where it is no line of dpstack; returns where
+    it is the end of the tap."""
+    answer = client.parsed(line)
+    if answer.get("ok") is False:
+        raise failure(answer)
+    if answer.get("ok") is not True:
+        raise PortError(f"{client.port}: its tap is not as dpstack writes it ({error}): is it another version?")
