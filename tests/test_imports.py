@@ -41,7 +41,7 @@ MAY: dict[str, set[str]] = {
     "dpv1": DP,
     "profile": {"dp", "dpv1", "units", "errors"},
     "sim": DP | {"machine", "decode"},
-    "ports": PURE_BASE,
+    "ports": PURE_BASE | {"phy"},
     "drivers": DP | {"ports", "machine", "sim"},
     "api": DP | {"drivers", "ports", "sim", "profile", "capture"},
     "cli": {"api", "capture", "decode", "monitor", "gsd", "profile", "trace"} | PURE_BASE,

@@ -17,7 +17,7 @@ from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import ADAPTER
 from dpstack.ports.adapters import Abilities, AdapterInfo, list_adapters, probe
 from dpstack.ports.holders import PROC, holder_of_path
-from dpstack.ports.sysfs import CHIPS, SYSFS, Adapter
+from dpstack.ports.sysfs import CHIPS, MARKS_PACKETS, SYSFS, Adapter
 from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text
 
 __all__ = ["AdapterInfo", "Check", "Computer", "Level", "examine", "list_adapters"]
@@ -199,3 +199,15 @@ def _abilities(path: str, can: Abilities, adapter: Adapter, is_pty: bool) -> Ite
             yield Check(path, Level.OK, f"{name}: {there}")
         else:
             yield Check(path, Level.NOTE, f"{name}: not in its driver", without)
+    yield from _listening(path, adapter)
+
+
+def _listening(path: str, adapter: Adapter) -> Iterator[Check]:
+    text = (
+        "a converter that RTS switches drives the bus for the instant in which a program opens the port, until the "
+        "program drops RTS: this test, `capture`, `monitor` and `baud` do so at once, and send nothing"
+    )
+    yield Check(path, Level.OK, text)
+    if adapter.driver in MARKS_PACKETS:
+        text = f"its driver {adapter.driver} marks all octets of a USB packet as damaged where one of them is"
+        yield Check(path, Level.OK, f"{text}; captures say so at such octets")

@@ -14,11 +14,14 @@ from typing import Final
 from dpstack.capture.transmission import Damage, Transmission
 from dpstack.fdl.codec import Flaw, claimed, decode, parse
 from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.phy.marked import PACKET_NOTE, MarkedOctets
 from dpstack.units import NEVER, chars_to_ns
 
 #: Octets that are no telegram are kept together up to this number: the longest telegram has 255.
 _MOST_HELD: Final = 1024
 _LONGEST_TELEGRAM: Final = 255
+#: marked octets that a note names
+_SHOWN: Final = 4
 #: for octets without times
 _ANY_BAUD: Final = 9600
 #: the damage of octets at which a telegram with this flaw begins
@@ -39,7 +42,9 @@ class Cutter:
     """Cuts the octets of one line at ``baud``. A telegram whose rest does not come within ``stall_ns`` is given up.
 
     The times of :meth:`feed` are arrival times: the last octet of a chunk was on the line no later. Telegrams that
-    arrive together in one chunk get times without gaps between them, counted back from its arrival.
+    arrive together in one chunk get times without gaps between them, counted back from its arrival. Octets that the
+    port has marked as damaged (:class:`MarkedOctets`) stay at their place: the transmission is damaged, a note says
+    where.
     """
 
     def __init__(self, baud: int, stall_ns: int) -> None:
@@ -48,6 +53,7 @@ class Cutter:
         self._held = bytearray()
         self._cut = 0  # number of octets cut off so far: the position of the first held one in the stream
         self._arrivals: deque[tuple[int, int]] = deque()  # of chunks: position of their end, time
+        self._marks: deque[tuple[int, bool]] = deque()  # of damaged octets: position in the stream, of a whole packet
         self._last_ns = 0  # arrival of the last chunk
         self._begun = 0  # where the octets begin that are no telegram, in _held
         self._at = 0  # where the next telegram may begin, in _held
@@ -57,7 +63,10 @@ class Cutter:
 
     def feed(self, chunk: bytes, now: int) -> list[Transmission]:
         """The transmissions that end within ``chunk``, which arrived at ``now`` (ns)."""
-        if not self._held and len(chunk) <= _LONGEST_TELEGRAM and decode(chunk) is not None:
+        if type(chunk) is MarkedOctets:
+            begin = self._cut + len(self._held)
+            self._marks += [(begin + place, chunk.packets) for place in chunk.marks]
+        elif not self._held and len(chunk) <= _LONGEST_TELEGRAM and decode(chunk) is not None:
             # the fast path: one chunk, one telegram
             start = now - self._chars_ns[len(chunk)]
             if start < self._free_ns:
@@ -120,7 +129,27 @@ class Cutter:
         end_ns = arrival - chars_to_ns(after - position, self.baud)
         start_ns = max(end_ns - chars_to_ns(stop - begin, self.baud), self._free_ns)
         self._free_ns = max(end_ns, start_ns)
-        return Transmission(bytes(self._held[begin:stop]), start_ns, self.baud, "", damage)
+        octets = bytes(self._held[begin:stop])
+        if self._marks and self._marks[0][0] < position:
+            return self._marked(Transmission(octets, start_ns, self.baud, "", damage), position)
+        return Transmission(octets, start_ns, self.baud, "", damage)
+
+    def _marked(self, one: Transmission, position: int) -> Transmission:
+        """``one``, which ends at ``position`` in the stream, with the damage that the port has marked."""
+        marks = self._marks
+        places: list[int] = []
+        packets = False
+        while marks and marks[0][0] < position:
+            place, of_packet = marks.popleft()
+            places.append(place - position + len(one.octets))
+            packets |= of_packet
+        checked = not one.damage and one.octets[0] not in (Kind.SC, Kind.SD4)
+        if packets and checked:  # its check sequence shows that the damaged octet is another one
+            return one._replace(note=PACKET_NOTE)
+        note = f"parity or framing error marked by the port at {_places(places)}"
+        if packets:
+            note += f"; {PACKET_NOTE}"
+        return one._replace(note=note, damage=one.damage | Damage.PARITY_OR_FRAMING)
 
     def _drop(self) -> None:
         """Forget the octets that were cut off."""
@@ -132,6 +161,13 @@ class Cutter:
         self._doubt = max(0, self._doubt - size)
         if not self._held:
             self._arrivals.clear()
+
+
+def _places(places: list[int]) -> str:
+    """Octets of a telegram in words, counted from 1: the first four."""
+    shown = ", ".join(str(place + 1) for place in places[:_SHOWN])
+    more = f" and {len(places) - _SHOWN} more" if len(places) > _SHOWN else ""
+    return f"octet{'s' if len(places) > 1 else ''} {shown}{more}"
 
 
 def split(octets: bytes) -> list[bytes]:

@@ -40,12 +40,19 @@ __all__ = ["Delivery", "Loop", "Pending", "Port", "open_port"]
 
 
 def open_port(
-    name: str | Port, baud: int, *, paced: bool | None = None, event_char: bool = False, rs485: bool = True
+    name: str | Port,
+    baud: int,
+    *,
+    paced: bool | None = None,
+    event_char: bool = False,
+    rs485: bool = True,
+    listen: bool = False,
 ) -> Port:
     """The port ``name`` at ``baud`` bit/s, not yet opened. A Port object is returned as it is.
 
     ``paced``: octets need the time of a real wire (None: depends on the kind of port). ``event_char``, ``rs485``: see
-    :class:`dpstack.ports.tuning.Tuning`; they matter for a Linux tty only. Raises PortError for a name of no port.
+    :class:`dpstack.ports.tuning.Tuning`; they matter for a Linux tty only. ``listen``: the port is opened only for
+    listening, see :class:`dpstack.ports.tty.TtyPort`. Raises PortError for a name of no port.
     """
     if isinstance(name, Port):
         return name
@@ -64,13 +71,13 @@ def open_port(
         if termios2.AVAILABLE:
             from dpstack.ports.tty import TtyPort
 
-            return TtyPort(name, baud, paced=paced, event_char=event_char, rs485=rs485)
+            return TtyPort(name, baud, paced=paced, event_char=event_char, rs485=rs485, listen=listen)
     if name == "pty":
         raise PortError("--port pty needs Linux; name a serial port, socket://host:port or rfc2217://host:port")
     with importing_pyserial(name):
         from dpstack.ports.pyserial import PySerialPort
 
-    return PySerialPort(name, baud, paced=paced is not False)
+    return PySerialPort(name, baud, paced=paced is not False, listen=listen)
 
 
 def _by_url(scheme: str, name: str, baud: int, paced: bool | None) -> Port:

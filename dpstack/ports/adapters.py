@@ -92,7 +92,7 @@ def probe(path: str) -> Abilities:
         raise PortError(f"{path}: what a port can do is found out on Linux only")
     from dpstack.ports.tty import TtyPort
 
-    port = TtyPort(path, BAUD_RATES[0])
+    port = TtyPort(path, BAUD_RATES[0], listen=True)
     found = Abilities()
     try:
         for baud in BAUD_RATES:

@@ -24,7 +24,8 @@ def _read_nothing(_size: int) -> bytes:
     raise BlockingIOError
 
 
-def _write_nothing(_octets: bytes) -> int:
+def write_nothing(_octets: bytes) -> int:
+    """Of a port that is closed, or only listens."""
     return 0
 
 
@@ -35,7 +36,7 @@ class FdPort(Port):
         super().__init__(name, baud, paced=paced)
         self._fd = -1
         self._read: Callable[[int], bytes] = _read_nothing
-        self._send = _write_nothing
+        self._send = write_nothing
 
     @property
     def fd(self) -> int | None:
@@ -78,7 +79,7 @@ class FdPort(Port):
 
     def _release(self) -> None:
         fd, self._fd = self._fd, -1
-        self._read, self._send = _read_nothing, _write_nothing
+        self._read, self._send = _read_nothing, write_nothing
         if fd >= 0:
             self._close_fd(fd)
 

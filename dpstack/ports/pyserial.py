@@ -33,8 +33,9 @@ class PySerialPort(Port):
     delivery = Delivery.ADAPTER
     _failures = _FAILURES
 
-    def __init__(self, name: str, baud: int, *, paced: bool = True) -> None:
+    def __init__(self, name: str, baud: int, *, paced: bool = True, listen: bool = False) -> None:
         super().__init__(name, baud, paced=paced)
+        self._listen = listen
         self._serial: Any = None
         self._transport: Any = None
 
@@ -86,7 +87,7 @@ class PySerialPort(Port):
             transport.abort()
 
     def _send(self, octets: bytes) -> int:
-        if self._serial is None:
+        if self._serial is None or self._listen:
             return 0
         if sys.platform == "win32":
             try:
@@ -99,8 +100,17 @@ class PySerialPort(Port):
         port: Any = None
         try:
             port = serial.serial_for_url(
-                self.name, baudrate=self.baud, parity=parity, timeout=0, write_timeout=0, exclusive=True
+                self.name,
+                baudrate=self.baud,
+                parity=parity,
+                timeout=0,
+                write_timeout=0,
+                exclusive=True,
+                do_not_open=True,
             )
+            if self._listen:
+                port.rts = False  # a converter that RTS switches must not drive the bus
+            port.open()
             port.timeout = 0  # sets the port again, as the transport will do: here an error can be handled
             return port
         except ValueError as exc:

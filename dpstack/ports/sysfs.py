@@ -22,6 +22,8 @@ CHIPS: Final[dict[str, tuple[str, int]]] = {
     "1a86:55d4": ("WCH CH9102", 6_000_000),
     "067b:2303": ("Prolific PL2303", 6_000_000),
 }
+#: drivers of Linux that give all octets of a USB packet the same mark (ftdi_sio.c, pl2303.c)
+MARKS_PACKETS: Final = frozenset({"ftdi_sio", "pl2303"})
 #: FTDI: an event character is enabled by this bit beside it
 _EVENT_ON: Final = 0x100
 

@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Final
 
 from dpstack.errors import BaudError, PortBusyError, PortError
+from dpstack.phy.marked import MarkedOctets
 from dpstack.ports import termios2
 from dpstack.ports.base import Delivery, reason_of
-from dpstack.ports.fdport import FdPort
+from dpstack.ports.fdport import FdPort, write_nothing
 from dpstack.ports.holders import holder_of, holder_of_path
 from dpstack.ports.posix import fcntl, grp, termios
-from dpstack.ports.sysfs import SYSFS, Adapter
-from dpstack.ports.tuning import Tuning
+from dpstack.ports.sysfs import MARKS_PACKETS, SYSFS, Adapter
+from dpstack.ports.tuning import Tuning, drop_rts
 from dpstack.units import baud_text
 
 #: A rate read back within this share of the wanted one is accepted: adapters divide 3 or 12 MHz.
@@ -28,7 +29,11 @@ _PTY_MAJORS: Final = range(136, 144)  # Linux devices.txt: Unix98 pty slaves
 
 
 class TtyPort(FdPort):
-    """A tty by its path: a UART, a USB adapter, or the slave end of a pty (which has no parity and no pace)."""
+    """A tty by its path: a UART, a USB adapter, or the slave end of a pty (which has no parity and no pace).
+
+    ``listen``: only for listening. It is opened for reading only, RTS is dropped at once, the RS-485 mode is left as
+    it is, and octets that the tty marks as damaged are kept (:class:`MarkedOctets`).
+    """
 
     def __init__(
         self,
@@ -39,16 +44,18 @@ class TtyPort(FdPort):
         marks: bool | None = None,
         event_char: bool = False,
         rs485: bool = True,
+        listen: bool = False,
         sysfs: Path = SYSFS,
     ) -> None:
         is_pty = is_pty_path(name)
         super().__init__(name, baud, paced=not is_pty if paced is None else paced)
         self.delivery = Delivery.HOST if is_pty else Delivery.ADAPTER
         self._event_char = event_char
-        self._rs485 = rs485
+        self._rs485 = rs485 and not listen
+        self._listen = listen
         self._sysfs = sysfs
         self._marks = not is_pty if marks is None else marks
-        self._unmarker = Unmarker()
+        self._unmarker = Unmarker(keep=listen)
         self._unmark = False
         self._counted: Counter[str] = Counter()  # the driver's counters up to the last close
         self._tuning: Tuning | None = None
@@ -59,14 +66,19 @@ class TtyPort(FdPort):
         self.notices = []
         fd = self._open_file()
         try:
+            if self._listen:  # the system has raised it; drop it before anything that takes time
+                drop_rts(fd)
             self._check_and_lock(fd)
             self.notices += self._set(fd, self.baud)
             # octets survive the last close of a pty, and a UART may have received others meanwhile
             termios.tcflush(fd, termios.TCIOFLUSH)
             if self.delivery is Delivery.ADAPTER:
                 adapter = Adapter(self.name, self._sysfs)
+                self._unmarker.packets = adapter.driver in MARKS_PACKETS
                 self._tuning = Tuning(fd, adapter, event_char=self._event_char, rs485=self._rs485)
                 self.notices += self._tuning.notices
+            if self._listen and not drop_rts(fd) and self.delivery is Delivery.ADAPTER:
+                self.notices.append("its RTS line cannot be dropped: a converter that RTS switches would drive the bus")
         except termios.error as exc:
             os.close(fd)
             raise PortError(f"{self.name}: cannot be flushed ({exc.args[-1]})") from None
@@ -103,7 +115,8 @@ class TtyPort(FdPort):
 
     def _open_file(self) -> int:
         try:
-            return os.open(self.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+            access = os.O_RDONLY if self._listen else os.O_RDWR
+            return os.open(self.name, access | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
         except FileNotFoundError:
             raise PortError(f"{self.name}: no such port; {_existing()}") from None
         except PermissionError:
@@ -152,12 +165,17 @@ class TtyPort(FdPort):
 
     def _use(self, fd: int) -> None:
         super()._use(fd)
+        if self._listen:
+            self._send = write_nothing
         if self._unmark:
             self._unmarker.reset()
             self._read = self._read_unmarked
 
     def _read_unmarked(self, size: int) -> bytes:
-        """Intact octets; empty only at the end of the file, like ``os.read``. Raises OSError."""
+        """Intact octets (for listening: all, with their marks); empty only at the end of the file, like ``os.read``.
+
+        Raises OSError.
+        """
         chunk = os.read(self._fd, size)
         octets = self._unmarker.feed(chunk)
         if chunk and not octets:
@@ -228,11 +246,15 @@ class Unmarker:
     genuine FF is doubled (termios(3)). A damaged octet is dropped, as with IGNPAR: the telegram becomes too short, as
     its length and FCS reveal. ``damaged`` counts these octets, which IGNPAR would not. ``odd``: FF followed by neither
     FF nor 00, which should not occur: read as two octets.
+
+    ``keep``: damaged octets are kept, with their places; ``packets``: the driver marks whole packets alike.
     """
 
-    __slots__ = ("_held", "damaged", "odd")
+    __slots__ = ("_held", "_keep", "damaged", "odd", "packets")
 
-    def __init__(self) -> None:
+    def __init__(self, *, keep: bool = False) -> None:
+        self._keep = keep
+        self.packets = False
         self.damaged = 0
         self.odd = 0
         self._held = b""  # the beginning of an incomplete mark
@@ -242,27 +264,37 @@ class Unmarker:
             return chunk
         octets, self._held = self._held + chunk, b""
         kept = bytearray()
+        places: list[int] = []
         at, end = 0, len(octets)
         while True:
             mark = octets.find(_MARK, at)
             if mark < 0:
                 kept += octets[at:]
-                return bytes(kept)
+                return self._with_marks(kept, places)
             kept += octets[at:mark]
             second = octets[mark + 1] if mark + 1 < end else None
             if second is None or (second == 0 and mark + 2 >= end):
                 self._held = octets[mark:]
-                return bytes(kept)
+                return self._with_marks(kept, places)
             if second == _MARK:
                 kept.append(_MARK)
                 at = mark + 2
             elif second == 0:
                 self.damaged += 1
+                if self._keep:
+                    places.append(len(kept))
+                    kept.append(octets[mark + 2])
                 at = mark + 3
             else:
                 self.odd += 1
                 kept += octets[mark : mark + 2]
                 at = mark + 2
+
+    def _with_marks(self, kept: bytearray, places: list[int]) -> bytes:
+        """``kept`` with its marks, if there are any. Where all octets are marked, perhaps the adapter marks packets."""
+        if not places:
+            return bytes(kept)
+        return MarkedOctets(bytes(kept), tuple(places), packets=self.packets or 1 < len(places) == len(kept))
 
     def reset(self) -> None:
         """Forget an incomplete mark, after the line was opened again. The counters stay."""

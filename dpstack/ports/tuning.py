@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Final, TypeVar
 
 from dpstack.ports.base import reason_of
-from dpstack.ports.posix import fcntl
+from dpstack.ports.posix import fcntl, termios
 from dpstack.ports.sysfs import Adapter
 
 T = TypeVar("T")
@@ -70,6 +70,15 @@ def set_rs485(fd: int, words: tuple[int, ...]) -> None:
 def uart_errors(fd: int) -> dict[str, int]:
     """Characters with an error since the driver was loaded, modulo 2**32, by cause."""
     return dict(zip(_CAUSES, _ICOUNT.unpack(_query(fd, TIOCGICOUNT, _ICOUNT.size))[6:11], strict=True))
+
+
+def drop_rts(fd: int) -> bool:
+    """Drop RTS, which the system raises when it opens a tty; False where the tty has no such line."""
+    try:
+        fcntl.ioctl(fd, termios.TIOCMBIC, struct.pack("=I", termios.TIOCM_RTS))
+    except OSError:
+        return False
+    return True
 
 
 def _query(fd: int, request: int, size: int) -> bytearray:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from dpstack.capture.cutter import Cutter, split
 from dpstack.capture.transmission import Damage, Transmission
+from dpstack.phy.marked import PACKET_NOTE, MarkedOctets
 from dpstack.units import NEVER, chars_to_ns
 
 TOKEN = bytes.fromhex("DC 02 05")
@@ -78,3 +79,51 @@ def test_no_octet_is_lost_and_chunks_make_no_difference(stream: bytes, sizes: li
     assert [piece.octets for piece in pieces] == split(stream)
     times = [piece.t_ns for piece in pieces if piece.t_ns is not None]
     assert all(early <= late for early, late in pairwise(times))
+
+
+def _marked(chunk: bytes, *marks: int, packets: bool = False) -> list[Transmission]:
+    cutter = Cutter(BAUD, 1_000)
+    return [*cutter.feed(MarkedOctets(chunk, marks, packets=packets), 10_000_000), *cutter.give_up()]
+
+
+def test_marked_octets_stay_at_their_place() -> None:
+    changed = POLL[:3] + b"\x48" + POLL[4:]
+    token, poll, ack = _marked(TOKEN + changed + ACK, 6, 7)
+    assert (token.damage, ack.damage) == (0, 0)
+    assert (poll.octets, poll.damage) == (changed, Damage.FCS | Damage.PARITY_OR_FRAMING)
+    assert poll.note == "parity or framing error marked by the port at octets 4, 5"
+
+
+def test_a_telegram_whose_parity_alone_was_damaged_is_damaged() -> None:
+    (poll,) = _marked(POLL, 5)
+    assert (poll.octets, poll.damage) == (POLL, Damage.PARITY_OR_FRAMING)
+
+
+def test_marks_of_a_whole_packet_do_not_make_checked_telegrams_damaged() -> None:
+    stream = POLL + ACK + REQUEST[:5]
+    poll, ack, rest = _marked(stream, *range(len(stream)), packets=True)
+    assert (poll.damage, poll.note) == (0, PACKET_NOTE)
+    assert ack.damage == Damage.PARITY_OR_FRAMING
+    assert rest.damage == Damage.PARITY_OR_FRAMING | Damage.TOO_SHORT
+    assert rest.note == f"parity or framing error marked by the port at octets 1, 2, 3, 4 and 1 more; {PACKET_NOTE}"
+
+
+@given(st.lists(st.tuples(st.binary(max_size=30), st.sets(st.integers(0, 29)))))
+def test_every_mark_is_in_the_transmission_with_its_octet(chunks: list[tuple[bytes, set[int]]]) -> None:
+    cutter = Cutter(BAUD, 1_000)
+    pieces: list[Transmission] = []
+    wanted: list[int] = []
+    at = now = 0
+    for chunk, places in chunks:
+        marks = tuple(sorted(place for place in places if place < len(chunk)))
+        wanted += [at + place for place in marks]
+        at += len(chunk)
+        now += 1_000_000
+        pieces += cutter.feed(MarkedOctets(chunk, marks) if marks else chunk, now)
+    pieces += cutter.give_up()
+    begin = 0
+    for piece in pieces:
+        end = begin + len(piece.octets)
+        assert bool(piece.damage & Damage.PARITY_OR_FRAMING) == any(begin <= place < end for place in wanted)
+        begin = end
+    assert begin == at

@@ -65,7 +65,7 @@ async def find_baud(port: str, *, timeout: float | None = SILENCE_S, silence: fl
     """
     require_wire(port)
     # every adapter supports the slowest rate: a port that does not open at it does not exist
-    line = open_port(port, BAUD_RATES[0])
+    line = open_port(port, BAUD_RATES[0], listen=True)
     return _report(await search_baud(line, limit_ns=_limit(timeout), silence_ns=_limit(silence)))
 
 

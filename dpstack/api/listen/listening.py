@@ -124,7 +124,7 @@ class Listening:
     async def _open_own(self) -> None:
         if self.port in (VIRTUAL, "pty"):
             raise UsageError(f'no program of yours holds the port "{self.port}", and nobody else can be on it')
-        port = open_port(self.port, self._baud or BAUD_RATES[0], rs485=False)
+        port = open_port(self.port, self._baud or BAUD_RATES[0], listen=True)
         self._listener = Listener(
             monotonic_ns(),
             self._on_transmission,
