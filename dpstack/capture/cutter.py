@@ -22,6 +22,9 @@ _MOST_HELD: Final = 1024
 _LONGEST_TELEGRAM: Final = 255
 #: marked octets that a note names
 _SHOWN: Final = 4
+#: first octets of telegrams with a check sequence
+_CHECKED: Final = frozenset((int(Kind.SD1), int(Kind.SD2), int(Kind.SD3)))
+_NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
 #: for octets without times
 _ANY_BAUD: Final = 9600
 #: the damage of octets at which a telegram with this flaw begins
@@ -42,14 +45,16 @@ class Cutter:
     """Cuts the octets of one line at ``baud``. A telegram whose rest does not come within ``stall_ns`` is given up.
 
     The times of :meth:`feed` are arrival times: the last octet of a chunk was on the line no later. Telegrams that
-    arrive together in one chunk get times without gaps between them, counted back from its arrival. Octets that the
+    arrive together in one chunk get times without gaps between them, counted back from its arrival. The times of
+    transmissions are those plus ``epoch_ns``; they never run backwards, whatever the arrival times do. Octets that the
     port has marked as damaged (:class:`MarkedOctets`) stay at their place: the transmission is damaged, a note says
-    where.
+    where. At most 1279 octets are held from one call to the next.
     """
 
-    def __init__(self, baud: int, stall_ns: int) -> None:
+    def __init__(self, baud: int, stall_ns: int, epoch_ns: int = 0) -> None:
         self.baud = baud
         self.stall_ns = stall_ns
+        self._epoch_ns = epoch_ns
         self._held = bytearray()
         self._cut = 0  # number of octets cut off so far: the position of the first held one in the stream
         self._arrivals: deque[tuple[int, int]] = deque()  # of chunks: position of their end, time
@@ -63,24 +68,43 @@ class Cutter:
 
     def feed(self, chunk: bytes, now: int) -> list[Transmission]:
         """The transmissions that end within ``chunk``, which arrived at ``now`` (ns)."""
+        size = len(chunk)
         if type(chunk) is MarkedOctets:
             begin = self._cut + len(self._held)
             self._marks += [(begin + place, chunk.packets) for place in chunk.marks]
-        elif not self._held and len(chunk) <= _LONGEST_TELEGRAM and decode(chunk) is not None:
+        elif not self._held and not self._doubt and size <= _LONGEST_TELEGRAM and decode(chunk) is not None:
             # the fast path: one chunk, one telegram
-            start = now - self._chars_ns[len(chunk)]
+            start = now - self._chars_ns[size]
             if start < self._free_ns:
                 start = self._free_ns
-            self._free_ns = now
-            return [Transmission(chunk, start, self.baud)]
+            if now > start:
+                self._free_ns = now
+            return [_NEW(Transmission, (chunk, start + self._epoch_ns, self.baud, "", 0))]
+        if not size:
+            return []
+        given_up = list(self._scan(at_end=True)) if self._is_late(chunk, now) else []
         self._held += chunk
         self._last_ns = now
         self._arrivals.append((self._cut + len(self._held), now))
-        return list(self._scan(at_end=False))
+        given_up += self._scan(at_end=False)
+        return given_up
+
+    def _is_late(self, chunk: bytes, now: int) -> bool:
+        """Whether the line was silent for too long before ``chunk`` and its octets do not continue those held.
+
+        A telegram with a check sequence may be continued late: then this computer was late, not the line.
+        """
+        if not self._held and not self._doubt:
+            return False
+        if now - chars_to_ns(len(chunk), self.baud) <= self._last_ns + self.stall_ns:
+            return False
+        octets = bytes(self._held[self._at :]) + chunk[:_LONGEST_TELEGRAM]
+        found = parse(octets, 0, len(octets))
+        return not (isinstance(found, Telegram) and octets[0] in _CHECKED)
 
     def stall_at(self) -> int:
         """When the octets held count as no telegram, in ns; NEVER where none are held."""
-        return self._last_ns + self.stall_ns if self._held else NEVER
+        return self._last_ns + self.stall_ns if self._held or self._doubt else NEVER
 
     def give_up(self) -> list[Transmission]:
         """The line was silent: the transmissions among the octets held, none of which waits for more."""
@@ -94,8 +118,7 @@ class Cutter:
             found = parse(held, at, end)
             if found is None and not at_end:
                 break
-            checked = held[at] not in (Kind.SC, Kind.SD4)
-            if isinstance(found, Telegram) and (checked or at >= self._doubt):
+            if isinstance(found, Telegram) and (held[at] in _CHECKED or at >= self._doubt):
                 yield from self._no_telegram(at)
                 size = claimed(held, at, end)
                 yield self._piece(at, at + size, 0)
@@ -129,10 +152,8 @@ class Cutter:
         end_ns = arrival - chars_to_ns(after - position, self.baud)
         start_ns = max(end_ns - chars_to_ns(stop - begin, self.baud), self._free_ns)
         self._free_ns = max(end_ns, start_ns)
-        octets = bytes(self._held[begin:stop])
-        if self._marks and self._marks[0][0] < position:
-            return self._marked(Transmission(octets, start_ns, self.baud, "", damage), position)
-        return Transmission(octets, start_ns, self.baud, "", damage)
+        one = _NEW(Transmission, (bytes(self._held[begin:stop]), start_ns + self._epoch_ns, self.baud, "", damage))
+        return self._marked(one, position) if self._marks and self._marks[0][0] < position else one
 
     def _marked(self, one: Transmission, position: int) -> Transmission:
         """``one``, which ends at ``position`` in the stream, with the damage that the port has marked."""
@@ -143,7 +164,7 @@ class Cutter:
             place, of_packet = marks.popleft()
             places.append(place - position + len(one.octets))
             packets |= of_packet
-        checked = not one.damage and one.octets[0] not in (Kind.SC, Kind.SD4)
+        checked = not one.damage and one.octets[0] in _CHECKED
         if packets and checked:  # its check sequence shows that the damaged octet is another one
             return one._replace(note=PACKET_NOTE)
         note = f"parity or framing error marked by the port at {_places(places)}"

@@ -144,12 +144,13 @@ class Listener:
     def _listen_at(self, baud: int) -> None:
         self._search = None
         self._unread = 0
-        self._cutter = Cutter(baud, bits_to_ns(T_SYN, baud) + self._slack_ns)
+        self._cutter = Cutter(baud, bits_to_ns(T_SYN, baud) + self._slack_ns, self._epoch_ns)
 
     def _deliver(self, transmissions: list[Transmission], now: int) -> None:
         for one in transmissions:
-            assert one.t_ns is not None
-            self._on_transmission(one._replace(t_ns=one.t_ns + self._epoch_ns))
+            self._on_transmission(one)
             self._unread = self._unread + len(one.octets) if one.damage else 0
-        if self._unread > _OTHER_RATE and not self._fixed:
+        if self._unread > _OTHER_RATE and not self._fixed and self._cutter is not None:
+            for one in self._cutter.give_up():
+                self._on_transmission(one)
             self._begin_search(now)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dpstack.capture import cutter as cutting
 from dpstack.capture.cutter import Cutter, split
 from dpstack.capture.transmission import Damage, Transmission
+from dpstack.fdl.codec import parse
 from dpstack.phy.marked import PACKET_NOTE, MarkedOctets
 from dpstack.units import NEVER, chars_to_ns
 
@@ -17,6 +21,7 @@ REQUEST = bytes.fromhex("68 05 05 68 83 82 6D 3C 3E EC 16")
 POLL = bytes.fromhex("10 05 02 49 50 16")
 ACK = b"\xe5"
 BAUD = 500_000
+_telegrams = st.sampled_from([TOKEN, REQUEST, POLL, ACK, bytes.fromhex("A2 05 02 08 01 02 03 04 05 06 07 08 33 16")])
 
 
 def test_telegrams_in_one_chunk_lie_before_its_arrival_without_gaps() -> None:
@@ -59,13 +64,86 @@ def test_octets_that_are_no_telegram_are_kept_in_pieces_of_bounded_size() -> Non
     assert max(map(len, pieces)) <= 1_024
 
 
-_telegrams = st.sampled_from([TOKEN, REQUEST, POLL, ACK, bytes.fromhex("A2 05 02 08 01 02 03 04 05 06 07 08 33 16")])
+def test_after_a_silence_only_a_check_sequence_joins_octets() -> None:
+    """DC 02 before it and 10 05 02 after it would make a token to station 2 from station 16."""
+    cutter = Cutter(BAUD, 1_000_000)
+    cutter.feed(TOKEN[:2], 1_000_000)
+    pieces = cutter.feed(POLL, 9_000_000)
+    assert [(one.octets, bool(one.damage)) for one in pieces] == [(TOKEN[:2], True), (POLL, False)]
+    assert pieces[0].t_ns == 1_000_000 - chars_to_ns(2, BAUD)
+    late = Cutter(BAUD, 1_000_000)  # here the computer was late: the check sequence says so
+    late.feed(REQUEST[:4], 1_000_000)
+    assert [one.octets for one in late.feed(REQUEST[4:], 90_000_000)] == [REQUEST]
+
+
+def test_a_long_telegram_in_slow_pieces_is_no_silence() -> None:
+    """At 9600 bit/s 62 octets last 71 ms: longer than the silence that ends a telegram, but nobody is silent."""
+    long = b"\x68\xf9\xf9\x68" + bytes(249) + b"\0\x16"
+    cutter = Cutter(9_600, 50_000_000)
+    now, pieces = 0, []
+    for at in range(0, len(long), 62):
+        now += chars_to_ns(62, 9_600)
+        pieces += cutter.feed(long[at : at + 62], now)
+    assert [one.octets for one in pieces] == [long]
+
+
+def test_the_length_of_a_damaged_telegram_is_forgotten_in_a_silence() -> None:
+    """1024 octets without telegram are delivered at once; the length claimed by the last of them goes beyond them."""
+    garbage = bytes(1_023) + b"\x68"
+    for chunks in ([garbage + b"\xf9\x01", TOKEN], [garbage, b"\xf9\x01", TOKEN]):
+        cutter = Cutter(BAUD, 1_000_000)
+        pieces = []
+        for number, chunk in enumerate(chunks):
+            pieces += cutter.feed(chunk, 10_000_000 * (number + 1))
+        assert [one.octets for one in pieces if not one.damage] == [TOKEN]
+        assert cutter.stall_at() == NEVER
+
+
+@given(st.lists(st.tuples(st.binary(max_size=40) | _telegrams, st.integers(-3_000_000, 3_000_000)), max_size=30))
+def test_times_never_run_backwards_even_if_arrivals_do(arrivals: list[tuple[bytes, int]]) -> None:
+    cutter = Cutter(BAUD, 100_000, 7)
+    pieces: list[Transmission] = []
+    now = 100_000_000
+    for chunk, step in arrivals:
+        now += step
+        pieces += cutter.feed(chunk, now)
+    pieces += cutter.give_up()
+    times = [piece.t_ns for piece in pieces if piece.t_ns is not None]
+    assert times == sorted(times)
+    assert b"".join(piece.octets for piece in pieces) == b"".join(chunk for chunk, _ in arrivals)
+
+
+@pytest.mark.parametrize(
+    "garbage", ["68", "68 f9 f9 68", "68 f9 f9 68" + " 00" * 250, "10 02 02", "a2", "dc 05", "00", "e5 68"]
+)
+@pytest.mark.parametrize("size", [1, 7, 4_096])
+def test_garbage_costs_a_look_an_octet_and_holds_a_bounded_number(
+    garbage: str, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks = 0
+
+    def counted(*args: Any) -> Any:
+        nonlocal looks
+        looks += 1
+        return parse(*args)
+
+    monkeypatch.setattr(cutting, "parse", counted)
+    stream = (bytes.fromhex(garbage) * 20_000)[:20_000]
+    cutter = Cutter(BAUD, 1 << 50)
+    held = total = 0
+    for at in range(0, len(stream), size):
+        total += sum(len(one.octets) for one in cutter.feed(stream[at : at + size], at))
+        held = max(held, at + size - total)
+    assert looks <= len(stream) * 2.1 + 100
+    assert held <= 1_279
+
+
 _stream = st.lists(_telegrams | st.binary(max_size=12), max_size=25).map(b"".join)
 
 
 @given(_stream, st.lists(st.integers(1, 30), min_size=1))
 def test_no_octet_is_lost_and_chunks_make_no_difference(stream: bytes, sizes: list[int]) -> None:
-    cutter = Cutter(BAUD, 0)
+    cutter = Cutter(BAUD, 1_000_000)
     pieces: list[Transmission] = []
     now = at = turn = 0
     while at < len(stream):
