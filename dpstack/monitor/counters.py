@@ -1,9 +1,16 @@
 """Counters of stations, masters and the bus, from the transmissions on a line.
 
 Every telegram that asks a station is a request, repetitions too, and ends as one of three: answered, answered in a way
-that nobody could read (damaged), or not answered: requests = answers + damaged + no_answer. Damaged octets belong to
-the station that was asked just before; where nobody was asked, or where an answer came as well, they are
-``unattributed``. So each damaged transmission counts once, at a station or as unattributed.
+that nobody could read (damaged), or not answered: requests = answers + damaged + no_answer, and one more for the
+request that waits for its answer at this moment (:attr:`Counters.asked`).
+
+Damaged octets belong to the station that was asked just before; where nobody was asked, where they begin like the next
+telegram of the master, or where an answer came as well, they are ``unattributed``. So each damaged transmission counts
+once: all damaged = damaged of the stations + pieces of open requests + unattributed. A readable answer that no request
+asked for is ``late`` at the station that sent it, or one of ``strays``.
+
+Nothing that is gone is shown as alive: see :meth:`Counters.look`. A token has no check sequence, so an address that was
+seen as the sender of one token only is no master yet.
 """
 
 from __future__ import annotations
@@ -12,10 +19,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from dpstack.capture.transmission import Transmission
+from dpstack.capture.transmission import Damage, Transmission
 from dpstack.fdl.codec import Flaw, decode, parse
 from dpstack.fdl.telegram import (
     COUNTED,
+    FC_FCB,
     FC_FCV,
     FC_FUNCTION,
     FC_REQUEST,
@@ -32,19 +40,33 @@ from dpstack.fdl.telegram import (
 )
 from dpstack.params import BROADCAST
 from dpstack.stats import Histogram
-from dpstack.units import NS_PER_S, chars_to_ns
+from dpstack.units import NS_PER_S, bits_to_ns, chars_to_ns
 
 #: an exchange is repeated at most this often (max_retry up to 15 exists, DP masters have up to 8)
 MAX_DEPTH: Final = 8
-#: A station that was asked and has not answered for this time is offline; one that nobody asks is unknown.
+#: A station without an answer for this time is offline where it was asked, and unknown where nobody asks it. Slow buses
+#: get more: SILENT_BITS, three of the longest rotations of its master, at most LONGEST_SILENCE_NS (all our choice).
 SILENT_NS: Final = 2 * NS_PER_S
+SILENT_BITS: Final = 200_000
+LONGEST_SILENCE_NS: Final = 30 * NS_PER_S
+#: unanswered requests in a row after which a station is offline and not merely unasked
+OFFLINE_AFTER: Final = 2
+#: tokens in a row that pass a master over, after which it is out of the ring: one may be a damaged one
+PASSED_OVER: Final = 2
 #: gaps of less than this, in bit times, do not exist on a wire (min T_SDR): the telegrams arrived together
 TOGETHER_BITS: Final = 10
 #: Global_Control: bit of Clear_Data
 _CLEAR_DATA: Final = 2
 _LONGEST: Final = 256
+#: where the source does not say the rate
+_ANY_BAUD: Final = 9600
 _NOT_ASKED = tuple(number in UNANSWERED for number in range(16))
 _IS_COUNTED = tuple(number in COUNTED for number in range(16))
+#: functions and states without a meaning (docs/protocol.md#function-code)
+_RESERVED_FUNCTION = tuple(number not in Req._value2member_map_ for number in range(16))
+_RESERVED_STATUS = tuple(number not in Resp._value2member_map_ for number in range(16))
+#: answers of a slave in data exchange; OK and NR come from slaves without inputs
+_EXCHANGES = tuple(number in (Resp.OK, Resp.DL, Resp.NR, Resp.DH, Resp.RDL, Resp.RDH) for number in range(16))
 
 
 class State:
@@ -74,11 +96,13 @@ class Change(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class Station:
-    """Counters of one station that is asked. ``retry_depth[i]``: exchanges that needed i + 1 repetitions.
+    """Counters of one station that is asked. ``retry_depth[i]``: exchanges that needed i + 1 repetitions, the last also
+    those that needed more; ``repetitions``: requests with the frame count bit of the one before (FCV = 1).
 
     ``repeated_polls``: unanswered requests without a frame count that were sent again as they were. ``late``: answers
-    after the next telegram had begun. ``syncs``: bring-ups that ended in data exchange. ``lost``: times it left data
-    exchange. ``answer_ns``: from the end of the request to the begin of the answer (T_SDR).
+    when nobody waited for them any more. ``syncs``: bring-ups that ended in data exchange. ``lost``: times it left data
+    exchange. ``answer_ns``: from the end of the request to the begin of the answer (T_SDR). ``in_vain``: requests since
+    its last answer.
     """
 
     address: int
@@ -103,21 +127,28 @@ class Station:
     answer_ns: Histogram = field(default_factory=Histogram)
     asked_at: int = 0
     answered_at: int = 0
+    in_vain: int = 0
     is_master: bool = False
-    #: damaged and missing answers by the time of a minute's tenth, for "in bursts"
-    failures: list[int] = field(default_factory=list)
 
     @property
     def is_present(self) -> bool:
-        """It was heard: it has answered, or sends by itself."""
-        return bool(self.answers or self.damaged or self.late or self.is_master)
+        """A station is, or was, at this address: it has answered, sends by itself, or most of its requests are followed
+        by octets that nobody can read."""
+        if self.answers or self.late or self.is_master:
+            return True
+        return self.damaged >= _UNREADABLE and 2 * self.damaged > self.requests
+
+
+#: A damaged answer alone may be noise behind a poll of an empty address; so many are a station.
+_UNREADABLE: Final = 3
 
 
 @dataclass(slots=True, eq=False)
 class Master:
     """Counters of one master. ``token_ns``: from token to token; ``hold_ns``: from the token to passing it on;
-    ``rotation_ns``: from the first Data_Exchange of a round to that of the next. ``drops``: times it fell out of the
-    ring. ``mode``: of its last Global_Control: operate, clear, or unknown.
+    ``rotation_ns``: from the first Data_Exchange of a round to that of the next. ``gap_polls``: requests for the FDL
+    status. ``drops``: times it fell out of the ring, or silent in it. ``mode``: of its last Global_Control: operate,
+    clear, or unknown. ``is_silent``: it was not heard for a while.
     """
 
     address: int
@@ -129,21 +160,30 @@ class Master:
     drops: int = 0
     tokens: int = 0
     in_ring: bool = False
+    is_silent: bool = False
     slaves: set[int] = field(default_factory=set)
+    heard_at: int = 0
     token_at: int | None = None
     held_since: int | None = None
+    passed_over: int = 0  # tokens since its last one that went past it
     reference: int | None = None  # the slave whose Data_Exchange begins a round
     round_at: int | None = None
 
+    def forget_times(self) -> None:
+        """Something was missed: no duration begins before it."""
+        self.token_at = self.held_since = self.round_at = None
+
 
 class _Exchange:
-    """The last exchange of a master with a station."""
+    """The last exchange of a master with a station. ``turned``: its frame count bit is the other one than that of the
+    answered exchange before."""
 
-    __slots__ = ("answered", "pieces", "repeats", "station", "telegram")
+    __slots__ = ("answered", "pieces", "repeats", "station", "telegram", "turned")
 
-    def __init__(self, station: Station, telegram: Telegram) -> None:
+    def __init__(self, station: Station, telegram: Telegram, turned: bool) -> None:
         self.station = station
         self.telegram = telegram
+        self.turned = turned
         self.answered = False
         self.repeats = 0
         self.pieces = 0  # damaged transmissions since the request
@@ -164,15 +204,22 @@ _CAUSES: Final = {
 
 
 class Counters:
-    """Counts the transmissions of one bus. ``on_change`` is called with each change for the time line."""
+    """Counts the transmissions of one bus. ``on_change`` is called with each change for the time line, ``on_look`` once
+    in a second of bus time, with the time in ns."""
 
-    def __init__(self, on_change: Callable[[Change], None] = lambda change: None) -> None:
+    def __init__(
+        self,
+        on_change: Callable[[Change], None] = lambda change: None,
+        on_look: Callable[[int], None] = lambda now: None,
+    ) -> None:
         self.stations: dict[int, Station] = {}
         self.masters: dict[int, Master] = {}
         self.telegrams = 0
         #: damaged transmissions by cause: "fcs", "short", "start", "parity", "octets"
         self.damaged: dict[str, int] = {}
         self.unattributed = 0
+        #: readable answers of stations that nobody had asked, and SC where nobody was asked
+        self.strays = 0
         #: telegrams that began when the one before had hardly ended: they arrived together in the computer
         self.together = 0
         self.octets = 0
@@ -180,29 +227,40 @@ class Counters:
         self.begun_ns: int | None = None
         self.ended_ns = 0
         self.baud = 0
-        #: answers that fit requests, tokens that were passed on: evidence that this is PROFIBUS
+        #: evidence that this is PROFIBUS (dpstack.monitor.evidence): answers that fit requests, tokens that were passed
+        #: on, and against it: functions without a meaning, tokens of a station that did not have it
         self.fitting_answers = 0
         self.passed_tokens = 0
+        self.reserved = 0
+        self.broken_tokens = 0
         self._on_change = on_change
+        self._on_look = on_look
         self._asked: _Exchange | None = None
         self._asked_end = 0
-        self._missed: _Exchange | None = None
-        self._missed_end = 0
-        self._exchanges: dict[int, _Exchange] = {}  # by master * 128 + station
-        self._durations: list[int] = []
-        self._together_ns = 0
-        self._token_to: int | None = None
+        self._missed: _Exchange | None = None  # the last one that nobody answered
+        self._exchanges: dict[int, _Exchange] = {}  # those with a frame count, by master * 128 + station
+        self._doubtful: dict[int, Master] = {}  # senders of one token
+        self._token: Telegram | None = None
+        self._damaged_after = -1  # number of telegrams before the last damaged transmission
         self._look_at = 0
+        self._set_rate(_ANY_BAUD)
+
+    @property
+    def asked(self) -> Station | None:
+        """The station that was asked and whose answer may still come: its ``requests`` are one more than their ends."""
+        return None if self._asked is None else self._asked.station
 
     # --- the hot path ---
     def add(self, one: Transmission) -> None:
-        """Count one transmission; its times must not run backwards. Never raises for octets."""
+        """Count one transmission; its times must not run backwards. Never raises, whatever the octets."""
         octets = one.octets
-        if one.baud != self.baud:
+        if one.baud != self.baud and one.baud:
             self._new_rate(one)
         size = len(octets)
         start = self.ended_ns if one.t_ns is None else one.t_ns
-        duration = self._durations[size] if size < _LONGEST else chars_to_ns(size, self.baud)
+        if start >= self._look_at:
+            self.look(start)
+        duration = self._durations[size] if size < _LONGEST else chars_to_ns(size, self.baud or _ANY_BAUD)
         self.octets += size
         self.busy_ns += duration
         if self.begun_ns is None:
@@ -213,156 +271,214 @@ class Counters:
         telegram = None if one.damage else decode(octets)
         if telegram is None:
             self._add_damaged(one)
-        else:
-            self.telegrams += 1
-            fc = telegram.fc
-            if fc < 0:
-                if telegram.kind is Kind.SD4:
-                    self._add_token(telegram, start, end)
-                else:
-                    self._add_answer(telegram, start, end)
-            elif fc & FC_REQUEST:
-                self._add_request(telegram, start, end)
+            return
+        self.telegrams += 1
+        fc = telegram.fc
+        if fc < 0:
+            if telegram.kind is _SD4:
+                self._add_token(telegram, start, end)
             else:
-                self._add_answer(telegram, start, end)
-        if end >= self._look_at:
-            self._look(end)
+                self._add_answer(telegram, fc, start, end)
+        elif fc & FC_REQUEST:
+            self._add_request(telegram, fc, start, end)
+        else:
+            self._add_answer(telegram, fc, start, end)
 
-    def _add_request(self, telegram: Telegram, start: int, end: int) -> None:
+    def _add_request(self, telegram: Telegram, fc: int, start: int, end: int) -> None:
         if self._asked is not None:
             self._give_up()
-        fc, sa, da = telegram.fc, telegram.sa, telegram.da
-        master = self.masters.get(sa) or self._new_master(sa)
+        _, da, sa, _, dsap, _, _, _, _ = telegram
+        master = self.masters.get(sa)
+        if master is None:
+            master = self._new_master(sa)
+        master.heard_at = end
         function = fc & FC_FUNCTION
         if da == BROADCAST or _NOT_ASKED[function]:
-            self._missed = None
-            if telegram.dsap == SAP_GLOBAL_CONTROL and telegram.data:
+            if dsap == SAP_GLOBAL_CONTROL and telegram.data:
                 self._global_control(master, telegram, start)
             return
-        station = self.stations.get(da) or self._new_station(da)
+        station = self.stations.get(da)
+        if station is None:
+            station = self._new_station(da)
         station.requests += 1
-        station.asked_at = end
-        if function == Req.FDL_STATUS:
-            master.gap_polls += 1
+        station.asked_at = self._asked_end = end
+        if not _IS_COUNTED[function]:
+            if function == Req.FDL_STATUS:
+                master.gap_polls += 1
+            elif _RESERVED_FUNCTION[function]:
+                self.reserved += 1
+            self._asked = _Exchange(station, telegram, False)  # it belongs to no sequence of frame counts
+            return
         key = sa << 7 | da
         before = self._exchanges.get(key)
-        if before is not None and not before.answered and before.telegram == telegram and _IS_COUNTED[function]:
-            exchange = before
-            exchange.pieces = 0
-            if fc & FC_FCV:
-                depth = station.retry_depth
-                if exchange.repeats < MAX_DEPTH:
-                    if exchange.repeats:
-                        depth[exchange.repeats - 1] -= 1
-                    depth[exchange.repeats] += 1
-                exchange.repeats += 1
-                station.repetitions += 1
-            else:
+        if before is None:
+            self._asked = self._exchanges[key] = _Exchange(station, telegram, False)
+            if dsap == SAP_SET_PRM:
+                self._set_prm_begins(station, sa, start)
+            return
+        old = before.telegram.fc
+        turned = (fc ^ old) & FC_FCB
+        if fc & FC_FCV and not turned and (old & FC_FCV or before.answered):
+            self._repeated(before, telegram)
+            self._asked = before
+            return
+        if not (before.answered or fc & FC_FCV):
+            if before.telegram == telegram:
                 station.repeated_polls += 1
-        elif before is not None and function == Req.FDL_STATUS:
-            exchange = _Exchange(station, telegram)  # it belongs to no sequence of frame counts
-        else:
-            exchange = self._exchanges[key] = _Exchange(station, telegram)
-            if station.state == State.DATA_EXCHANGE:
-                starts_over = telegram.dsap == SAP_SET_PRM
-                given_up = before is not None and not before.answered and not fc & FC_FCV
-                if starts_over or given_up:
-                    self._leave(station, start, State.SET_PRM if starts_over else State.OFFLINE)
-            if telegram.dsap is None and _IS_COUNTED[function] and master.reference in (None, da):
+                self._asked = before
+                return
+            if station.state == _DATA_EXCHANGE and station.master == sa:
+                self._leave(station, start, State.OFFLINE)  # the master gave it up: the frame count begins anew
+        self._asked = self._exchanges[key] = _Exchange(
+            station, telegram, before.answered and turned != 0 and fc & FC_FCV != 0
+        )
+        if dsap is None:
+            reference = master.reference
+            if reference == da or reference is None:
                 self._round(master, da, start)
-        self._asked = exchange
-        self._asked_end = end
+        elif dsap == SAP_SET_PRM:
+            self._set_prm_begins(station, sa, start)
 
-    def _add_answer(self, telegram: Telegram, start: int, end: int) -> None:
+    def _add_answer(self, telegram: Telegram, fc: int, start: int, end: int) -> None:
         asked = self._asked
-        if asked is not None:
-            request = asked.telegram
-            if telegram.fc < 0 or (telegram.sa == request.da and telegram.da == request.sa):
-                self._asked = self._missed = None
-                asked.answered = True
-                station = asked.station
-                station.answers += 1
-                station.answered_at = end
-                station.answer_ns.add(start - self._asked_end)
-                self.unattributed += asked.pieces
-                asked.pieces = 0
+        if asked is None:
+            self._add_late(telegram)
+            return
+        request = asked.telegram
+        if fc < 0:
+            if not _IS_COUNTED[request.fc & FC_FUNCTION]:
+                self._add_late(telegram)
+                return
+            if asked.turned:
                 self.fitting_answers += 1
-                self._answered(station, request, telegram, start)
+        else:
+            if not _fits(telegram, request):
+                self._add_late(telegram)
                 return
-        missed = self._missed
-        if missed is not None:
-            request = missed.telegram
-            if telegram.fc < 0 or (telegram.sa == request.da and telegram.da == request.sa):
-                self._missed = None
-                missed.station.late += 1
-                return
-        self.unattributed += 1
+            if _RESERVED_STATUS[fc & FC_FUNCTION]:
+                self.reserved += 1
+            else:
+                self.fitting_answers += 1
+        self._asked = self._missed = None
+        asked.answered = True
+        station = asked.station
+        station.answers += 1
+        station.answered_at = end
+        station.in_vain = 0
+        station.answer_ns.add(start - self._asked_end)
+        if asked.pieces:
+            self.unattributed += asked.pieces
+            asked.pieces = 0
+        if request.dsap is None and _IS_COUNTED[request.fc & FC_FUNCTION] and (fc < 0 or _EXCHANGES[fc & FC_FUNCTION]):
+            if station.state != _DATA_EXCHANGE or station.master != request.sa:
+                self._enter(station, request.sa, start)
+        else:
+            self._answered(station, request, telegram, start)
 
     def _answered(self, station: Station, request: Telegram, answer: Telegram, start: int) -> None:
+        """An answer to another service than Data_Exchange, or a refusal of that."""
+        if station.state == State.OFFLINE:
+            station.state = State.UNKNOWN
         dsap = request.dsap
         if answer.fc >= 0:
-            function = answer.fc & FC_FUNCTION
-            if function == Resp.RS:
+            status = answer.fc & FC_FUNCTION
+            if status == Resp.RS:
                 station.rs += 1
-                return
-            if function == Resp.RR:
+            elif status == Resp.RR:
                 station.rr += 1
-                return
-        elif dsap is not None:
+            elif dsap == SAP_SLAVE_DIAG:
+                if len(answer.data) >= _DIAGNOSIS:
+                    self._diagnosed(station, answer.data, start)
+            elif dsap is None and request.fc & FC_FUNCTION == Req.FDL_STATUS:
+                station.station_type = answer.station_type
+        elif station.state != State.DATA_EXCHANGE or station.master == request.sa:
             if dsap == SAP_SET_PRM:
                 station.state = State.SET_PRM
                 station.master = request.sa
             elif dsap == SAP_CHK_CFG:
                 station.state = State.CHK_CFG
-            return
-        if dsap is None:
-            if _IS_COUNTED[request.fc & FC_FUNCTION]:
-                if station.state != State.DATA_EXCHANGE:
-                    self._enter(station, request.sa, start)
-            elif answer.fc >= 0:
-                station.station_type = answer.station_type
-        elif dsap == SAP_SLAVE_DIAG and len(answer.data) >= 6:
-            self._diagnosed(station, answer.data, start)
 
     def _add_token(self, telegram: Telegram, start: int, end: int) -> None:
         if self._asked is not None:
             self._give_up()
-        self._missed = None
-        sa, da = telegram.sa, telegram.da
-        master = self.masters.get(sa) or self._new_master(sa)
+        _, da, sa, _, _, _, _, _, _ = telegram
+        last, self._token = self._token, telegram
+        repeated = False
+        if last is not None:
+            if last.da == sa:
+                self.passed_tokens += 1
+            elif last.sa != sa:
+                self.broken_tokens += 1
+            else:
+                repeated = last.da == da  # the receiver did not react
+        master = self.masters.get(sa)
+        if master is None:
+            master = self._sender_of_token(sa, end)
+            if master is None:
+                return
         master.tokens += 1
+        master.heard_at = end
+        master.passed_over = 0
         if master.held_since is not None:
             master.hold_ns.add(start - master.held_since)
             master.held_since = None
-        if self._token_to == sa:
-            self.passed_tokens += 1
-        self._token_to = da
         if not master.in_ring:
             master.in_ring = True
             self._on_change(Change(start, "joined", sa, f"master {sa} is in the token ring"))
+        if repeated:
+            receiver = self.masters.get(da)
+            if receiver is not None:
+                receiver.token_at = receiver.held_since = end
+            return
         if len(self.masters) > 1:
-            self._skip(sa, da, start)
+            self._pass_over(sa, da, start)
         receiver = self.masters.get(da)
         if receiver is not None:
             if receiver.token_at is not None:
                 receiver.token_ns.add(end - receiver.token_at)
             receiver.token_at = receiver.held_since = end
 
+    # --- what is rare ---
     def _add_damaged(self, one: Transmission) -> None:
-        flaw = parse(one.octets, 0, len(one.octets)) if one.octets else None
-        cause = _CAUSES.get(flaw, "octets") if isinstance(flaw, Flaw) else "short" if flaw is None else "parity"
+        cause = _cause(one)
         self.damaged[cause] = self.damaged.get(cause, 0) + 1
-        if self._asked is not None:
-            self._asked.pieces += 1
-        else:
+        self._damaged_after = self.telegrams
+        asked = self._asked
+        if asked is None:
             self.unattributed += 1
+        elif _is_of_master(one.octets, asked.telegram.sa):
+            self._give_up()
+            self.unattributed += 1
+        else:
+            asked.pieces += 1
 
-    # --- changes, which are rare ---
+    def _add_late(self, telegram: Telegram) -> None:
+        """A readable answer that does not fit the request before it: late, or nobody was heard asking for it."""
+        missed = self._missed
+        if self._damaged_after == self.telegrams - 1:  # its request was perhaps among the damaged octets
+            self._exchanges.clear()
+            self.strays += 1
+        elif telegram.fc < 0:
+            if missed is None or not _IS_COUNTED[missed.telegram.fc & FC_FUNCTION]:
+                self.strays += 1
+                return
+            self._missed = None
+            missed.station.late += 1
+        else:
+            station = self.stations.get(telegram.sa)
+            if station is None or not station.requests or telegram.da not in self.masters:
+                self.strays += 1
+                return
+            if missed is not None and missed.station is station:
+                self._missed = None
+            station.late += 1
+
     def _give_up(self) -> None:
         """The next telegram begins: the request before it has no answer."""
         asked = self._asked
         assert asked is not None
         station = asked.station
+        station.in_vain += 1
         if asked.pieces:
             station.damaged += 1
             self.unattributed += asked.pieces - 1
@@ -370,7 +486,27 @@ class Counters:
         else:
             station.no_answer += 1
         self._asked = None
-        self._missed, self._missed_end = asked, self._asked_end
+        self._missed = asked
+
+    def _repeated(self, exchange: _Exchange, telegram: Telegram) -> None:
+        """The frame count bit was not turned: the slave takes ``telegram`` for a repetition."""
+        station = exchange.station
+        depth = station.retry_depth
+        repeats = exchange.repeats
+        if repeats < MAX_DEPTH:
+            if repeats:
+                depth[repeats - 1] -= 1
+            depth[repeats] += 1
+        exchange.repeats = repeats + 1
+        exchange.telegram = telegram
+        exchange.answered = False
+        exchange.turned = False
+        station.repetitions += 1
+
+    def _set_prm_begins(self, station: Station, sa: int, start: int) -> None:
+        """Its master begins a bring-up; a Set_Prm of another master is refused by a slave in data exchange."""
+        if station.state == State.DATA_EXCHANGE and station.master == sa:
+            self._leave(station, start, State.SET_PRM)
 
     def _round(self, master: Master, da: int, start: int) -> None:
         master.reference = da
@@ -379,15 +515,20 @@ class Counters:
         master.round_at = start
 
     def _enter(self, station: Station, master: int, start: int) -> None:
-        """The station exchanges data."""
+        """The station exchanges data with ``master``."""
+        before = self.masters.get(-1 if station.master is None else station.master)
+        if before is not None:
+            before.slaves.discard(station.address)
         owner = self.masters.get(master)
         if owner is not None:
             owner.slaves.add(station.address)
         station.master = master
-        known = station.state != State.UNKNOWN
+        brought_up = station.state in (State.SET_PRM, State.CHK_CFG, State.WAIT_READY)
+        was_away = station.state != State.DATA_EXCHANGE and station.lost > 0
         station.state = State.DATA_EXCHANGE
-        if known:
+        if brought_up:
             station.syncs += 1
+        if brought_up or was_away:
             self._on_change(Change(start, "back", station.address, f"station {station.address} exchanges data"))
 
     def _leave(self, station: Station, start: int, state: str) -> None:
@@ -417,43 +558,142 @@ class Counters:
             master.mode = mode
             self._on_change(Change(start, "mode", master.address, f"master {master.address} is in {mode.capitalize()}"))
 
-    def _skip(self, sa: int, da: int, start: int) -> None:
-        """The masters between ``sa`` and ``da`` did not get the token: they are out of the ring."""
+    def _pass_over(self, sa: int, da: int, start: int) -> None:
+        """The masters between ``sa`` and ``da`` did not get the token."""
+        reach = (da - sa) % 128 or 128
         for master in self.masters.values():
             address = master.address
-            if not master.in_ring or address in (sa, da):
+            if not master.in_ring or address in (sa, da) or (address - sa) % 128 >= reach:
                 continue
-            if (address - sa) % 128 < ((da - sa) % 128 or 128):
-                master.in_ring = False
-                master.drops += 1
-                master.token_at = master.held_since = None
-                self._on_change(Change(start, "left", address, f"master {address} dropped out of the token ring"))
+            master.passed_over += 1
+            master.forget_times()
+            if master.passed_over >= PASSED_OVER:
+                self._drop_out(master, start, "dropped out of the token ring")
+
+    def _drop_out(self, master: Master, start: int, why: str) -> None:
+        master.in_ring = False
+        master.drops += 1
+        master.forget_times()
+        self._on_change(Change(start, "left", master.address, f"master {master.address} {why}"))
+
+    def _sender_of_token(self, sa: int, end: int) -> Master | None:
+        """The master that sent a token, if it is the second one of this sender: damage makes tokens of nobody."""
+        doubtful = self._doubtful.pop(sa, None)
+        if doubtful is None or end - doubtful.heard_at > self._silent_ns:
+            self._doubtful[sa] = Master(sa, tokens=1, heard_at=end)
+            return None
+        return self._new_master(sa, doubtful)
 
     def _new_station(self, address: int) -> Station:
         station = self.stations[address] = Station(address)
         return station
 
-    def _new_master(self, address: int) -> Master:
+    def _new_master(self, address: int, seen: Master | None = None) -> Master:
         station = self.stations.get(address) or self._new_station(address)
         station.is_master = True
-        master = self.masters[address] = Master(address)
+        master = self.masters[address] = seen or self._doubtful.pop(address, None) or Master(address)
         return master
 
     def _new_rate(self, one: Transmission) -> None:
         if self.baud:
+            self.gap()
+            self.fitting_answers = self.passed_tokens = self.reserved = self.broken_tokens = 0
             self._on_change(Change(one.t_ns or 0, "rate", -1, f"the bus runs at {one.baud} bit/s now"))
         self.baud = one.baud
-        baud = one.baud or 9600
+        self._set_rate(one.baud)
+
+    def _set_rate(self, baud: int) -> None:
         self._durations = [chars_to_ns(size, baud) for size in range(_LONGEST)]
         self._together_ns = TOGETHER_BITS * NS_PER_S // baud
+        self._silent_ns = min(max(SILENT_NS, bits_to_ns(SILENT_BITS, baud)), LONGEST_SILENCE_NS)
 
-    def _look(self, now: int) -> None:
-        """Once a second: stations that are silent, or that nobody asks any more."""
+    def gap(self) -> None:
+        """Octets were lost here before they could be counted. The open request counts no more: nobody knows its end."""
+        asked = self._asked
+        if asked is not None:
+            asked.station.requests -= 1
+            self.unattributed += asked.pieces
+        self._asked = self._missed = self._token = None
+        self._exchanges.clear()
+        self._damaged_after = self.telegrams
+        for master in self.masters.values():
+            master.forget_times()
+
+    # --- silence ---
+    def look(self, now: int) -> None:
+        """Find stations that are silent at ``now`` (ns since 1970); :meth:`add` does it once a second, the caller does
+        on a line where nothing is heard. A slave of which nothing is heard is offline if it was asked, else unknown; a
+        silent master is in no ring and no mode."""
         self._look_at = now + NS_PER_S
+        for master in self.masters.values():
+            master.is_silent = now - master.heard_at >= self._silence_of(master)
+            if master.is_silent:
+                master.mode = "unknown"
+                master.reference = None
+                master.forget_times()
+                if master.in_ring:
+                    self._drop_out(master, now, "is silent")
         for station in self.stations.values():
-            if station.state in (State.UNKNOWN, State.OFFLINE) or now - station.answered_at < SILENT_NS:
+            if station.is_master and not self.masters[station.address].is_silent:
+                station.state = State.UNKNOWN  # it sends by itself
                 continue
-            state = State.UNKNOWN if now - station.asked_at >= SILENT_NS else State.OFFLINE
+            if station.state == State.OFFLINE or not station.answers:
+                continue
+            owner = self.masters.get(-1 if station.master is None else station.master)
+            if now - station.answered_at < (self._silent_ns if owner is None else self._silence_of(owner)):
+                continue
+            state = State.OFFLINE if station.in_vain >= OFFLINE_AFTER else State.UNKNOWN
             if station.state == State.DATA_EXCHANGE:
                 self._leave(station, now, state)
             station.state = state
+        self._on_look(now)
+
+    def _silence_of(self, master: Master) -> int:
+        """A master or its slave that is silent for so long (ns) is gone."""
+        longest = 3 * max(master.rotation_ns.max_ns, master.token_ns.max_ns)
+        return min(max(self._silent_ns, longest), LONGEST_SILENCE_NS)
+
+
+#: looked up in each telegram
+_SD4: Final = Kind.SD4
+_DATA_EXCHANGE: Final = State.DATA_EXCHANGE
+#: octets of the shortest diagnosis
+_DIAGNOSIS: Final = 6
+
+
+def _fits(answer: Telegram, request: Telegram) -> bool:
+    """Whether an answer with addresses is one to ``request``: those of the request exchanged, and so the SAPs. SD1 has
+    no SAPs: a refusal. The answer to MSRD goes to everybody."""
+    _, da, sa, _, dsap, ssap, data, _, _ = answer
+    if sa != request.da:
+        return False
+    function = request.fc & FC_FUNCTION
+    if da != request.sa and not (da == BROADCAST and function == Req.MSRD):
+        return False
+    if dsap is None and ssap is None and (not data or (request.dsap is None and function != Req.FDL_STATUS)):
+        return True
+    return dsap == request.ssap and ssap == request.dsap
+
+
+def _is_of_master(octets: bytes, master: int) -> bool:
+    """Whether damaged octets begin like a token or a request of ``master``, so that they are no answer to it."""
+    if not octets or octets[0] == Kind.SD4:
+        return bool(octets)
+    at = _HEADS.get(octets[0])
+    if at is None or len(octets) < at + 3:
+        return False
+    return octets[at + 1] & 0x7F == master and bool(octets[at + 2] & FC_REQUEST)
+
+
+#: place of DA by start octet
+_HEADS: Final[dict[int, int]] = {Kind.SD1: 1, Kind.SD2: 4, Kind.SD3: 1}
+
+
+def _cause(one: Transmission) -> str:
+    """The cause of damage: what the port marked, else the first thing found wrong."""
+    if one.damage & Damage.PARITY_OR_FRAMING:
+        return "parity"
+    flaw = parse(one.octets, 0, len(one.octets)) if one.octets else None
+    if flaw is None:
+        return "short"
+    return _CAUSES[flaw] if isinstance(flaw, Flaw) else "octets"
