@@ -44,7 +44,8 @@ MAY: dict[str, set[str]] = {
     "ports": PURE_BASE | {"phy"},
     "drivers": DP | {"ports", "machine", "sim"},
     "api": DP | {"drivers", "ports", "sim", "profile", "capture"},
-    "cli": {"api", "capture", "decode", "monitor", "gsd", "profile", "trace"} | PURE_BASE,
+    "wireshark": {"api", "capture"} | PURE_BASE,
+    "cli": {"api", "capture", "decode", "monitor", "wireshark", "gsd", "profile", "trace"} | PURE_BASE,
     "__init__": {"api", "errors", "profile", "dp", "dpv1", "trace"},
 }
 #: Rooms from the ground up: each imports from lower floors only; rooms of one floor not from one another.
@@ -88,6 +89,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("api/bus",),
     ("api/control",),
     ("api/listen",),
+    ("wireshark",),
     ("cli/terminal",),
     ("cli",),
     ("cli/commands", "cli/listening"),

@@ -1,0 +1,1742 @@
+-- dpstack wireshark: this file is installed and removed by `dpstack wireshark`
+--
+-- PROFIBUS-DP for Wireshark: link layer (FDL), DP-V0, DP-V1, and the course of the bus.
+--
+-- It explains packets of link type 147 (USER0) as `dpstack decode` does: the fields below `profibus` have the names of
+-- its JSON objects in lower case, those of a data unit stand below `profibus.dp`. One packet is one transmission.
+-- Lua 5.2 (Wireshark up to 4.2) to 5.4 (from 4.4 on): no operators for bits, no library `bit`.
+--
+-- A table by master and slave: `tshark -q -o profibus.table:TRUE -r FILE`; in Wireshark: Tools, PROFIBUS.
+
+local profibus = Proto("profibus", "PROFIBUS-DP")
+
+profibus.prefs.baud = Pref.uint("Baud rate in bit/s", 0, "For response times, where the file does not name it; 0: as the file says")
+profibus.prefs.table = Pref.bool("Table by master and slave", false, "tshark prints it at the end of the file")
+
+-- --- numbers ---------------------------------------------------------------------------------------------------------
+
+local POWERS = { [0] = 1, 2, 4, 8, 16, 32, 64, 128, 256 }
+
+-- bits of a number, from bit `low` on
+local function bits(value, low, count)
+    return math.floor(value / POWERS[low]) % POWERS[count]
+end
+
+local function bit(value, number)
+    return math.floor(value / POWERS[number]) % 2 == 1
+end
+
+-- the octet at `at` (from 1) of a string
+local function octet(octets, at)
+    return string.byte(octets, at)
+end
+
+local function word(octets, at)
+    return string.byte(octets, at) * 256 + string.byte(octets, at + 1)
+end
+
+local function set(...)
+    local found = {}
+    for _, value in ipairs({ ... }) do
+        found[value] = true
+    end
+    return found
+end
+
+local function hex(octets)
+    local found = {}
+    for at = 1, #octets do
+        found[at] = string.format("%02x", octet(octets, at))
+    end
+    return table.concat(found, " ")
+end
+
+-- raised for the octets of a data unit that cannot be read
+local function refuse(...)
+    error({ pdu = string.format(...) }, 0)
+end
+
+-- --- the link layer: docs/protocol.md of dpstack, "Telegrams" --------------------------------------------------------
+
+local SD1, SD2, SD3, SD4, SC, ED = 0x10, 0x68, 0xA2, 0xDC, 0xE5, 0x16
+local KINDS = { [SD1] = "SD1", [SD2] = "SD2", [SD3] = "SD3", [SD4] = "SD4", [SC] = "SC" }
+local LENGTHS = { [SD1] = 6, [SD3] = 14, [SD4] = 3, [SC] = 1 }
+local BROADCAST = 127
+
+local BAD_START = "no start octet (10, 68, A2, DC, E5)"
+local LE_MISMATCH = "LE and LEr differ"
+local LE_RANGE = "LE outside of 3..249"
+local BAD_SECOND_SD = "the second start octet is not 68"
+local BAD_ED = "the end octet is not 16"
+local BAD_FCS = "wrong check sequence (FCS)"
+local BAD_ADDRESS = "an address above 127"
+local BAD_EXTENSION = "address extensions that are not whole"
+local BAD_FC = "a function code that does not exist"
+
+local function check_sum(octets, first, last)
+    local sum = 0
+    for at = first, last do
+        sum = sum + octet(octets, at)
+    end
+    return sum % 256
+end
+
+-- A telegram: kind, da, sa, fc, dsap, ssap, dseg, sseg, data (a string), and for the tree: da_at, data_at, end_at
+-- (octets from 0; end_at is that of the FCS).
+local function content(kind, octets, first, last)
+    local da, sa, fc = octet(octets, first), octet(octets, first + 1), octet(octets, first + 2)
+    if fc > 0x7F and not (bits(fc, 6, 2) == 3 and bits(fc, 0, 4) == 0) then
+        return nil, BAD_FC
+    end
+    if sa % 128 == BROADCAST then
+        return nil, BAD_ADDRESS
+    end
+    local at = first + 3
+    local found = {}
+    for number, address in ipairs({ da, sa }) do
+        local more = address >= 128
+        while more do
+            if at > last then
+                return nil, BAD_EXTENSION
+            end
+            local value = octet(octets, at)
+            at = at + 1
+            more = value >= 128
+            local name = (bit(value, 6) and "seg" or "sap") .. number
+            if found[name] then
+                return nil, BAD_EXTENSION
+            end
+            found[name] = value % 64
+            found[name .. "_at"] = at - 2
+        end
+    end
+    return {
+        kind = kind, da = da % 128, sa = sa % 128, fc = fc, request = bit(fc, 6), func = fc % 16,
+        dsap = found.sap1, ssap = found.sap2, dseg = found.seg1, sseg = found.seg2,
+        dsap_at = found.sap1_at, ssap_at = found.sap2_at, dseg_at = found.seg1_at, sseg_at = found.seg2_at,
+        data = string.sub(octets, at, last), da_at = first - 1, data_at = at - 1, end_at = last,
+    }
+end
+
+local function parse_sd2(octets)
+    local size = #octets
+    if size > 1 then
+        local le = octet(octets, 2)
+        if le < 3 or le > 249 then
+            return nil, LE_RANGE
+        elseif size > 2 and octet(octets, 3) ~= le then
+            return nil, LE_MISMATCH
+        elseif size > 3 and octet(octets, 4) ~= SD2 then
+            return nil, BAD_SECOND_SD
+        end
+        if size >= 9 and size >= le + 6 then
+            if octet(octets, le + 6) ~= ED then
+                return nil, BAD_ED
+            elseif check_sum(octets, 5, le + 4) ~= octet(octets, le + 5) then
+                return nil, BAD_FCS
+            end
+            return content("SD2", octets, 5, le + 4)
+        end
+    end
+    return nil
+end
+
+local function parse_sd1(octets)
+    local size = #octets
+    if (size > 1 and octet(octets, 2) > 127) or (size > 2 and octet(octets, 3) > 126) then
+        return nil, BAD_ADDRESS
+    elseif size < 6 then
+        return nil
+    elseif octet(octets, 6) ~= ED then
+        return nil, BAD_ED
+    elseif check_sum(octets, 2, 4) ~= octet(octets, 5) then
+        return nil, BAD_FCS
+    end
+    return content("SD1", octets, 2, 4)
+end
+
+local function parse_sd3(octets)
+    if #octets < 14 then
+        return nil
+    elseif octet(octets, 14) ~= ED then
+        return nil, BAD_ED
+    elseif check_sum(octets, 2, 12) ~= octet(octets, 13) then
+        return nil, BAD_FCS
+    end
+    return content("SD3", octets, 2, 12)
+end
+
+local function parse_token(octets)
+    local size = #octets
+    if (size > 1 and octet(octets, 2) > 126) or (size > 2 and octet(octets, 3) > 126) then
+        return nil, BAD_ADDRESS
+    elseif size < 3 then
+        return nil
+    end
+    return { kind = "SD4", da = octet(octets, 2), sa = octet(octets, 3), data = "", da_at = 1, data_at = 3, end_at = 3 }
+end
+
+-- The telegram that `octets` are from the first to the last; nil and the reason where they are none.
+local function decode(octets)
+    local size = #octets
+    if size == 0 then
+        return nil, "no octets"
+    end
+    local start = octet(octets, 1)
+    local telegram, flaw
+    if start == SD2 then
+        telegram, flaw = parse_sd2(octets)
+    elseif start == SC then
+        telegram = { kind = "SC", data = "", data_at = 1, end_at = 1 }
+    elseif start == SD1 then
+        telegram, flaw = parse_sd1(octets)
+    elseif start == SD4 then
+        telegram, flaw = parse_token(octets)
+    elseif start == SD3 then
+        telegram, flaw = parse_sd3(octets)
+    else
+        flaw = BAD_START
+    end
+    if flaw then
+        return nil, "no telegram: " .. flaw
+    elseif not telegram then
+        return nil, "no telegram: cut off"
+    elseif (start == SD2 and octet(octets, 2) + 6 or LENGTHS[start]) ~= size then
+        return nil, "a telegram with other octets after it"
+    end
+    return telegram
+end
+
+-- --- names -----------------------------------------------------------------------------------------------------------
+
+local REQUESTS = {
+    [0] = "TIME_EVENT", [3] = "SDA_LOW", [4] = "SDN_LOW", [5] = "SDA_HIGH", [6] = "SDN_HIGH", [7] = "MSRD",
+    [9] = "FDL_STATUS", [12] = "SRD_LOW", [13] = "SRD_HIGH", [14] = "IDENT", [15] = "LSAP_STATUS",
+}
+local RESPONSES = {
+    [0] = "OK", [1] = "UE", [2] = "RR", [3] = "RS", [8] = "DL", [9] = "NR", [10] = "DH", [12] = "RDL", [13] = "RDH",
+}
+local SHORT_NAMES = {
+    [3] = "SDA low", [4] = "SDN low", [5] = "SDA high", [6] = "SDN high", [12] = "SRD low", [13] = "SRD high",
+}
+local STATION_TYPES = { [0] = "slave", "master not ready", "master ready", "master in ring" }
+-- services that have a function code of their own
+local BY_FUNCTION = { [0] = "Time_Event", [7] = "MSRD", [9] = "FDL_Status", [14] = "Ident", [15] = "LSAP_Status" }
+local BY_SAP = {
+    [49] = "MS2 resource manager", [50] = "MS1 alarm", [51] = "MS1", [53] = "Ext_User_Prm", [54] = "master-master",
+    [55] = "Set_Slave_Add", [56] = "RD_Inp", [57] = "RD_Outp", [58] = "Global_Control", [59] = "Get_Cfg",
+    [60] = "Slave_Diag", [61] = "Set_Prm", [62] = "Chk_Cfg",
+}
+-- requests with a frame count, and those that nobody answers
+local COUNTED = set(3, 5, 7, 12, 13)
+local UNANSWERED = set(0, 4, 6)
+
+local function service_by_saps(slave, master)
+    if slave == nil then
+        return master == nil and "Data_Exchange" or "SAP none/" .. master
+    end
+    local named = BY_SAP[slave]
+    if not named and slave < 49 and master == 50 then
+        return "MS2 connection " .. slave
+    end
+    return named or "SAP " .. slave
+end
+
+local function service_of(telegram)
+    if telegram.kind == "SC" then
+        return "SC"
+    elseif telegram.kind == "SD4" then
+        return "token"
+    elseif telegram.request then
+        local named = BY_FUNCTION[telegram.func]
+        if named then
+            return telegram.fc >= 128 and "Clock_Value" or named
+        end
+        return service_by_saps(telegram.dsap, telegram.ssap)
+    elseif telegram.dsap == nil and telegram.ssap == nil and telegram.data == "" then
+        return "acknowledgement"
+    end
+    return service_by_saps(telegram.ssap, telegram.dsap)
+end
+
+-- --- layouts: names and lengths of the fields of a PDU, for messages --------------------------------------------------
+
+-- fields: name, bits, name, bits ...; `open`: more octets may follow
+local function layout(name, open, ...)
+    local found = { name = name, open = open, ends = {}, size = 0 }
+    local fields, total = { ... }, 0
+    for at = 1, #fields, 2 do
+        total = total + fields[at + 1]
+        found.ends[#found.ends + 1] = { fields[at], total }
+    end
+    found.size = math.floor(total / 8)
+    return found
+end
+
+local function check(form, octets)
+    local count = #octets
+    if count < form.size then
+        for _, field in ipairs(form.ends) do
+            if field[2] > 8 * count then
+                refuse("%s ends after %d octets: octet %d (%s) is missing", form.name, count, count + 1, field[1])
+            end
+        end
+    elseif count > form.size and not form.open then
+        refuse("%s has %d octets, octet %d is the last one", form.name, count, form.size)
+    end
+end
+
+-- --- what a data unit holds: lists of nodes --------------------------------------------------------------------------
+-- A node: { key, value, at, size } with octets from 0 of the data unit; value nil: the octets themselves.
+-- A group: { title = text, at = , size = , nodes }.
+
+local function node(nodes, key, value, at, size)
+    nodes[#nodes + 1] = { key = key, value = value, at = at, size = size or 1 }
+end
+
+local function node_octets(nodes, key, at, size)
+    if size > 0 then
+        nodes[#nodes + 1] = { key = key, at = at, size = size }
+    end
+end
+
+local function group(nodes, title, at, size)
+    local found = { title = title, at = at, size = size }
+    nodes[#nodes + 1] = found
+    return found
+end
+
+local function node_groups(nodes, key, mask, at)
+    for number = 0, 7 do
+        if bit(mask, number) then
+            node(nodes, key, number + 1, at)
+        end
+    end
+end
+
+-- --- Set_Prm ---------------------------------------------------------------------------------------------------------
+
+local SET_PRM = layout("Set_Prm", true, "lock", 1, "unlock", 1, "sync", 1, "freeze", 1, "wd_on", 1, "reserved", 3,
+    "wd_fact_1", 8, "wd_fact_2", 8, "min_tsdr", 8, "ident", 16, "group_ident", 8)
+local MAX_USER_PRM = 237
+local ALARM_KINDS = {
+    { 7, "Pull_Plug_Alarm" }, { 6, "Process_Alarm" }, { 5, "Diagnostic_Alarm" }, { 4, "Manufacturer_Specific_Alarm" },
+    { 3, "Status_Alarm" }, { 2, "Update_Alarm" },
+}
+local ALARM_LIMITS = { [0] = "one of each type", "2", "4", "8", "12", "16", "24", "32" }
+local BLOCK_NAMES = {
+    [2] = "prm_cmd", [3] = "dxb_links", [4] = "isochronous", [5] = "f_parameters", [7] = "dxb_subscribers",
+    [8] = "time_ar", [0x81] = "user_prm",
+}
+local BLOCK_SIZES = { [2] = 4, [4] = 24, [8] = 10 }
+local BLOCK_ENTRIES = { [3] = 4, [7] = 6 }
+
+local function prm_blocks(nodes, data, start)
+    local at, number = start, 0
+    while at < #data do
+        number = number + 1
+        local where = string.format("octet %d: parameter block %d", at + 1, number)
+        local left = #data - at
+        if left < 4 then
+            refuse("%s has a head of 4 octets, there are %d", where, left)
+        end
+        local length, kind, slot = octet(data, at + 1), octet(data, at + 2), octet(data, at + 3)
+        if length < 4 or length > left then
+            refuse("%s says it has %d octets, 4..%d are possible", where, length, left)
+        end
+        local count = length - 4
+        local name = BLOCK_NAMES[kind]
+        local title = "type " .. kind .. (name and " (" .. name .. ")" or "")
+        if slot > 254 then
+            refuse("%s: parameter block of type %d for slot %d: type and specifier 0..255, slot 0..254", where, kind, slot)
+        elseif count > 230 then
+            refuse("%s: parameter block of type %d: %d octets, 230 are possible", where, kind, count)
+        elseif BLOCK_SIZES[kind] and count ~= BLOCK_SIZES[kind] then
+            refuse("%s: %s has %d octets of data, there are %d", where, title, BLOCK_SIZES[kind], count)
+        elseif BLOCK_ENTRIES[kind] and count % BLOCK_ENTRIES[kind] ~= 1 then
+            refuse("%s: %s has a version and entries of %d octets each, there are %d octets", where, title,
+                BLOCK_ENTRIES[kind], count)
+        end
+        local inner = group(nodes, "Block of " .. title .. ", slot " .. slot, at, length)
+        node(inner, "blocks.type", kind, at + 1)
+        node(inner, "blocks.slot", slot, at + 2)
+        node(inner, "blocks.specifier", octet(data, at + 4), at + 3)
+        node_octets(inner, "blocks.data", at + 4, count)
+        at = at + length
+    end
+end
+
+local function set_prm(data)
+    check(SET_PRM, data)
+    if #data > 7 + MAX_USER_PRM then
+        refuse("Set_Prm has %d octets, octet %d is the last possible one", #data, 7 + MAX_USER_PRM)
+    end
+    local first, fact_1, fact_2 = octet(data, 1), octet(data, 2), octet(data, 3)
+    local nodes = {}
+    node(nodes, "lock_req", bit(first, 7), 0)
+    node(nodes, "unlock_req", bit(first, 6), 0)
+    node(nodes, "sync_req", bit(first, 5), 0)
+    node(nodes, "freeze_req", bit(first, 4), 0)
+    node(nodes, "wd_on", bit(first, 3), 0)
+    node(nodes, "wd_fact_1", fact_1, 1)
+    node(nodes, "wd_fact_2", fact_2, 2)
+    local base = 10
+    local dpv1 = #data >= 10 and octet(data, 8) >= 128
+    if dpv1 and bit(octet(data, 8), 2) then
+        base = 1
+    end
+    if bit(first, 3) then
+        node(nodes, "watchdog_ms", base * fact_1 * fact_2, 1, 2)
+    end
+    node(nodes, "min_t_sdr", octet(data, 4), 3)
+    node(nodes, "ident_number", word(data, 5), 4, 2)
+    node_groups(nodes, "group_ident", octet(data, 7), 6)
+    if not dpv1 then
+        node_octets(nodes, "user_prm_data", 7, #data - 7)
+        return nodes
+    end
+    local status_1, status_2, status_3 = octet(data, 8), octet(data, 9), octet(data, 10)
+    local inner = group(nodes, "DPV1_Status", 7, 3)
+    node(inner, "dpv1_enable", true, 7)
+    node(inner, "fail_safe", bit(status_1, 6), 7)
+    node(inner, "wd_base_1ms", bit(status_1, 2), 7)
+    node(inner, "check_cfg_mode", bit(status_2, 0), 8)
+    for _, kind in ipairs(ALARM_KINDS) do
+        if bit(status_2, kind[1]) then
+            node(inner, "alarms", kind[2], 8)
+        end
+    end
+    node(inner, "alarm_mode", ALARM_LIMITS[status_3 % 8], 9)
+    node(inner, "prm_structure", bit(status_3, 3), 9)
+    node(inner, "prmcmd", bit(status_3, 7), 9)
+    if bit(status_3, 3) then
+        prm_blocks(nodes, data, 10)
+    else
+        node_octets(nodes, "user_prm_data", 10, #data - 10)
+    end
+    return nodes
+end
+
+-- --- Chk_Cfg, Get_Cfg ------------------------------------------------------------------------------------------------
+
+-- octets of data that a length octet stands for, and whether they are consistent as a whole
+local function data_length(value)
+    return (value % 64 + 1) * (bit(value, 6) and 2 or 1), value >= 128
+end
+
+local function configuration(data)
+    local nodes, at = {}, 0
+    while at < #data do
+        local start, head = at, octet(data, at + 1)
+        local inputs, outputs, manufacturer = 0, 0, 0
+        local consistent = false
+        at = at + 1
+        if bits(head, 4, 2) ~= 0 then
+            -- the general format: bits 5..4 say the direction, the others are a length octet of four bits
+            local length, whole = data_length(head - bits(head, 4, 2) * 16)
+            inputs = bit(head, 4) and length or 0
+            outputs = bit(head, 5) and length or 0
+            consistent = whole
+        else
+            local lengths = {}
+            for _ = 1, (bit(head, 7) and 1 or 0) + (bit(head, 6) and 1 or 0) do
+                if at >= #data then
+                    refuse("identifier octet %d (0x%02x) announces a length octet that is missing", start, head)
+                end
+                lengths[#lengths + 1] = octet(data, at + 1)
+                at = at + 1
+            end
+            -- output length first, then input length
+            if bit(head, 6) then
+                local length, whole = data_length(table.remove(lengths))
+                inputs, consistent = length, consistent or whole
+            end
+            if bit(head, 7) then
+                local length, whole = data_length(table.remove(lengths))
+                outputs, consistent = length, consistent or whole
+            end
+            manufacturer = head % 16 ~= 15 and head % 16 or 0
+        end
+        if at + manufacturer > #data then
+            refuse("identifier octet %d (0x%02x) announces %d manufacturer octets, %d are left", start, head,
+                manufacturer, #data - at)
+        end
+        local last = at + manufacturer
+        local inner = group(nodes, string.format("Module: %d octets in, %d out", inputs, outputs), start, last - start)
+        node_octets(inner, "cfg_data.identifier", start, last - start)
+        node(inner, "cfg_data.inputs", inputs, start)
+        node(inner, "cfg_data.outputs", outputs, start)
+        node(inner, "cfg_data.consistent", consistent, start)
+        node_octets(inner, "cfg_data.manufacturer", at, manufacturer)
+        at = last
+    end
+    return nodes
+end
+
+-- --- Global_Control, Set_Slave_Add -----------------------------------------------------------------------------------
+
+local GLOBAL_CONTROL = layout("Global_Control", false, "reserved_high", 2, "sync", 1, "unsync", 1, "freeze", 1,
+    "unfreeze", 1, "clear", 1, "reserved_low", 1, "group_select", 8)
+
+local function global_control(data)
+    check(GLOBAL_CONTROL, data)
+    local control = octet(data, 1)
+    local nodes = {}
+    node(nodes, "clear_data", bit(control, 1), 0)
+    node(nodes, "unfreeze", bit(control, 2), 0)
+    node(nodes, "freeze", bit(control, 3), 0)
+    node(nodes, "unsync", bit(control, 4), 0)
+    node(nodes, "sync", bit(control, 5), 0)
+    node_groups(nodes, "group_select", octet(data, 2), 1)
+    return nodes
+end
+
+local SET_SLAVE_ADD = layout("Set_Slave_Add", true, "new_address", 8, "ident", 16, "no_add_chg", 8)
+
+local function set_slave_add(data)
+    check(SET_SLAVE_ADD, data)
+    local nodes = {}
+    node(nodes, "new_slave_add", octet(data, 1), 0)
+    node(nodes, "ident_number", word(data, 2), 1, 2)
+    node(nodes, "no_add_chg", octet(data, 4) ~= 0, 3)
+    node_octets(nodes, "rem_slave_data", 4, #data - 4)
+    return nodes
+end
+
+-- --- Slave_Diag ------------------------------------------------------------------------------------------------------
+
+local DIAG_FLAGS = {
+    { 1, 0, "station_non_existent" }, { 1, 1, "station_not_ready" }, { 1, 2, "cfg_fault" }, { 1, 3, "ext_diag" },
+    { 1, 4, "not_supported" }, { 1, 5, "invalid_slave_response" }, { 1, 6, "prm_fault" }, { 1, 7, "master_lock" },
+    { 2, 0, "prm_req" }, { 2, 1, "stat_diag" }, { 2, 3, "wd_on" }, { 2, 4, "freeze_mode" }, { 2, 5, "sync_mode" },
+    { 2, 6, "not_present" }, { 2, 7, "deactivated" }, { 3, 7, "ext_diag_overflow" },
+}
+local SIZES = { [0] = "unspecific", "bit", "2 bits", "4 bits", "byte", "word", "2 words", "reserved" }
+local CHANNEL_ERRORS = {
+    "short circuit", "undervoltage", "overvoltage", "overload", "overtemperature", "line break",
+    "upper limit exceeded", "lower limit exceeded", "error",
+}
+local ALARM_NAMES = { "diagnosis", "process", "pull", "plug", "status", "update" }
+local STATUS_NAMES = {
+    [1] = "status message", [2] = "module status", [3] = "DXB link status", [30] = "PrmCmdAck", [31] = "Red_State",
+}
+local SPECIFIERS = {
+    [0] = "", "appears, slot disturbed", "disappears, slot is good", "disappears, slot still disturbed",
+}
+local MODULE_STATES = { [0] = "ok", "data invalid", "wrong module", "no module" }
+local PRM_FUNCTIONS = {
+    { 1, "primary request" }, { 2, "stop ms1" }, { 3, "start ms1" }, { 4, "check properties" },
+    { 6, "master state clear" },
+}
+local RED_STATES = {
+    { 0, "backup" }, { 1, "primary" }, { 2, "hardware defect" }, { 3, "data exchange" }, { 4, "master state clear" },
+    { 5, "baud rate found" }, { 6, "output hold time" },
+}
+
+local function is_vendor(number)
+    return number >= 32 and number <= 126
+end
+
+local function alarm_name(number)
+    if ALARM_NAMES[number] then
+        return ALARM_NAMES[number] .. " alarm"
+    end
+    return (is_vendor(number) and "vendor alarm " or "alarm of reserved type ") .. number
+end
+
+local function flag_names(value, known)
+    local names, left = {}, value
+    for _, one in ipairs(known) do
+        if bit(value, one[1]) then
+            names[#names + 1] = one[2]
+            left = left - POWERS[one[1]]
+        end
+    end
+    if left > 0 then
+        names[#names + 1] = string.format("0x%02X (reserved)", left)
+    end
+    return #names > 0 and table.concat(names, ", ") or "none"
+end
+
+-- An alarm or a status from a device related block with its header; nil where it is none.
+local function message_of(block)
+    if #block < 4 or octet(block, 1) ~= #block then
+        return nil
+    end
+    local second, slot, last = octet(block, 2), octet(block, 3), octet(block, 4)
+    local is_status, kind = second >= 128, second % 128
+    if slot > 254 or not ((is_status and STATUS_NAMES or ALARM_NAMES)[kind] or is_vendor(kind)) then
+        return nil
+    end
+    local found = {
+        is_status = is_status, type = kind, slot = slot, specifier = last % 4, data = string.sub(block, 5),
+        sequence = bits(last, 3, 5), add_ack = bit(last, 2),
+    }
+    local how = SPECIFIERS[found.specifier]
+    local title = alarm_name(kind)
+    if is_status then
+        title = STATUS_NAMES[kind] or "vendor status " .. kind
+    end
+    if is_status and kind == 2 then
+        local bad = {}
+        for at = 1, #found.data do
+            for place = 0, 3 do
+                local state = bits(octet(found.data, at), 2 * place, 2)
+                if state > 0 then
+                    bad[#bad + 1] = string.format("slot %d %s", 4 * (at - 1) + place + 1, MODULE_STATES[state])
+                end
+            end
+        end
+        found.text = title .. ": " .. (#bad > 0 and table.concat(bad, ", ") or "all modules ok")
+        return found
+    end
+    if is_status and (kind == 30 or kind == 31) and #found.data >= 3 then
+        how = string.format("sequence number %d, function: %s; this side: %s; the other side: %s", found.sequence,
+            flag_names(octet(found.data, 1), PRM_FUNCTIONS), flag_names(octet(found.data, 2), RED_STATES),
+            flag_names(octet(found.data, 3), RED_STATES))
+    end
+    found.text = string.format("%s, slot %d", title, slot) .. (how ~= "" and ", " .. how or "")
+    return found
+end
+
+-- The blocks of an extended diagnosis: { kind, value, from (1 is the first octet), octets }; and the fault in its lengths.
+local function split_blocks(ext)
+    local blocks, at = {}, 1
+    while at <= #ext do
+        local head = octet(ext, at)
+        local kind, value = bits(head, 6, 2), head % 64
+        local announced = ({ [0] = value, value, 3, 1 })[kind]
+        local left = #ext - at + 1
+        if announced == 0 then
+            return blocks, string.format("octet %d announces a block without any octets, %d octets are left undecoded",
+                at + 6, left)
+        end
+        local octets = string.sub(ext, at, at + announced - 1)
+        if kind ~= 2 or left >= 3 then
+            blocks[#blocks + 1] = { kind = kind, value = value, from = at, octets = octets }
+        end
+        if announced > left then
+            return blocks, string.format("octet %d announces a block of %d octets, %d are left", at + 6, announced, left)
+        end
+        at = at + announced
+    end
+    return blocks
+end
+
+local function channel_text(block)
+    local second, third = octet(block.octets, 2), octet(block.octets, 3)
+    local input, output = bit(second, 6), bit(second, 7)
+    local kind = input and (output and "in/output " or "input ") or (output and "output " or "")
+    local number = third % 32
+    return string.format("slot %d, %schannel %d (%s): %s", 1 + block.value, kind, second % 64, SIZES[bits(third, 5, 3)],
+        CHANNEL_ERRORS[number] or "error " .. number)
+end
+
+local function diag_block(nodes, block)
+    local at, size = 5 + block.from, #block.octets
+    local prefix = "ext_diag_data."
+    if block.kind == 2 then
+        local text = channel_text(block)
+        local inner = group(nodes, "Channel: " .. text, at, size)
+        node(inner, prefix .. "kind", "channel", at)
+        node(inner, prefix .. "module", block.value, at)
+        node(inner, prefix .. "channel", octet(block.octets, 2) % 64, at + 1)
+        node(inner, prefix .. "error", octet(block.octets, 3) % 32, at + 2)
+        node(inner, prefix .. "text", text, at, size)
+    elseif block.kind == 1 then
+        local inner = group(nodes, "Modules with a diagnosis", at, size)
+        node(inner, prefix .. "kind", "identifier", at)
+        for place = 2, size do
+            for number = 0, 7 do
+                if bit(octet(block.octets, place), number) then
+                    node(inner, prefix .. "modules", 8 * (place - 2) + number, at + place - 1)
+                end
+            end
+        end
+    elseif block.kind == 3 then
+        local inner = group(nodes, "Revision", at, size)
+        node(inner, prefix .. "kind", "revision", at)
+        node(inner, prefix .. "revision", block.value, at)
+    else
+        local message = message_of(block.octets)
+        local inner = group(nodes, "Device" .. (message and ", with DP-V1: " .. message.text or ""), at, size)
+        node(inner, prefix .. "kind", "device", at)
+        node_octets(inner, prefix .. "data", at + 1, size - 1)
+        if message then
+            local name = message.is_status and "status" or "alarm"
+            prefix = prefix .. "if_dpv1."
+            node(inner, prefix .. name .. "_type", message.type, at + 1)
+            node(inner, prefix .. "slot_number", message.slot, at + 2)
+            node(inner, prefix .. name .. "_specifier", message.specifier, at + 3)
+            if not message.is_status then
+                node(inner, prefix .. "seq_nr", message.sequence, at + 3)
+                node(inner, prefix .. "add_ack", message.add_ack, at + 3)
+            end
+            node_octets(inner, prefix .. "data", at + 4, size - 4)
+            node(inner, prefix .. "text", message.text, at, size)
+        end
+    end
+end
+
+local function slave_diag(data)
+    if #data < 6 or #data > 244 then
+        refuse("Slave_Diag has %d octets, 6..244 are possible", #data)
+    end
+    local nodes = {}
+    for _, flag in ipairs(DIAG_FLAGS) do
+        if bit(octet(data, flag[1]), flag[2]) then
+            node(nodes, "flags", flag[3], flag[1] - 1)
+        end
+    end
+    if octet(data, 4) ~= 255 then
+        node(nodes, "master_add", octet(data, 4), 3)
+    end
+    node(nodes, "ident_number", word(data, 5), 4, 2)
+    local ext = string.sub(data, 7)
+    local blocks, finding = split_blocks(ext)
+    local used = 0
+    for _, block in ipairs(blocks) do
+        diag_block(nodes, block)
+        used = used + #block.octets
+    end
+    if finding then
+        node_octets(nodes, "rest", 6 + used, #ext - used)
+        node(nodes, "finding", finding, 6, #ext)
+    end
+    return nodes
+end
+
+-- --- DP-V1: records, alarms, class 2 connections ---------------------------------------------------------------------
+
+local IDLE, DATA_TRANSPORT, RESOURCE_MANAGER, INITIATE, ABORT, ALARM_ACK, READ, WRITE =
+    0x48, 0x51, 0x56, 0x57, 0x58, 0x5C, 0x5E, 0x5F
+local FUNCTIONS = {
+    [IDLE] = "Idle", [DATA_TRANSPORT] = "Data_Transport", [RESOURCE_MANAGER] = "Resource_Manager",
+    [INITIATE] = "Initiate", [ABORT] = "Abort", [ALARM_ACK] = "Alarm_Ack", [READ] = "Read", [WRITE] = "Write",
+}
+local MAX_RECORD = 240
+
+local RECORD = layout("DP-V1 service", true, "function", 8, "slot", 8, "record", 8, "length", 8)
+local NEGATIVE = layout("DP-V1 negative response", false, "function", 8, "error_decode", 8, "error_code_1", 8,
+    "error_code_2", 8)
+local ACK = layout("Alarm_Ack", false, "function", 8, "slot", 8, "kind", 8, "specifier", 5, "add_ack", 1,
+    "specifier", 2)
+local MANAGER = layout("Resource_Manager", false, "function", 8, "server_sap", 8, "send_timeout", 16)
+local ABORT_FORM = layout("Abort", true, "function", 8, "subnet", 8, "reserved", 2, "instance", 2, "reason", 4)
+local INITIATE_REQ = layout("Initiate", true, "function", 8, "reserved", 24, "send_timeout", 16, "features", 16,
+    "profile_features", 16, "profile_ident", 16, "s_type", 8, "s_len", 8, "d_type", 8, "d_len", 8)
+local INITIATE_RES = layout("Initiate", true, "function", 8, "max_len_data_unit", 8, "features", 16,
+    "profile_features", 16, "profile_ident", 16, "s_type", 8, "s_len", 8, "d_type", 8, "d_len", 8)
+
+local SUBNETS = { [1] = " in its own subnet", [2] = " in a remote subnet" }
+local REASONS = {
+    [1] = "a service that is not allowed in this state (ABT_SE",
+    [2] = "a request that cannot be read (ABT_FE",
+    [3] = "nothing was heard from the other end in time (ABT_TO",
+    [4] = "a response that cannot be read (ABT_RE",
+    [5] = "an impossible service of its user (ABT_IV",
+    [6] = "the send time-out asked for is too short (ABT_STO",
+    [7] = "an address in Initiate (API, access level, network) that it does not have (ABT_IA",
+    [8] = "it still waits for the end of a service (ABT_OC",
+    [15] = "it has no connection left (ABT_RES",
+}
+local LINK_REASONS = {
+    [1] = "an error of the user (UE", [2] = "no resource (RR", [3] = "the service access point is closed (RS",
+    [9] = "no data (NR", [10] = "data, high priority (DH", [11] = "no resource at the own station (LR",
+    [12] = "data, low priority, but no resource (RDL", [13] = "data, high priority, but no resource (RDH",
+    [14] = "not in the logical ring (DS", [15] = "the other station does not answer (NA",
+}
+
+local function abort_text(subnet, instance, reason)
+    local where = SUBNETS[subnet] or ""
+    if instance == 2 then
+        return string.format("its user, reason %d%s", reason, where)
+    elseif instance == 3 then
+        return string.format("instance %d, reason %d%s, both reserved", instance, reason, where)
+    end
+    local text = (instance == 1 and REASONS or LINK_REASONS)[reason] or "a reserved reason (reason " .. reason
+    return (instance == 0 and "its link layer: " or "") .. text .. where .. ")"
+end
+
+local CODES = {
+    [0xA0] = "read error", [0xA1] = "write error", [0xA2] = "module failure", [0xA8] = "version conflict",
+    [0xA9] = "feature not supported", [0xB0] = "invalid index", [0xB1] = "write length error", [0xB2] = "invalid slot",
+    [0xB3] = "type conflict", [0xB4] = "invalid area", [0xB5] = "state conflict", [0xB6] = "access denied",
+    [0xB7] = "invalid range", [0xB8] = "invalid parameter", [0xB9] = "invalid type",
+    [0xC0] = "read constraint conflict", [0xC1] = "write constraint conflict", [0xC2] = "resource busy",
+    [0xC3] = "resource unavailable",
+}
+-- classes by the standard, and the code from which on they are the device's own
+local CLASSES = { [10] = { "application", 10 }, [11] = { "access", 10 }, [12] = { "resource", 8 } }
+
+local function class_text(class)
+    return CLASSES[class] and CLASSES[class][1] or (class > 12 and "device specific" or "reserved")
+end
+
+local function code_text(code)
+    local class, number = bits(code, 4, 4), code % 16
+    if CODES[code] then
+        return CODES[code]
+    elseif not CLASSES[class] then
+        return class > 12 and class_text(class) .. ": see the device's manual" or "reserved"
+    elseif number >= CLASSES[class][2] then
+        return class_text(class) .. ": device specific, see its manual"
+    end
+    return class_text(class) .. ": reserved code " .. number
+end
+
+local function negative_text(decoding, code_1, code_2)
+    local octets = string.format("%02X %02X %02X", decoding, code_1, code_2)
+    if decoding == 0x80 then
+        local more = code_2 > 0 and string.format(", code 2: 0x%02X", code_2) or ""
+        return string.format("%s (%s: class %s, code %d%s)", code_text(code_1), octets, class_text(bits(code_1, 4, 4)),
+            code_1 % 16, more)
+    elseif decoding >= 0xFE then
+        return string.format("an error in the codes of %s (%s); its manual knows them",
+            decoding == 0xFE and "FMS" or "HART", octets)
+    end
+    return string.format("an error whose codes have no meaning here (%s: Error_Decode 0x%02X is unknown)", octets,
+        decoding)
+end
+
+local function address(nodes, name, at, kind, size)
+    if not ((kind == 0 and size == 2) or (kind == 1 and size >= 8)) then
+        refuse("Initiate: %s of type %d with %d octets; type 0 has 2, type 1 at least 8", name, kind, size)
+    end
+    return { name = name, at = at, size = size }
+end
+
+local function node_address(nodes, data, one)
+    local inner = group(nodes, one.name, one.at, one.size)
+    local prefix = string.lower(one.name)
+    node(inner, prefix .. ".api", octet(data, one.at + 1), one.at)
+    node(inner, prefix .. ".scl", octet(data, one.at + 2), one.at + 1)
+    node_octets(inner, prefix .. ".net", one.at + 2, one.size - 2)
+end
+
+local function initiate(nodes, data, request)
+    check(request and INITIATE_REQ or INITIATE_RES, data)
+    local at = request and 6 or 2
+    local lengths = at + 6
+    local s_type, s_len = octet(data, lengths + 1), octet(data, lengths + 2)
+    local d_type, d_len = octet(data, lengths + 3), octet(data, lengths + 4)
+    local first = lengths + 4
+    if s_len + d_len ~= #data - first then
+        refuse("Initiate: %d and %d octets of addresses are announced, %d came", s_len, d_len, #data - first)
+    end
+    local source = address(nodes, "S_Addr", first, s_type, s_len)
+    local destination = address(nodes, "D_Addr", first + s_len, d_type, d_len)
+    if request then
+        node(nodes, "send_timeout_s", word(data, 5) / 100, 4, 2)
+    else
+        node(nodes, "max_len_data_unit", octet(data, 2), 1)
+    end
+    node(nodes, "features_supported", word(data, at + 1), at, 2)
+    node(nodes, "profile_features_supported", word(data, at + 3), at + 2, 2)
+    node(nodes, "profile_ident_number", word(data, at + 5), at + 4, 2)
+    node_address(nodes, data, source)
+    node_address(nodes, data, destination)
+    if request then
+        return string.format("Initiate, send time-out %s s", string.format("%g", word(data, 5) / 100))
+    end
+    return string.format("Initiate, up to %d octets of data", octet(data, 2))
+end
+
+-- Read, Write, Data_Transport: the four octets of their head are checked by the caller
+local function node_record(nodes, data)
+    node(nodes, "slot_number", octet(data, 2), 1)
+    node(nodes, "index", octet(data, 3), 2)
+end
+
+local function record_title(name, data)
+    return string.format("%s of slot %d, index %d", name, octet(data, 2), octet(data, 3))
+end
+
+local function record_request(nodes, data)
+    local number = octet(data, 1)
+    if number ~= READ and number ~= WRITE then
+        local name = FUNCTIONS[number]
+        refuse("octet 1: %s", name and name .. " is no service here" or string.format("no service 0x%02X", number))
+    end
+    check(RECORD, data)
+    local length, came = octet(data, 4), #data - 4
+    if octet(data, 2) > 254 then
+        refuse("octet 2: there is no slot %d", octet(data, 2))
+    elseif length > MAX_RECORD then
+        refuse("octet 4: %d octets of data, %d are possible", length, MAX_RECORD)
+    end
+    node_record(nodes, data)
+    if number == READ then
+        if came > 0 then
+            refuse("%d octets too many: octet 4 is the last one of a Read request", came)
+        end
+        node(nodes, "length", length, 3)
+        return string.format("%s, up to %d", record_title("Read", data), length)
+    elseif length ~= came then
+        refuse("octet 4 says %d octets of data, %d came", length, came)
+    end
+    node_octets(nodes, "data", 4, came)
+    return string.format("%s, data %d", record_title("Write", data), came)
+end
+
+local function record_response(nodes, data)
+    local number = octet(data, 1)
+    local name = FUNCTIONS[number % 128]
+    if not name then
+        refuse("DP-V1 response: octet 1 is 0x%02X, which is no service", number)
+    elseif number >= 128 then
+        check(NEGATIVE, data)
+        local text = negative_text(octet(data, 2), octet(data, 3), octet(data, 4))
+        node(nodes, "error_decode", octet(data, 2), 1)
+        node(nodes, "error_code_1", octet(data, 3), 2)
+        node(nodes, "error_code_2", octet(data, 4), 3)
+        node(nodes, "text", text, 1, 3)
+        return name .. " refused: " .. text
+    end
+    check(RECORD, data)
+    local length, came = octet(data, 4), #data - 4
+    if number == WRITE then
+        if came > 0 then
+            refuse("Write response has %d octets, octet 4 is the last one", #data)
+        end
+        node_record(nodes, data)
+        node(nodes, "length", length, 3)
+        return string.format("%s, data %d", record_title("Write", data), length)
+    elseif length ~= came or length > MAX_RECORD then
+        refuse("Read response: octet 4 says %d octets of data, %d came", length, came)
+    end
+    node_record(nodes, data)
+    node_octets(nodes, "data", 4, came)
+    return string.format("%s, data %d", record_title("Read", data), came)
+end
+
+-- The nodes of a PDU of MS1 or MS2, and a text for people. Raises what `refuse` raises.
+local function dpv1(data, request)
+    local number = octet(data, 1)
+    local nodes = {}
+    node(nodes, "function_num", number, 0)
+    if FUNCTIONS[number % 128] then
+        node(nodes, "function", FUNCTIONS[number % 128], 0)
+    end
+    local text
+    if number == IDLE then
+        text = "Idle"
+    elseif number == ABORT then
+        check(ABORT_FORM, data)
+        local subnet, last = octet(data, 2), octet(data, 3)
+        text = abort_text(subnet, bits(last, 4, 2), last % 16)
+        node(nodes, "subnet", subnet, 1)
+        node(nodes, "instance", bits(last, 4, 2), 2)
+        node(nodes, "reason_code", last % 16, 2)
+        node(nodes, "text", text, 1, 2)
+        text = "Abort: " .. text
+    elseif number == RESOURCE_MANAGER then
+        check(MANAGER, data)
+        if octet(data, 2) > 48 then
+            refuse("Resource_Manager: octet 2: %d is no server SAP (0..48)", octet(data, 2))
+        end
+        local timeout = word(data, 3) / 100
+        node(nodes, "server_sap", octet(data, 2), 1)
+        node(nodes, "send_timeout_s", timeout, 2, 2)
+        text = string.format("server SAP %d, send time-out %s s", octet(data, 2), string.format("%g", timeout))
+    elseif number == INITIATE then
+        text = initiate(nodes, data, request)
+    elseif number == ALARM_ACK then
+        check(ACK, data)
+        local kind, last = octet(data, 3), octet(data, 4)
+        node(nodes, "slot_number", octet(data, 2), 1)
+        node(nodes, "alarm_type", kind, 2)
+        node(nodes, "alarm", alarm_name(kind), 2)
+        node(nodes, "alarm_specifier", last % 4, 3)
+        node(nodes, "seq_nr", bits(last, 3, 5), 3)
+        node(nodes, "add_ack", bit(last, 2), 3)
+        text = string.format("Alarm_Ack of %s, slot %d, sequence number %d", alarm_name(kind), octet(data, 2),
+            bits(last, 3, 5))
+    elseif number == DATA_TRANSPORT then
+        check(RECORD, data)
+        local length, came = octet(data, 4), #data - 4
+        if length ~= came or length > MAX_RECORD then
+            refuse("Data_Transport: octet 4 says %d octets of data, %d came", length, came)
+        end
+        node_record(nodes, data)
+        node_octets(nodes, "data", 4, came)
+        text = string.format("%s, data %d", record_title("Data_Transport", data), came)
+    elseif request then
+        text = record_request(nodes, data)
+    else
+        text = record_response(nodes, data)
+    end
+    return nodes, text
+end
+
+local REQUEST_UNITS = { [61] = set_prm, [62] = configuration, [58] = global_control, [55] = set_slave_add }
+local ANSWER_UNITS = { [60] = slave_diag, [59] = configuration }
+
+-- slave's and master's SAP of a telegram
+local function saps(telegram)
+    if telegram.request then
+        return telegram.dsap, telegram.ssap
+    end
+    return telegram.ssap, telegram.dsap
+end
+
+local function is_dpv1(slave, master)
+    return slave == 50 or slave == 51 or (slave <= 49 and master == 50)
+end
+
+-- The nodes of a telegram's data unit, and the reason where it cannot be read.
+local function data_unit(telegram)
+    local slave, master = saps(telegram)
+    if slave == nil or telegram.data == "" then
+        return {}
+    end
+    local read = (telegram.request and REQUEST_UNITS or ANSWER_UNITS)[slave]
+    if not read and not is_dpv1(slave, master) then
+        return {}
+    end
+    local good, found = pcall(read or dpv1, telegram.data, telegram.request)
+    if good then
+        return found
+    elseif type(found) == "table" then
+        return {}, found.pdu
+    end
+    error(found, 0)
+end
+
+-- --- a telegram in words, as dpstack/decode/words.py has it ----------------------------------------------------------
+
+local function contents(telegram)
+    local slave, master = saps(telegram)
+    if slave == nil or telegram.data == "" then
+        return ""
+    elseif slave == 60 then
+        local texts = {}
+        if not telegram.request and #telegram.data >= 6 and #telegram.data <= 244 then
+            for _, block in ipairs((split_blocks(string.sub(telegram.data, 7)))) do
+                local message = block.kind == 0 and message_of(block.octets)
+                if message then
+                    local number = message.is_status and "" or ", sequence number " .. message.sequence
+                    texts[#texts + 1] = message.text .. number
+                end
+            end
+        end
+        return table.concat(texts, "; ")
+    elseif is_dpv1(slave, master) then
+        local good, found, text = pcall(dpv1, telegram.data, telegram.request)
+        if good then
+            return text
+        elseif type(found) == "table" then
+            return "cannot be read (" .. found.pdu .. ")"
+        end
+        error(found, 0)
+    end
+    return ""
+end
+
+local function control_text(data)
+    local control, groups = octet(data, 1), octet(data, 2)
+    local words = { bit(control, 1) and "Clear" or "Operate" }
+    for number, name in pairs({ [2] = "Unfreeze", [3] = "Freeze", [4] = "Unsync", [5] = "Sync" }) do
+        if bit(control, number) then
+            words[#words + 1] = { number, name }
+        end
+    end
+    local sorted = {}
+    for at = 2, #words do
+        sorted[at - 1] = words[at]
+    end
+    table.sort(sorted, function(one, other) return one[1] < other[1] end)
+    local parts = { words[1] }
+    for _, one in ipairs(sorted) do
+        parts[#parts + 1] = one[2]
+    end
+    local reserved = control - bits(control, 1, 5) * 2
+    if reserved > 0 then
+        parts[#parts + 1] = string.format("reserved bits 0x%02x", reserved)
+    end
+    local members = {}
+    for number = 0, 7 do
+        if bit(groups, number) then
+            members[#members + 1] = number + 1
+        end
+    end
+    return table.concat(parts, " ") .. ", "
+        .. (#members > 0 and "group " .. table.concat(members, ", ") or "all groups")
+end
+
+local function function_text(telegram)
+    if not telegram.request then
+        return (RESPONSES[telegram.func] or "status " .. telegram.func) .. ", " .. STATION_TYPES[bits(telegram.fc, 4, 2)]
+    end
+    local parts = {}
+    if SHORT_NAMES[telegram.func] then
+        parts[1] = SHORT_NAMES[telegram.func]
+    elseif not BY_FUNCTION[telegram.func] then
+        parts[1] = "function " .. telegram.func
+    end
+    local fcv, fcb = bit(telegram.fc, 4), bit(telegram.fc, 5)
+    if fcv or fcb or COUNTED[telegram.func] then
+        parts[#parts + 1] = string.format("FCV=%d FCB=%d", fcv and 1 or 0, fcb and 1 or 0)
+    end
+    return #parts > 0 and table.concat(parts, ", ") or string.format("FC 0x%02x", telegram.fc)
+end
+
+local function describe(telegram)
+    local name = service_of(telegram)
+    if telegram.kind == "SC" then
+        return "SC"
+    end
+    local way = telegram.sa .. " -> " .. (telegram.da == BROADCAST and "all" or telegram.da)
+    if telegram.kind == "SD4" then
+        return "token " .. way .. (telegram.sa == telegram.da and " (to itself)" or "")
+    end
+    local side = "answer "
+    if telegram.request then
+        side = UNANSWERED[telegram.func] and "" or "request "
+    elseif name == "acknowledgement" then
+        side = ""
+    end
+    local parts = { name .. " " .. side .. way }
+    local size = #telegram.data
+    if name == "Global_Control" and telegram.request and size == 2 then
+        parts[#parts + 1] = control_text(telegram.data)
+    elseif size > 0 then
+        local words = contents(telegram)
+        parts[#parts + 1] = size .. (size == 1 and " octet" or " octets") .. (words ~= "" and ": " .. words or "")
+    end
+    if telegram.kind == "SD2" and size == 0 and not (telegram.dsap or telegram.ssap or telegram.dseg or telegram.sseg) then
+        parts[#parts + 1] = "LE = 3"
+    end
+    if telegram.dseg then
+        parts[#parts + 1] = "DSEG " .. telegram.dseg
+    end
+    if telegram.sseg then
+        parts[#parts + 1] = "SSEG " .. telegram.sseg
+    end
+    return table.concat(parts, ", ") .. " (" .. function_text(telegram) .. ")"
+end
+
+-- --- the course of the bus, as dpstack/decode/course.py follows it ---------------------------------------------------
+
+-- by port: asked, missed, last, holder
+local lines = {}
+-- by number of the packet: what it is in the course
+local steps = {}
+-- by number of a request: the number of its answer; the number of the telegram that ended the wait for one
+local answers, given_up = {}, {}
+local NOTHING = {}
+
+local function without_token(line, sa)
+    local holder = line.holder
+    line.holder = sa
+    if holder == nil or holder == sa then
+        return {}
+    end
+    return { string.format("station %d sends without the token, which station %d holds", sa, holder) }
+end
+
+local function give_up(line, number)
+    local asked = line.asked
+    line.asked = nil
+    if asked == nil then
+        return nil
+    end
+    line.missed = asked
+    given_up[asked.number] = number
+    return asked.number
+end
+
+local function same_telegram(one, other)
+    for _, key in ipairs({ "kind", "da", "sa", "fc", "dsap", "ssap", "data", "dseg", "sseg" }) do
+        if one[key] ~= other[key] then
+            return false
+        end
+    end
+    return true
+end
+
+local function follow_request(line, telegram, number)
+    local remarks = without_token(line, telegram.sa)
+    local step = { unanswered = give_up(line, number), remarks = remarks, pair = { telegram.sa, telegram.da } }
+    if telegram.da == BROADCAST or UNANSWERED[telegram.func] then
+        return step
+    end
+    local request = { telegram = telegram, number = number, answered = false }
+    line.asked = request
+    if not COUNTED[telegram.func] then
+        return step
+    end
+    local pair = telegram.sa * 128 + telegram.da
+    local before = line.last[pair]
+    line.last[pair] = request
+    if before == nil then
+        return step
+    end
+    local fc, old = telegram.fc, before.telegram.fc
+    local same_bit = bits(fc, 4, 2) == bits(old, 4, 2)
+    if not before.answered and same_telegram(telegram, before.telegram) then
+        step.retry_of = before.number
+    elseif bit(fc, 4) and before.answered and bit(fc, 5) == bit(old, 5) then
+        remarks[#remarks + 1] = string.format(
+            "the frame count bit was not turned: station %d takes this for a repetition", telegram.da)
+    elseif bit(fc, 4) and not before.answered and not same_bit then
+        remarks[#remarks + 1] =
+            "another request with a turned frame count bit, though the one before was not answered"
+    end
+    return step
+end
+
+local function fits(telegram, request)
+    return telegram.kind == "SC" or (telegram.sa == request.da and telegram.da == request.sa)
+end
+
+local function answer_step(request, number)
+    local asked = request.telegram
+    answers[request.number] = answers[request.number] or number
+    return {
+        answer_to = request.number, service = service_of(asked), from = asked.da, remarks = {},
+        pair = { asked.sa, asked.da },
+    }
+end
+
+local function follow_answer(line, telegram, number)
+    local asked, missed = line.asked, line.missed
+    if asked and fits(telegram, asked.telegram) then
+        line.asked, line.missed = nil, nil
+        asked.answered = true
+        return answer_step(asked, number)
+    elseif missed and fits(telegram, missed.telegram) then
+        line.missed = nil
+        local step = answer_step(missed, number)
+        step.late = true
+        step.remarks = {
+            string.format("an answer to telegram %d, when nobody waited for it any more", missed.number),
+        }
+        return step
+    end
+    return { remarks = { "an answer that no request before it asked for" } }
+end
+
+local function follow(port, telegram, number)
+    local line = lines[port]
+    if line == nil then
+        line = { last = {} }
+        lines[port] = line
+    end
+    if telegram == nil then
+        line.missed = nil
+        return { damaged = true, remarks = {} }
+    elseif telegram.kind == "SD4" then
+        local remarks = without_token(line, telegram.sa)
+        line.holder = telegram.da
+        return { unanswered = give_up(line, number), remarks = remarks, token = true }
+    elseif telegram.request then
+        return follow_request(line, telegram, number)
+    end
+    return follow_answer(line, telegram, number)
+end
+
+-- Put the time from the end of its request into the step of an answer, as soon as times and the rate are known.
+local function time_answer(step, baud)
+    local request = step.answer_to and steps[step.answer_to]
+    if request and not step.response_ns and step.begun and request.begun and baud > 0 then
+        local duration = math.floor((request.size * 11 * 1000000000 + math.floor(baud / 2)) / baud)
+        step.response_ns = step.begun - request.begun - duration
+    end
+end
+
+-- --- fields ----------------------------------------------------------------------------------------------------------
+
+local yes_no = { "yes", "no" }
+local fields = {}
+local register = {}
+
+local function define(key, make)
+    fields[key] = make
+    register[#register + 1] = make
+end
+
+local function abbreviation(key)
+    return "profibus." .. key
+end
+
+local function text_field(key, name)
+    define(key, ProtoField.string(abbreviation(key), name))
+end
+
+local function number_field(key, name, most)
+    define(key, ProtoField[most and "uint" .. most or "uint8"](abbreviation(key), name, base.DEC))
+end
+
+local function hex_field(key, name, most)
+    define(key, ProtoField["uint" .. (most or 8)](abbreviation(key), name, base.HEX))
+end
+
+local function yes_no_field(key, name)
+    define(key, ProtoField.bool(abbreviation(key), name, base.NONE, yes_no))
+end
+
+local function octets_field(key, name)
+    define(key, ProtoField.bytes(abbreviation(key), name, base.SPACE))
+end
+
+text_field("kind", "Kind of telegram")
+number_field("da", "Destination address (DA)")
+number_field("sa", "Source address (SA)")
+number_field("from", "From the station asked")
+hex_field("fc", "Function code (FC)")
+text_field("function", "Function")
+text_field("station_type", "Station type")
+yes_no_field("fcb", "Frame count bit (FCB)")
+yes_no_field("fcv", "Frame count bit valid (FCV)")
+number_field("le", "Length (LE)")
+number_field("dsap", "Destination SAP (DSAP)")
+number_field("ssap", "Source SAP (SSAP)")
+number_field("dseg", "Destination segment (DSEG)")
+number_field("sseg", "Source segment (SSEG)")
+hex_field("fcs", "Check sequence (FCS)")
+text_field("service", "Service")
+octets_field("data", "Data unit")
+octets_field("octets", "Octets")
+text_field("error", "Error")
+text_field("damage", "Marked by the port")
+text_field("text", "In words")
+text_field("pair", "Master and station")
+define("retry_of", ProtoField.framenum("profibus.retry_of", "Retry of", base.NONE, frametype.RETRANS_PREV))
+define("response_in", ProtoField.framenum("profibus.response_in", "Answered in", base.NONE, frametype.RESPONSE))
+define("response_to", ProtoField.framenum("profibus.response_to", "Answer to", base.NONE, frametype.REQUEST))
+define("unanswered", ProtoField.framenum("profibus.unanswered", "Not answered before this", base.NONE, frametype.REQUEST))
+define("given_up_in", ProtoField.framenum("profibus.given_up_in", "Not answered until", base.NONE))
+define("response_time", ProtoField.relative_time("profibus.response_time", "Response time"))
+yes_no_field("late", "Late answer")
+text_field("remark", "Out of order")
+
+-- of a data unit: the names of the standard
+for _, name in ipairs({
+    "Lock_Req", "Unlock_Req", "Sync_Req", "Freeze_Req", "WD_On", "DPV1_Enable", "Fail_Safe", "WD_Base_1ms",
+    "Check_Cfg_Mode", "Prm_Structure", "PrmCmd", "Cfg_Data.consistent", "Clear_Data", "Unfreeze", "Freeze", "Unsync",
+    "Sync", "No_Add_Chg", "Add_Ack", "Ext_Diag_Data.if_dpv1.Add_Ack",
+}) do
+    yes_no_field("dp." .. string.lower(name), name)
+end
+for _, name in ipairs({
+    "WD_Fact_1", "WD_Fact_2", "min_T_SDR", "Group_Ident", "Blocks.type", "Blocks.slot", "Blocks.specifier",
+    "Cfg_Data.inputs", "Cfg_Data.outputs", "Group_Select", "New_Slave_Add", "Master_Add", "Ext_Diag_Data.module",
+    "Ext_Diag_Data.channel", "Ext_Diag_Data.error", "Ext_Diag_Data.revision", "Ext_Diag_Data.if_dpv1.Alarm_Type",
+    "Ext_Diag_Data.if_dpv1.Status_Type", "Ext_Diag_Data.if_dpv1.Slot_Number", "Ext_Diag_Data.if_dpv1.Alarm_Specifier",
+    "Ext_Diag_Data.if_dpv1.Status_Specifier", "Ext_Diag_Data.if_dpv1.Seq_Nr", "Subnet", "Instance", "Reason_Code",
+    "Server_SAP", "Slot_Number", "Alarm_Type", "Alarm_Specifier", "Seq_Nr", "Index", "Length", "Max_Len_Data_Unit",
+    "S_Addr.API", "S_Addr.SCL", "D_Addr.API", "D_Addr.SCL",
+}) do
+    number_field("dp." .. string.lower(name), name)
+end
+number_field("dp.watchdog_ms", "Watchdog time in ms", 32)
+number_field("dp.ext_diag_data.modules", "Ext_Diag_Data.modules", 16)
+for _, name in ipairs({
+    "Ident_Number", "Features_Supported", "Profile_Features_Supported", "Profile_Ident_Number",
+}) do
+    hex_field("dp." .. string.lower(name), name, 16)
+end
+for _, name in ipairs({ "Function_Num", "Error_Decode", "Error_Code_1", "Error_Code_2" }) do
+    hex_field("dp." .. string.lower(name), name)
+end
+for _, name in ipairs({
+    "Alarms", "Alarm_Mode", "flags", "finding", "Ext_Diag_Data.kind", "Ext_Diag_Data.text",
+    "Ext_Diag_Data.if_dpv1.text", "function", "text", "alarm",
+}) do
+    text_field("dp." .. string.lower(name), name)
+end
+for _, name in ipairs({
+    "User_Prm_Data", "Blocks.data", "Cfg_Data.identifier", "Cfg_Data.manufacturer", "Rem_Slave_Data", "rest",
+    "Ext_Diag_Data.data", "Ext_Diag_Data.if_dpv1.data", "data", "S_Addr.net", "D_Addr.net",
+}) do
+    octets_field("dp." .. string.lower(name), name)
+end
+define("dp.send_timeout_s", ProtoField.double("profibus.dp.send_timeout_s", "Send time-out in s"))
+profibus.fields = register
+
+local experts = {
+    retry = ProtoExpert.new("profibus.expert.retry", "Retry", expert.group.SEQUENCE, expert.severity.NOTE),
+    lost = ProtoExpert.new("profibus.expert.lost", "Not answered", expert.group.SEQUENCE, expert.severity.WARN),
+    late = ProtoExpert.new("profibus.expert.late", "Late answer", expert.group.SEQUENCE, expert.severity.WARN),
+    remark = ProtoExpert.new("profibus.expert.remark", "Out of order", expert.group.SEQUENCE, expert.severity.WARN),
+    damaged = ProtoExpert.new("profibus.expert.damaged", "Damaged", expert.group.CHECKSUM, expert.severity.ERROR),
+    unreadable = ProtoExpert.new("profibus.expert.unreadable", "Data unit that cannot be read", expert.group.MALFORMED,
+        expert.severity.WARN),
+    refused = ProtoExpert.new("profibus.expert.refused", "Refused", expert.group.RESPONSE_CODE, expert.severity.NOTE),
+    gap = ProtoExpert.new("profibus.expert.gap", "Octets are missing before this", expert.group.SEQUENCE,
+        expert.severity.WARN),
+}
+profibus.experts = {
+    experts.retry, experts.lost, experts.late, experts.remark, experts.damaged, experts.unreadable, experts.refused,
+    experts.gap,
+}
+
+-- --- what the file says of a packet ----------------------------------------------------------------------------------
+
+local function extractor(name)
+    local good, found = pcall(Field.new, name)
+    return good and found or function() end
+end
+
+local frame_port = extractor("frame.interface_name")
+local frame_about = extractor("frame.interface_description")
+local frame_comment = extractor("frame.comment")
+-- error bits of epb_flags, in the order of dpstack
+local MARKS = {
+    { extractor("frame.packet_flags_crc_error"), "check sequence" },
+    { extractor("frame.packet_flags_packet_too_error"), "too long" },
+    { extractor("frame.packet_flags_packet_too_short_error"), "too short" },
+    { extractor("frame.packet_flags_start_frame_delimiter_error"), "start octet" },
+    { extractor("frame.packet_flags_symbol_error"), "parity or framing" },
+}
+
+-- Time of the first bit in ns since the first packet, nil where the file has none. (As a number, the time since 1970
+-- would not be exact to the nanosecond.)
+local function time_of_frame(pinfo)
+    if pinfo.abs_ts == 0 then
+        return nil
+    end
+    return math.floor(pinfo.rel_ts * 1000000000 + 0.5)
+end
+
+local UNITS = { [""] = 1, k = 1000, M = 1000000 }
+-- by description of an interface
+local rates = {}
+
+-- the baud rate that the description of an interface names last ("PROFIBUS /dev/ttyUSB0, 500 kbit/s")
+local function baud_of_frame()
+    if profibus.prefs.baud > 0 then
+        return profibus.prefs.baud
+    end
+    local info = frame_about()
+    local about = info and tostring(info.value) or ""
+    if rates[about] == nil then
+        rates[about] = 0
+        for number, unit in string.gmatch(about, "(%d+%.?%d*) ([kM]?)bit/s") do
+            rates[about] = math.floor(tonumber(number) * UNITS[unit] + 0.5)
+        end
+    end
+    return rates[about]
+end
+
+local function marks_of_frame()
+    local found = {}
+    for _, mark in ipairs(MARKS) do
+        local info = mark[1]()
+        if info and info.value then
+            found[#found + 1] = mark[2]
+        end
+    end
+    return table.concat(found, ", ")
+end
+
+-- --- the tree --------------------------------------------------------------------------------------------------------
+
+local function add_nodes(tree, tvb, start, nodes)
+    for _, one in ipairs(nodes) do
+        local range = tvb(start + one.at, one.size)
+        if one.title then
+            add_nodes(tree:add(range, one.title), tvb, start, one)
+        elseif one.value == nil then
+            tree:add(fields["dp." .. one.key], range)
+        else
+            tree:add(fields["dp." .. one.key], range, one.value)
+        end
+    end
+end
+
+local function add_link_layer(tree, tvb, telegram)
+    tree:add(fields.kind, tvb(0, 1), telegram.kind)
+    if telegram.kind == "SC" then
+        return
+    end
+    if telegram.kind == "SD2" then
+        tree:add(fields.le, tvb(1, 1))
+    end
+    tree:add(fields.da, tvb(telegram.da_at, 1), telegram.da)
+    tree:add(fields.sa, tvb(telegram.da_at + 1, 1), telegram.sa)
+    if telegram.kind == "SD4" then
+        return
+    end
+    local range = tvb(telegram.da_at + 2, 1)
+    local fc = tree:add(fields.fc, range)
+    local names = telegram.request and REQUESTS or RESPONSES
+    fc:add(fields["function"], range, names[telegram.func] or "reserved " .. telegram.func)
+    fc:append_text(" (" .. function_text(telegram) .. ")")
+    if telegram.request then
+        fc:add(fields.fcb, range, bit(telegram.fc, 5))
+        fc:add(fields.fcv, range, bit(telegram.fc, 4))
+    else
+        fc:add(fields.station_type, range, STATION_TYPES[bits(telegram.fc, 4, 2)])
+    end
+    for _, key in ipairs({ "dsap", "dseg", "ssap", "sseg" }) do
+        if telegram[key] then
+            local item = tree:add(fields[key], tvb(telegram[key .. "_at"], 1), telegram[key])
+            local name = key ~= "dseg" and key ~= "sseg" and BY_SAP[telegram[key]]
+            if name and (key == "dsap") == telegram.request then
+                item:append_text(" (" .. name .. ")")
+            end
+        end
+    end
+    tree:add(fields.fcs, tvb(telegram.end_at, 1)):append_text(" (right)")
+end
+
+local function add_course(tree, step, number)
+    if step.pair then
+        tree:add(fields.pair, step.pair[1] .. "-" .. step.pair[2]):set_generated()
+    end
+    if answers[number] then
+        tree:add(fields.response_in, answers[number]):set_generated()
+    elseif given_up[number] then
+        local item = tree:add(fields.given_up_in, given_up[number]):set_generated()
+        item:add_proto_expert_info(experts.lost, "Nobody answered")
+    end
+    if step.retry_of then
+        local item = tree:add(fields.retry_of, step.retry_of):set_generated()
+        item:add_proto_expert_info(experts.retry, "Retry of telegram " .. step.retry_of)
+    end
+    if step.unanswered then
+        local item = tree:add(fields.unanswered, step.unanswered):set_generated()
+        if not step.retry_of then
+            item:add_proto_expert_info(experts.lost, "Telegram " .. step.unanswered .. " was not answered")
+        end
+    end
+    if step.answer_to then
+        tree:add(fields.response_to, step.answer_to):set_generated()
+        if step.response_ns then
+            local ns = step.response_ns
+            local seconds = math.floor(ns / 1000000000)
+            if ns < 0 then
+                seconds = -math.floor(-ns / 1000000000)
+            end
+            tree:add(fields.response_time, NSTime.new(seconds, ns - seconds * 1000000000)):set_generated()
+        end
+        if step.late then
+            tree:add(fields.late, true):set_generated()
+        end
+    end
+    for _, remark in ipairs(step.remarks) do
+        local item = tree:add(fields.remark, remark):set_generated()
+        item:add_proto_expert_info(step.late and experts.late or experts.remark, remark)
+    end
+end
+
+-- the parts of the text that `dpstack decode` prints; and the text for the column, in which an SC has its service
+local function words(telegram, flaw, unit_error, step, notes)
+    local parts = { telegram and describe(telegram) or flaw }
+    if unit_error then
+        parts[#parts + 1] = "cannot be read: " .. unit_error
+    end
+    if step.retry_of then
+        parts[#parts + 1] = "retry of " .. step.retry_of
+    elseif step.unanswered then
+        parts[#parts + 1] = step.unanswered .. " was not answered"
+    end
+    for _, list in ipairs({ step.remarks, notes }) do
+        for _, text in ipairs(list) do
+            parts[#parts + 1] = text
+        end
+    end
+    local text = table.concat(parts, "; ")
+    if telegram and telegram.kind == "SC" and step.service then
+        parts[1] = "SC: " .. step.service .. " acknowledged by " .. step.from
+    end
+    return text, table.concat(parts, "; ")
+end
+
+function profibus.dissector(tvb, pinfo, tree)
+    local size = tvb:reported_length_remaining()
+    local octets = tvb:captured_len() > 0 and tvb:raw() or ""
+    local number = pinfo.number
+    local telegram, flaw = decode(octets)
+    local step = steps[number]
+    if step == nil then
+        local port = frame_port()
+        step = follow(port and tostring(port.value) or "", telegram, number)
+        step.begun, step.size = time_of_frame(pinfo), #octets
+        steps[number] = step
+    end
+    time_answer(step, baud_of_frame())
+    local nodes, unit_error = NOTHING, nil
+    if telegram then
+        nodes, unit_error = data_unit(telegram)
+    end
+
+    local marks = marks_of_frame()
+    local notes = {}
+    if marks ~= "" then
+        notes[1] = "marked by the port: " .. marks
+    end
+    for _, comment in ipairs({ frame_comment() }) do
+        notes[#notes + 1] = tostring(comment.value)
+    end
+
+    local text, info = words(telegram, flaw, unit_error, step, notes)
+    pinfo.cols.protocol = "PROFIBUS"
+    pinfo.cols.info = info
+    if telegram and telegram.sa then
+        pinfo.cols.src = tostring(telegram.sa)
+        pinfo.cols.dst = telegram.da == BROADCAST and "all" or tostring(telegram.da)
+    elseif step.pair then
+        pinfo.cols.src = tostring(step.pair[2])
+        pinfo.cols.dst = tostring(step.pair[1])
+    end
+
+    local all = size > 0 and tvb() or nil
+    local root = all and tree:add(profibus, all, "PROFIBUS: " .. info) or tree:add(profibus, "PROFIBUS: " .. info)
+    root:add(fields.text, text):set_generated()
+    if telegram then
+        add_link_layer(root:add(all, "Link layer (FDL)"), tvb, telegram)
+        local service = service_of(telegram)
+        if step.service and (telegram.kind == "SC" or (telegram.dsap == nil and telegram.ssap == nil)) then
+            service = step.service
+        end
+        root:add(fields.service, service):set_generated()
+        if telegram.kind == "SC" and step.from then
+            root:add(fields.from, step.from):set_generated()
+        end
+        if telegram.data ~= "" then
+            local range = tvb(telegram.data_at, #telegram.data)
+            local unit = root:add(range, service .. ", data unit")
+            unit:add(fields.data, range)
+            add_nodes(unit, tvb, telegram.data_at, nodes)
+            if unit_error then
+                unit:add(fields.error, range, unit_error):add_proto_expert_info(experts.unreadable, unit_error)
+            end
+        end
+        if not telegram.request and telegram.fc and not (telegram.func == 0 or telegram.func == 8 or telegram.func == 10) then
+            root:add_proto_expert_info(experts.refused, "Answered " .. (RESPONSES[telegram.func] or "by a reserved status"))
+        end
+    else
+        if all then
+            root:add(fields.octets, all)
+        end
+        root:add(fields.error, flaw):add_proto_expert_info(experts.damaged, flaw)
+    end
+    if marks ~= "" then
+        root:add(fields.damage, marks):add_proto_expert_info(experts.damaged, "Marked by the port: " .. marks)
+    end
+    for at = marks ~= "" and 2 or 1, #notes do
+        if string.find(notes[at], "lost") or string.find(notes[at], "gap") then
+            root:add_proto_expert_info(experts.gap, notes[at])
+        end
+    end
+    add_course(root:add(profibus, "Course of the bus"), step, number)
+    return size
+end
+
+function profibus.init()
+    lines, steps, answers, given_up, rates = {}, {}, {}, {}, {}
+end
+
+-- link type 147 and no other one
+DissectorTable.get("wtap_encap"):add((wtap_encaps or wtap).USER0, profibus)
+
+-- --- the table by master and slave -----------------------------------------------------------------------------------
+
+local COLUMNS = { "requests", "answers", "retries", "no answer", "late", "min us", "mean us", "max us" }
+
+local function new_table()
+    return { rows = {}, telegrams = 0, tokens = 0, damaged = 0, unasked = 0 }
+end
+
+local function row_of(counts, pair)
+    local key = pair[1] * 128 + pair[2]
+    if counts.rows[key] == nil then
+        counts.rows[key] = { pair = pair, requests = 0, answers = 0, retries = 0, lost = 0, late = 0, sum = 0, timed = 0 }
+    end
+    return counts.rows[key]
+end
+
+local function count(counts, number)
+    local step = steps[number]
+    if step == nil then
+        return
+    end
+    counts.telegrams = counts.telegrams + 1
+    if step.damaged then
+        counts.damaged = counts.damaged + 1
+    elseif step.token then
+        counts.tokens = counts.tokens + 1
+    elseif step.pair and not step.answer_to then
+        local row = row_of(counts, step.pair)
+        row.requests = row.requests + 1
+        row.retries = row.retries + (step.retry_of and 1 or 0)
+    elseif step.pair then
+        local row = row_of(counts, step.pair)
+        row.answers = row.answers + (step.late and 0 or 1)
+        row.late = row.late + (step.late and 1 or 0)
+        if step.response_ns and not step.late then
+            local us = step.response_ns / 1000
+            row.sum, row.timed = row.sum + us, row.timed + 1
+            row.min, row.max = math.min(row.min or us, us), math.max(row.max or us, us)
+        end
+    else
+        counts.unasked = counts.unasked + 1
+    end
+    local missed = step.unanswered and steps[step.unanswered]
+    if missed and missed.pair then
+        local row = row_of(counts, missed.pair)
+        row.lost = row.lost + 1
+    end
+end
+
+local function table_text(counts)
+    local keys, out = {}, {}
+    for key in pairs(counts.rows) do
+        keys[#keys + 1] = key
+    end
+    table.sort(keys)
+    out[1] = "PROFIBUS by master and slave"
+    out[2] = string.format("%6s %5s" .. string.rep(" %9s", #COLUMNS), "master", "slave", table.unpack(COLUMNS))
+    for _, key in ipairs(keys) do
+        local row = counts.rows[key]
+        local times = { "-", "-", "-" }
+        if row.timed > 0 then
+            times = {
+                string.format("%.1f", row.min), string.format("%.1f", row.sum / row.timed), string.format("%.1f", row.max),
+            }
+        end
+        local slave = row.pair[2] == BROADCAST and "all" or tostring(row.pair[2])
+        out[#out + 1] = string.format("%6d %5s %9d %9d %9d %9d %9d %9s %9s %9s", row.pair[1], slave, row.requests,
+            row.answers, row.retries, row.lost, row.late, times[1], times[2], times[3])
+    end
+    out[#out + 1] = string.format("%d telegrams, %d of them tokens, %d damaged, %d answers without a request",
+        counts.telegrams, counts.tokens, counts.damaged, counts.unasked)
+    return table.concat(out, "\n")
+end
+
+local function tap(show)
+    local counts = new_table()
+    local listener = Listener.new("frame", "profibus")
+    function listener.packet(pinfo)
+        count(counts, pinfo.number)
+    end
+    function listener.draw()
+        show(table_text(counts))
+    end
+    function listener.reset()
+        counts = new_table()
+    end
+    return listener
+end
+
+if gui_enabled() then
+    register_menu("PROFIBUS/Table by master and slave", function()
+        local window = TextWindow.new("PROFIBUS by master and slave")
+        local listener = tap(function(text) window:set(text) end)
+        window:set_atclose(function() listener:remove() end)
+        retap_packets()
+    end, MENU_TOOLS_UNSORTED)
+else
+    local listening = nil
+    function profibus.prefs_changed()
+        if profibus.prefs.table and not listening then
+            listening = tap(function(text) io.stdout:write(text, "\n") end)
+        elseif listening and not profibus.prefs.table then
+            listening:remove()
+            listening = nil
+        end
+    end
+end
