@@ -40,6 +40,10 @@ class Histogram:
         """A copy of the counters of a running bus must not take long: its buckets are plain numbers."""
         return replace(self, buckets=dict(self.buckets))
 
+    def values(self) -> list[tuple[int, int]]:
+        """The durations in ns, each to 0.4 %, with the count of each, in ascending order."""
+        return [(min(max(_value(key), self.min_ns), self.max_ns), self.buckets[key]) for key in sorted(self.buckets)]
+
     def quantile_ns(self, q: float) -> int:
         """The smallest bucket value at or above which ``q`` (0..1) of the durations lie; 0 when empty."""
         if not self.count:

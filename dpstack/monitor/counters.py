@@ -101,8 +101,8 @@ class Station:
 
     ``repeated_polls``: unanswered requests without a frame count that were sent again as they were. ``late``: answers
     when nobody waited for them any more. ``syncs``: bring-ups that ended in data exchange. ``lost``: times it left data
-    exchange. ``answer_ns``: from the end of the request to the begin of the answer (T_SDR). ``in_vain``: requests since
-    its last answer.
+    exchange. ``set_prm``: the data unit of the last Set_Prm that it acknowledged. ``answer_ns``: from the end of the
+    request to the begin of the answer (T_SDR). ``in_vain``: requests since its last answer.
     """
 
     address: int
@@ -118,6 +118,7 @@ class Station:
     rr: int = 0
     diagnoses: int = 0
     diagnosis: bytes | None = None
+    set_prm: bytes | None = None
     syncs: int = 0
     lost: int = 0
     state: str = State.UNKNOWN
@@ -395,6 +396,7 @@ class Counters:
             if dsap == SAP_SET_PRM:
                 station.state = State.SET_PRM
                 station.master = request.sa
+                station.set_prm = request.data
             elif dsap == SAP_CHK_CFG:
                 station.state = State.CHK_CFG
 

@@ -1,0 +1,593 @@
+"""The acceptance report of a bus: one HTML file that a customer reads, prints and signs. No network, no script.
+
+It is made of the summary of ``monitor --json``; every figure there is in the report. Foreign text (names, texts of GSD
+files) is escaped.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from importlib import resources
+from typing import Any, Final, Protocol
+
+from dpstack.monitor import drawings
+from dpstack.monitor.counters import Counters
+from dpstack.monitor.drawings import text
+from dpstack.monitor.schedule import Rotation, Use
+from dpstack.stats import Histogram
+from dpstack.units import NS_PER_S, NS_PER_US, baud_text
+
+Summary = Mapping[str, Any]
+
+
+class Entry(Protocol):
+    """An entry of the time line. ``t_ns``: since 1970; ``address``: None for the bus; ``text``: one line."""
+
+    @property
+    def t_ns(self) -> int: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def address(self) -> int | None: ...
+    @property
+    def text(self) -> str: ...
+
+
+#: stations whose histogram of T_SDR is drawn: those with the longest 99 % quantiles
+MOST_HISTOGRAMS: Final = 24
+#: rows of the time line, and of the table of one rotation
+MOST_CHANGES: Final = 200
+MOST_SLOTS: Final = 200
+_POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'"
+_SIGNS: Final = {"good": "✓", "warning": "!", "critical": "✕", "unknown": "?"}
+_SOURCES: Final = {
+    "tap": "the octets of a dpstack program that holds the port; telegrams that it sends have exact times",
+    "host": "a pty or a socket: the octets come from another process, not from a wire",
+    "adapter": "a serial adapter",
+    "file": "a capture file",
+}
+#: nothing of this reaches a program that reads octets
+CANNOT_SEE: Final = (
+    "levels and edges of the signal, reflections, noise that damages no octet: they need an oscilloscope",
+    "cable, connectors, shield, earthing, and whether the segment is terminated at both ends",
+    "the topology: order of the stations, length of cable and stubs, repeaters",
+    "which station sent octets that nobody can read: they count for the station that was asked just before",
+    "a station that nobody asks",
+    "what went over the bus before and after the time of this report",
+)
+_STATION_KEYS: Final = frozenset(
+    {
+        "role", "name", "ident", "model", "state", "master", "requests", "answers", "damaged", "no_answer",
+        "repetitions", "retry_depth", "repeated_polls", "late", "rs", "rr", "diagnoses", "diagnosis", "syncs", "lost",
+        "max_tsdr", "tsdr_us", "verdict", "reasons",
+    }
+)  # fmt: skip
+_MASTER_KEYS: Final = frozenset(
+    {"mode", "token_us", "rotation_us", "hold_us", "gap_polls", "drops", "slaves", "verdict", "reasons"}
+)
+_TOP_KEYS: Final = frozenset(
+    {
+        "event", "time", "baud", "seconds", "telegrams", "load", "damaged", "unattributed", "timing", "masters",
+        "stations", "verdict", "reasons",
+    }
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """A report before it is written.
+
+    ``summary``: of ``monitor --json``. ``counters``: for the histograms. ``begun_ns``: begin in ns since 1970.
+    ``changes``: the time line; ``changes_left_out``: earlier ones that were not kept. ``rotation``: a typical one.
+    ``thresholds``: rows of name,
+    value, unit, meaning and source. ``line``: port and adapter, and ``parameters``: what is known of the bus, both in
+    words by name. ``made``: time of the report. ``remarks``: one line each.
+    """
+
+    summary: Summary
+    counters: Counters
+    begun_ns: int
+    version: str
+    made: datetime
+    changes: Sequence[Entry] = ()
+    changes_left_out: int = 0
+    rotation: Rotation | None = None
+    thresholds: Sequence[tuple[object, ...]] = ()
+    line: Mapping[str, object] = field(default_factory=dict)
+    parameters: Mapping[str, object] = field(default_factory=dict)
+    remarks: Sequence[str] = ()
+    cannot_see: Sequence[str] = CANNOT_SEE
+
+    # --- the page ---
+    def html(self) -> str:
+        """The whole page."""
+        sections = (
+            self._fields(),
+            self._verdict(),
+            self._record(),
+            self._signatures(),
+            self._verdicts(),
+            self._parameters(),
+            self._masters(),
+            self._stations(),
+            self._histograms(),
+            self._time_line(),
+            self._schedule(),
+            self._limits(),
+            self._thresholds(),
+        )
+        title = f"PROFIBUS acceptance report, {self._begun():%Y-%m-%d}"
+        made = f"dpstack {self.version}, report made {_time(self.made)}"
+        style = resources.files(__package__).joinpath("report.css").read_text(encoding="utf-8")
+        return (
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f'<meta name="generator" content="dpstack {text(self.version)}">\n'
+            f"<title>{text(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+            "<header><h1>PROFIBUS acceptance report</h1><p>Made of the octets on the bus; listening sends none.</p>"
+            f"</header>\n<main>\n{_join(sections)}</main>\n<footer><p>{text(made)}</p></footer>\n"
+            "</body>\n</html>\n"
+        )
+
+    # --- sections ---
+    def _record(self) -> str:
+        s = self.summary
+        begun = self._begun()
+        seconds = float(s.get("seconds") or 0)
+        rows: dict[str, object] = {
+            "Begin": _time(begun),
+            "End": _time(begun + timedelta(seconds=seconds)),
+            "Duration": f"{_duration(seconds)} ({_plain(s.get('seconds'))} s)",
+            **self.line,
+            "Rate": "unknown" if not s.get("baud") else f"{baud_text(s['baud'])} ({s['baud']} bit/s)",
+            "Telegrams": s.get("telegrams"),
+            "Load": _share(s.get("load")),
+            "Damaged transmissions": _causes(s.get("damaged") or {}),
+            "Not attributed to a station": s.get("unattributed"),
+            **_further(s, _TOP_KEYS),
+        }
+        remarks = "".join(f'<p class="remark">{text(one)}</p>' for one in self.remarks)
+        return _section("Record", _pairs(rows) + self._timing() + remarks)
+
+    def _timing(self) -> str:
+        timing = self.summary.get("timing") or {}
+        source = timing.get("source")
+        resolution = timing.get("resolution_us")
+        rows = {
+            "Source of the times": f"{source}: {_SOURCES[source]}" if source in _SOURCES else source,
+            "Resolution": "unknown" if resolution is None else f"{_plain(resolution)} us",
+            "Telegrams that arrived together with others": _share(timing.get("batched")),
+            **_further(timing, frozenset({"source", "resolution_us", "batched"})),
+        }
+        note = (
+            "Figures finer than this port can time are not given (n/a), and no verdict rests on them. Counts, "
+            "repetitions, load and mean rotation need no such timing."
+        )
+        return f"<h3>Adapter and its limits</h3>{_pairs(rows)}<p>{note}</p>"
+
+    def _fields(self) -> str:
+        names = ("Customer", "Plant", "Segment or machine", "Order or report number", "Inspector", "Company")
+        note = '<p class="screen">Fill in here, or on paper; the browser keeps nothing after the page is closed.</p>'
+        return _section("Acceptance", f'{note}<div class="fields">{_inputs(names, "f")}</div>')
+
+    def _signatures(self) -> str:
+        names = [f"Place, date, signature of the {who}" for who in ("inspector", "customer")]
+        return _section("Signatures", f'<div class="fields signed">{_inputs(names, "s")}</div>', "whole")
+
+    def _verdict(self) -> str:
+        verdict = self.summary.get("verdict", "unknown")
+        reasons = _list(self.summary.get("reasons"), "No reason to object." if verdict == "good" else "")
+        css = verdict if verdict in _SIGNS else "unknown"
+        words = f"<p><strong>The bus: {_badge(verdict)}</strong></p>{reasons}"
+        return _section("Verdict", f'<div class="verdict v-{css}">{words}</div>')
+
+    def _verdicts(self) -> str:
+        rows = []
+        for kind, entries in (("master", self._by_address("masters")), ("", self._by_address("stations"))):
+            for address, one in entries:
+                if one.get("verdict") is not None:
+                    role, name = one.get("role") or kind, one.get("name") or one.get("model") or ""
+                    reasons = _Html(_list(one.get("reasons"), ""))
+                    rows.append((address, role, name, _Html(_badge(one["verdict"])), reasons))
+        columns = ("Address", "Role", "Name", "Verdict", "Reasons")
+        table = _table("Verdict on each station", columns, rows, numbers=())
+        return _section("Verdicts on stations", table if rows else "<p>No station was heard.</p>")
+
+    def _parameters(self) -> str:
+        counters, s = self.counters, self.summary
+        asked = [address for address, station in counters.stations.items() if station.requests]
+        rows: dict[str, object] = {
+            "Rate": "unknown" if not s.get("baud") else baud_text(s["baud"]),
+            "Characters": "8 data bits, even parity, 1 stop bit: 11 bits",
+            "Masters": ", ".join(map(str, sorted(counters.masters))) or "none heard",
+            "Highest address asked (HSA is at least this)": max(asked, default="none"),
+            "GAP polls and FDL status requests": sum(master.gap_polls for master in counters.masters.values()),
+            **self.parameters,
+        }
+        return _section("Bus parameters seen", _pairs(rows) + self._set_prm())
+
+    def _set_prm(self) -> str:
+        """The parameters that masters gave to slaves, as far as a bring-up was heard."""
+        rows = []
+        for address, station in sorted(self.counters.stations.items()):
+            octets = station.set_prm
+            if octets is None or len(octets) < 7:
+                continue
+            watchdog = f"{10 * octets[1] * octets[2]} ms" if octets[0] & 8 else "off"
+            groups = ", ".join(str(bit + 1) for bit in range(8) if octets[6] & 1 << bit) or "none"
+            rows.append(
+                (address, watchdog, octets[3], f"0x{octets[4] << 8 | octets[5]:04X}", groups, octets[7:].hex(" "))
+            )
+        if not rows:
+            return "<p>No bring-up was heard: the parameters of the slaves are not known.</p>"
+        columns = ("Address", "Watchdog", "min T_SDR (bits)", "Ident", "Groups", "User parameters (hex)")
+        return _table("Parameters of the slaves (Set_Prm heard)", columns, rows, numbers=(2,))
+
+    def _masters(self) -> str:
+        rows, times = [], []
+        for address, one in self._by_address("masters"):
+            slaves = ", ".join(map(str, one.get("slaves") or ())) or "none"
+            rows.append(
+                (address, one.get("mode"), slaves, one.get("gap_polls"), one.get("drops"), _rest(one, _MASTER_KEYS))
+            )
+            for key, name in (("rotation_us", "DP cycle"), ("token_us", "token rotation"), ("hold_us", "token held")):
+                times.append((address, name, *_points(one.get(key), _TIMES)))
+        columns = ["Address", "Mode", "Slaves", "GAP polls", "Drops out of the ring", "Further"]
+        counters = _table("Masters", columns, rows, numbers=(3, 4))
+        names = ("Address", "Time (us)", *_TIMES)
+        return _section("Masters", counters + _table("Times of the masters", names, times, numbers=range(2, 8)))
+
+    def _stations(self) -> str:
+        who, counts, course, times = [], [], [], []
+        for address, one in self._by_address("stations"):
+            verdict = one.get("verdict")
+            sign = _Html(_badge(verdict)) if verdict is not None else ""
+            who.append((address, *(_plain(one.get(key), "") for key in _WHO), sign))
+            counts.append((address, *(one.get(key) for key in _COUNTS)))
+            depth = one.get("retry_depth")
+            depths = ", ".join(map(str, depth)) if isinstance(depth, (list, tuple)) else depth
+            diagnosis = _plain(one.get("diagnosis"), "none")
+            rest = _rest(one, _STATION_KEYS)
+            course.append((address, depths, *(one.get(key) for key in _COURSE), diagnosis, rest))
+            limit = self._max_tsdr_us(one)
+            limit_us = "unknown" if limit is None else f"{limit:.1f}"
+            bits = _plain(one.get("max_tsdr"), "unknown")
+            times.append((address, *_points(one.get("tsdr_us"), _ANSWER), bits, limit_us))
+        explained = (
+            "Requests = answers + damaged + no answer. Repetitions: requests with an unturned frame count bit. "
+            "Repeated polls: unanswered requests without frame count that were sent again. RS, RR: refusals for lack "
+            "of the service, or of resources."
+        )
+        tables = (
+            _table("Stations", ("Address", *_WHO.values(), "Verdict"), who, numbers=()),
+            _table("Requests and answers", ("Address", *_COUNTS.values()), counts, numbers=range(1, 10)),
+            f"<p>{explained}</p>",
+            _table(
+                "Repetitions by depth, data exchange, diagnosis",
+                (
+                    "Address",
+                    "Exchanges with 1, 2, ... repetitions",
+                    *_COURSE.values(),
+                    "Last diagnosis (hex)",
+                    "Further",
+                ),
+                course,
+                numbers=(2, 3, 4),
+            ),
+            _table(
+                "T_SDR in us: from the end of a request to the begin of the answer",
+                ("Address", *_ANSWER, "MaxTsdr (bits)", "MaxTsdr (us)"),
+                times,
+                numbers=range(1, 7),
+            ),
+        )
+        return _section("Stations", _join(tables))
+
+    def _histograms(self) -> str:
+        figures = []
+        for address, one in self._by_address("masters"):
+            master = self.counters.masters.get(int(address))
+            if master is not None:
+                for key, values, name in (
+                    ("rotation_us", master.rotation_ns, "DP cycle"),
+                    ("token_us", master.token_ns, "token rotation"),
+                    ("hold_us", master.hold_ns, "token held"),
+                ):
+                    figures += _figure(one.get(key), values, f"{name} of master {address}")
+        timed = []
+        for address, one in self._by_address("stations"):
+            station = self.counters.stations.get(int(address))
+            if station is not None and _is_timed(one.get("tsdr_us")):
+                timed.append((address, one, station.answer_ns))
+        overview = ""
+        if timed:
+            rows = [(self._name(int(address)), one["tsdr_us"], self._max_tsdr_us(one)) for address, one, _ in timed]
+            overview = _figure_of(
+                "T_SDR of each station: bar up to 99 %, its cross line is the median, thin line to the longest, dashed "
+                "line at MaxTsdr",
+                drawings.answer_times(rows, "us"),
+            )
+            timed.sort(key=lambda row: -row[2].quantile_ns(0.99))
+            for address, one, values in sorted(timed[:MOST_HISTOGRAMS], key=lambda row: int(row[0])):
+                figures += _figure(one["tsdr_us"], values, f"T_SDR of {self._name(int(address))}")
+        left = len(timed) - MOST_HISTOGRAMS
+        note = "" if left <= 0 else f"<p>{left} stations with shorter T_SDR have no histogram here.</p>"
+        none = "" if timed else "<p>T_SDR: this port cannot time it.</p>"
+        grid = f'<div class="grid">{_join(figures)}</div>' if figures else ""
+        return _section("Histograms", overview + grid + note + none)
+
+    def _time_line(self) -> str:
+        if not self.changes and not self.changes_left_out:
+            return _section(
+                "Time line", "<p>No station was lost or came back, no diagnosis changed, no alarm came.</p>"
+            )
+        seconds = max(float(self.summary.get("seconds") or 0), 1e-3)
+        shown = self.changes[-MOST_CHANGES:]
+        left_out = self.changes_left_out + len(self.changes) - len(shown)
+        changes = [drawings.Mark(self._seconds(one.t_ns), one.kind, one.address) for one in shown]
+        names = {address: self._name(address) for address in {one.address for one in shown}}
+        rows = [(f"{self._seconds(one.t_ns):.3f}", names[one.address], one.kind, one.text) for one in shown]
+        note = f"<p>{left_out} earlier changes are not shown.</p>" if left_out else ""
+        drawing = _figure_of("Changes by station", drawings.time_line(changes, seconds, names))
+        legend = drawings.marks_legend(one.kind for one in shown)
+        table = _table("Changes", ("Seconds", "Station", "Change", "Text"), rows, numbers=(), head_is_number=True)
+        return _section("Time line", drawing + legend + note + table)
+
+    def _seconds(self, t_ns: int) -> float:
+        return (t_ns - self.begun_ns) / NS_PER_S
+
+    def _schedule(self) -> str:
+        rotation = self.rotation
+        if rotation is None:
+            return _section("Schedule of one rotation", "<p>No whole rotation was heard.</p>")
+        timed = self._times_neighbours()
+        begins = "where the master passes the token" if rotation.by_token else "with the first Data_Exchange of a round"
+        words = (
+            f"A typical rotation of {drawings.microseconds(rotation.duration_ns)} us, "
+            f"{self._seconds(rotation.begun_ns):.3f} s after the begin; it begins {begins}. "
+        )
+        words += (
+            "Drawn to scale, in us; strips follow each other."
+            if timed
+            else "Lengths of telegrams are to scale. This port cannot time the silence between them, so they stand "
+            "without it, one after the other."
+        )
+        used = [
+            (use.value, drawings.microseconds(ns), _part(ns, rotation.duration_ns))
+            for use in Use
+            if (ns := rotation.used_ns(use))
+        ]
+        if timed:
+            used.append(
+                ("idle", drawings.microseconds(rotation.idle_ns), _part(rotation.idle_ns, rotation.duration_ns))
+            )
+        shares = _table("Use of the wire in this rotation", ("Use", "us", "Share"), used, numbers=(1, 2))
+        rows = []
+        for slot in rotation.slots[:MOST_SLOTS]:
+            start = f"{slot.start_ns / NS_PER_US:.1f}" if timed else "n/a"
+            idle = f"{slot.idle_ns / NS_PER_US:.1f}" if timed else "n/a"
+            ends = (_plain(slot.sa, ""), "all" if slot.da == 127 else _plain(slot.da, ""))
+            rows.append(
+                (start, idle, f"{slot.duration_ns / NS_PER_US:.1f}", slot.size, slot.use.value, *ends, slot.text)
+            )
+        columns = ("Begin (us)", "Idle before (us)", "Length (us)", "Octets", "Use", "From", "To", "Service")
+        left = len(rotation.slots) - len(rows)
+        note = f"<p>{left} more telegrams are not in the table.</p>" if left > 0 else ""
+        table = _table("Telegrams of this rotation", columns, rows, numbers=(1, 2, 3), head_is_number=True)
+        drawing = _figure_of("One rotation", drawings.schedule(rotation, timed=timed))
+        return _section(
+            "Schedule of one rotation",
+            f"<p>{text(words)}</p>{drawing}{drawings.schedule_legend()}{shares}{table}{note}",
+        )
+
+    def _limits(self) -> str:
+        return _section("What this report cannot see", _list(self.cannot_see, ""))
+
+    def _thresholds(self) -> str:
+        if not self.thresholds:
+            return ""
+        table = _table("Thresholds", ("Threshold", "Value", "Unit", "Meaning", "Source"), self.thresholds, numbers=(1,))
+        return _section("Thresholds of the verdicts", table)
+
+    # --- parts ---
+    def _begun(self) -> datetime:
+        try:
+            return datetime.fromtimestamp(self.begun_ns / NS_PER_S, UTC) if self.begun_ns else self.made
+        except (ValueError, OverflowError, OSError):  # a file may claim any time
+            return self.made
+
+    def _by_address(self, key: str) -> list[tuple[str, Summary]]:
+        return sorted((self.summary.get(key) or {}).items(), key=lambda entry: int(entry[0]))
+
+    def _name(self, address: int | None) -> str:
+        if address is None:
+            return "the bus"
+        one = (self.summary.get("stations") or {}).get(str(address), {})
+        name = one.get("name") or one.get("model")
+        return f"{address} {name}" if name else f"station {address}"
+
+    def _max_tsdr_us(self, one: Summary) -> float | None:
+        bits, baud = one.get("max_tsdr"), self.summary.get("baud")
+        return bits * 1e6 / baud if bits and baud else None
+
+    def _times_neighbours(self) -> bool:
+        """Whether the port could time the silence between telegrams: it could where it timed an answer."""
+        return any(_is_timed(one.get("tsdr_us")) for _, one in self._by_address("stations"))
+
+
+class _Html(str):
+    """Text that is HTML already."""
+
+    __slots__ = ()
+
+
+#: columns of the stations' tables: keys of the summary and headings
+_WHO: Final = {
+    "name": "Name",
+    "role": "Role",
+    "ident": "Ident",
+    "model": "Model",
+    "state": "State",
+    "master": "Master",
+}
+_COUNTS: Final = {
+    "requests": "Requests",
+    "answers": "Answers",
+    "damaged": "Damaged",
+    "no_answer": "No answer",
+    "repetitions": "Repeti\xadtions",
+    "repeated_polls": "Repeated polls",
+    "late": "Late",
+    "rs": "RS",
+    "rr": "RR",
+}
+_COURSE: Final = {"syncs": "Bring-ups", "lost": "Lost", "diagnoses": "Diag\xadnoses"}
+_TIMES: Final = ("mean", "min", "p50", "p99", "p999", "max")
+_ANSWER: Final = ("min", "p50", "p99", "max")
+_NOT_TIMED: Final = "n/a"
+
+
+def _join(parts: Iterable[str]) -> str:
+    return "\n".join(parts)
+
+
+def _section(title: str, body: str, css: str = "") -> str:
+    name = title.lower().replace(" ", "-")
+    kind = f' class="{css}"' if css else ""
+    return f'<section aria-labelledby="{name}"{kind}>\n<h2 id="{name}">{text(title)}</h2>\n{body}\n</section>\n'
+
+
+def _inputs(names: Iterable[str], prefix: str) -> str:
+    return "".join(
+        f'<div class="field"><label for="{prefix}{number}">{name}</label><input id="{prefix}{number}" type="text" '
+        'autocomplete="off" maxlength="80"></div>'
+        for number, name in enumerate(names)
+    )
+
+
+def _pairs(rows: Mapping[str, object]) -> str:
+    """Names and values as a table with row headers."""
+    lines = "".join(
+        f'<tr><th scope="row">{text(name)}</th><td>{_cell(value)}</td></tr>\n' for name, value in rows.items()
+    )
+    return f'<table class="pairs"><tbody>\n{lines}</tbody></table>'
+
+
+def _table(
+    caption: str,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[object]],
+    *,
+    numbers: Iterable[int],
+    head_is_number: bool = False,
+) -> str:
+    """A table whose first column heads its rows. ``numbers``: columns set to the right. Empty columns are left out."""
+    kept = list(rows)
+    used = [n for n in range(len(columns)) if n == 0 or not kept or any(row[n] not in ("", None) for row in kept)]
+    right = set(numbers)
+
+    def kind(column: int) -> str:
+        return ' class="n"' if column in right or (column == 0 and head_is_number) else ""
+
+    head = "".join(f'<th scope="col"{kind(n)}>{text_of_column(columns[n])}</th>' for n in used)
+    lines = []
+    for row in kept:
+        cells = "".join(f"<td{kind(n)}>{_cell(row[n])}</td>" for n in used[1:])
+        lines.append(f'<tr><th scope="row"{kind(0)}>{_cell(row[0])}</th>{cells}</tr>\n')
+    return (
+        f'<div class="scroll" role="region" aria-label="{text(caption)}" tabindex="0"><table><caption>{text(caption)}'
+        f"</caption>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{''.join(lines)}</tbody></table></div>\n"
+    )
+
+
+def text_of_column(name: str) -> str:
+    """A heading of ours; its soft hyphens stay."""
+    return "&shy;".join(map(text, name.split("\xad")))
+
+
+def _figure_of(caption: str, drawing: str) -> str:
+    return f'<figure><figcaption>{text(caption)}</figcaption><div class="scroll">{drawing}</div></figure>\n'
+
+
+def _figure(points: Any, values: Histogram, name: str) -> list[str]:
+    """The histogram, where the port could time it."""
+    return [_figure_of(name, drawings.histogram(values, name))] if values.count and _is_timed(points) else []
+
+
+def _is_timed(points: Any) -> bool:
+    return isinstance(points, Mapping) and all(points.get(key) is not None for key in _ANSWER)
+
+
+def _points(points: Any, keys: Sequence[str]) -> list[object]:
+    if not isinstance(points, Mapping):
+        return [_NOT_TIMED] * len(keys)
+    return [_NOT_TIMED if (value := points.get(key, "")) is None else value for key in keys]
+
+
+def _cell(value: object) -> str:
+    return value if isinstance(value, _Html) else text(_plain(value))
+
+
+def _plain(value: object, none: str = _NOT_TIMED) -> str:
+    match value:
+        case None:
+            return none
+        case bool():
+            return "yes" if value else "no"
+        case str():
+            return value
+        case dict() | list() | tuple():
+            return json.dumps(value, ensure_ascii=False)
+    return str(value)
+
+
+def _share(value: object) -> str:
+    return f"{value * 100:.3g} % ({value})" if isinstance(value, (int, float)) else _NOT_TIMED
+
+
+def _part(part: int, whole: int) -> str:
+    return f"{100 * part / max(whole, 1):.1f} %"
+
+
+def _causes(damaged: Mapping[str, int]) -> str:
+    total = sum(damaged.values())
+    causes = ", ".join(f"{cause} {count}" for cause, count in sorted(damaged.items()))
+    return f"{total} ({causes})" if causes else "0"
+
+
+def _further(values: Mapping[str, Any], known: frozenset[str]) -> dict[str, object]:
+    return {key.replace("_", " ").capitalize(): value for key, value in values.items() if key not in known}
+
+
+def _rest(values: Mapping[str, Any], known: frozenset[str]) -> str:
+    """Figures that have no column, in words."""
+    rest = {key: value for key, value in values.items() if key not in known}
+    return "; ".join(f"{key.replace('_', ' ')} {_plain(value)}" for key, value in rest.items())
+
+
+def _list(lines: object, empty: str) -> str:
+    if not isinstance(lines, (list, tuple)) or not lines:
+        return f"<p>{text(empty)}</p>" if empty else ""
+    return "<ul>" + "".join(f"<li>{text(line)}</li>" for line in lines) + "</ul>"
+
+
+def _badge(verdict: object) -> str:
+    """The verdict as a word with a sign; the colour says nothing more."""
+    name = str(verdict)
+    css = name if name in _SIGNS else "unknown"
+    return f'<span class="badge v-{css}"><span aria-hidden="true">{_SIGNS[css]} </span>{text(name)}</span>'
+
+
+def _time(at: datetime) -> str:
+    return f"{at.astimezone(UTC):%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _duration(seconds: float) -> str:
+    whole = int(seconds)
+    hours, minutes = whole // 3600, whole // 60 % 60
+    parts = [f"{hours} h"] * bool(hours) + [f"{minutes} min"] * bool(hours or minutes)
+    return " ".join([*parts, f"{seconds - whole // 60 * 60:.3g} s"])
