@@ -43,7 +43,7 @@ MAY: dict[str, set[str]] = {
     "sim": DP | {"machine", "decode"},
     "ports": PURE_BASE | {"phy"},
     "drivers": DP | {"ports", "machine", "sim"},
-    "api": DP | {"drivers", "ports", "sim", "profile", "capture"},
+    "api": DP | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor"},
     "wireshark": {"api", "capture"} | PURE_BASE,
     "cli": {"api", "capture", "decode", "monitor", "wireshark", "gsd", "profile", "trace"} | PURE_BASE,
     "__init__": {"api", "errors", "profile", "dp", "dpv1", "trace"},

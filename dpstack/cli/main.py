@@ -32,13 +32,14 @@ _COMMANDS = {
     "plan": "bus parameters, rotation times, watchdogs, and what does not fit together",
     "baud": "finds the baud rate of a bus by listening only",
     "capture": "listens to a bus and keeps the telegrams in a pcapng file, or explains them; never sends",
+    "monitor": "judges a bus by listening, live or from a capture file: stations, masters, verdicts with reasons",
     "decode": "explains telegrams to the bit: of a pcapng file, or octets in hex",
     "ports": "serial adapters with their lasting path, chip and holder",
     "doctor": "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
     "gsd": "GSD files: show, check, configure",
 }
 #: those whose modules stand in the room ``listening``
-_LISTENING = ("baud", "capture", "decode")
+_LISTENING = ("baud", "capture", "decode", "monitor")
 _INTERRUPTED = 130
 #: environment variable; any value: errors are printed with their traceback
 _DEBUG = "DPSTACK_DEBUG"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import BinaryIO, Final
 
 from dpstack.capture.cutter import split
-from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Reader
+from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Interface, Reader
 from dpstack.capture.transmission import Damage, Transmission
 from dpstack.errors import CaptureFileError, UsageError
 
@@ -38,18 +38,23 @@ def from_hex(text: str) -> bytes:
         raise UsageError(f"{why}; octets are written as in 68 05 05 68") from None
 
 
-def read_transmissions(file: BinaryIO, name: str) -> Iterator[Transmission]:
+def read_transmissions(
+    file: BinaryIO, name: str, on_interface: Callable[[Interface], None] = lambda interface: None
+) -> Iterator[Transmission]:
     """The transmissions in a pcapng ``file``, or in a text file with hex digits, a transmission a line.
+
+    ``on_interface`` gets the interface of a pcapng file before its first transmission, and again where another one
+    follows.
 
     Raises CaptureFileError, after what could be read, for what cannot; a line of text that is no hex digits likewise.
     """
     head = file.read(4)
     if head == _PCAPNG:
-        yield from _captured(Reader(_Again(head, file), name))
+        yield from _captured(Reader(_Again(head, file), name), on_interface)
     elif head.isascii() and b"\0" not in head:
         yield from _lines(_Again(head, file), name)
     else:
-        yield from _captured(Reader(_Again(head, file), name))  # which says what it is instead
+        yield from _captured(Reader(_Again(head, file), name), on_interface)  # which says what it is instead
 
 
 class _Again:
@@ -64,13 +69,17 @@ class _Again:
         return head or self._more(size)
 
 
-def _captured(reader: Reader) -> Iterator[Transmission]:
+def _captured(reader: Reader, on_interface: Callable[[Interface], None]) -> Iterator[Transmission]:
+    last = None
     for interface, t_ns, octets, flags, comments in reader:
-        if interface.linktype not in (USER0, PROFIBUS_DL):
-            raise CaptureFileError(
-                f"{reader.name}: packets of link type {interface.linktype}, "
-                f"PROFIBUS has {USER0} (USER0) or {PROFIBUS_DL}"
-            )
+        if interface is not last:
+            if interface.linktype not in (USER0, PROFIBUS_DL):
+                raise CaptureFileError(
+                    f"{reader.name}: packets of link type {interface.linktype}, "
+                    f"PROFIBUS has {USER0} (USER0) or {PROFIBUS_DL}"
+                )
+            last = interface
+            on_interface(interface)
         note = _note(flags, comments) if flags or comments else ""
         yield _NEW(Transmission, (octets, t_ns, interface.bits_per_s, note, flags & _DAMAGED))
     if reader.cut:

@@ -1,7 +1,20 @@
-"""A bus judged by listening to it: counters of its stations and masters, and the report of it.
+"""A bus judged by listening to it: counters of its stations and masters, verdicts with reasons, the report of it.
 
 - ``counters``: Counters of stations, masters and the bus, from the transmissions on a line
+- ``devices``: The devices of a bus as far as configuration and GSD files describe them: names, models, diagnosis texts,
+  T_SDR
 - ``drawings``: Histograms, time line and schedule of the report as SVG
+- ``history``: The past of each station, second by second and minute by minute, in a few numbers: bursts, failures at
+  once, T_SDR
+- ``monitor``: A bus judged by listening: transmissions in, events and a summary with verdicts out. No clock, memory
+  bounded
 - ``report``: The acceptance report of a bus: one HTML file that a customer reads, prints and signs
 - ``schedule``: The schedule of one rotation, from a bounded record
+- ``summary``: The summary of a monitored bus as plain data: the last JSON line of ``dpstack monitor``, and the report's
+  figures
+- ``thresholds``: Thresholds of the verdicts, each with its unit, its meaning and its source
+- ``timing``: Figures of durations as far as the source of the octets can time them; None stands for those that it
+  cannot
+- ``verdicts``: Verdicts on stations and on the bus: good, warning, critical or unknown, with reasons in a maintainer's
+  words
 """

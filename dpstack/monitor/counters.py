@@ -251,6 +251,10 @@ class Counters:
         """The station that was asked and whose answer may still come: its ``requests`` are one more than their ends."""
         return None if self._asked is None else self._asked.station
 
+    def is_used(self, address: int) -> bool:
+        """Whether a master asks ``address`` for more than its FDL status: it is no address of the GAP only."""
+        return any(key & 0x7F == address for key in self._exchanges)
+
     # --- the hot path ---
     def add(self, one: Transmission) -> None:
         """Count one transmission; its times must not run backwards. Never raises, whatever the octets."""

@@ -26,7 +26,7 @@ from dpstack.dp.master.events import (
     Stalled,
 )
 from dpstack.dp.master.scanner import Found, StationSeen
-from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier, Status
+from dpstack.dp.pdu.alarm_blocks import Specifier, message_dict
 from dpstack.dpv1.master.orders import AlarmRaised, ConnectionOver, StatusTold
 from dpstack.drivers.runtime import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped, PortBack, PortLost
 from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
@@ -77,16 +77,6 @@ def severity_of(event: Event) -> Severity:
     return Severity.INFO
 
 
-def _message_json(message: Alarm | Status) -> dict[str, object]:
-    return {
-        "type": message.type,
-        "title": message.title,
-        "slot": message.slot,
-        "specifier": Specifier(message.specifier).name.lower(),
-        "data": message.data.hex(),
-    }
-
-
 def event_json(event: Event, t: float) -> dict[str, object] | None:
     """The JSON line of ``event`` at ``t`` seconds; None for events that answer an order."""
     if isinstance(event, Injected):
@@ -110,9 +100,9 @@ def _kind_and_fields(event: Event) -> tuple[str, dict[str, object]] | None:
             return "diagnosis", {"flags": list(diagnosis.flags), "texts": list(texts)}
         case AlarmRaised(alarm=alarm):
             more = {"sequence": alarm.sequence, "user_ack": alarm.add_ack, "texts": list(event.texts)}
-            return "alarm", {**_message_json(alarm), **more}
+            return "alarm", {**message_dict(alarm), **more}
         case StatusTold(status=status):
-            return "status_message", _message_json(status)
+            return "status_message", message_dict(status)
         case SlaveFaulted(fault=fault):
             return "fault", {"kind": fault.kind.value, "text": fault.text}
         case SlaveFlapping(count=count):

@@ -41,8 +41,14 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) 
     Console().print(rich_table(title, columns, rows))
 
 
-def rich_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], width: int | None = None) -> Group:
-    """A table as rich draws it, at most ``width`` characters wide (None: the terminal's).
+def rich_table(
+    title: str,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[object]],
+    width: int | None = None,
+    styles: Sequence[str] = (),
+) -> Group:
+    """A table as rich draws it, at most ``width`` characters wide (None: the terminal's); ``styles``: of the rows.
 
     Where it is too narrow, cells are wrapped between words; where that is not enough, the columns of each row stand in
     two or more lines, as in the heading. No word of up to 24 characters is cut, and so no number is.
@@ -52,9 +58,9 @@ def rich_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[objec
     room = Console().width if width is None else width
     widths = _widths([names, *cells], room)
     table = Table(*(Column(width=one, overflow="fold") for one in widths), show_header=False)
-    for row in [names, *cells]:
+    for row, style in zip([names, *cells], ["bold", *styles, *[""] * (len(cells) - len(styles))], strict=True):
         for line in _lines(row, len(widths)):
-            table.add_row(*line, style="bold" if row is names else None)
+            table.add_row(*line, style=style or None)
         if row is names or len(columns) > len(widths):
             table.add_section()
     return Group(*([shown(title, "bold")] if title else []), table)

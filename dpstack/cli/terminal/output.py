@@ -123,6 +123,11 @@ def on_terminal() -> bool:
     return sys.stdout.isatty()
 
 
+def redraws() -> bool:
+    """Whether standard output is a terminal on which a picture can be drawn again (not TERM=dumb)."""
+    return on_terminal() and os.environ.get("TERM", "dumb").lower() not in ("dumb", "unknown", "")
+
+
 def json_line(data: Mapping[str, object] | Sequence[object]) -> None:
     """Write one JSON value on a line of its own, and flush."""
     _write(json_text(data, encoding=sys.stdout.encoding or "utf-8"))

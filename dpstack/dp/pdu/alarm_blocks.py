@@ -294,6 +294,17 @@ def _build(block: Alarm | Status, sequence: int, add_ack: bool) -> bytes:
     return _LAYOUT.build(block, header=HEAD + length, is_status=is_status, sequence=sequence, add_ack=add_ack)
 
 
+def message_dict(message: Alarm | Status) -> dict[str, object]:
+    """The alarm or status as JSON lines have it."""
+    return {
+        "type": message.type,
+        "title": message.title,
+        "slot": message.slot,
+        "specifier": Specifier(message.specifier).name.lower(),
+        "data": message.data.hex(),
+    }
+
+
 def kind_of(alarm_type: int) -> str:
     """The key of :data:`~dpstack.dp.pdu.dpv1_status.ALARMS` that enables it: pull and plug share one, so do vendor
     types.

@@ -1,0 +1,236 @@
+"""``dpstack monitor``: judges a bus by listening, live or from a capture file. Never sends."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+from datetime import UTC, datetime
+from time import monotonic_ns, time_ns
+from typing import Final
+
+from dpstack.api.bus.events_json import PortLost
+from dpstack.api.config.bus import AUTO
+from dpstack.api.config.config import load_config
+from dpstack.api.listen.listening import Line, Listening, OctetsLost
+from dpstack.api.listen.plant_files import load_devices, load_thresholds
+from dpstack.capture.pcapng import Interface
+from dpstack.capture.timing import FILE, LineTiming
+from dpstack.cli import options
+from dpstack.cli.listening.monitor_view import LiveView, event_line, show_summary
+from dpstack.cli.parser import Parser
+from dpstack.cli.terminal import output
+from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
+from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
+from dpstack.decode.source import read_transmissions
+from dpstack.errors import CaptureFileError, PortError, UsageError
+from dpstack.monitor.monitor import Happening, Monitor
+from dpstack.monitor.verdicts import CRITICAL
+from dpstack.trace import Event
+from dpstack.units import NS_PER_S, baud_text
+
+#: pause before the next look for a program that holds the port, in s
+_AGAIN_S: Final = 0.5
+_CONVERTER: Final = (
+    "nothing is sent, but opening a port may switch RTS for an instant: a converter that takes its direction from RTS "
+    "drives the bus for that time"
+)
+
+
+def add_to(parser: Parser) -> None:
+    parser.epilog = (
+        "examples: dpstack monitor --port /dev/ttyUSB0; dpstack monitor bus.pcapng --gsd plant/gsd; "
+        "dpstack monitor --port /dev/ttyUSB0 --config plant.toml --seconds 600 --json"
+    )
+    parser.value("file", "FILE", "a capture file (pcapng), in place of --port", nargs="?")
+    parser.value("--port", "P", "the port; also one that a run, sim or segment holds")
+    parser.value(
+        "--baud", "B|auto", 'rate in bit/s; "auto" (default): finds it', type=options.baud_or_auto, default=AUTO
+    )
+    parser.value("--config", "CONFIG", "configuration file: names of the slaves, their GSD files, T_SL")
+    parser.value("--gsd", "DIR", "folder of GSD files: models and diagnosis texts by ident number")
+    parser.value("--thresholds", "FILE", "TOML file with other thresholds, see docs/monitor.md")
+    parser.value("--seconds", "S", "end after so many seconds", type=options.seconds)
+    parser.run_by(execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """Exit code 1 where the verdict on the bus is critical, the file cannot be read to its end, or the port failed."""
+    if (args.file is None) == (args.port is None):
+        raise UsageError("monitor: give either a capture file or --port, for instance --port /dev/ttyUSB0")
+    config = None if args.config is None else load_config(args.config)
+    devices = load_devices(config, args.gsd, output.warn)
+    thresholds = None if args.thresholds is None else load_thresholds(args.thresholds)
+    if args.file is None:
+        monitor = Monitor(LineTiming(FILE, None), devices=devices, thresholds=thresholds, begun_ns=time_ns())
+        return run_unhurried(_Live(args, monitor).run(), json=args.json)
+    monitor = Monitor(LineTiming(FILE, None), devices=devices, thresholds=thresholds)
+    return _FromFile(args, monitor).run()
+
+
+class _FromFile:
+    """Judges a capture file."""
+
+    def __init__(self, args: argparse.Namespace, monitor: Monitor) -> None:
+        self._name: str = args.file
+        self._json: bool = args.json
+        self._baud = 0 if args.baud == AUTO else args.baud
+        self._limit_ns = None if args.seconds is None else int(args.seconds * NS_PER_S)
+        self._monitor = monitor
+        self._interfaces = 0
+        monitor.on_event = self._show
+
+    def run(self) -> int:
+        damage = None
+        try:
+            self._read()
+        except CaptureFileError as error:
+            damage = error
+        summary = self._monitor.summary()
+        if damage is not None and not summary["telegrams"]:
+            raise damage
+        if self._json:
+            output.json_line(summary)
+        else:
+            show_summary(self._monitor.heard(), summary)
+        if damage is not None:
+            output.warn(str(damage))
+        return 1 if damage is not None or summary["verdict"] == CRITICAL else 0
+
+    def _read(self) -> None:
+        monitor = self._monitor
+        add = monitor.add
+        try:
+            file = open(self._name, "rb")  # noqa: SIM115
+        except OSError as error:
+            raise UsageError(f"{self._name}: {error.strerror}; give a pcapng file, or --port") from None
+        with file:
+            end = None
+            for one in read_transmissions(file, self._name, self._interface):
+                if not one.baud:
+                    one = one._replace(baud=self._baud or self._without_rate())
+                if one.note and not one.damage:
+                    monitor.gap(one.t_ns or 0, one.note)
+                add(one)
+                if self._limit_ns is not None:
+                    if end is None:
+                        end = (one.t_ns or 0) + self._limit_ns
+                    elif (one.t_ns or 0) >= end:
+                        return
+
+    def _without_rate(self) -> int:
+        raise UsageError(
+            f"{self._name}: the file does not say the rate of its bus; give it, for instance --baud 500000"
+        )
+
+    def _interface(self, interface: Interface) -> None:
+        timing = LineTiming.parse(interface.description)
+        if self._interfaces and timing.source != self._monitor.timing.source:
+            timing = LineTiming(FILE, None)  # of two ports with different clocks
+        self._interfaces += 1
+        self._monitor.timing = timing
+
+    def _show(self, happening: Happening) -> None:
+        if self._json:
+            output.json_line(happening.as_dict(self._monitor.begun_ns))
+        elif not happening.routine:
+            event_line(happening, self._monitor.begun_ns)
+
+
+class _Live:
+    """Judges the bus at a port."""
+
+    def __init__(self, args: argparse.Namespace, monitor: Monitor) -> None:
+        self._args = args
+        self._json: bool = args.json
+        self._monitor = monitor
+        self._line: Line | None = None
+        self._listening: Listening | None = None  # while it is entered
+        self._view = LiveView(monitor, args.port) if output.redraws() and not args.json else None
+        self._failure: PortError | None = None
+        self._clock_ns = time_ns() - monotonic_ns()
+        monitor.on_event = self._show
+
+    async def run(self) -> int:
+        with StopSignal() as stop:
+            try:
+                await stop.or_done(self._work())
+            except PortError as error:
+                if self._line is None:  # it never began
+                    raise
+                self._failure = error
+        if stop.hurried:
+            return INTERRUPTED
+        now = time_ns()
+        summary = self._monitor.summary(now)
+        if self._json:
+            output.json_line(summary)
+        else:
+            show_summary(self._monitor.heard(now), summary)
+        if self._failure is not None:
+            raise self._failure
+        return int(summary["verdict"] == CRITICAL)
+
+    async def _work(self) -> None:
+        """Listen until the time is over. Raises PortError where the port cannot be listened to any more."""
+        listening = asyncio.ensure_future(self._listen())
+        watching = [] if self._view is None else [asyncio.ensure_future(self._view.watch())]
+        try:
+            await asyncio.wait([listening], timeout=self._args.seconds)
+            if listening.done():
+                listening.result()
+        finally:
+            for task in (listening, *watching):
+                task.cancel()
+            await asyncio.gather(listening, *watching, return_exceptions=True)
+
+    async def _listen(self) -> None:
+        """Listen to the port; where a program that held it ends, wait until one is there again."""
+        baud = None if self._args.baud == AUTO else self._args.baud
+        while True:
+            self._listening = None
+            listening = Listening(self._args.port, baud, self._monitor.add, self._on_event, own=self._line is None)
+            try:
+                async with listening:
+                    self._listening = listening
+                    self._begin(listening.line)
+                    await listening.ended()
+            except PortError as error:
+                if self._line is None or self._line.program is None:
+                    raise
+                if self._listening is not None:
+                    self._monitor.gap(time_ns(), f"{error}; waiting until a program holds the port again")
+            await asyncio.sleep(_AGAIN_S)
+
+    def _begin(self, line: Line) -> None:
+        again, self._line = self._line is not None, line
+        self._monitor.timing = line.timing
+        if again:
+            self._monitor.gap(time_ns(), f"the {line.program} on {line.port} is back")
+            return
+        if self._json:
+            now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+            start = {"event": "start", "time": now, "port": line.port, "baud": line.baud, "source": line.source}
+            output.json_line({**start, "program": line.program})
+            return
+        through = f" through the {line.program} that holds it" if line.program else ""
+        rate = "its rate is searched" if line.baud is None else baud_text(line.baud)
+        if self._view is None:
+            output.line(f"listening on {line.port}{through}, {rate}; Ctrl-C ends", "bold")
+        if line.program is None and line.source == "adapter":
+            output.warn(_CONVERTER)
+
+    def _on_event(self, event: Event) -> None:
+        t_ns = event.t_ns + self._clock_ns
+        match event:
+            case OctetsLost() | PortLost():
+                self._monitor.gap(t_ns, event.text)
+            case _:
+                if self._listening is not None:
+                    self._monitor.timing = self._listening.line.timing  # the rate is known now
+                self._monitor.remark(t_ns, event.text)
+
+    def _show(self, happening: Happening) -> None:
+        if self._json:
+            output.json_line(happening.as_dict(self._monitor.begun_ns))
+        elif self._view is None and not happening.routine:
+            event_line(happening, self._monitor.begun_ns)

@@ -1,0 +1,174 @@
+"""The monitored bus on a screen: a live list that is redrawn, lines of events, tables at the end."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from time import time_ns
+from typing import Any, Final
+
+from dpstack.cli.terminal import output
+from dpstack.monitor.counters import State
+from dpstack.monitor.monitor import Happening, Monitor
+from dpstack.monitor.summary import UNSEEN
+from dpstack.monitor.verdicts import CRITICAL, GOOD, UNKNOWN, WARNING, Heard
+from dpstack.units import NS_PER_S, baud_text
+
+STYLES: Final = {GOOD: "green", UNKNOWN: "", WARNING: "yellow", CRITICAL: "bold red"}
+#: of events
+_EVENT_STYLES: Final = {"lost": "red", "left": "red", "alarm": "yellow", "gap": "yellow"}
+_REFRESH_S: Final = 0.5
+#: lines of events under the live list, at most
+_EVENTS: Final = 10
+_COLUMNS: Final = ("address", "name", "state", "requests", "retries", "no answer", "damaged", "T_SDR us", "verdict")
+_MASTERS: Final = ("master", "mode", "token us", "rotation us", "hold us", "GAP polls", "drop-outs", "slaves")
+
+
+def event_line(happening: Happening, begun_ns: int) -> None:
+    """Print one event as a line."""
+    output.line(_event(happening, begun_ns), _EVENT_STYLES.get(happening.kind, ""))
+
+
+def _event(happening: Happening, begun_ns: int) -> str:
+    return f"{(happening.t_ns - begun_ns) / NS_PER_S:9.3f} s  {happening.text}"
+
+
+def show_summary(heard: Heard, summary: Mapping[str, Any]) -> None:
+    """Print the tables at the end, the verdicts with their reasons, and what cannot be seen by listening."""
+    stations = summary["stations"]
+    if stations:
+        output.table("Stations", _COLUMNS, _rows(stations))
+    if summary["masters"]:
+        output.table("Masters", _MASTERS, [_master_row(*item) for item in summary["masters"].items()])
+    output.line(_bus_line(summary))
+    timing = _timing_line(summary)
+    if timing:
+        output.line(timing)
+    for address, station in stations.items():
+        for reason in station["reasons"]:
+            if station["verdict"] in (WARNING, CRITICAL):
+                output.line(f"station {_titled(address, station)}: {reason}", STYLES[station["verdict"]])
+    output.line(f"verdict: {summary['verdict']}", STYLES[summary["verdict"]])
+    for reason in summary["reasons"]:
+        if not reason.startswith("station "):
+            output.line(f"  {reason}", STYLES[summary["verdict"]])
+    output.line(f"listening cannot see: {'; '.join(UNSEEN)}")
+
+
+def _titled(address: str, station: Mapping[str, Any]) -> str:
+    return f"{address} ({station['name']})" if station["name"] else address
+
+
+def _rows(stations: Mapping[str, Mapping[str, Any]]) -> list[tuple[object, ...]]:
+    return [_row(address, station) for address, station in stations.items()]
+
+
+def _row(address: str, station: Mapping[str, Any]) -> tuple[object, ...]:
+    name = station["name"] or station["model"] or station["ident"] or ""
+    state = "master" if station["role"] == "master" else station["state"].replace("_", " ")
+    if state == State.UNKNOWN:
+        state = "no master"
+    tsdr = station["tsdr_us"]
+    counts = (station["requests"], sum(station["retry_depth"]), station["no_answer"], station["damaged"])
+    return (address, name, state, *counts, "-" if tsdr is None else f"{tsdr['p50']:g}", station["verdict"])
+
+
+def _master_row(address: str, master: Mapping[str, Any]) -> tuple[object, ...]:
+    slaves = ", ".join(map(str, master["slaves"])) or "none"
+    times = [_mean(master["token_us"]), _mean(master["rotation_us"]), _hold(master["hold_us"])]
+    return (address, master["mode"], *times, master["gap_polls"], master["drops"], slaves)
+
+
+def _mean(figures: Mapping[str, float] | None) -> str:
+    return "-" if figures is None else f"{figures['mean']:g}"
+
+
+def _hold(figures: Mapping[str, float] | None) -> str:
+    return "-" if figures is None else f"{figures['p50']:g}"
+
+
+def _bus_line(summary: Mapping[str, Any]) -> str:
+    rate = "rate not known" if summary["baud"] is None else baud_text(summary["baud"])
+    damaged = ", ".join(f"{count} {cause}" for cause, count in summary["damaged"].items()) or "none"
+    return (
+        f"{rate}, {summary['seconds']:.1f} s, {summary['telegrams']} telegrams ({summary['telegrams_per_s']:g} a "
+        f"second), load {summary['load']:.0%}, damaged: {damaged}"
+    )
+
+
+def _timing_line(summary: Mapping[str, Any]) -> str:
+    timing = summary["timing"]
+    resolution = timing["resolution_us"]
+    if resolution is None:
+        return "the file does not say how finely it is timed: times of single answers are not shown or judged"
+    if resolution < 1:
+        return ""
+    return (
+        f"times by the {timing['source']}, to {resolution:g} us; {timing['batched']:.0%} of the telegrams arrived "
+        "together with others; finer figures are not shown or judged"
+    )
+
+
+class LiveView:
+    """The live list of ``monitor`` on a terminal."""
+
+    def __init__(self, monitor: Monitor, port: str) -> None:
+        self._monitor = monitor
+        self._port = port
+
+    async def watch(self) -> None:
+        """Redraw the list until cancelled; the last picture goes, the tables at the end take its place."""
+        from rich.live import Live
+
+        with output.guarded(), Live(self._picture(), auto_refresh=False, transient=True) as live:
+            while True:
+                await asyncio.sleep(_REFRESH_S)
+                live.update(self._picture(), refresh=True)
+
+    def _picture(self) -> Any:
+        from rich.console import Console, Group
+
+        from dpstack.cli.terminal import drawing
+
+        monitor, console = self._monitor, Console()
+        summary: Mapping[str, Any] = monitor.summary(time_ns())
+        head = drawing.shown(
+            f"{self._port}  {_bus_line(summary)}  verdict: {summary['verdict']}", STYLES[summary["verdict"]]
+        )
+        why = [drawing.shown(reason, STYLES[summary["verdict"]]) for reason in summary["reasons"][:3]]
+        events = [
+            drawing.shown(_event(one, monitor.begun_ns), _EVENT_STYLES.get(one.kind, ""))
+            for one in list(monitor.time_line)[-_EVENTS:]
+        ]
+        top: list[Any] = [head, *why]
+        room = console.height - 1 - _height(console, top)
+        stations = summary["stations"]
+        table = _fitting(stations, console, max(4, room - min(len(events), 3)))
+        room -= _height(console, [table])
+        while events and _height(console, events) > room:
+            del events[0]
+        return Group(*top, table, *events)
+
+
+def _height(console: Any, parts: Sequence[Any]) -> int:
+    return sum(len(console.render_lines(part)) for part in parts)
+
+
+def _fitting(stations: Mapping[str, Mapping[str, Any]], console: Any, room: int) -> Any:
+    """The table of the stations in at most ``room`` lines; where they do not fit, the best ones are left out."""
+    from dpstack.cli.terminal import drawing
+
+    shown = dict(stations)
+    order = (GOOD, UNKNOWN, WARNING, CRITICAL)
+    leaving = sorted(stations, key=lambda address: (order.index(stations[address]["verdict"]), -int(address)))
+    while True:
+        out = len(stations) - len(shown)
+        title = f"stations, {out} good ones are not shown: the window is too small" if out else ""
+        styles = [STYLES[station["verdict"]] for station in shown.values()]
+        table = drawing.rich_table(title, _COLUMNS, _rows(shown), console.width, styles)
+        over = len(console.render_lines(table)) - room
+        if over <= 0 or len(shown) <= 1:
+            return table
+        for address in leaving[out : out + max(1, over // 2)]:
+            if len(shown) > 1:
+                del shown[address]

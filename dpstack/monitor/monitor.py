@@ -1,0 +1,225 @@
+"""A bus judged by listening: transmissions in, events and a summary with verdicts out. No clock, memory bounded."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from dpstack.capture.timing import LineTiming
+from dpstack.dp.pdu.alarm_blocks import Alarm, message_dict, parse_block
+from dpstack.dp.pdu.diag_blocks import DeviceBlock
+from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.errors import PduError
+from dpstack.monitor.counters import Change, Counters, State
+from dpstack.monitor.devices import Devices
+from dpstack.monitor.history import History
+from dpstack.monitor.summary import summary
+from dpstack.monitor.thresholds import Thresholds
+from dpstack.monitor.timing import Timing
+from dpstack.monitor.verdicts import Heard
+from dpstack.units import NS_PER_S, baud_text
+
+#: entries of the time line: the newest are kept
+TIME_LINE: Final = 1_000
+#: the JSON name of a change, as ``run --json`` has it
+_EVENTS: Final = {
+    "lost": "slave",
+    "back": "slave",
+    "state": "slave",
+    "joined": "ring",
+    "left": "ring",
+    "rate": "notice",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Happening:
+    """Something that happened on the bus. ``t_ns``: since 1970. ``kind``: lost, back, state, diagnosis, alarm,
+    status_message, mode, joined, left, rate, gap,
+    notice. ``address``: of a station, None for the bus. ``text``: one line for
+    people. ``fields``: further keys of its JSON line. ``routine``: a step of a bring-up, which is no entry of the time
+    line."""
+
+    t_ns: int
+    kind: str
+    address: int | None
+    name: str
+    text: str
+    fields: Mapping[str, object] = field(default_factory=dict)
+    routine: bool = False
+
+    def as_dict(self, begun_ns: int) -> dict[str, object]:
+        """The JSON line: its ``event`` is named as in ``dpstack run --json``, ``t`` in seconds since ``begun_ns``."""
+        line: dict[str, object] = {
+            "event": _EVENTS.get(self.kind, self.kind),
+            "t": round((self.t_ns - begun_ns) / NS_PER_S, 6),
+        }
+        if self.address is not None:
+            line |= {"address": self.address, "name": self.name or None}
+        return {**line, **self.fields, "text": self.text}
+
+
+class Monitor:
+    """Judges one bus. :meth:`add` takes its transmissions, whose times must not run backwards.
+
+    ``timing``: of their source; it may be set later. ``begun_ns``: time since 1970 at which listening began, None: with
+    the first transmission. ``on_event`` gets each :class:`Happening` as it happens; the last ones are kept in
+    ``time_line``, ``left_out`` counts those that are not.
+    """
+
+    def __init__(
+        self,
+        timing: LineTiming,
+        *,
+        devices: Devices | None = None,
+        thresholds: Thresholds | None = None,
+        begun_ns: int | None = None,
+        on_event: Callable[[Happening], None] = lambda happening: None,
+    ) -> None:
+        self.timing = timing
+        self.devices = devices or Devices()
+        self.thresholds = thresholds or Thresholds()
+        self.counters = Counters(self._changed, self._look)
+        self.history = History()
+        self.time_line: deque[Happening] = deque(maxlen=TIME_LINE)
+        self.left_out = 0
+        self.add = self.counters.add
+        self._begun_ns = begun_ns
+        self.on_event = on_event
+        self._blocks: dict[int, frozenset[bytes]] = {}  # the extended diagnosis of each station
+        self._conspicuous: dict[int, str] = {}
+        self._looked_ns = 0
+        self._told: dict[int, str] = {}  # the last state told of each station
+
+    @property
+    def begun_ns(self) -> int:
+        """When listening began, in ns since 1970; 0 before the first transmission."""
+        return (self.counters.begun_ns or 0) if self._begun_ns is None else self._begun_ns
+
+    def gap(self, t_ns: int, text: str) -> None:
+        """Octets are missing here: put it on the time line, and count no duration across it."""
+        self.counters.gap()
+        self._tell(Happening(t_ns, "gap", None, "", text))
+
+    def remark(self, t_ns: int, text: str) -> None:
+        """Put a remark of the source of the octets on the time line."""
+        self._tell(Happening(t_ns, "notice", None, "", text))
+
+    def tick(self, now_ns: int) -> None:
+        """Time has passed, ns since 1970: a line where nothing is heard is looked at once a second."""
+        if now_ns - self._looked_ns >= NS_PER_S:
+            self.counters.look(now_ns)
+
+    def heard(self, now_ns: int | None = None) -> Heard:
+        """All that was heard up to ``now_ns`` (ns since 1970; None: up to the end of the last transmission)."""
+        counters = self.counters
+        now = counters.ended_ns if now_ns is None else max(now_ns, counters.ended_ns)
+        whole = counters.telegrams + sum(counters.damaged.values())
+        return Heard(
+            counters=counters,
+            history=self.history,
+            devices=self.devices,
+            timing=Timing(self.timing, counters.together / whole if whole else 0.0),
+            thresholds=self.thresholds,
+            seconds=(now - self.begun_ns) / NS_PER_S if self.begun_ns else 0.0,
+            silent_s=(now - counters.ended_ns) / NS_PER_S if counters.ended_ns else 0.0,
+            now_ns=now,
+        )
+
+    def summary(self, now_ns: int | None = None) -> dict[str, object]:
+        """The summary with all verdicts, as :func:`~dpstack.monitor.summary.summary` has it."""
+        return summary(self.heard(now_ns))
+
+    # --- changes ---
+    def _look(self, now: int) -> None:
+        self._looked_ns = now
+        for station in self.history.look(self.counters, now):
+            if station.state == State.UNKNOWN or self._told.get(station.address) == station.state:
+                continue
+            self._state(now, "state", station.address, f"is in {station.state.replace('_', ' ')}")
+
+    def _state(self, t_ns: int, kind: str, address: int, text: str) -> None:
+        state = self.counters.stations[address].state
+        self._told[address] = state
+        routine = state not in (State.DATA_EXCHANGE, State.OFFLINE) and kind != "lost"
+        name, line = self._name(address), self._line(address, text)
+        self._tell(Happening(t_ns, kind, address, name, line, {"state": state}, routine))
+
+    def _changed(self, change: Change) -> None:
+        t_ns, kind, address = change.t_ns, change.kind, change.address
+        match kind:
+            case "lost":
+                self._state(t_ns, kind, address, "left data exchange")
+            case "back":
+                self._state(t_ns, kind, address, "exchanges data")
+            case "diagnosis":
+                self._diagnosed(t_ns, address, change.octets)
+            case "mode":
+                mode = self.counters.masters[address].mode
+                text = self._line(address, f"is in {mode.capitalize()}", "master")
+                self._tell(Happening(t_ns, kind, address, self._name(address), text, {"mode": mode}))
+            case "joined" | "left":
+                line = self._line(address, change.text.removeprefix(f"master {address} "), "master")
+                self._tell(Happening(t_ns, kind, address, self._name(address), line))
+            case "rate":
+                baud = self.counters.baud
+                text = f"the bus runs at {baud_text(baud)} now" if baud else "the rate is not known any more"
+                self._tell(Happening(t_ns, kind, None, "", text, {"baud": baud}))
+
+    def _diagnosed(self, t_ns: int, address: int, octets: bytes) -> None:
+        diagnosis = Diagnosis.parse(octets)
+        if diagnosis is None:
+            return
+        station = self.counters.stations[address]
+        device = self.devices.find(address, diagnosis.ident)
+        dpv1 = device.dpv1 is not False
+        exchanging = station.state == State.DATA_EXCHANGE
+        texts = block_texts(diagnosis, device.texts, dpv1=dpv1)
+        found = conspicuous_text(diagnosis, device.texts, dpv1=dpv1, exchanging=exchanging)
+        before = self._conspicuous.get(address, "")
+        self._conspicuous[address] = found
+        text = f"new diagnosis: {found}" if found else "its diagnosis is clear" if before else ""
+        happening = Happening(
+            t_ns,
+            "diagnosis",
+            address,
+            self._name(address),
+            self._line(address, text or "reads as in a bring-up"),
+            {"flags": list(diagnosis.flags), "texts": list(texts)},
+            routine=not text or found == before,
+        )
+        self._tell(happening)
+        self._messages(t_ns, address, diagnosis, dpv1)
+
+    def _messages(self, t_ns: int, address: int, diagnosis: Diagnosis, dpv1: bool) -> None:
+        """Alarms and status messages that the diagnosis before did not have."""
+        blocks = frozenset(block.octets for block in diagnosis.blocks if isinstance(block, DeviceBlock))
+        new, self._blocks[address] = blocks - self._blocks.get(address, frozenset()), blocks
+        for octets in sorted(new) if dpv1 else ():
+            try:
+                message = parse_block(octets)
+            except PduError:
+                continue
+            fields = message_dict(message)
+            if isinstance(message, Alarm):
+                fields |= {"sequence": message.sequence, "user_ack": message.add_ack}
+            kind = "alarm" if isinstance(message, Alarm) else "status_message"
+            text = self._line(address, message.full_text)
+            self._tell(Happening(t_ns, kind, address, self._name(address), text, fields))
+
+    def _name(self, address: int) -> str:
+        station = self.counters.stations.get(address)
+        return self.devices.find(address, None if station is None else station.ident).name
+
+    def _line(self, address: int, text: str, role: str = "station") -> str:
+        name = self._name(address)
+        return f"{role} {address} ({name}): {text}" if name else f"{role} {address}: {text}"
+
+    def _tell(self, happening: Happening) -> None:
+        if not happening.routine:
+            self.left_out += len(self.time_line) == TIME_LINE
+            self.time_line.append(happening)
+        self.on_event(happening)

@@ -1,0 +1,105 @@
+"""The summary of a monitored bus as plain data: the last JSON line of ``dpstack monitor``, and the report's figures."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Final
+
+from dpstack.monitor.counters import Master, Station
+from dpstack.monitor.thresholds import limits
+from dpstack.monitor.verdicts import Heard, Verdict, judge
+from dpstack.units import NS_PER_MS, NS_PER_S
+
+#: what no listener at the octets can see, for people
+UNSEEN: Final = (
+    "voltage levels, edges and reflections (an oscilloscope shows them)",
+    "the topology: cable lengths, stubs, terminators, the order of the stations",
+    "which station damaged an octet: a damaged answer counts for the station that was asked",
+)
+
+
+def summary(heard: Heard) -> dict[str, object]:
+    """The summary with all verdicts; numbers that the source cannot time are None."""
+    counters = heard.counters
+    bus, stations = judge(heard)
+    seconds = heard.seconds
+    return {
+        "event": "summary",
+        "time": _time(heard.now_ns),
+        "baud": counters.baud or None,
+        "seconds": round(seconds, 3),
+        "telegrams": counters.telegrams,
+        "telegrams_per_s": round(counters.telegrams / seconds, 1) if seconds else 0.0,
+        "load": round(min(1.0, counters.busy_ns / NS_PER_S / seconds), 4) if seconds else 0.0,
+        "damaged": dict(sorted(counters.damaged.items())),
+        "unattributed": counters.unattributed,
+        "timing": heard.timing.as_dict(),
+        "profibus": heard.is_profibus,
+        "masters": {str(address): _master(one, heard) for address, one in sorted(counters.masters.items())},
+        "stations": {
+            str(address): _station(counters.stations[address], verdict, heard) for address, verdict in stations.items()
+        },
+        "thresholds": {limit.name: getattr(heard.thresholds, limit.name) for limit in limits()},
+        "verdict": bus.level,
+        "reasons": list(bus.reasons),
+    }
+
+
+def _time(ns: int) -> str | None:
+    if not ns:
+        return None
+    millis = ns // NS_PER_MS
+    try:
+        time = datetime.fromtimestamp(millis // 1000, UTC).replace(microsecond=millis % 1000 * 1000)
+    except (ValueError, OverflowError, OSError):  # a file may claim any time
+        return None
+    return time.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _master(master: Master, heard: Heard) -> dict[str, object]:
+    timing = heard.timing
+    return {
+        "mode": master.mode,
+        "token_us": timing.rotations(master.token_ns),
+        "rotation_us": timing.rotations(master.rotation_ns),
+        "hold_us": timing.neighbours(master.hold_ns),
+        "gap_polls": master.gap_polls,
+        "drops": master.drops,
+        "slaves": sorted(master.slaves),
+    }
+
+
+def _station(station: Station, verdict: Verdict, heard: Heard) -> dict[str, object]:
+    device = heard.devices.find(station.address, station.ident)
+    return {
+        "role": "master" if station.is_master else "slave",
+        "name": device.name or None,
+        "ident": None if station.ident is None else f"0x{station.ident:04X}",
+        "model": device.model or None,
+        "state": station.state,
+        "master": station.master,
+        "requests": station.requests,
+        "answers": station.answers,
+        "damaged": station.damaged,
+        "no_answer": station.no_answer,
+        "repetitions": station.repetitions,
+        "retry_depth": _without_zeros(station.retry_depth),
+        "repeated_polls": station.repeated_polls,
+        "late": station.late,
+        "rs": station.rs,
+        "rr": station.rr,
+        "diagnoses": station.diagnoses,
+        "diagnosis": None if station.diagnosis is None else station.diagnosis.hex(),
+        "syncs": station.syncs,
+        "lost": station.lost,
+        "max_tsdr": device.max_tsdr.get(heard.counters.baud),
+        "tsdr_us": heard.timing.neighbours(station.answer_ns),
+        "verdict": verdict.level,
+        "reasons": list(verdict.reasons),
+    }
+
+
+def _without_zeros(depth: list[int]) -> list[int]:
+    """The depths up to the last one that occurred, at least two."""
+    size = max((place for place, count in enumerate(depth, 1) if count), default=0)
+    return depth[: max(2, size)]

@@ -1,0 +1,158 @@
+"""``dpstack monitor`` on capture files: summary, verdicts, names, and files that cannot be read."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bus_kit import SimBus
+from cli_kit import Cli
+from support import MS, S
+
+from dpstack.capture.listener import Listener
+from dpstack.capture.pcapng import Writer
+from dpstack.capture.recording import PortAbout, Recording
+from dpstack.capture.timing import ADAPTER, TAP
+from dpstack.capture.transmission import Transmission
+from dpstack.params import BusParams
+from dpstack.sim.world import World
+
+EPOCH = 1_800_000_000 * S
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
+    """One bus of a master and slaves 3, 4 and 5: 8 s in order, once with exact times, once as an adapter times it; and
+    the same with slave 4 switched off for 200 ms and again at the end."""
+    folder = tmp_path_factory.mktemp("captures")
+    world = World(keep=10, referee=False)
+    bus = SimBus(world, BusParams.preset(93_750, address=2), [3, 4, 5])
+    names = ("exact", "adapter", "lost")
+    with contextlib.ExitStack() as stack:
+        files = {name: stack.enter_context((folder / f"{name}.pcapng").open("wb")) for name in names}
+        heard: list[Recording] = []
+
+        def hear(one: Transmission) -> None:
+            for recording in heard:
+                recording.add(one)
+
+        for name, file in files.items():
+            exact = name != "adapter"
+            heard.append(Recording(file, "a test", PortAbout("seg", TAP if exact else ADAPTER, True, exact)))
+        made = list(heard)
+        world.add(Listener(world.now, hear, baud=93_750, epoch_ns=EPOCH), name="listener")
+        world.run_for(8 * S)
+        del heard[:2]
+        world.silence(bus.slaves[4], 200 * MS)
+        world.run_for(1 * S)
+        world.silence(bus.slaves[4], 60 * S)
+        world.run_for(13 * S)
+        for recording in made:
+            recording.close(EPOCH + world.now)
+    return {name: str(folder / f"{name}.pcapng") for name in names}
+
+
+def test_a_bus_in_order(captures: Mapping[str, str], cli: Cli) -> None:
+    lines = cli.jsons("monitor", captures["exact"])
+    summary = lines[-1]
+    states = [(line["address"], line["state"]) for line in lines if line["event"] == "slave"]
+    assert states == [(address, "data_exchange") for address in (3, 4, 5)]
+    assert (summary["verdict"], summary["reasons"], summary["profibus"]) == ("good", [], True)
+    assert summary["timing"] == {"source": "tap", "resolution_us": 0.001, "batched": 0.0}
+    assert (summary["baud"], summary["damaged"], summary["unattributed"]) == (93_750, {}, 0)
+    master = summary["masters"]["2"]
+    assert (master["mode"], master["slaves"], master["drops"]) == ("operate", [3, 4, 5], 0)
+    assert 0 < master["rotation_us"]["min"] <= master["rotation_us"]["mean"] <= master["rotation_us"]["max"]
+    station = summary["stations"]["4"]
+    assert station["requests"] == station["answers"] >= 200
+    # T_SDR of the simulated slaves: 11 bit times
+    assert station["tsdr_us"] == dict.fromkeys(("min", "p50", "p99", "max"), pytest.approx(11 / 0.09375, abs=0.1))
+    assert (station["ident"], station["state"], station["verdict"]) == ("0x1234", "data_exchange", "good")
+
+
+def test_an_adapter_times_no_single_answer(captures: Mapping[str, str], cli: Cli) -> None:
+    summary = cli.json("monitor", captures["adapter"])
+    assert summary["timing"]["source"] == "adapter"
+    assert summary["timing"]["resolution_us"] == 1000
+    assert {one["tsdr_us"] for one in summary["stations"].values()} == {None}
+    assert summary["masters"]["2"]["rotation_us"]["mean"] > 0
+    assert "-  " in cli.out("monitor", captures["adapter"])
+
+
+def test_a_slave_that_is_lost(captures: Mapping[str, str], cli: Cli) -> None:
+    lines = cli.jsons("monitor", captures["lost"], code=1)
+    told = [(line["address"], line["state"]) for line in lines[:-1] if line["event"] == "slave"]
+    assert [state for address, state in told if address == 4 and state in ("offline", "data_exchange")] == [
+        "data_exchange",
+        "offline",
+        "data_exchange",
+        "offline",
+    ]
+    station = lines[-1]["stations"]["4"]
+    assert (station["verdict"], station["lost"], station["syncs"]) == ("critical", 2, 2)
+    assert "does not answer any more: look at its power" in station["reasons"][0]
+    assert lines[-1]["stations"]["3"]["verdict"] == "good"
+    assert lines[-1]["verdict"] == "critical"
+    out = cli.out("monitor", captures["lost"], code=1)
+    assert "station 4: left data exchange\n" in out
+    assert "verdict: critical\n" in out
+    assert "listening cannot see: voltage levels" in out
+
+
+def test_names_of_a_configuration_and_models_of_gsd_files(
+    captures: Mapping[str, str], cli: Cli, tmp_path: Path
+) -> None:
+    config = tmp_path / "plant.toml"
+    config.write_text(
+        '[bus]\nport = "virtual"\nbaud = 93750\n'
+        '[[slave]]\nname = "valves"\naddress = 3\nident = 0x1234\nconfig = "F3 F1"\n'
+    )
+    gsd = '#Profibus_DP\nGSD_Revision = 1\nVendor_Name = "Acme"\nModel_Name = "Mirror"\nIdent_Number = 0x1234\n'
+    (tmp_path / "mirror.gsd").write_text(f"{gsd}93.75_supp = 1\nMaxTsdr_93.75 = 60\n")
+    (tmp_path / "empty.gsd").write_text("")
+    out, err = cli("monitor", captures["exact"], "--config", str(config), "--gsd", str(tmp_path), "--json")
+    assert '"name":"valves"' in out
+    assert err.count("skipped") == 1
+    assert "empty.gsd" in err
+    summary: Any = cli.json("monitor", captures["exact"], "--gsd", str(tmp_path))
+    assert (summary["stations"]["5"]["model"], summary["stations"]["5"]["max_tsdr"]) == ("Acme Mirror", 60)
+
+
+def test_thresholds_of_a_file(captures: Mapping[str, str], cli: Cli, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("min_seconds = 3600\n")
+    summary = cli.json("monitor", captures["exact"], "--thresholds", str(path))
+    assert (summary["verdict"], summary["thresholds"]["min_seconds"]) == ("unknown", 3600)
+    assert "too little was heard: " in summary["reasons"][0]
+    path.write_text("\nretry_warning = 3\n")
+    assert cli.err("monitor", captures["exact"], "--thresholds", str(path)) == (
+        f"dpstack: {path}:2: thresholds: unknown key 'retry_warning'; did you mean 'retries_warning'?\n"
+    )
+
+
+def test_files_that_are_cut_or_without_a_rate(captures: Mapping[str, str], cli: Cli, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.pcapng"
+    cut.write_bytes(Path(captures["exact"]).read_bytes()[:-5])
+    out, err = cli("monitor", str(cut), code=1)
+    assert "verdict: good" in out
+    assert "the file ends within a block" in err
+    with (tmp_path / "rate.pcapng").open("wb") as file:
+        writer = Writer(file, "a test")
+        writer.packet(writer.interface("p", 0, ""), EPOCH, b"\xdc\x02\x02")
+    assert "give it, for instance --baud 500000" in cli.err("monitor", file.name)
+    summary = cli.json("monitor", file.name, "--baud", "19200")
+    assert (summary["baud"], summary["timing"]["source"], summary["verdict"]) == (19_200, "file", "unknown")
+    assert "give either a capture file or --port" in cli.err("monitor")
+    assert "No such file" in cli.err("monitor", str(tmp_path / "none"))
+
+
+def test_the_thresholds_are_in_the_documents() -> None:
+    from dpstack.monitor.thresholds import limits
+
+    page = (ROOT / "docs" / "monitor.md").read_text(encoding="utf-8")
+    rows = [f"| `{one.name}` | {one.default:g} | {one.unit} | {one.text} | {one.source} |\n" for one in limits()]
+    assert page.partition("<!-- thresholds -->\n")[2].partition("<!-- end -->")[0].splitlines(True)[2:] == rows
