@@ -4,6 +4,7 @@
 - ``devices``: The devices of a bus as far as configuration and GSD files describe them: names, models, diagnosis texts,
   T_SDR
 - ``drawings``: Histograms, time line and schedule of the report as SVG
+- ``evidence``: Evidence that the telegrams on a line are PROFIBUS and not another protocol of the same form
 - ``history``: The past of each station, second by second and minute by minute, in a few numbers: bursts, failures at
   once, T_SDR
 - ``monitor``: A bus judged by listening: transmissions in, events and a summary with verdicts out. No clock, memory
