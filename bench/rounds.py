@@ -66,6 +66,7 @@ PLANS: Final[Mapping[str, Plan]] = {
     "cycle": Plan("--rounds 1 --slaves 1 16 --kinds asyncio process --seconds 0.5"),
     "gsd": Plan("--rounds 1 --files 60", cpu=True),
     "jitter": Plan("--rounds 1 --seconds 2 --cycles 10"),
+    "listen": Plan("--rounds 2 --telegrams 4000", cpu=True),
     "loop": Plan("--rounds 1"),
     "parameters": Plan("", 1),
     "rotation": Plan("--rounds 1 --bauds 500000 1500000 --kinds bare asyncio process"),

@@ -1,6 +1,6 @@
 """Base classes of events for the application, and the wire log of telegrams.
 
-Nothing here decodes or prints protocol: :mod:`dpstack.decode.words` renders a wire log for people.
+Nothing here decodes or prints protocol: :mod:`dpstack.decode.wire_log` renders a wire log for people.
 """
 
 from __future__ import annotations

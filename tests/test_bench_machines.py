@@ -6,10 +6,11 @@ import sys
 
 import pytest
 
-from bench import codec, scale, virtual
+from bench import codec, listen, scale, virtual
 from bench.__main__ import BENCHMARKS
 from bench.null_medium import NullBus
 from bench.report import Report
+from dpstack.decode.words import describe_octets
 
 
 def figures(report: Report) -> dict[str, float]:
@@ -92,5 +93,21 @@ def test_the_medium_without_cost_brings_everybody_into_data_exchange_and_keeps_t
         NullBus(0)
 
 
+def test_listening_measures_every_step_on_the_telegrams_of_a_realistic_bus() -> None:
+    report = listen.run(["--telegrams", "600", "--rounds", "1"])
+    goals = {figure.name: figure.goal for figure in report.figures if figure.goal is not None}
+    assert goals == {
+        "writing pcapng, to the codec's decode": 1.5,
+        "monitor FILE, to the codec's decode": 10.0,
+        "decode --json FILE, to the codec's decode": 30.0,
+    }
+    assert figures(report)["a full bus at 12 Mbit/s"] > 20_000
+    heard = listen.traffic(3_000)
+    seen = {describe_octets(one.octets).partition(" ")[0] for one in heard}
+    assert seen >= {"token", "FDL_Status", "Set_Prm", "Chk_Cfg", "Slave_Diag", "Global_Control", "Data_Exchange", "MS1"}
+    for batch_ns in (0, 1_000_000):
+        assert b"".join(octets for octets, _ in listen.chunks(heard, batch_ns)) == b"".join(one.octets for one in heard)
+
+
 def test_they_are_listed() -> None:
-    assert {"codec", "scale", "virtual"} <= set(BENCHMARKS)
+    assert {"codec", "listen", "scale", "virtual"} <= set(BENCHMARKS)

@@ -10,6 +10,7 @@ from typing import Final
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, alarm_name, parse_block
 from dpstack.dp.pdu.diag_blocks import Block, ChannelBlock, DeviceBlock, IdentifierBlock, RevisionBlock
+from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.pdu.dpv1_status import (
     ALARM_LIMITS,
@@ -59,6 +60,8 @@ Fields = dict[str, object]
 #: T_WD = 10 ms x WD_Fact_1 x WD_Fact_2, or 1 ms x ... with WD_Base_1ms
 _WD_BASE_MS: Final = 10
 _REFUSED: Final = 0x80
+#: bits of Control_Command that mean nothing
+_RESERVED_CONTROL: Final = 0xC1
 
 
 def fields_of(telegram: Telegram) -> Fields:
@@ -70,15 +73,23 @@ def fields_of(telegram: Telegram) -> Fields:
     if not data or (telegram.dsap is None and telegram.ssap is None):
         return {}
     request = telegram.is_request
-    slave, master = (telegram.dsap, telegram.ssap) if request else (telegram.ssap, telegram.dsap)
+    slave = telegram.dsap if request else telegram.ssap
     if slave is None:
         return {}
     read = (_REQUESTS if request else _ANSWERS).get(slave)
     if read is not None:
         return read(data)
-    if slave in (SAP_MS1, SAP_MS1_ALARM) or (slave <= SAP_MS2_RM and master == SSAP_MS2):
-        return dpv1_fields(data, request=request)
-    return {}
+    return dpv1_fields(data, request=request) if is_dpv1(telegram) else {}
+
+
+def is_dpv1(telegram: Telegram) -> bool:
+    """Whether the SAPs are those of MS1 or MS2."""
+    slave, master = telegram.dsap, telegram.ssap
+    if not telegram.is_request:
+        slave, master = master, slave
+    if slave is None:
+        return False
+    return slave in (SAP_MS1, SAP_MS1_ALARM) or (slave <= SAP_MS2_RM and master == SSAP_MS2)
 
 
 def _groups(mask: int) -> list[int]:
@@ -159,7 +170,7 @@ def _configuration(data: bytes) -> Fields:
 
 def _global_control(data: bytes) -> Fields:
     control = GlobalControl.parse(data)
-    return {
+    found: Fields = {
         "Clear_Data": control.clear,
         "Unfreeze": control.unfreeze,
         "Freeze": control.freeze,
@@ -167,6 +178,9 @@ def _global_control(data: bytes) -> Fields:
         "Sync": control.sync,
         "Group_Select": _groups(control.group_mask),
     }
+    if data[0] & _RESERVED_CONTROL:
+        found["reserved"] = f"0x{data[0] & _RESERVED_CONTROL:02x}"
+    return found
 
 
 def _set_slave_add(data: bytes) -> Fields:
@@ -190,6 +204,7 @@ def _slave_diag(data: bytes) -> Fields:
     }
     if diagnosis.ext:
         found["Ext_Diag_Data"] = [_block(block) for block in diagnosis.blocks]
+        found["texts"] = list(block_texts(diagnosis))
     if diagnosis.ext_finding is not None:
         found["rest"] = diagnosis.ext_rest.hex()
         found["finding"] = diagnosis.ext_finding

@@ -40,7 +40,7 @@ _NUMBERS: Final[Mapping[str, Callable[[Explained], float | None]]] = {
 _NAMES: Final[Mapping[str, Callable[[Explained], str]]] = {
     "kind": lambda one: "" if one.telegram is None else one.telegram.kind.name,
     "service": lambda one: one.service,
-    "function": lambda one: str(one.as_dict()["function"] or ""),
+    "function": lambda one: one.function or "",
 }
 _OCTETS: Final[Mapping[str, Callable[[Explained], bytes]]] = {
     "octets": lambda one: one.transmission.octets,

@@ -15,13 +15,6 @@ from dpstack.errors import CaptureFileError, UsageError
 _BETWEEN: Final = re.compile(r"0x|[\s,;:-]+", re.IGNORECASE)
 #: octets of one line of text; a PROFIBUS telegram has 255 at most
 _MOST_LINE: Final = 1 << 20
-_DAMAGE: Final = {
-    Damage.FCS: "check sequence",
-    Damage.TOO_LONG: "too long",
-    Damage.TOO_SHORT: "too short",
-    Damage.START_DELIMITER: "start octet",
-    Damage.PARITY_OR_FRAMING: "parity or framing",
-}
 _DAMAGED: Final = int(sum(Damage))
 _PCAPNG: Final = b"\n\r\r\n"
 _NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
@@ -80,16 +73,10 @@ def _captured(reader: Reader, on_interface: Callable[[Interface], None]) -> Iter
                 )
             last = interface
             on_interface(interface)
-        note = _note(flags, comments) if flags or comments else ""
+        note = "; ".join(comments) if comments else ""
         yield _NEW(Transmission, (octets, t_ns, interface.bits_per_s, note, flags & _DAMAGED))
     if reader.cut:
         raise CaptureFileError(f"{reader.name}: the file ends within a block: {reader.cut}")
-
-
-def _note(flags: int, comments: tuple[str, ...]) -> str:
-    damage = [text for bit, text in _DAMAGE.items() if flags & bit]
-    marked = [f"marked by the port: {', '.join(damage)}"] if damage else []
-    return "; ".join([*marked, *comments])
 
 
 def _lines(file: _Again, name: str) -> Iterator[Transmission]:

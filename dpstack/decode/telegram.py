@@ -6,14 +6,16 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.capture.transmission import Transmission
-from dpstack.decode.course import Course, Place, Step
-from dpstack.decode.fields import Fields, fields_of
-from dpstack.decode.words import describe, flaw_text
+from dpstack.capture.transmission import Damage, Transmission
+from dpstack.decode.course import Course, Step
+from dpstack.decode.fields import Fields
+from dpstack.decode.names import NO_NAMES, Names
+from dpstack.decode.stations import Stations
+from dpstack.decode.words import acknowledged, describe_with, flaw_text
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.service_names import service
-from dpstack.fdl.telegram import FC_FCB, FC_FCV, Kind, Req, Resp, Telegram
+from dpstack.fdl.telegram import FC_FCB, FC_FCV, FC_FUNCTION, Kind, Req, Resp, Telegram
 from dpstack.units import NS_PER_S, chars_to_ns
 
 #: the names of functions as the standard has them, of requests and of responses
@@ -21,10 +23,26 @@ _REQUEST: Final = {number.value: number.name for number in Req if number is not 
 _RESPONSE: Final = {number.value: number.name for number in Resp}
 
 
-@dataclass(frozen=True, slots=True)
+_KIND_SC: Final = Kind.SC
+_KIND_SD4: Final = Kind.SD4
+#: the causes of damage in words
+DAMAGE_TEXTS: Final = {
+    Damage.FCS: "check sequence",
+    Damage.TOO_LONG: "too long",
+    Damage.TOO_SHORT: "too short",
+    Damage.START_DELIMITER: "start octet",
+    Damage.PARITY_OR_FRAMING: "parity or framing",
+}
+_DAMAGED: Final = int(sum(Damage))
+#: damage that the octets themselves do not show
+_UNSEEN: Final = int(Damage.PARITY_OR_FRAMING | Damage.TOO_LONG)
+_NO_FIELDS: Final[Fields] = {}
+
+
+@dataclass(slots=True, eq=False)
 class Explained:
     """One transmission. ``telegram`` is None where the octets are none, ``error`` says why, and also what is wrong in
-    the data unit of a whole telegram."""
+    the data unit of a whole telegram. ``sender``, ``receiver``: names of the stations, empty where they have none."""
 
     number: int
     transmission: Transmission
@@ -33,116 +51,146 @@ class Explained:
     fields: Fields
     error: str | None
     step: Step
+    sender: str = ""
+    receiver: str = ""
 
     @property
     def text(self) -> str:
         """One line for people, without its time and octets."""
-        telegram = self.telegram
-        parts = [describe(telegram)] if telegram is not None else []
-        if self.error is not None:
-            parts.append(self.error if telegram is None else f"cannot be read: {self.error}")
-        step = self.step
+        telegram, step = self.telegram, self.step
+        if telegram is None:
+            text = self.error or ""
+        elif telegram.kind is _KIND_SC and step.request is not None:
+            request = step.request
+            text = acknowledged(self.service, request.da, request.sa, self.sender, self.receiver)
+        else:
+            text = describe_with(telegram, self.fields, self.error, self.sender, self.receiver)
         if step.retry_of is not None:
-            parts.append(f"retry of {step.retry_of}")
+            text = f"{text}; retry of {step.retry_of}"
+        elif step.repeated_poll_of is not None:
+            text = f"{text}; the same poll as {step.repeated_poll_of}"
         elif step.unanswered is not None:
-            parts.append(f"{step.unanswered} was not answered")
-        parts += step.remarks
-        if self.transmission.note:
-            parts.append(self.transmission.note)
-        return "; ".join(parts)
+            text = f"{text}; {step.unanswered} was not answered"
+        if step.remarks:
+            text = "; ".join((text, *step.remarks))
+        sent = self.transmission
+        if sent.damage and (marked := damage_text(sent.damage & (_DAMAGED if telegram else _UNSEEN))):
+            text = f"{text}; marked by the port: {marked}"
+        return f"{text}; {sent.note}" if sent.note else text
+
+    @property
+    def function(self) -> str | None:
+        """The standard's name of the function code."""
+        telegram = self.telegram
+        if telegram is None or telegram.fc < 0:
+            return None
+        number = telegram.fc & FC_FUNCTION
+        names = _REQUEST if telegram.is_request else _RESPONSE
+        return names.get(number) or f"reserved {number}"
 
     def as_dict(self) -> dict[str, object]:
         """The object of ``decode --json``."""
-        telegram = self.telegram
-        octets = self.transmission.octets
-        step = self.step
-        t_ns = self.transmission.t_ns
+        telegram, step, sent = self.telegram, self.step, self.transmission
+        t_ns = sent.t_ns
+        course = {
+            "retry_of": step.retry_of,
+            "answer_to": step.answer_to,
+            "response_us": step.response_us,
+            "unanswered": step.unanswered,
+            "late": step.late,
+            "repeated_poll_of": step.repeated_poll_of,
+            "fcb_turned": step.fcb_turned,
+            "probably_answers": step.probably_answers,
+            "remarks": step.remarks,
+        }
+        kind = da = sa = fc = fcb = fcv = dsap = ssap = data = None
+        if telegram is not None:
+            kind = telegram.kind.name
+            if telegram.kind is not _KIND_SC:
+                da, sa = telegram.da, telegram.sa
+                if telegram.kind is not _KIND_SD4:
+                    fc, dsap, ssap, data = telegram.fc, telegram.dsap, telegram.ssap, telegram.data.hex()
+                    if telegram.is_request:
+                        fcb, fcv = bool(fc & FC_FCB), bool(fc & FC_FCV)
         found: dict[str, object] = {
             "number": self.number,
             "t": None if t_ns is None else t_ns / NS_PER_S,
-            "octets": octets.hex(),
-            "kind": None if telegram is None else telegram.kind.name,
-            "da": None,
-            "sa": None,
-            "fc": None,
-            "function": None,
-            "fcb": None,
-            "fcv": None,
+            "octets": sent.octets.hex(),
+            "kind": kind,
+            "da": da,
+            "sa": sa,
+            "fc": fc,
+            "function": self.function,
+            "fcb": fcb,
+            "fcv": fcv,
             "service": self.service or None,
-            "dsap": None,
-            "ssap": None,
-            "data": None,
+            "dsap": dsap,
+            "ssap": ssap,
+            "data": data,
             "fields": self.fields,
-            "course": {
-                "retry_of": step.retry_of,
-                "answer_to": step.answer_to,
-                "response_us": step.response_us,
-                "unanswered": step.unanswered,
-                "late": step.late,
-                "remarks": list(step.remarks),
-            },
+            "course": course,
             "error": self.error,
             "text": self.text,
         }
-        if telegram is None:
-            return found
-        if telegram.kind is Kind.SC:
+        if kind == "SC":
             found["from"] = None if step.request is None else step.request.da
-            return found
-        found |= {"da": telegram.da, "sa": telegram.sa}
-        if telegram.kind is Kind.SD4:
-            return found
-        request = telegram.is_request
-        names = _REQUEST if request else _RESPONSE
-        found |= {
-            "fc": telegram.fc,
-            "function": names.get(telegram.function, f"reserved {telegram.function}"),
-            "dsap": telegram.dsap,
-            "ssap": telegram.ssap,
-            "data": telegram.data.hex(),
-        }
-        if request:
-            found |= {"fcb": bool(telegram.fc & FC_FCB), "fcv": bool(telegram.fc & FC_FCV)}
+        if self.sender or self.receiver:
+            found["names"] = {"sender": self.sender or None, "receiver": self.receiver or None}
+        if sent.damage:
+            found["damage"] = [text for bit, text in DAMAGE_TEXTS.items() if sent.damage & bit]
         return found
 
 
-def explain(transmissions: Iterable[Transmission]) -> Iterator[Explained]:
-    """Explain a log, one :class:`Explained` for each transmission, numbered from 1. Never raises for octets."""
-    return map(Explainer().add, transmissions)
+def damage_text(damage: int) -> str:
+    """The causes in a sum of :class:`Damage` in words."""
+    return ", ".join(text for bit, text in DAMAGE_TEXTS.items() if damage & bit)
 
 
 class Explainer:
-    """Explains the transmissions of one bus as they come, numbered from 1."""
+    """Explains the transmissions of one bus in the order of their times, numbered from 1, with ``names``."""
 
-    def __init__(self) -> None:
+    def __init__(self, names: Names = NO_NAMES) -> None:
         self._course = Course()
+        self._stations = Stations(names)
+        self._name_of = self._stations.name_of
+        self._named = bool(names.slaves)
         self._number = 0
 
     def add(self, sent: Transmission) -> Explained:
-        """Never raises for octets."""
-        self._number += 1
-        return _explain(self._number, sent, self._course)
+        """The next transmission. Never raises for octets."""
+        self._number = number = self._number + 1
+        octets, t_ns, baud, _, _ = sent
+        telegram = decode(octets)
+        if telegram is None:
+            return Explained(number, sent, None, "", _NO_FIELDS, flaw_text(octets), self._course.damaged(octets))
+        end_ns = None if t_ns is None or not baud else t_ns + chars_to_ns(len(octets), baud)
+        step = self._course.follow(telegram, number, t_ns, end_ns)
+        error = None
+        fields = _NO_FIELDS
+        request = step.request
+        if telegram.data:
+            try:
+                fields = self._stations.fields(telegram, request)
+            except (PduError, ConfigError) as refused:
+                error = str(refused)
+        # an acknowledgement, or a response without SAPs, is of the service that it answers
+        of = telegram
+        if request is not None and (telegram.kind is _KIND_SC or telegram.dsap is telegram.ssap is None):
+            of = request
+        found = Explained(number, sent, telegram, service(of), fields, error, step)
+        if self._named:
+            self._name(found, telegram if telegram.sa >= 0 else request)
+        return found
+
+    def _name(self, found: Explained, telegram: Telegram | None) -> None:
+        """The names of both stations; of an SC by its request."""
+        if telegram is None:
+            return
+        found.sender, found.receiver = self._name_of(telegram.sa), self._name_of(telegram.da)
+        if found.telegram is not telegram:
+            found.sender, found.receiver = found.receiver, found.sender
 
 
-def _explain(number: int, sent: Transmission, course: Course) -> Explained:
-    octets = sent.octets
-    telegram = decode(octets)
-    if telegram is None:
-        course.damaged()
-        return Explained(number, sent, None, "", {}, flaw_text(octets), Step())
-    end = None if sent.t_ns is None or not sent.baud else sent.t_ns + chars_to_ns(len(octets), sent.baud)
-    step = course.follow(telegram, Place(number, end), sent.t_ns)
-    error = None
-    fields: Fields = {}
-    try:
-        fields = fields_of(telegram)
-    except (PduError, ConfigError) as refused:
-        error = str(refused)
-    return Explained(number, sent, telegram, _service(telegram, step), fields, error, step)
-
-
-def _service(telegram: Telegram, step: Step) -> str:
-    """An acknowledgement, or a response without SAPs, is of the service that it answers."""
-    if step.request is not None and (telegram.kind is Kind.SC or telegram.dsap is telegram.ssap is None):
-        return service(step.request)
-    return service(telegram)
+def explain(transmissions: Iterable[Transmission], names: Names = NO_NAMES) -> Iterator[Explained]:
+    """Explain a log, one :class:`Explained` for each transmission, numbered from 1. Never raises for octets."""
+    return map(Explainer(names).add, transmissions)

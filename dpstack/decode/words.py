@@ -1,43 +1,25 @@
-"""Telegrams and wire logs in words, for people: lines of ``decode``, and the log that a failing test prints.
+"""Telegrams in words, one line each: their service, addresses and content, the last made of the fields.
 
 Any octets have a text. Contents that have words: Global_Control, alarms and status in a diagnosis, every service of
-DP-V1.
+DP-V1, and what a drive and its parameters say.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
-from dpstack.dp.pdu.alarm_blocks import Alarm, alarm_name, parse_block
-from dpstack.dp.pdu.diag_blocks import DeviceBlock
-from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dpv1.pdu.ms2 import Abort, InitiateReq, InitiateRes, ResourceManagerRes
-from dpstack.dpv1.pdu.read_write import (
-    AlarmAck,
-    DataTransport,
-    Function,
-    Negative,
-    ReadReq,
-    RecordRes,
-    Service,
-    WriteRes,
-    parse_request,
-    parse_response,
-)
-from dpstack.errors import PduError
-from dpstack.fdl.codec import Flaw, decode, parse
+from dpstack.decode.fields import Fields, dpv1_fields, fields_of, is_dpv1
+from dpstack.dpv1.pdu.read_write import Function
+from dpstack.errors import ConfigError, PduError
+from dpstack.fdl.codec import Flaw, claimed, decode, fcs, parse
 from dpstack.fdl.service_names import BY_FUNCTION, service
 from dpstack.fdl.telegram import (
     COUNTED,
     FC_FCB,
     FC_FCV,
-    SAP_MS1,
-    SAP_MS1_ALARM,
-    SAP_MS2_RM,
     SAP_SLAVE_DIAG,
-    SSAP_MS2,
     UNANSWERED,
     Kind,
     Req,
@@ -46,8 +28,6 @@ from dpstack.fdl.telegram import (
 )
 from dpstack.params import BROADCAST
 from dpstack.text import octets_text
-from dpstack.trace import WireEntry
-from dpstack.units import NS_PER_US, ns_to_bits, ns_to_s
 
 _SHORT_NAMES: Final[dict[int, str]] = {
     Req.SDA_LOW: "SDA low",
@@ -58,13 +38,11 @@ _SHORT_NAMES: Final[dict[int, str]] = {
     Req.SRD_HIGH: "SRD high",
 }
 
-#: Global_Control octet 1, in the order of the bits; Operate is the absence of Clear_Data
-_CONTROLS: Final = ((0x04, "Unfreeze"), (0x08, "Freeze"), (0x10, "Unsync"), (0x20, "Sync"))
+#: the fields of Global_Control in the order of the bits; Operate is the absence of Clear_Data
+_CONTROLS: Final = ("Unfreeze", "Freeze", "Unsync", "Sync")
+#: heads of telegrams whose words are kept
+_KEPT_HEADS: Final = 2048
 
-#: number of cached lines: 126 stations with both FCB and both directions have 504
-_KEPT_LINES: Final = 1_024
-#: a wire log shows so many octets of a transmission in full
-SHOWN_OCTETS: Final = 32
 #: the texts of :class:`Flaw`
 FLAWS: Final = {
     Flaw.BAD_START: "no start octet (10, 68, A2, DC, E5)",
@@ -85,37 +63,66 @@ def describe(telegram: Telegram) -> str:
     >>> describe(Telegram(Kind.SD2, 3, 2, 0x5D, 61, 62, bytes(7)))
     'Set_Prm request 2 -> 3, 7 octets (SRD high, FCV=1 FCB=0)'
     """
+    try:
+        return describe_with(telegram, fields_of(telegram), None)
+    except (PduError, ConfigError) as error:
+        return describe_with(telegram, {}, str(error))
+
+
+def describe_with(telegram: Telegram, fields: Fields, error: str | None, sender: str = "", receiver: str = "") -> str:
+    """The same with the ``fields`` of the telegram, or the ``error`` in its data unit; names of stations."""
     kind, da, sa, fc, dsap, ssap, data, dseg, sseg = telegram
-    if dsap is ssap is dseg is sseg is None:
-        return _line_without_saps(int(kind), da, sa, fc, len(data))
-    return _line(telegram)
+    front, back = _frame(kind, da, sa, fc, dsap, ssap, len(data), dseg, sseg, sender, receiver)
+    words = f"cannot be read ({error})" if error is not None else contents_of(telegram, fields) if fields else ""
+    if not words:
+        return front + back
+    return f"{front}{', ' if fields.keys() & _GLOBAL_CONTROL else ': '}{words}{back}"
 
 
-@lru_cache(_KEPT_LINES)
-def _line_without_saps(kind: int, da: int, sa: int, fc: int, size: int) -> str:
-    """The line of a telegram whose data has no words, such as Data_Exchange; cached, for a cycle repeats it."""
-    return _line(Telegram(Kind(kind), da, sa, fc, data=bytes(size)))
+_GLOBAL_CONTROL: Final = frozenset(("Clear_Data",))
 
 
-def _line(telegram: Telegram) -> str:
+@lru_cache(_KEPT_HEADS)
+def _frame(
+    kind: Kind,
+    da: int,
+    sa: int,
+    fc: int,
+    dsap: int | None,
+    ssap: int | None,
+    size: int,
+    dseg: int | None,
+    sseg: int | None,
+    sender: str,
+    receiver: str,
+) -> tuple[str, str]:
+    """The words before and behind the content of a telegram with ``size`` octets of data."""
+    telegram = Telegram(kind, da, sa, fc, dsap, ssap, bytes(size), dseg, sseg)
     name = service(telegram)
-    if telegram.kind is Kind.SC:
-        return "SC"
-    way = f"{telegram.sa} -> {'all' if telegram.da == BROADCAST else telegram.da}"
-    if telegram.kind is Kind.SD4:
-        return f"token {way}" + (" (to itself)" if telegram.sa == telegram.da else "")
+    if kind is Kind.SC:
+        return "SC", ""
+    to = "all" if da == BROADCAST else _called(da, receiver)
+    way = f"{_called(sa, sender)} -> {to}"
+    if kind is Kind.SD4:
+        return f"token {way}" + (" (to itself)" if sa == da else ""), ""
     parts = [f"{name} {way}" if _unanswered(telegram) else f"{name} {_side(telegram)}{way}"]
-    if name == "Global_Control" and telegram.is_request and len(telegram.data) == 2:
-        parts.append(_global_control(telegram.data))
-    elif telegram.data:
-        words = contents(telegram)
-        octets = octets_text(len(telegram.data))
-        parts.append(f"{octets}: {words}" if words else octets)
+    if size and not (name == "Global_Control" and telegram.is_request and size == 2):
+        parts.append(octets_text(size))
+    rest = [""]
     if telegram.empty_le3:
-        parts.append("LE = 3")
-    segments = (("DSEG", telegram.dseg), ("SSEG", telegram.sseg))
-    parts += [f"{what} {value}" for what, value in segments if value is not None]
-    return f"{', '.join(parts)} ({_control(telegram)})"
+        rest.append("LE = 3")
+    segments = (("DSEG", dseg), ("SSEG", sseg))
+    rest += [f"{what} {value}" for what, value in segments if value is not None]
+    return ", ".join(parts), f"{', '.join(rest)} ({_control(telegram)})"
+
+
+def _called(address: int, name: str) -> str:
+    return f"{address} [{name}]" if name else str(address)
+
+
+def acknowledged(service_name: str, station: int, master: int, sender: str = "", receiver: str = "") -> str:
+    """The words of an SC that answers a request of ``master`` to ``station``."""
+    return f"SC {_called(station, sender)} -> {_called(master, receiver)}, acknowledges {service_name}"
 
 
 def _unanswered(telegram: Telegram) -> bool:
@@ -145,16 +152,6 @@ def _control(telegram: Telegram) -> str:
     return ", ".join(bits) or f"FC {telegram.fc:#04x}"
 
 
-def _global_control(data: bytes) -> str:
-    control, groups = data
-    words = ["Clear" if control & 0x02 else "Operate"]
-    words += [word for mask, word in _CONTROLS if control & mask]
-    if control & 0xC1:
-        words.append(f"reserved bits {control & 0xC1:#04x}")
-    members = ", ".join(str(bit + 1) for bit in range(8) if groups >> bit & 1)
-    return f"{' '.join(words)}, {'group ' + members if members else 'all groups'}"
-
-
 def describe_octets(octets: bytes) -> str:
     """The telegram in ``octets`` in words, or the reason why they are no telegram."""
     telegram = decode(octets)
@@ -162,51 +159,78 @@ def describe_octets(octets: bytes) -> str:
 
 
 def flaw_text(octets: bytes) -> str:
-    """Why ``octets`` are not exactly one telegram."""
+    """Why ``octets`` are not exactly one telegram, and which octet shows it, counted from 1."""
     if not octets:
         return "no octets"
-    found = parse(octets, 0, len(octets))
+    end = len(octets)
+    found = parse(octets, 0, end)
     if isinstance(found, Flaw):
-        return f"no telegram: {FLAWS[found]}"
-    return "no telegram: cut off" if found is None else "a telegram with other octets after it"
+        return f"no telegram: {FLAWS[found]}{_place(found, octets)}"
+    size = claimed(octets, 0, end)
+    if found is None:
+        return f"no telegram: cut off after {octets_text(end)} of {size}" if end > 1 else "no telegram: cut off"
+    return f"a telegram with other octets after it, from octet {size + 1} on"
 
 
-def render(log: Iterable[WireEntry], baud: int) -> str:
-    """The decoded wire log, a line for each transmission: start in us, gap before it in bit times, sender, octets in
-    hex (long ones without their middle), description. A negative gap is an overlap.
-    """
-    entries = list(log)
-    shown = [_hex(entry.octets) for entry in entries]
-    width = max((len(octets) for octets in shown), default=0)
-    lines = [f"{'start us':>14} {'gap bits':>9}  {'sender':<10} {'octets':<{width}}  telegram"]
-    end: int | None = None
-    for entry, octets in zip(entries, shown, strict=True):
-        gap = "" if end is None else str(ns_to_bits(entry.start_ns - end, baud))
-        start = f"{entry.start_ns // NS_PER_US}.{entry.start_ns % NS_PER_US:03}"
-        note = f"  [{entry.note}]" if entry.note else ""
-        text = describe_octets(entry.octets)
-        lines.append(f"{start:>14} {gap:>9}  {entry.sender or '?':<10} {octets:<{width}}  {text}{note}")
-        end = entry.end_ns if end is None else max(end, entry.end_ns)
-    return "\n".join(lines)
+def _place(flaw: Flaw, octets: bytes) -> str:
+    """Which octet shows the flaw."""
+    size = claimed(octets, 0, len(octets))
+    match flaw:
+        case Flaw.LE_MISMATCH:
+            return f": octets 2 and 3 are {octets[1]:02x} and {octets[2]:02x}"
+        case Flaw.LE_RANGE:
+            return f": octet 2 is {octets[1]:02x}"
+        case Flaw.BAD_SECOND_SD:
+            return f": octet 4 is {octets[3]:02x}"
+        case Flaw.BAD_ED:
+            return f": octet {size} is {octets[size - 1]:02x}"
+        case Flaw.BAD_FCS:
+            first = 4 if octets[0] == Kind.SD2 else 1
+            return f": octet {size - 1} is {octets[size - 2]:02x}, the sum is {fcs(octets[first : size - 2]):02x}"
+        case Flaw.BAD_START:
+            return f": octet 1 is {octets[0]:02x}"
+    return ""
 
 
-def _hex(octets: bytes) -> str:
-    if len(octets) <= SHOWN_OCTETS:
-        return octets.hex(" ")
-    return f"{octets[: SHOWN_OCTETS - 8].hex(' ')} ... {octets[-4:].hex(' ')} ({len(octets)} octets)"
-
-
+# --- contents ---------------------------------------------------------------------------------------------------------
 def contents(telegram: Telegram) -> str:
     """A text for the contents of ``telegram``; empty where it has none."""
-    request = telegram.is_request
-    slave, master = (telegram.dsap, telegram.ssap) if request else (telegram.ssap, telegram.dsap)
-    if slave is None or not telegram.data:
-        return ""
-    if slave == SAP_SLAVE_DIAG:
-        return "" if request else _alarms(telegram.data)
-    if slave in (SAP_MS1, SAP_MS1_ALARM) or (slave <= SAP_MS2_RM and master == SSAP_MS2):
-        return pdu_text(telegram.data, request=request)
-    return ""
+    try:
+        return contents_of(telegram, fields_of(telegram))
+    except (PduError, ConfigError) as error:
+        return f"cannot be read ({error})"
+
+
+def contents_of(telegram: Telegram, fields: Mapping[str, Any]) -> str:
+    """The same from the ``fields`` of the telegram."""
+    if "Function_Num" in fields and is_dpv1(telegram):
+        return _pdu_text(fields, request=telegram.is_request)
+    if "Clear_Data" in fields:
+        return _global_control(fields)
+    if not telegram.is_request and telegram.ssap == SAP_SLAVE_DIAG:
+        return _diagnosis(fields)
+    drive = fields.get("drive")
+    return str(drive["text"]) if drive and drive.get("text") else ""
+
+
+def _global_control(fields: Mapping[str, Any]) -> str:
+    words = ["Clear" if fields["Clear_Data"] else "Operate"]
+    words += [word for word in _CONTROLS if fields[word]]
+    if "reserved" in fields:
+        words.append(f"reserved bits {fields['reserved']}")
+    members = ", ".join(map(str, fields["Group_Select"]))
+    return f"{' '.join(words)}, {'group ' + members if members else 'all groups'}"
+
+
+def _diagnosis(fields: Mapping[str, Any]) -> str:
+    """The texts of a diagnosis: those of the GSD file and of the standard, or alarms and status. A device related block
+    of a slave without DP-V1 may look like an alarm."""
+    texts = []
+    for block in fields.get("Ext_Diag_Data", ()):
+        if (message := block.get("if_dpv1")) is not None:
+            number = "" if message["Seq_Nr"] is None else f", sequence number {message['Seq_Nr']}"
+            texts.append(message["text"] + number)
+    return "; ".join(texts or fields.get("texts", ()))
 
 
 def pdu_text(octets: bytes, *, request: bool) -> str:
@@ -216,53 +240,44 @@ def pdu_text(octets: bytes, *, request: bool) -> str:
     'Read refused: invalid index (80 B0 00: class access, code 0)'
     """
     try:
-        return _pdu_text(octets, request=request)
+        return _pdu_text(dpv1_fields(octets, request=request), request=request)
     except PduError as error:
         return f"cannot be read ({error})"
 
 
-def _pdu_text(octets: bytes, *, request: bool) -> str:
-    function = octets[0]
-    match function:
-        case Function.IDLE:
-            return Function.IDLE.title
-        case Function.ABORT:
-            return f"Abort: {Abort.parse(octets).text}"
-        case Function.RESOURCE_MANAGER:
-            manager = ResourceManagerRes.parse(octets)
-            return f"server SAP {manager.server_sap}, send time-out {ns_to_s(manager.send_timeout_ns):g} s"
-        case Function.INITIATE if request:
-            return f"Initiate, send time-out {ns_to_s(InitiateReq.parse(octets).send_timeout_ns):g} s"
-        case Function.INITIATE:
-            return f"Initiate, up to {InitiateRes.parse(octets).max_len} octets of data"
-        case Function.ALARM_ACK:
-            ack = AlarmAck.parse(octets)
-            return f"Alarm_Ack of {alarm_name(ack.type)}, slot {ack.slot}, sequence number {ack.sequence}"
-        case Function.DATA_TRANSPORT:
-            service: Service | RecordRes = DataTransport.parse(octets)
-        case _:
-            service = parse_request(octets) if request else parse_response(octets)
-    match service:
-        case Negative():
-            return f"{Function(service.function).title} refused: {service.text}"
-        case ReadReq():
-            return f"{service.title}, up to {service.length}"
-        case WriteRes():
-            return f"{service.title}, data {service.length}"
-    return f"{service.title}, data {len(service.data)}"
+def _initiate(fields: Mapping[str, Any], request: bool) -> str:
+    if request:
+        return f"Initiate, send time-out {fields['Send_Timeout_s']:g} s"
+    return f"Initiate, up to {fields['Max_Len_Data_Unit']} octets of data"
 
 
-def _alarms(octets: bytes) -> str:
-    """Alarms and status in a diagnosis. A device related block of a slave without DP-V1 may look like one."""
-    diagnosis = Diagnosis.parse(octets)
-    blocks = () if diagnosis is None else diagnosis.blocks
-    texts = []
-    for block in blocks:
-        if isinstance(block, DeviceBlock):
-            try:
-                message = parse_block(block.octets)
-            except PduError:
-                continue
-            number = f", sequence number {message.sequence}" if isinstance(message, Alarm) else ""
-            texts.append(message.text + number)
-    return "; ".join(texts)
+def _alarm_ack(fields: Mapping[str, Any], request: bool) -> str:
+    return f"Alarm_Ack of {fields['alarm']}, slot {fields['Slot_Number']}, sequence number {fields['Seq_Nr']}"
+
+
+def _resource_manager(fields: Mapping[str, Any], request: bool) -> str:
+    return f"server SAP {fields['Server_SAP']}, send time-out {fields['Send_Timeout_s']:g} s"
+
+
+#: functions whose words are not those of Read and Write
+_FUNCTIONS: Final[Mapping[str, Callable[[Mapping[str, Any], bool], str]]] = {
+    Function.IDLE.title: lambda fields, request: Function.IDLE.title,
+    Function.ABORT.title: lambda fields, request: f"Abort: {fields['text']}",
+    Function.RESOURCE_MANAGER.title: _resource_manager,
+    Function.INITIATE.title: _initiate,
+    Function.ALARM_ACK.title: _alarm_ack,
+}
+
+
+def _pdu_text(fields: Mapping[str, Any], *, request: bool) -> str:
+    function = fields.get("function", "")
+    if "Error_Decode" in fields:
+        return f"{function} refused: {fields['text']}"
+    if (made := _FUNCTIONS.get(function)) is not None:
+        return made(fields, request)
+    title = f"{function} of slot {fields['Slot_Number']}, index {fields['Index']}"
+    if "Length" in fields:
+        return f"{title}, {'up to' if request else 'data'} {fields['Length']}"
+    record = fields.get("Parameter_Access")
+    more = f": {record['text']}" if record else ""
+    return f"{title}, data {len(fields['data']) // 2}{more}"

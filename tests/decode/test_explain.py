@@ -19,6 +19,12 @@ POLL = bytes.fromhex("68 04 04 68 03 02 5D 07 69 16")  # Data_Exchange 2 -> 3, F
 TURNED = bytes.fromhex("68 04 04 68 03 02 7D 07 89 16")  # FCB=1
 ANSWER = bytes.fromhex("68 04 04 68 02 03 08 AA B7 16")
 TOKEN = bytes.fromhex("DC 02 02")
+OTHER = bytes.fromhex("68 04 04 68 03 02 5D 08 6A 16")  # as POLL, with other data
+FIRST = bytes.fromhex("10 03 02 6D 72 16")  # FCV=0 FCB=1
+BAD_ANSWER = bytes.fromhex("68 04 04 68 02 03 08 AB B7 16")
+BAD_POLL = bytes.fromhex("68 04 04 68 03 02 7D 08 89 16")
+TO_FIVE = bytes.fromhex("DC 05 02")
+TO_SIX = bytes.fromhex("DC 06 02")
 BAUD = 500_000
 OCTET_NS = 22_000
 
@@ -81,6 +87,24 @@ def test_without_times_there_are_no_durations() -> None:
         ((ANSWER,), 1, {"answer_to": None, "remarks": "that no request before it asked for"}),
         ((bytes.fromhex("DC 05 02"), POLL), 2, {"remarks": "station 2 sends without the token, which station 5 holds"}),
         ((TOKEN, POLL, TOKEN), 3, {"unanswered": 2, "remarks": ""}),
+        ((POLL, ANSWER, TURNED), 3, {"fcb_turned": True}),
+        ((POLL, POLL), 2, {"fcb_turned": False}),
+        ((POLL,), 1, {"fcb_turned": None}),
+        ((FIRST, FIRST), 2, {"retry_of": None, "repeated_poll_of": 1, "fcb_turned": None}),
+        ((POLL, OTHER), 2, {"retry_of": None, "remarks": "with the same frame count bit, though"}),
+        # the token: passed again to a silent station, to the one after it, claimed, and used after it was passed on
+        ((TO_FIVE, TO_FIVE), 2, {"remarks": "the token again: station 5 did not take it"}),
+        ((TO_FIVE, TO_SIX), 2, {"remarks": "the token to another station: station 5 did not take it"}),
+        ((TO_FIVE, bytes.fromhex("DC 04 04")), 2, {"remarks": "station 4 claims the token, which station 5 held"}),
+        ((TO_FIVE, bytes.fromhex("DC 06 05"), TO_FIVE), 3, {"remarks": "station 2 sends without the token"}),
+        # damaged octets: what was due may have been among them, so that nothing after them is called wrong
+        ((POLL, BAD_ANSWER), 2, {"probably_answers": 1, "remarks": "probably the answer to telegram 1, as its addr"}),
+        ((POLL, b"\xaa\xbb"), 2, {"probably_answers": 1, "remarks": "probably the answer to telegram 1"}),
+        ((POLL, ANSWER, BAD_POLL), 3, {"probably_answers": None, "remarks": "probably a request 2 -> 3"}),
+        ((POLL, BAD_ANSWER, TURNED), 3, {"unanswered": None, "fcb_turned": None, "remarks": ""}),
+        ((POLL, BAD_ANSWER, POLL), 3, {"retry_of": 1, "unanswered": None, "remarks": ""}),
+        ((POLL, ANSWER, BAD_POLL, POLL), 4, {"retry_of": None, "fcb_turned": None, "remarks": ""}),
+        ((TO_FIVE, b"\xdc\x06", TOKEN), 3, {"remarks": ""}),
     ],
 )
 def test_the_course_of_a_bus(octets: tuple[bytes, ...], number: int, expected: dict[str, object]) -> None:

@@ -11,7 +11,8 @@ from octet_slave import DL, sd2
 from property_kit import examples
 
 import dpstack.decode.words as module
-from dpstack.decode.words import contents, describe, describe_octets, pdu_text, render
+from dpstack.decode.wire_log import render
+from dpstack.decode.words import contents, describe, describe_octets, pdu_text
 from dpstack.fdl.codec import decode
 from dpstack.fdl.service_names import service
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Telegram, token
@@ -45,11 +46,20 @@ LINES = [
         "68 07 07 68 FF 82 46 3A 3E 55 80 14 16",
         "Global_Control 2 -> all, Operate Unfreeze Unsync reserved bits 0x41, group 8 (SDN high)",
     ),
-    ("68 06 06 68 FF 82 46 3A 3E 00 3F 16", "Global_Control 2 -> all, 1 octet (SDN high)"),
-    ("00 12", "no telegram: no start octet (10, 68, A2, DC, E5)"),
-    ("68 05 05 68 82", "no telegram: cut off"),
-    ("68 05 05 68 82 E3 6D 3C 3E 4D 16", "no telegram: wrong check sequence (FCS)"),
-    ("E5 E5", "a telegram with other octets after it"),
+    (
+        "68 06 06 68 FF 82 46 3A 3E 00 3F 16",
+        "Global_Control 2 -> all, 1 octet: cannot be read (Global_Control ends after 1 octets: octet 2 (group_select) "
+        "is missing) (SDN high)",
+    ),
+    ("00 12", "no telegram: no start octet (10, 68, A2, DC, E5): octet 1 is 00"),
+    ("68 05 05 68 82", "no telegram: cut off after 5 octets of 11"),
+    ("68 05 06 68 82", "no telegram: LE and LEr differ: octets 2 and 3 are 05 and 06"),
+    ("68 02 02", "no telegram: LE outside of 3..249: octet 2 is 02"),
+    ("68 05 05 67", "no telegram: the second start octet is not 68: octet 4 is 67"),
+    ("10 02 63 49 AE 17", "no telegram: the end octet is not 16: octet 6 is 17"),
+    ("10 02 63 49 AF 16", "no telegram: wrong check sequence (FCS): octet 5 is af, the sum is ae"),
+    ("68 05 05 68 82 E3 6D 3C 3E 4D 16", "no telegram: wrong check sequence (FCS): octet 10 is 4d, the sum is 4c"),
+    ("E5 E5", "a telegram with other octets after it, from octet 2 on"),
     ("", "no octets"),
 ]
 
@@ -115,18 +125,19 @@ def test_the_wire_log_to_the_character() -> None:
     hexed = "00 " * 24 + "... 00 00 00 00 (40 octets)"
     pad = len(hexed)
     expected = [
-        f"      start us  gap bits  sender     {'octets':<{pad}}  telegram",
-        f"      1000.000            2          {'dc 02 02':<{pad}}  token 2 -> 2 (to itself)",
-        f"      1140.000        37  master     {'10 03 02 49 4e 16':<{pad}}  FDL_Status request 2 -> 3 (FC 0x49)",
-        f"      1294.500        11  ?          {'10 02 03 00 05 16':<{pad}}  acknowledgement 3 -> 2 (OK, slave)"
+        f"  no.       start us  gap bits  sender     {'octets':<{pad}}  telegram",
+        f"    1       1000.000            2          {'dc 02 02':<{pad}}  token 2 -> 2 (to itself)",
+        f"    2       1140.000        37  master     {'10 03 02 49 4e 16':<{pad}}  FDL_Status request 2 -> 3 (FC 0x49)",
+        f"    3       1294.500        11  ?          {'10 02 03 00 05 16':<{pad}}  acknowledgement 3 -> 2 (OK, slave)"
         "  [too early]",
-        f"      1390.000        -5  3          {hexed}  no telegram: no start octet (10, 68, A2, DC, E5)",
+        f"    4       1390.000        -5  3          {hexed}  no telegram: no start octet (10, 68, A2, DC, E5)"
+        ": octet 1 is 00",
     ]
     assert render(log, 500_000).splitlines() == expected
 
 
 def test_an_empty_log_is_a_heading() -> None:
-    assert render([], 500_000).split() == ["start", "us", "gap", "bits", "sender", "octets", "telegram"]
+    assert render([], 500_000).split() == ["no.", "start", "us", "gap", "bits", "sender", "octets", "telegram"]
 
 
 @given(st.lists(st.binary(max_size=300), max_size=5))
@@ -193,8 +204,14 @@ def _telegram(sap: int, master: int, unit: str, *, request: bool) -> bytes:
             "diagnosis alarm, slot 2, appears, slot disturbed, sequence number 5",
         ),
         (60, 62, "<-", DIAG + "05 82 00 00 30 04 83 01 02", "module status: slot 3 no module; DXB link status, slot 1"),
-        (60, 62, "<-", DIAG + "03 AA BB 41 01", ""),  # of the maker, and of modules
-        (60, 62, "<-", "00 0C", ""),
+        (
+            60,
+            62,
+            "<-",
+            DIAG + "03 AA BB 42 01",
+            "device: aa bb; slots with a diagnosis: 1",
+        ),  # of the maker, and of modules
+        (60, 62, "<-", "00 0C", "cannot be read (Slave_Diag has 2 octets"),
         (60, 62, "->", "AA", ""),
         (61, 62, "->", "88 01 01 0B 12 34 00", ""),
         (17, 62, "->", "58 00 25", ""),  # no class 2 connection

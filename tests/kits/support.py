@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from dpstack.decode.words import render
+from dpstack.decode.wire_log import render
 from dpstack.fdl.interface import BusStation
 from dpstack.fdl.telegram import Telegram
 from dpstack.sim.referee import Rule

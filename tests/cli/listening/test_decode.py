@@ -63,7 +63,7 @@ def test_an_acknowledgement_in_a_damaged_telegram_is_none(cli: Cli) -> None:
     first, second = _json(cli, f"{broken} DC 02 02", code=1)
     assert (first["octets"], first["error"]) == (
         broken.lower().replace(" ", ""),
-        "no telegram: wrong check sequence (FCS)",
+        "no telegram: wrong check sequence (FCS): octet 10 is e5, the sum is ec",
     )
     assert second["service"] == "token"
 

@@ -1,0 +1,79 @@
+"""Names and texts of stations: of a user's configuration, or of a GSD file; empty where nobody knows any.
+
+Plain data and functions that a caller hands to the decoder: this room knows neither files nor drives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple, Protocol
+
+from dpstack.decode.fields import Fields
+from dpstack.dp.pdu.diag_blocks import FIRST_SLOT
+from dpstack.dp.process_data import FieldMap
+from dpstack.gsd.diag_texts import DiagTexts
+from dpstack.gsd.prm import UserPrm
+
+
+class DriveWords(Protocol):
+    """The process data of a drive, as its plugin reads them. Octets of another length give no fields."""
+
+    def outputs(self, octets: bytes) -> Fields:
+        """Parameter channel, control word by its bits, set point."""
+
+    def inputs(self, octets: bytes) -> Fields:
+        """Parameter channel, status word by its bits, state, actual values, faults, warnings."""
+
+    def parameter(self, number: int, subindex: int) -> str:
+        """The name of a parameter; empty where it has none."""
+
+
+class ModuleName(NamedTuple):
+    """A module by its name ("" for an empty slot) and its identifier octets."""
+
+    name: str
+    config: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveNames:
+    """Names of one slave. ``source``: where they come from, for people. ``ident`` None: any.
+
+    ``inputs``, ``outputs``: names of process data; ``modules`` in slot order from ``first_slot`` on; ``prm``: its user
+    parameters; ``texts``: of a diagnosis; ``drive``: where it is a drive with a plugin.
+    """
+
+    name: str = ""
+    source: str = ""
+    ident: int | None = None
+    inputs: FieldMap = field(default_factory=FieldMap)
+    outputs: FieldMap = field(default_factory=FieldMap)
+    modules: tuple[ModuleName, ...] = ()
+    first_slot: int = FIRST_SLOT
+    prm: UserPrm | None = None
+    texts: DiagTexts | None = None
+    drive: DriveWords | None = None
+
+    @property
+    def config(self) -> bytes:
+        """The identifier octets of all modules."""
+        return b"".join(module.config for module in self.modules)
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """All names for one bus. ``slaves``: by address, of the configuration.
+
+    ``recognise``: names for an ident number and the identifier octets of Chk_Cfg (empty while they are unknown), None
+    where no GSD file has them. ``record``: the fields of record 47, of a request (True) or a response, with the names
+    of a drive's parameters; empty where the octets are none.
+    """
+
+    slaves: Mapping[int, SlaveNames] = field(default_factory=dict)
+    recognise: Callable[[int, bytes], SlaveNames | None] = lambda ident, config: None
+    record: Callable[[bytes, bool, DriveWords | None], Fields] = lambda octets, request, drive: {}
+
+
+#: nothing is known but the standard
+NO_NAMES: Final = Names()

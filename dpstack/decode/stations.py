@@ -1,0 +1,231 @@
+"""The stations of a bus as their own telegrams describe them: ident number, modules, DP-V1; fields with their names.
+
+The layout of process data is that of the last Chk_Cfg (or the answer to Get_Cfg). Names come from
+:mod:`dpstack.decode.names`: those of the configuration, else those that fit ident number and modules.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from dpstack.decode.fields import Fields, dpv1_fields, fields_of, is_dpv1
+from dpstack.decode.names import NO_NAMES, DriveWords, Names, SlaveNames
+from dpstack.dp.pdu.diag_texts import block_texts
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE
+from dpstack.dp.pdu.requests import SET_PRM_LEN
+from dpstack.dp.process_data import as_json
+from dpstack.dpv1.pdu.read_write import PARAMETER_INDEX, Function
+from dpstack.errors import ConfigError, GsdError
+from dpstack.fdl.telegram import (
+    FC_FUNCTION,
+    SAP_CHK_CFG,
+    SAP_GET_CFG,
+    SAP_RD_INP,
+    SAP_RD_OUTP,
+    SAP_SET_PRM,
+    SAP_SLAVE_DIAG,
+    Req,
+    Telegram,
+)
+from dpstack.gsd.identifiers import parse_identifiers
+
+_EXCHANGES: Final = frozenset((int(Req.SRD_LOW), int(Req.SRD_HIGH)))
+_NAMELESS: Final = SlaveNames()
+#: identifiers of one Chk_Cfg that are listed in the fields of process data
+_MOST_MODULES: Final = 64
+
+
+class _Piece(NamedTuple):
+    """The part of a module in the process data of one direction. ``name`` None: the module has none."""
+
+    slot: int
+    name: str | None
+    begin: int
+    end: int
+
+
+class Station:
+    """One station. ``names`` are those that count now."""
+
+    def __init__(self, address: int, names: Names) -> None:
+        self._all = names
+        self._own = names.slaves.get(address)
+        self.names = self._own or _NAMELESS
+        self._ident: int | None = None
+        self._config = b"" if self._own is None else self._own.config
+        self._dpv1 = False
+        self._pieces: tuple[tuple[_Piece, ...], tuple[_Piece, ...]] = ((), ())  # of outputs, of inputs
+        self._lay_out()
+
+    def identified(self, ident: int) -> None:
+        """Its ident number was on the bus."""
+        if ident != self._ident:
+            self._ident = ident
+            self._rename()
+
+    def configured(self, config: bytes) -> None:
+        """Its identifier octets were on the bus."""
+        if config != self._config:
+            self._config = config
+            self._rename()
+
+    def _rename(self) -> None:
+        own, ident = self._own, self._ident
+        if own is not None and (own.ident is None or ident is None or own.ident == ident):
+            self.names = own
+        else:
+            found = None if ident is None else self._all.recognise(ident, self._config)
+            self.names = found or _NAMELESS
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Which module has which octets."""
+        pieces: tuple[list[_Piece], list[_Piece]] = ([], [])
+        ends = [0, 0]
+        try:
+            identifiers = parse_identifiers(self._config)
+        except ConfigError:
+            identifiers = []
+        places = self._module_places(len(identifiers), [len(one.octets) for one in identifiers])
+        for one, (slot, name) in zip(identifiers, places, strict=True):
+            for way, size in enumerate((one.outputs, one.inputs)):
+                if size:
+                    begin, ends[way] = ends[way], ends[way] + size
+                    pieces[way].append(_Piece(slot, name, begin, ends[way]))
+        several = len(identifiers) > 1 or any(name for _, name in places)
+        short = len(identifiers) <= _MOST_MODULES
+        self._pieces = (tuple(pieces[0]), tuple(pieces[1])) if several and short else ((), ())
+
+    def _module_places(self, count: int, sizes: list[int]) -> list[tuple[int, str | None]]:
+        """Slot and name of the module that each identifier belongs to; a module can have several."""
+        first = self.names.first_slot
+        if self.names.config != self._config:
+            return [(first + number, None) for number in range(count)]
+        begins = [sum(sizes[:number]) for number in range(count)]
+        found: list[tuple[int, str | None]] = []
+        for begin in begins:
+            end = 0
+            for slot, module in enumerate(self.names.modules, first):
+                end += len(module.config)
+                if begin < end:
+                    found.append((slot, module.name or None))
+                    break
+        return found
+
+    # --- fields ------------------------------------------------------------------------------------------------------
+    def process_data(self, data: bytes, *, inputs: bool) -> Fields:
+        """The octets of Data_Exchange by the names of the configuration, by module, and as words of a drive."""
+        names = self.names
+        found: Fields = {}
+        fields = names.inputs if inputs else names.outputs
+        if fields and len(data) == fields.length:
+            found["inputs" if inputs else "outputs"] = as_json(fields.values(data))
+        pieces = self._pieces[inputs]
+        if pieces and pieces[-1].end == len(data):
+            found["modules"] = [
+                {"slot": slot, "module": name, "data": data[begin:end].hex()} for slot, name, begin, end in pieces
+            ]
+        drive = names.drive
+        if drive is not None and (words := drive.inputs(data) if inputs else drive.outputs(data)):
+            found["drive"] = words
+        return found
+
+    def set_prm(self, data: bytes, found: Fields) -> None:
+        """User parameters in the words of the GSD file."""
+        self._dpv1 = len(data) > SET_PRM_LEN and bool(data[SET_PRM_LEN] & DPV1_ENABLE)
+        if self._ident is None:  # its own diagnosis knows better than its master
+            self.identified(int.from_bytes(data[4:6], "big"))
+        prm = self.names.prm
+        if prm is None:
+            return
+        try:
+            read = prm.read(data[SET_PRM_LEN:])
+        except GsdError:
+            return
+        names = [field.parameter.name for field in read]
+        if read:
+            found["Parameters"] = {
+                name if names.count(name) == 1 else field.key: field.parameter.texts.get(field.value, field.value)
+                for name, field in zip(names, read, strict=True)
+            }
+
+    def configuration(self, data: bytes, found: Fields) -> None:
+        """The names of modules."""
+        self.configured(data)
+        entries = found.get("Cfg_Data")
+        if isinstance(entries, list):
+            places = self._module_places(len(entries), [len(entry["identifier"]) // 2 for entry in entries])
+            for entry, (slot, name) in zip(entries, places, strict=True):
+                entry |= {"slot": slot, "module": name}
+
+    def slave_diag(self, data: bytes, found: Fields) -> None:
+        """The texts of the GSD file."""
+        diagnosis = Diagnosis.parse(data)
+        if diagnosis is None:
+            return
+        self.identified(diagnosis.ident)
+        own = self._own
+        if own is not None and own.ident not in (None, diagnosis.ident):
+            found["Configured_Ident_Number"] = f"0x{own.ident:04x}"
+        if diagnosis.ext:
+            found["texts"] = list(block_texts(diagnosis, self.names.texts, dpv1=self._dpv1))
+
+
+class Stations:
+    """The stations of one bus, by what their telegrams say."""
+
+    def __init__(self, names: Names = NO_NAMES) -> None:
+        self._names = names
+        self._stations: dict[int, Station] = {}
+
+    def name_of(self, address: int) -> str:
+        """The name in the configuration, empty where there is none."""
+        found = self._names.slaves.get(address)
+        return "" if found is None else found.name
+
+    def fields(self, telegram: Telegram, asked: Telegram | None) -> Fields:
+        """The fields of the data unit. ``asked``: the request, of an answer.
+
+        Raises PduError, or ConfigError for identifiers, where the octets are not what their SAP says.
+        """
+        data = telegram.data
+        if not data:
+            return {}
+        request = telegram.is_request
+        address = telegram.da if request else telegram.sa
+        station = self._stations.get(address)
+        if station is None:
+            station = self._stations[address] = Station(address, self._names)
+        sap = telegram.dsap if request else telegram.ssap
+        if sap is None:
+            if telegram.dsap is not None or telegram.ssap is not None:
+                return {}
+            if request:
+                exchange = telegram.fc & FC_FUNCTION in _EXCHANGES
+                return station.process_data(data, inputs=False) if exchange else {}
+            exchange = asked is None or (asked.dsap is asked.ssap is None and asked.fc & FC_FUNCTION in _EXCHANGES)
+            return station.process_data(data, inputs=True) if exchange else {}
+        if sap in (SAP_RD_INP, SAP_RD_OUTP) and not request:
+            return station.process_data(data, inputs=sap == SAP_RD_INP)
+        if is_dpv1(telegram):
+            found = dpv1_fields(data, request=request)
+            self._add_record(found, data, request, station.names.drive)
+            return found
+        found = fields_of(telegram)
+        if sap == SAP_SET_PRM and request:
+            station.set_prm(data, found)
+        elif (sap == SAP_CHK_CFG and request) or (sap == SAP_GET_CFG and not request):
+            station.configuration(data, found)
+        elif sap == SAP_SLAVE_DIAG and not request:
+            station.slave_diag(data, found)
+        return found
+
+    def _add_record(self, found: Fields, data: bytes, request: bool, drive: DriveWords | None) -> None:
+        """Record 47 in a Write or in the answer to a Read."""
+        carries = data[0] == (Function.WRITE if request else Function.READ)
+        content = found.get("data")
+        if carries and found.get("Index") == PARAMETER_INDEX and isinstance(content, str):
+            record = self._names.record(bytes.fromhex(content), request, drive)
+            if record:
+                found["Parameter_Access"] = record
