@@ -36,7 +36,7 @@ class ModuleName(NamedTuple):
     config: bytes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SlaveNames:
     """Names of one slave. ``source``: where they come from, for people. ``ident`` None: any.
 
@@ -61,7 +61,7 @@ class SlaveNames:
         return b"".join(module.config for module in self.modules)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Names:
     """All names for one bus. ``slaves``: by address, of the configuration.
 

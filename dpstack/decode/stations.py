@@ -55,6 +55,7 @@ class Station:
         self._ident: int | None = None
         self._config = b"" if self._own is None else self._own.config
         self._dpv1 = False
+        self._user_prm = b""  # of the last Set_Prm, until they are explained
         self._pieces: tuple[tuple[_Piece, ...], tuple[_Piece, ...]] = ((), ())  # of outputs, of inputs
         self._lay_out()
 
@@ -121,14 +122,15 @@ class Station:
         fields = names.inputs if inputs else names.outputs
         if fields and len(data) == fields.length:
             found["inputs" if inputs else "outputs"] = as_json(fields.values(data))
+        drive = names.drive
+        if drive is not None and (words := drive.inputs(data) if inputs else drive.outputs(data)):
+            found["drive"] = words
+            return found
         pieces = self._pieces[inputs]
         if pieces and pieces[-1].end == len(data):
             found["modules"] = [
                 {"slot": slot, "module": name, "data": data[begin:end].hex()} for slot, name, begin, end in pieces
             ]
-        drive = names.drive
-        if drive is not None and (words := drive.inputs(data) if inputs else drive.outputs(data)):
-            found["drive"] = words
         return found
 
     def set_prm(self, data: bytes, found: Fields) -> None:
@@ -136,13 +138,19 @@ class Station:
         self._dpv1 = len(data) > SET_PRM_LEN and bool(data[SET_PRM_LEN] & DPV1_ENABLE)
         if self._ident is None:  # its own diagnosis knows better than its master
             self.identified(int.from_bytes(data[4:6], "big"))
-        prm = self.names.prm
-        if prm is None:
+        self._user_prm = data[SET_PRM_LEN:]
+        self._add_parameters(found)
+
+    def _add_parameters(self, found: Fields) -> None:
+        """The parameters of the last Set_Prm, once it is known to which modules they belong."""
+        prm, octets = self.names.prm, self._user_prm
+        if prm is None or not octets:
             return
         try:
-            read = prm.read(data[SET_PRM_LEN:])
+            read = prm.read(octets)
         except GsdError:
             return
+        self._user_prm = b""
         names = [field.parameter.name for field in read]
         if read:
             found["Parameters"] = {
@@ -151,8 +159,11 @@ class Station:
             }
 
     def configuration(self, data: bytes, found: Fields) -> None:
-        """The names of modules."""
+        """The names of modules, and the parameters in the Set_Prm before, where only the modules tell them."""
         self.configured(data)
+        self._add_parameters(found)
+        if self.names.source:
+            found["names_from"] = self.names.source
         entries = found.get("Cfg_Data")
         if isinstance(entries, list):
             places = self._module_places(len(entries), [len(entry["identifier"]) // 2 for entry in entries])

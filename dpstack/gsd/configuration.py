@@ -193,6 +193,33 @@ def configuration_like(device: Device, config: bytes, lengths: tuple[int, int]) 
     raise GsdError(f"{len(fitting)} modules have {wanted}; name the one that is plugged: {names}")
 
 
+def modules_of_config(device: Device, config: bytes) -> tuple[Module | None, ...] | None:
+    """The modules whose identifier octets are ``config``, in slot order, None for an empty slot. Modules with the same
+    octets cannot be told apart: the first one in the file counts. None where some octets are those of no module.
+    """
+    by_config: dict[bytes, Module] = {}
+    for module in reversed(device.modules):
+        if module.complete and module.config:
+            by_config[module.config] = module
+    sizes = sorted({len(octets) for octets in by_config}, reverse=True)
+    # by octet: the end of a module that begins there and is followed by whole modules; from the end backwards
+    nexts: list[int | None] = [None] * len(config) + [len(config)]
+    for at in range(len(config) - 1, -1, -1):
+        ends = (at + size for size in sizes if config[at : at + size] in by_config and at + size <= len(config))
+        nexts[at] = next((end for end in ends if nexts[end] is not None), None)
+        if nexts[at] is None and config[at : at + 1] == _EMPTY and nexts[at + 1] is not None:
+            nexts[at] = at + 1
+    found: list[Module | None] = []
+    at = 0
+    while at < len(config):
+        end = nexts[at]
+        if end is None:
+            return None
+        found.append(by_config.get(config[at:end]))
+        at = end
+    return tuple(found)
+
+
 def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:
     """A configuration of ``modules``; fixed presets are put in front where they are missing. Raises GsdError."""
     row = _behind_fixed(device, modules)

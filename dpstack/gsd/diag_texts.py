@@ -18,7 +18,7 @@ class DiagTexts:
         self.first_slot = device.first_slot
         self._device = device.diagnosis
         self._types = {d.type: d for d in device.diag_types}
-        self._modules = tuple(modules)
+        self.modules = tuple(modules)
 
     def unit_diag_texts(self, octets: bytes, module: int | None = None) -> tuple[DiagText, ...]:
         """Texts of a device related block; ``octets`` behind its header. ``module``: its index in the configuration."""
@@ -41,7 +41,7 @@ class DiagTexts:
         yield self._device
 
     def _module(self, number: int | None) -> Module | None:
-        return self._modules[number] if number is not None and 0 <= number < len(self._modules) else None
+        return self.modules[number] if number is not None and 0 <= number < len(self.modules) else None
 
     def _found(self, octets: bytes, module: int | None) -> Iterator[DiagText]:
         # UnitDiagType names the first octet, the type of a DP-V1 alarm or status: its texts replace the general ones

@@ -6,6 +6,7 @@
 - ``record47/``: PROFIdrive's parameter channel over DP-V1, record 47: both ends as pure machines
 - ``simulator/``: The simulated drive
 - ``drive_profile``: Profile of one drive: its data for bus, configuration and simulation, and its options
+- ``heard_words``: The words of a drive and its parameter access, for a program that only listens to the bus
 - ``registry``: Drives by name, found by the entry point group ``dpstack.drives``; any installed package can add one
 """
 
@@ -16,6 +17,7 @@ from dpstack.profile import record47
 from dpstack.profile.channel.base import (
     Clock,
     CycleTimes,
+    FindSpec,
     ParameterChannel,
     ParamKey,
     find_parameter,
@@ -74,6 +76,7 @@ __all__ = [
     "DriveDevice",
     "DriveProfile",
     "DriveStatus",
+    "FindSpec",
     "Goal",
     "Leave",
     "ListedParam",

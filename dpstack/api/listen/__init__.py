@@ -2,6 +2,7 @@
 
 - ``capture_file``: The pcapng file of a capture: a new file or standard output, written in whole blocks
 - ``listening``: The transmissions of a line, from an own port or from the tap of a running program
+- ``names``: Names and texts for explained telegrams: of a configuration, of GSD files, of drives
 - ``plant_files``: Files that a monitor needs: devices from a configuration and from a folder of GSD files, thresholds
   from TOML
 - ``program_tap``: The transmissions of a line that a running program of ours holds, from its control socket

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from dpstack.capture.cutter import split
 from dpstack.capture.transmission import Transmission
-from dpstack.cli.listening.telegram_lines import filter_argument, show
+from dpstack.cli.listening.telegram_lines import add_names, filter_argument, names_of, show
 from dpstack.cli.parser import Parser
 from dpstack.decode.source import from_hex, read_transmissions
 from dpstack.decode.telegram import explain
@@ -23,6 +23,7 @@ def add_to(parser: Parser) -> None:
     )
     what = "a pcapng file, or a text file of hex digits; octets; or - for standard input"
     parser.add_argument("source", metavar="FILE|HEX|-", nargs="+", help=what)
+    add_names(parser)
     parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/decode.md", type=filter_argument)
     parser.run_by(execute)
 
@@ -30,7 +31,7 @@ def add_to(parser: Parser) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 where a transmission is no telegram, or the file cannot be read to its end."""
     bad = 0
-    for one in explain(_transmissions(args.source)):
+    for one in explain(_transmissions(args.source), names_of(args)):
         bad += one.error is not None
         if args.filter is None or args.filter(one):
             show(one, json=args.json)

@@ -1,14 +1,31 @@
-"""Explained telegrams on the screen or as JSON lines, and the argument of ``--filter``."""
+"""Explained telegrams on the screen or as JSON lines, and the options of ``decode`` and ``capture`` for them."""
 
 from __future__ import annotations
 
 import argparse
 
+from dpstack.api.config.config import load_config
+from dpstack.api.listen.names import decode_names
+from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.decode.filter import Match, parse_filter
+from dpstack.decode.names import Names
 from dpstack.decode.telegram import Explained
 from dpstack.errors import UsageError
 from dpstack.units import NS_PER_S
+
+
+def add_names(parser: Parser) -> None:
+    """The options ``--config`` and ``--gsd``."""
+    parser.value("--config", "CONFIG", "names of this configuration: slaves, process data, modules, parameters, drives")
+    what = "a GSD file or a folder of them, for slaves that are not in CONFIG; can be given several times"
+    parser.value("--gsd", "FILE", what, action="append", default=[])
+
+
+def names_of(args: argparse.Namespace) -> Names:
+    """The names that the options of :func:`add_names` say. Raises ConfigError."""
+    config = None if args.config is None else load_config(args.config)
+    return decode_names(config, args.gsd)
 
 
 def filter_argument(text: str) -> Match:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -49,6 +49,8 @@ class CycleTimes(Clock, Protocol):
         """After this time the drive's octets belong to the octets sent now."""
 
 
+#: the parameter with a number and an index
+FindSpec = Callable[[int, int], ParamSpec | None]
 #: for each parameter its outcome, or ``error``, ``text`` and ``number`` of the refusal
 Found = list[dict[str, object]]
 
@@ -78,6 +80,12 @@ class ParameterChannel(abc.ABC):
     @abc.abstractmethod
     def step(self, inputs: bytes, now: int) -> None:
         """Process the channel's octets in ``inputs`` (the first ones); never raises."""
+
+    def fields(self, octets: bytes, *, order: bool, find: FindSpec) -> dict[str, object]:
+        """The channel's octets of another master's ``order``, or of the drive's reply, for a program that only
+        listens: plain JSON data, empty where there is no order. ``text``: all of it in a few words.
+        """
+        return {}
 
     @abc.abstractmethod
     def reset(self) -> None:

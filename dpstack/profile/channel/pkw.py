@@ -17,7 +17,15 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple, Protocol
 
-from dpstack.profile.channel.base import CycleTimes, ParameterChannel, ParamKey, check_write, find_parameter, outcome
+from dpstack.profile.channel.base import (
+    CycleTimes,
+    FindSpec,
+    ParameterChannel,
+    ParamKey,
+    check_write,
+    find_parameter,
+    outcome,
+)
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.param_errors import OPERATING_STATE, PARAMETER_ERRORS
 from dpstack.profile.model.params import ParamSpec, ParamTable
@@ -159,6 +167,43 @@ class PkwChannel:
     def describe_stray(self, reply: Pkw) -> str:
         """Text for a reply to another order."""
         return f"parameter {reply.pnu} index {reply.ind} (reply {reply.id})"
+
+    #: the names of order ids and of reply ids, and the reply with an error
+    orders: type[IntEnum] = TaskId
+    replies: type[IntEnum] = ReplyId
+    error_reply: int = ReplyId.ERROR
+
+    def fields(self, octets: bytes, *, order: bool, find: FindSpec) -> dict[str, object]:
+        """See :class:`ParameterChannel`. AK, PNU, IND and PWE have PROFIdrive's names; PWE in hex."""
+        pkw = self._dialect.parse(octets)
+        if not pkw.id:
+            return {}
+        names = self.orders if order else self.replies
+        known = pkw.id in names.__members__.values()
+        what = names(pkw.id).name.lower().replace("_", " ") if known else f"{'order' if order else 'reply'} {pkw.id}"
+        found: dict[str, object] = {"AK": pkw.id, "what": what, "PNU": pkw.pnu, "IND": pkw.ind}
+        found["PWE"] = f"0x{pkw.pwe:08x}"
+        spec = find(pkw.pnu, pkw.ind)
+        label = f"{pkw.pnu}[{pkw.ind}]" if spec is None else spec.label
+        found["name"] = None if spec is None else spec.name
+        text = f"{what} {label}"
+        if not order and pkw.id == self.error_reply:
+            number = self.error_number(pkw)
+            found["error"] = f"error {number}, {self._dialect.error_text(number)}"
+            return found | {"text": f"{text}: {found['error']}"}
+        reads = order and "READ" in what.upper()
+        if spec is not None and not reads:
+            long = "long" in what
+            value = spec.to_value(spec.from_wire(pkw.pwe, 32 if long else 16))
+            found |= {"value": value, "unit": spec.unit}
+            text += f" = {value:g}" + (f" {spec.unit}" if spec.unit else "")
+        elif not reads:
+            text += f" = {pkw.pwe:#x}"
+        return found | {"text": text}
+
+    def error_number(self, reply: Pkw) -> int:
+        """The number in a negative reply."""
+        return reply.pwe & 0xFFFF
 
     def submit(self, order: Pkw) -> Exchange:
         """Queue an order; the caller polls the exchange's ``reply``."""
@@ -310,7 +355,7 @@ class PkwAccess(PkwChannel, ParameterChannel):
                 raise busy or late from None
             if reply.id != ReplyId.ERROR:
                 break
-            number = reply.pwe & 0xFFFF
+            number = self.error_number(reply)
             text = self._dialect.error_text(number)
             refusal = CommandError("parameter", f"{ref.label}: error {number}, {text}", number)
             again = self._times.now + RETRY_NS

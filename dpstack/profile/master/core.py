@@ -17,7 +17,7 @@ from dpstack.profile.channel.pkw import PLAIN_PKW, ParamRef, PkwAccess, PkwDiale
 from dpstack.profile.master.settings import Setting, SettingsCheck
 from dpstack.profile.model.drive_type import CHANNEL_LEN, CHECK_SETTINGS, DriveType, Options, TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, DriveJob, DriveJobs, Steps
-from dpstack.profile.model.params import ListedParam, ParamTable, listing
+from dpstack.profile.model.params import ListedParam, ParamSpec, ParamTable, listing
 from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State
 from dpstack.profile.model.status import DriveStatus
 from dpstack.profile.model.words import SPEED, Scale
@@ -275,6 +275,19 @@ class DriveCore:
             settings_texts=self.settings_check.texts,
         )
 
+    def read_inputs(self, inputs: bytes, control: int | None) -> DriveStatus:
+        """The status in ``inputs`` of the telegram's length, for a program that only listens: no order begins.
+
+        ``control``: the control word that another master sent last, None where it is not known.
+        """
+        self.online = True
+        self.words = self._unpack(inputs, self._offset)
+        self.status_word = word = self.status_of(inputs[self._offset :])
+        self.received()
+        self.state = self.table.states.decode(word) if control is None else self.table.state(word, control)
+        self.take_events()
+        return self.status()
+
     def faults(self) -> tuple[str, ...]:
         """The present faults by name."""
         if self.raw_state not in FAULTED:
@@ -382,6 +395,18 @@ class DriveCore:
     def encode(self, control: int, setpoint: int) -> bytes:
         """The process data to send, as many octets as the telegram has."""
         return self._pack(control, setpoint, *self._rest)
+
+    def decode(self, process: bytes) -> tuple[int | None, float | None]:
+        """The reverse of :meth:`encode`, for a program that only listens: the control word, and the set point of the
+        reference; None where ``process`` does not have them.
+        """
+        words = struct.unpack_from(f">{len(process) // 2}H", process)
+        return words[0] if words else None, self.scale.decode(words[1]) if len(words) > 1 else None
+
+    def parameter(self, number: int, index: int) -> ParamSpec | None:
+        """A parameter by its number and index in the parameter channel or in record 47."""
+        table = self.parameter_table
+        return None if table is None else table.get(number, index) or table.get(number)
 
     def received(self) -> None:
         """``words`` are new: decode the fields that the table does not have."""

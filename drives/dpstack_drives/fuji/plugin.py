@@ -73,6 +73,13 @@ class FujiCore(MappedCore[PcdMap]):
             raise ValueError(f"speed {fraction:g} is outside -1..1: 100 % is F03 (maximum frequency)")
         return self.scale.encode(abs(fraction) if self._by_bit else fraction)
 
+    def decode(self, process: bytes) -> tuple[int | None, float | None]:
+        """CTW, and MRV with its sign."""
+        control, setpoint = super().decode(process)
+        if self._by_bit and setpoint and control is not None and control & _REVERSE:
+            setpoint = -setpoint
+        return control, setpoint
+
     def control_bits(self) -> int:
         """Bit 11 reverses."""
         return _REVERSE if self._by_bit and self.setpoint < 0 else 0

@@ -90,6 +90,14 @@ class ImoAccess(PkwChannel, ParameterChannel):
         self._notice = notice
         self._warned = False
 
+    orders = Request
+    replies = Response
+    error_reply = Response.ERROR
+
+    def error_number(self, reply: Pkw) -> int:
+        """It stands in the high word."""
+        return reply.pwe >> 16
+
     def describe_stray(self, reply: Pkw) -> str:
         return f"{t.name_of(reply.pnu)} (response {reply.id})"
 
@@ -129,7 +137,7 @@ class ImoAccess(PkwChannel, ParameterChannel):
         label = _label(request.pnu)
         reply = yield from self.replied(request, label, deadline)
         if reply.id == Response.ERROR:
-            number = reply.pwe >> 16
+            number = self.error_number(reply)
             raise CommandError("parameter", f"{label}: error {number}, {PKW.error_text(number)}", number)
         if reply.id == Response.NO_RIGHTS:
             raise CommandError("parameter", f"{label}: the bus has no right to change parameters (response 4)")

@@ -140,6 +140,16 @@ class ImoCore(MappedCore[PzdMap]):
         )
         return self._pack(control, *words)
 
+    def decode(self, process: bytes) -> tuple[int | None, float | None]:
+        """CW, and the set frequency where the map of the options has it; the direction is in CW."""
+        control, _ = super().decode(process)
+        at = None if self.outputs_map is None else self.outputs_map.place(pzd.SET_FREQUENCY)
+        if control is None or at is None or len(process) < 2 * at + 4:
+            return control, None
+        raw = int.from_bytes(process[2 * at + 2 : 2 * at + 4], "big")
+        setpoint = self._functions[pzd.SET_FREQUENCY].decode(raw) / self.reference_hz
+        return control, -setpoint if control & t.CODE == t.Command.REVERSE else setpoint
+
     def setpoint_word(self, fraction: float) -> int:
         """The set frequency in 0.01 Hz; the direction is in CW."""
         try:

@@ -14,7 +14,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.profile import CHANNEL_LEN, RETRY_NS, CommandError, CycleTimes, ParameterChannel, ParamKey, Steps, count_of
+from dpstack.profile import (
+    CHANNEL_LEN,
+    RETRY_NS,
+    CommandError,
+    CycleTimes,
+    FindSpec,
+    ParameterChannel,
+    ParamKey,
+    Steps,
+    count_of,
+)
 from dpstack_drives.keb import table as t
 
 RESULT, HANDSHAKE, WRITE, READ = 0x80, 0x40, 0x02, 0x01
@@ -129,6 +139,28 @@ class KebChannel(ParameterChannel):
         self._shown = 0  # the handshake bit of the last request
         self._synced_at: int | None = None  # from this time on the drive's handshake bit counts as it stands
         self.octets = _ZEROS
+
+    def fields(self, octets: bytes, *, order: bool, find: FindSpec) -> dict[str, object]:
+        service, subindex, index = octets[0] & (READ | WRITE), octets[1], int.from_bytes(octets[2:4], "big")
+        if not service:
+            return {}
+        what = {READ: "read", WRITE: "write"}.get(service, f"service {service}")
+        value = int.from_bytes(octets[4:8], "big")
+        found: dict[str, object] = {
+            "service": what,
+            "handshake": bool(octets[0] & HANDSHAKE),
+            "index": f"{index:04X}h",
+            "subindex": subindex,
+            "value": value,
+            "name": t.name_of(index),
+        }
+        text = f"{what} {t.name_of(index)}:{subindex}"
+        if not order and octets[0] & RESULT:
+            code = t.Code(octets[4], octets[5], int.from_bytes(octets[6:8], "big"))
+            found["error"] = f"error {code}, {t.ERRORS.get(code, 'an error without a text in the manual')}"
+            return found | {"text": f"{text}: {found['error']}"}
+        carries = service == (WRITE if order else READ)
+        return found | {"text": f"{text} = {value}" if carries else text}
 
     def step(self, inputs: bytes, now: int) -> None:
         """One cycle: judge the confirmation of the request under way; without one send the next, handshake inverted."""

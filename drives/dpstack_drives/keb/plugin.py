@@ -114,6 +114,20 @@ class KebCore(MappedCore[PdMap]):
             values[t.SET_SPEED] = setpoint
         return self.outputs_map.put(values, self.telegram.outputs)
 
+    def decode(self, process: bytes) -> tuple[int | None, float | None]:
+        """sy.50 and sy.52 where the map has them and their meaning is known."""
+        found = {
+            index: int.from_bytes(process[at : at + 2], "big")
+            for index in (t.CONTROL_WORD, t.SET_SPEED)
+            if (at := self.outputs_map.place(index)) is not None and at + 2 <= len(process)
+        }
+        control = found.get(t.CONTROL_WORD) if self._bits else None
+        raw = found.get(t.SET_SPEED) if self._rpm_per_count else None
+        if raw is None:
+            return control, None
+        reverse = not self._by_sign and control is not None and self.table.control.is_set(control, "reverse")
+        return control, -self.scale.decode(raw) if reverse else self.scale.decode(raw)
+
     def setpoint_word(self, fraction: float) -> int:
         """sy.52."""
         if self.outputs_map.place(t.SET_SPEED) is None:

@@ -168,6 +168,22 @@ class LsCore(MappedCore[ParaMap]):
             values = self.values
         return self._words_out.pack(*front, *process_data_map.pack(self.outputs_map.fields, values, mapped))
 
+    def decode(self, process: bytes) -> tuple[int | None, float | None]:
+        """The profile's two words, in VENDOR the mapped ones; the direction of the LS Drive profile is in its word."""
+        if len(process) != self._words_out.size:
+            return None, None
+        words = self._words_out.unpack(process)
+        if self._io:
+            mapped = process_data_map.raws(self.outputs_map.fields, words)
+            control, raw = mapped.get(t.OPERATION), mapped.get(t.FREQUENCY)
+        else:
+            control, raw = words[0], words[1]
+        if self._profile == t.PROFIDRIVE:
+            return control, None if raw is None else self.scale.decode(raw)
+        setpoint = None if raw is None else raw * self.scale.span
+        reverse = setpoint and control is not None and self.table.control.is_set(control, "reverse")
+        return control, -setpoint if setpoint and reverse else setpoint
+
     def control_bits(self) -> int:
         """The direction of the LS Drive profile's run command."""
         if self._profile == t.PROFIDRIVE or self.goal is not Goal.RUN:

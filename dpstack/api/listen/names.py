@@ -1,0 +1,161 @@
+"""Names and texts for explained telegrams: of a configuration, of GSD files, and of the plugins of drives.
+
+A slave that is in no configuration is recognised by its ident number: first among the GSD files of the user, then among
+those that come with dpstack.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+from dpstack.api.config.config import Config
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.gsd_info import bundled, gsd_files, read_gsd
+from dpstack.decode.fields import Fields
+from dpstack.decode.names import DriveWords, ModuleName, Names, SlaveNames
+from dpstack.dp.pdu.diag_blocks import FIRST_SLOT
+from dpstack.errors import ConfigError, GsdError
+from dpstack.gsd.configuration import modules_of_config
+from dpstack.gsd.diag_texts import DiagTexts
+from dpstack.gsd.identifiers import parse_identifiers
+from dpstack.gsd.model import Device, Module
+from dpstack.gsd.prm import UserPrm
+from dpstack.profile import registry
+from dpstack.profile.heard_words import HeardDrive, record_fields
+from dpstack.sim import io_station
+
+#: names of slaves that are kept, by ident number and identifier octets
+_KEPT: Final = 256
+
+
+def decode_names(config: Config | None = None, gsd: Iterable[str] = ()) -> Names:
+    """Names of the slaves in ``config``, and of others by the GSD files ``gsd`` (files, or folders of them).
+
+    Raises ConfigError where a GSD file cannot be read.
+    """
+    slaves = {} if config is None else {slave.address: _configured(slave) for slave in config.slaves}
+    return Names(slaves, _Recogniser(_devices(gsd)).names, _record)
+
+
+def _configured(slave: SlaveConfig) -> SlaveNames:
+    params = slave.params
+    texts = params.texts
+    modules: Sequence[Module | None] = () if texts is None else texts.modules
+    drive = None
+    if slave.profile is not None and not slave.raw:
+        drive = HeardDrive(slave.profile, slave.name, slave.telegram, dict(slave.options))
+    return SlaveNames(
+        name=slave.name,
+        source="the configuration",
+        ident=params.ident,
+        inputs=slave.input_fields,
+        outputs=slave.output_fields,
+        modules=_module_names(modules) or _nameless(params.config),
+        first_slot=FIRST_SLOT if texts is None else texts.first_slot,
+        prm=None if slave.device is None else _user_prm(slave.device, modules),
+        texts=texts,
+        drive=drive,
+    )
+
+
+def _module_names(modules: Iterable[Module | None]) -> tuple[ModuleName, ...]:
+    return tuple(ModuleName("", b"\0") if one is None else ModuleName(one.name, one.config) for one in modules)
+
+
+def _nameless(config: bytes) -> tuple[ModuleName, ...]:
+    try:
+        return tuple(ModuleName("", one.octets) for one in parse_identifiers(config))
+    except ConfigError:
+        return ()
+
+
+def _user_prm(device: Device, modules: Sequence[Module | None]) -> UserPrm | None:
+    try:
+        return UserPrm(device, modules)
+    except GsdError:
+        return None
+
+
+def _devices(gsd: Iterable[str]) -> dict[int, tuple[str, Device]]:
+    """The devices of GSD files by ident number, with the name of the file; of two with the same number the first."""
+    found: dict[int, tuple[str, Device]] = {}
+    for given in gsd:
+        path = Path(given)
+        files = gsd_files(path) if path.is_dir() else [path]
+        for file in files:
+            try:
+                device = read_gsd(file).device
+            except GsdError as error:
+                if len(files) == 1:
+                    raise
+                raise ConfigError(f"{error}; take the file out of {given}, or name single files") from None
+            if device.ident is not None:
+                found.setdefault(device.ident, (file.name, device))
+    return found
+
+
+class _Recogniser:
+    """Slaves by their ident number: in the user's GSD files, then in those that come with dpstack."""
+
+    def __init__(self, devices: Mapping[int, tuple[str, Device]]) -> None:
+        self._devices = devices
+        self._bundled: dict[int, str] | None = None
+        self._by_gsd = lru_cache(_KEPT)(self._names_by_gsd)
+
+    def names(self, ident: int, config: bytes) -> SlaveNames | None:
+        """Names for an ident number and identifier octets (empty while unknown); the words of a drive are its own."""
+        found = self._by_gsd(ident, config)
+        drive = _drive(ident, config)
+        if drive is None:
+            return found
+        return dataclasses.replace(found or SlaveNames(ident=ident, source="a drive of its ident number"), drive=drive)
+
+    def _names_by_gsd(self, ident: int, config: bytes) -> SlaveNames | None:
+        known = self._devices.get(ident) or self._bundled_device(ident)
+        if known is None:
+            return None
+        source, device = known
+        modules = modules_of_config(device, config) or ()
+        return SlaveNames(
+            source=source,
+            ident=ident,
+            modules=_module_names(modules),
+            first_slot=device.first_slot,
+            prm=_user_prm(device, modules) if modules else None,
+            texts=DiagTexts(device, modules),
+        )
+
+    def _bundled_device(self, ident: int) -> tuple[str, Device] | None:
+        if self._bundled is None:
+            drives = registry.known()
+            self._bundled = {drives[name].ident: name for name in bundled() if name in drives}
+            self._bundled[io_station.IDENT] = io_station.NAME
+        name = self._bundled.get(ident)
+        if name is None:
+            return None
+        try:
+            return f"the GSD file of {name} that comes with dpstack", read_gsd(name).device
+        except ConfigError:  # a file of that name in this folder, which is none
+            return None
+
+
+def _drive(ident: int, config: bytes) -> DriveWords | None:
+    """The drive with this ident number, in the telegram with these identifier octets, as its factory has it."""
+    for profile in registry.known().values():
+        if profile.ident != ident:
+            continue
+        telegrams = profile.telegrams_of(config)
+        if len(telegrams) == 1:
+            try:
+                return HeardDrive(profile, profile.name, telegrams[0].name, {})
+            except ConfigError:  # a drive that needs options
+                return None
+    return None
+
+
+def _record(octets: bytes, request: bool, drive: DriveWords | None) -> Fields:
+    return record_fields(octets, request, (lambda number, subindex: "") if drive is None else drive.parameter)
