@@ -14,6 +14,7 @@ from dpstack.dp.pdu.diag_texts import conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.monitor.counters import Counters, Master, State, Station
 from dpstack.monitor.devices import Devices, KnownDevice
+from dpstack.monitor.evidence import finding
 from dpstack.monitor.history import History, Past
 from dpstack.monitor.thresholds import Thresholds
 from dpstack.monitor.timing import Timing
@@ -21,8 +22,6 @@ from dpstack.units import NS_PER_S, baud_text, bits_to_ns, ns_to_bits
 
 GOOD, UNKNOWN, WARNING, CRITICAL = "good", "unknown", "warning", "critical"
 _ORDER: Final = (GOOD, UNKNOWN, WARNING, CRITICAL)
-#: answers or passed tokens that fit, from which on the bus is PROFIBUS
-_EVIDENCE: Final = 10
 _LINE: Final = "its connector, its stub and the segment's end"
 _SEGMENT: Final = "the termination at both ends and its supply, the cable, its shield, and what switches at that time"
 
@@ -51,7 +50,7 @@ class Heard:
     @property
     def is_profibus(self) -> bool:
         """Whether tokens and answers that fit requests show that this is PROFIBUS."""
-        return self.counters.fitting_answers + self.counters.passed_tokens >= _EVIDENCE
+        return finding(self.counters).is_profibus
 
     def is_user(self, station: Station) -> bool:
         """Whether a master uses the station, or it was heard: not an address that only GAP polls ask."""
@@ -94,10 +93,7 @@ def _bus_doubt(heard: Heard) -> str:
             return f"{noise} transmissions, none of them a telegram: another rate, A and B exchanged, or no PROFIBUS"
         return "nothing was heard: look at power, cable, A and B, the rate, and whether a master runs"
     if not heard.is_profibus:
-        return (
-            f"{counters.telegrams} telegrams of valid form, but no answers that fit requests and no tokens passed on: "
-            "it may be another bus with the same framing"
-        )
+        return f"{counters.telegrams} {finding(counters).text}"
     if heard.silent_s >= limits.silence_s:
         return f"silent since {heard.silent_s:.1f} s: no master sends any more"
     if heard.seconds < limits.min_seconds:

@@ -27,6 +27,7 @@ from dpstack.decode.filter import Match
 from dpstack.decode.telegram import Explainer
 from dpstack.errors import CaptureFileError, DpError, PortError
 from dpstack.monitor.counters import Counters
+from dpstack.monitor.evidence import finding
 from dpstack.trace import Event
 from dpstack.units import baud_text, ns_to_s
 
@@ -255,6 +256,7 @@ class _Capture:
                 "baud": baud,
                 "seconds": round(seconds, 3),
                 "telegrams": counters.telegrams,
+                "profibus": finding(counters).is_profibus,
                 "octets": counters.octets,
                 "damaged": counters.damaged,
                 "lost_chunks": self._lost_chunks,
@@ -270,6 +272,8 @@ class _Capture:
             f"{counters.telegrams} telegrams in {seconds:.1f} s; damaged: {damaged}; lost chunks: {self._lost_chunks}, "
             f"gaps: {self._gaps}{kept}"
         )
+        if counters.telegrams and not finding(counters).is_profibus:
+            self._line_of_text(finding(counters).text, "yellow")
 
 
 def _now() -> str:
