@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 from dpstack.capture.pcapng import USER0, Writable, Writer
 from dpstack.capture.timing import timing_of
 from dpstack.capture.transmission import Damage, Transmission
 from dpstack.units import baud_text
+
+#: causes of a gap that are kept until the next transmission
+_MOST_CAUSES: Final = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,59 +34,75 @@ class PortAbout:
         return f"{self.name}, {baud_text(baud)}, 8 data bits, even parity; {timing}{pace}{more}"
 
 
-@dataclass(slots=True)
-class Lost:
-    """Octets that are missing. ``chunks``: number of chunks lost in this computer or in the program that holds the
-    port; ``gaps``: the number of times something is missing; ``causes``: since the last transmission."""
+class Gaps:
+    """Places where octets are missing. ``count``: their number; ``chunks``: of octets, lost in this computer or in the
+    program that holds the port."""
 
-    chunks: int = 0
-    gaps: int = 0
-    causes: list[str] = field(default_factory=list)
+    def __init__(self) -> None:
+        self.count = 0
+        self.chunks = 0
+        self._causes: list[str] = []
+        self._more = 0
+
+    def add(self, cause: str, chunks: int = 0) -> None:
+        """Octets are missing from here on."""
+        self.count += 1
+        self.chunks += chunks
+        if len(self._causes) < _MOST_CAUSES:
+            self._causes.append(cause)
+        else:
+            self._more += 1
+
+    def take(self) -> str:
+        """The causes since the last call, in one line; empty where there was no gap."""
+        causes, self._causes = self._causes, []
+        more, self._more = self._more, 0
+        if not causes:
+            return ""
+        return "gap: " + "; ".join([*causes, *([f"{more} more gaps"] if more else [])])
 
 
 class Recording:
-    """Writes to ``file``, whose ``write`` gets whole blocks. One interface for each rate of the port."""
+    """Writes one section to ``file``, whose ``write`` gets whole blocks. One interface for each rate of the port."""
 
-    def __init__(self, file: Writable, application: str, about: PortAbout, linktype: int = USER0) -> None:
+    def __init__(
+        self, file: Writable, application: str, about: PortAbout, gaps: Gaps | None = None, linktype: int = USER0
+    ) -> None:
         self._writer = Writer(file, application)
         self._about = about
+        self._gaps = gaps or Gaps()
+        self._chunks_before = self._gaps.chunks
         self._linktype = linktype
         self._interfaces: dict[int, int] = {}  # by rate
+        self._written: dict[int, int] = {}  # packets by interface
         self._baud = -1
         self._interface = 0
-        self._written: dict[int, int] = {}  # packets by interface
         self._begun_ns = 0
         self._ended_ns = 0
-        self._lost = Lost()
 
-    def add(self, one: Transmission, comment: str = "") -> None:
-        """Write a transmission. ``comment``: a remark besides its own note and the gaps before it."""
+    def add(self, one: Transmission, remark: str = "", gap: str = "") -> None:
+        """Write a transmission. ``remark``: for its comment, besides its own note; ``gap``: the cause where octets are
+        missing before it."""
         t_ns = self._ended_ns if one.t_ns is None else one.t_ns
         if one.baud != self._baud:
             self._use(one.baud, t_ns)
         self._ended_ns = t_ns
-        self._written[self._interface] += 1
-        if not one.damage and not comment and not one.note and not self._lost.causes:
-            self._writer.packet(self._interface, t_ns, one.octets)
+        interface = self._interface
+        if not (one.damage or remark or one.note or gap):
+            self._written[interface] += 1
+            self._writer.packet(interface, t_ns, one.octets)
             return
-        causes, self._lost.causes = self._lost.causes, []
-        damage = [cause_text(one.damage)] if one.damage else []
-        text = "; ".join(part for part in (*causes, comment, *damage, one.note) if part)
-        self._writer.packet(self._interface, t_ns, one.octets, one.damage, text)
-
-    def gap(self, cause: str, chunks: int = 0) -> None:
-        """Octets are missing from here on: the next packet and the statistics say so."""
-        self._lost.chunks += chunks
-        self._lost.gaps += 1
-        if cause not in self._lost.causes:
-            self._lost.causes.append(cause)
-        if self._baud >= 0:
-            self._statistics(self._interface, self._ended_ns, cause)
+        if gap:
+            self._statistics(interface, t_ns, gap)
+        self._written[interface] += 1
+        cause = cause_text(one.damage) if one.damage else ""
+        text = "; ".join(part for part in (gap, remark, cause, one.note) if part)
+        self._writer.packet(interface, t_ns, one.octets, one.damage, text)
 
     def close(self, now_ns: int) -> None:
-        """Write the statistics of all interfaces; ``now_ns``: end of the capture, in ns since 1970."""
+        """Write the statistics of all interfaces; ``now_ns``: end of this file, in ns since 1970."""
         for interface in self._written:
-            self._statistics(interface, max(now_ns, self._ended_ns), "; ".join(self._lost.causes))
+            self._statistics(interface, max(now_ns, self._ended_ns), self._gaps.take())
 
     def _use(self, baud: int, t_ns: int) -> None:
         self._baud = baud
@@ -95,11 +114,12 @@ class Recording:
         self._written.setdefault(self._interface, 0)
 
     def _statistics(self, interface: int, now_ns: int, comment: str) -> None:
-        lost = self._lost
-        text = comment if not lost.gaps else f"{comment}; gaps so far: {lost.gaps}, lost chunks: {lost.chunks}"
-        self._writer.statistics(
-            interface, self._begun_ns, now_ns, self._written[interface], lost.chunks, text.removeprefix("; ")
-        )
+        gaps = self._gaps
+        if gaps.count:
+            so_far = f"in this capture so far: {gaps.count} gaps, {gaps.chunks} lost chunks"
+            comment = f"{comment}; {so_far}" if comment else so_far
+        chunks = gaps.chunks - self._chunks_before
+        self._writer.statistics(interface, self._begun_ns, now_ns, self._written[interface], chunks, comment)
 
 
 _CAUSES: Final = {

@@ -16,6 +16,7 @@
 - ``thresholds``: Thresholds of the verdicts, each with its unit, its meaning and its source
 - ``timing``: Figures of durations as far as the source of the octets can time them; None stands for those that it
   cannot
+- ``triggers``: Triggers of a capture, and the window around them: keeps what mattered, in bounded memory
 - ``verdicts``: Verdicts on stations and on the bus: good, warning, critical or unknown, with reasons in a maintainer's
   words
 """

@@ -255,6 +255,13 @@ class Counters:
         """Whether a master asks ``address`` for more than its FDL status: it is no address of the GAP only."""
         return any(key & 0x7F == address for key in self._exchanges)
 
+    @property
+    def repeats(self) -> int:
+        """How often the request that waits for its answer has been repeated with its frame count bit; 0 where none
+        waits."""
+        asked = self._asked
+        return 0 if asked is None else asked.repeats
+
     # --- the hot path ---
     def add(self, one: Transmission) -> None:
         """Count one transmission; its times must not run backwards. Never raises, whatever the octets."""

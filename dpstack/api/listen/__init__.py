@@ -1,6 +1,7 @@
 """Listening to a bus without sending: on a port of its own, or through the program that holds the port.
 
-- ``capture_file``: The pcapng file of a capture: a new file or standard output, written in whole blocks
+- ``capture_file``: The pcapng file of a capture: a new file, a ring of files, or standard output, written in whole
+  blocks
 - ``listening``: The transmissions of a line, from an own port or from the tap of a running program
 - ``names``: Names and texts for explained telegrams: of a configuration, of GSD files, of drives
 - ``plant_files``: Files that a monitor needs: devices from a configuration and from a folder of GSD files, thresholds

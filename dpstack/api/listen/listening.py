@@ -120,6 +120,10 @@ class Listening:
         assert self._failed is not None
         await asyncio.shield(self._failed)
 
+    def damage(self) -> dict[str, int]:
+        """Octets that an own port has lost or marked as damaged, by cause, as far as it counts them."""
+        return {} if self._runtime is None else {k: v for k, v in self._runtime.damage().items() if v}
+
     # --- an own port ---
     async def _open_own(self) -> None:
         if self.port in (VIRTUAL, "pty"):

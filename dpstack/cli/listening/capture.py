@@ -5,17 +5,18 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from time import monotonic_ns, time_ns
-from typing import Final
+from typing import Final, NamedTuple
 
 from dpstack import __version__
 from dpstack.api.bus.events_json import PortLost, event_json
 from dpstack.api.config.bus import AUTO
-from dpstack.api.listen.capture_file import STDOUT, CaptureFile
+from dpstack.api.listen.capture_file import STDOUT, CaptureFile, Ring
 from dpstack.api.listen.listening import Line, Listening, OctetsLost
 from dpstack.capture.pcapng import PROFIBUS_DL, USER0
-from dpstack.capture.recording import PortAbout, Recording
+from dpstack.capture.recording import Gaps, PortAbout, Recording
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
 from dpstack.cli.listening.telegram_lines import filter_argument, show
@@ -24,21 +25,27 @@ from dpstack.cli.terminal import output
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.decode.filter import Match
-from dpstack.decode.telegram import Explainer
-from dpstack.errors import CaptureFileError, DpError, PortError
-from dpstack.monitor.counters import Counters
-from dpstack.monitor.evidence import finding
+from dpstack.decode.telegram import Explained, Explainer
+from dpstack.errors import CaptureFileError, DpError, PortError, UsageError
+from dpstack.monitor.triggers import Trigger, Triggers, Window, parse_trigger
+from dpstack.text import decimal
 from dpstack.trace import Event
-from dpstack.units import baud_text, ns_to_s
+from dpstack.units import baud_text, ns_to_s, s_to_ns
 
 #: pause between two writes to the file, in s
 _FLUSH_S: Final = 0.1
+#: what is kept around a trigger, in s
+_BEFORE_S: Final = 2.0
+_AFTER_S: Final = 2.0
 _OCTETS_ONLY: Final = (
     "link type 257 is PROFIBUS as registered, but tshark and Wireshark 4.0 have no dissector for it and show only "
     "octets; 147 works with `dpstack wireshark install`"
 )
 #: pause before the next look for a program that holds the port, in s
 _AGAIN_S: Final = 0.5
+_files = options.number(decimal, 2, 100_000, "number of files from 2 on")
+_megabytes = options.number(float, 0.001, 1e6, "size in MB, 0.001 at least")
+_period = options.number(float, 0, 3600, "number of seconds, below 3600")
 
 
 def add_to(parser: Parser) -> None:
@@ -60,19 +67,52 @@ def add_to(parser: Parser) -> None:
         default=USER0,
     )
     parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/decode.md", type=filter_argument)
+    parser.value("--ring", "N", "keep N files at most, the oldest goes; needs --write and --size", type=_files)
+    parser.value("--size", "MB", "of each file of the ring, in 10^6 octets", type=_megabytes)
+    parser.value(
+        "--trigger",
+        "COND",
+        'keep only what lies around it: lost, diagnosis, "retry>2", "bad fcs", "station 5", octets in hex (see '
+        "docs/capture.md); may be given several times",
+        type=_trigger,
+        action="append",
+        default=[],
+    )
+    parser.value("--before", "S", f"seconds to keep before a trigger (default {_BEFORE_S:g})", type=_period)
+    parser.value("--after", "S", f"seconds to keep after a trigger (default {_AFTER_S:g})", type=_period)
     parser.value("--seconds", "S", "end after so many seconds", type=options.seconds)
     parser.run_by(execute)
 
 
+def _trigger(text: str) -> Trigger:
+    try:
+        return parse_trigger(text)
+    except UsageError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Raises UsageError for options that do not go together."""
+    if (args.ring is None) != (args.size is None):
+        raise UsageError("--ring and --size belong together: number of files, and size of each in MB")
+    if args.ring is not None and args.write in (None, STDOUT):
+        raise UsageError("--ring needs --write FILE, by which its files are named")
+    if not args.trigger and (args.before, args.after) != (None, None):
+        raise UsageError("--before and --after need a --trigger")
+    args.before = _BEFORE_S if args.before is None else args.before
+    args.after = _AFTER_S if args.after is None else args.after
+
+
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 where the file cannot be written, or the port is lost for good."""
+    _check(args)
     if args.linktype == PROFIBUS_DL:
         output.warn(_OCTETS_ONLY)
     return run_unhurried(_Capture(args).run(), json=args.json)
 
 
 class _Capture:
-    """One capture: from the port to the file or the screen, and the summary."""
+    """One capture: from the port through filter and triggers to the file or the screen, and the summary."""
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._args = args
@@ -80,18 +120,22 @@ class _Capture:
         self._filter: Match | None = args.filter
         #: standard output carries the file
         self._quiet = args.write == STDOUT
-        self._file = None if args.write is None else CaptureFile(args.write)
+        ring = None if args.ring is None else Ring(args.ring, args.size)
+        self._file = None if args.write is None else CaptureFile(args.write, ring)
         self._recording: Recording | None = None
+        self._about: PortAbout | None = None
         self._listening: Listening | None = None
         self._line: Line | None = None
-        self._counters = Counters()
-        self._explainer = Explainer()
-        self._explains = self._file is None or self._filter is not None
         self._early: list[Event] = []  # before the start line
+        self._triggers = Triggers(args.trigger)
+        self._window: Window[_Heard] | None = None
+        if args.trigger:
+            self._window = Window(s_to_ns(args.before), s_to_ns(args.after))
+        self._explainer = Explainer() if self._file is None or self._filter is not None else None
+        self._gaps = Gaps()
         self._kept = 0
-        self._lost_chunks = 0
-        self._gaps = 0
         self._too_slow = 0  # transmissions since the last flush that the disk was too slow for
+        self._port_damage: dict[str, int] = {}
         self._began = monotonic_ns()
 
     async def run(self) -> int:
@@ -106,7 +150,7 @@ class _Capture:
             if stop.hurried:
                 return INTERRUPTED
             failure = await self._close() or failure
-            self._summary()
+            self._summary(whole=failure is None)
         if failure is not None:
             raise failure
         return 0
@@ -136,7 +180,10 @@ class _Capture:
                 async with listening:
                     self._listening = listening
                     self._start(listening.line)
-                    await listening.ended()
+                    try:
+                        await listening.ended()
+                    finally:
+                        self._port_damage = listening.damage()
             except PortError as error:
                 if self._line is None or self._line.program is None:
                     raise
@@ -159,37 +206,60 @@ class _Capture:
         if again:
             self._say(monotonic_ns(), "port", f"the {line.program} on {line.port} is back", lost=False)
             return
-        if self._file is not None:
-            about = PortAbout(line.port, line.source, line.paced, line.exact)
-            self._recording = Recording(self._file, f"dpstack {__version__}", about, self._args.linktype)
+        self._about = PortAbout(line.port, line.source, line.paced, line.exact)
         if self._json and not self._quiet:
             start = {"event": "start", "time": _now(), "port": line.port, "baud": line.baud}
             output.json_line({**start, "source": line.source, "program": line.program, "paced": line.paced})
         else:
             through = f" through the {line.program} that holds it" if line.program else ""
             rate = "the rate is searched" if line.baud is None else baud_text(line.baud)
-            self._line_of_text(f"listening on {line.port}{through}, {rate}; nothing is sent (Ctrl-C ends)", "bold")
+            self._print(f"listening on {line.port}{through}, {rate}; nothing is sent (Ctrl-C ends)", "bold")
         early, self._early = self._early, []
         for event in early:
             self._on_event(event)
 
     def _on_transmission(self, one: Transmission) -> None:
-        self._counters.add(one)
-        if self._explains:
-            explained = self._explainer.add(one)
-            if self._filter is not None and not self._filter(explained):
-                return
-            if self._file is None:
-                self._kept += 1
-                show(explained, json=self._json)
-                return
-        if self._recording is None or self._file is None:
+        reason = self._triggers.add(one)
+        explained = None if self._explainer is None else self._explainer.add(one)
+        if self._filter is not None and explained is not None and not self._filter(explained):
             return
-        if self._too_slow or not self._file.has_room:
+        heard = _Heard(one, explained, self._gaps.take())
+        if self._window is None:
+            self._keep(heard, "")
+            return
+        count = self._window.count
+        for kept in self._window.add(one.t_ns or 0, len(one.octets), heard, reason):
+            self._keep(kept.item, kept.remark)
+        if self._window.count != count:
+            self._say(monotonic_ns(), "trigger", f"trigger {count + 1}: {reason}", number=count + 1)
+
+    def _keep(self, heard: _Heard, remark: str) -> None:
+        one, explained, gap = heard
+        if self._file is None:
+            self._kept += 1
+            if explained is not None:
+                show(explained, json=self._json)
+        elif self._too_slow or not self._file.has_room:
             self._too_slow += 1
         else:
             self._kept += 1
-            self._recording.add(one)
+            self._recording_for(one, self._file).add(one, remark, gap)
+
+    def _recording_for(self, one: Transmission, file: CaptureFile) -> Recording:
+        """The recording that ``one`` belongs to: a new one in a new file of a ring."""
+        recording = self._recording
+        if recording is not None and not file.is_full:
+            return recording
+        t_ns = one.t_ns or 0
+        if recording is not None:
+            recording.close(t_ns)
+        if self._args.ring is not None:
+            file.begin(t_ns)
+        assert self._about is not None
+        self._recording = Recording(
+            file, f"dpstack {__version__}", self._about, self._gaps, linktype=self._args.linktype
+        )
+        return self._recording
 
     def _on_event(self, event: Event) -> None:
         if self._line is None:
@@ -206,10 +276,7 @@ class _Capture:
                 self._say(event.t_ns, kind, event.text, **{k: v for k, v in line.items() if k not in ("t", "text")})
 
     def _gap(self, t_ns: int, cause: str, chunks: int = 0) -> None:
-        self._gaps += 1
-        self._lost_chunks += chunks
-        if self._recording is not None:
-            self._recording.gap(cause, chunks)
+        self._gaps.add(cause, chunks)
         self._say(t_ns, "gap", cause, lost_chunks=chunks)
 
     # --- the screen ---
@@ -218,9 +285,9 @@ class _Capture:
         if self._json and not self._quiet:
             output.json_line({"event": kind, "t": round(t, 6), **fields, "text": text})
         else:
-            self._line_of_text(f"{t:9.3f} s  {text}", "yellow")
+            self._print(f"{t:9.3f} s  {text}", "yellow")
 
-    def _line_of_text(self, text: str, style: str = "") -> None:
+    def _print(self, text: str, style: str = "") -> None:
         if self._quiet:
             output.warn(text)
         else:
@@ -231,23 +298,27 @@ class _Capture:
 
     async def _close(self) -> DpError | None:
         """Complete the file. Returns the error where it cannot be written."""
-        if self._recording is None or self._file is None:
+        if self._file is None:
             return None
         if self._too_slow:
-            self._recording.gap(f"the disk was too slow: {self._too_slow} transmissions were not written")
-        self._recording.close(time_ns())
+            self._gaps.add(f"the disk was too slow: {self._too_slow} transmissions were not written", self._too_slow)
         try:
-            await self._file.flush()
+            if self._recording is not None:
+                self._recording.close(time_ns())
+            await self._file.flush(last=True)
         except CaptureFileError as error:
             return error
         return None
 
-    def _summary(self) -> None:
-        counters, line = self._counters, self._line
+    def _summary(self, *, whole: bool) -> None:
+        """``whole``: all that was kept is in the file."""
+        counters, line, gaps = self._triggers.counters, self._line, self._gaps
         if line is None:
             return
         baud = counters.baud or line.baud
         seconds = self._seconds(monotonic_ns())
+        windows = None if self._window is None else self._window.count
+        files = [] if self._file is None else [str(path) for path in self._file.paths]
         if self._json and not self._quiet:
             summary: dict[str, object] = {
                 "event": "summary",
@@ -256,24 +327,41 @@ class _Capture:
                 "baud": baud,
                 "seconds": round(seconds, 3),
                 "telegrams": counters.telegrams,
-                "profibus": finding(counters).is_profibus,
                 "octets": counters.octets,
                 "damaged": counters.damaged,
-                "lost_chunks": self._lost_chunks,
-                "gaps": self._gaps,
-                "kept": self._kept,
-                "file": self._args.write,
+                "port_damage": self._port_damage,
+                "lost_chunks": gaps.chunks,
+                "gaps": gaps.count,
+                "kept": self._kept if whole else None,
+                "files": files,
+                "windows": windows,
+                "triggers": self._triggers.fired,
             }
             output.json_line(summary)
             return
-        damaged = ", ".join(f"{count} {cause}" for cause, count in counters.damaged.items()) or "none"
-        kept = f"; {self._kept} kept in {self._args.write}" if self._file is not None else ""
-        self._line_of_text(
-            f"{counters.telegrams} telegrams in {seconds:.1f} s; damaged: {damaged}; lost chunks: {self._lost_chunks}, "
-            f"gaps: {self._gaps}{kept}"
+        damaged = _counts(counters.damaged) or "none"
+        by_port = f"; counted by the port: {_counts(self._port_damage)}" if self._port_damage else ""
+        self._print(
+            f"{counters.telegrams} telegrams in {seconds:.1f} s; damaged: {damaged}{by_port}; "
+            f"lost chunks: {gaps.chunks}, gaps: {gaps.count}"
         )
-        if counters.telegrams and not finding(counters).is_profibus:
-            self._line_of_text(finding(counters).text, "yellow")
+        if windows is not None:
+            self._print(f"triggers: {_counts(self._triggers.fired)}; {windows} windows")
+        if self._file is not None and whole:
+            places = output.first_of(files) if files else self._file.name
+            self._print(f"{self._kept} transmissions kept in {places}" if self._kept else "nothing was kept")
+
+
+class _Heard(NamedTuple):
+    """A transmission; ``explained`` where the screen or the filter needs it; ``gap``: what is missing before it."""
+
+    one: Transmission
+    explained: Explained | None
+    gap: str
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in counts.items())
 
 
 def _now() -> str:
