@@ -10,7 +10,6 @@ from typing import Final
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, alarm_name, parse_block
 from dpstack.dp.pdu.diag_blocks import Block, ChannelBlock, DeviceBlock, IdentifierBlock, RevisionBlock
-from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.pdu.dpv1_status import (
     ALARM_LIMITS,
@@ -204,7 +203,6 @@ def _slave_diag(data: bytes) -> Fields:
     }
     if diagnosis.ext:
         found["Ext_Diag_Data"] = [_block(block) for block in diagnosis.blocks]
-        found["texts"] = list(block_texts(diagnosis))
     if diagnosis.ext_finding is not None:
         found["rest"] = diagnosis.ext_rest.hex()
         found["finding"] = diagnosis.ext_finding

@@ -1,7 +1,8 @@
 """The stations of a bus as their own telegrams describe them: ident number, modules, DP-V1; fields with their names.
 
 The layout of process data is that of the last Chk_Cfg (or the answer to Get_Cfg). Names come from
-:mod:`dpstack.decode.names`: those of the configuration, else those that fit ident number and modules.
+:mod:`dpstack.decode.names`: those of the configuration, else those that fit ident number and modules. With
+:data:`NO_NAMES` the fields are those of the standard alone.
 """
 
 from __future__ import annotations
@@ -119,6 +120,8 @@ class Station:
         """The octets of Data_Exchange by the names of the configuration, by module, and as words of a drive."""
         names = self.names
         found: Fields = {}
+        if self._all is NO_NAMES:
+            return found
         fields = names.inputs if inputs else names.outputs
         if fields and len(data) == fields.length:
             found["inputs" if inputs else "outputs"] = as_json(fields.values(data))
@@ -165,7 +168,7 @@ class Station:
         if self.names.source:
             found["names_from"] = self.names.source
         entries = found.get("Cfg_Data")
-        if isinstance(entries, list):
+        if isinstance(entries, list) and self._all is not NO_NAMES:
             places = self._module_places(len(entries), [len(entry["identifier"]) // 2 for entry in entries])
             for entry, (slot, name) in zip(entries, places, strict=True):
                 entry |= {"slot": slot, "module": name}
@@ -179,7 +182,7 @@ class Station:
         own = self._own
         if own is not None and own.ident not in (None, diagnosis.ident):
             found["Configured_Ident_Number"] = f"0x{own.ident:04x}"
-        if diagnosis.ext:
+        if diagnosis.ext and self.names.texts is not None:
             found["texts"] = list(block_texts(diagnosis, self.names.texts, dpv1=self._dpv1))
 
 

@@ -101,7 +101,7 @@ class Explained:
             "repeated_poll_of": step.repeated_poll_of,
             "fcb_turned": step.fcb_turned,
             "probably_answers": step.probably_answers,
-            "remarks": step.remarks,
+            "remarks": list(step.remarks),
         }
         kind = da = sa = fc = fcb = fcv = dsap = ssap = data = None
         if telegram is not None:

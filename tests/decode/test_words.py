@@ -209,7 +209,7 @@ def _telegram(sap: int, master: int, unit: str, *, request: bool) -> bytes:
             62,
             "<-",
             DIAG + "03 AA BB 42 01",
-            "device: aa bb; slots with a diagnosis: 1",
+            "",
         ),  # of the maker, and of modules
         (60, 62, "<-", "00 0C", "cannot be read (Slave_Diag has 2 octets"),
         (60, 62, "->", "AA", ""),
