@@ -377,7 +377,9 @@ class Counters:
         station.answers += 1
         station.answered_at = end
         station.in_vain = 0
-        station.answer_ns.add(start - self._asked_end)
+        t_sdr = start - self._asked_end
+        if t_sdr >= self._together_ns:  # else it arrived together with its request, and nobody knows
+            station.answer_ns.add(t_sdr)
         if asked.pieces:
             self.unattributed += asked.pieces
             asked.pieces = 0

@@ -15,6 +15,7 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.errors import PduError
 from dpstack.monitor.counters import Change, Counters, State
 from dpstack.monitor.devices import Devices
+from dpstack.monitor.evidence import finding
 from dpstack.monitor.history import History
 from dpstack.monitor.summary import summary
 from dpstack.monitor.thresholds import Thresholds
@@ -92,6 +93,7 @@ class Monitor:
         self._blocks: dict[int, frozenset[bytes]] = {}  # the extended diagnosis of each station
         self._conspicuous: dict[int, str] = {}
         self._looked_ns = 0
+        self._named_baud: int | None = None  # PROFIBUS is proven at this rate
         self._told: dict[int, str] = {}  # the last state told of each station
 
     @property
@@ -127,15 +129,24 @@ class Monitor:
             seconds=(now - self.begun_ns) / NS_PER_S if self.begun_ns else 0.0,
             silent_s=(now - counters.ended_ns) / NS_PER_S if counters.ended_ns else 0.0,
             now_ns=now,
+            is_profibus=self._is_profibus(),
         )
 
     def summary(self, now_ns: int | None = None) -> dict[str, object]:
         """The summary with all verdicts, as :func:`~dpstack.monitor.summary.summary` has it."""
         return summary(self.heard(now_ns))
 
+    def _is_profibus(self) -> bool:
+        """The evidence is not taken back at the same rate: noise may outweigh it for a while."""
+        counters = self.counters
+        if self._named_baud != (counters.baud or None) and finding(counters).is_profibus:
+            self._named_baud = counters.baud
+        return self._named_baud is not None and self._named_baud == counters.baud
+
     # --- changes ---
     def _look(self, now: int) -> None:
         self._looked_ns = now
+        self._is_profibus()
         for station in self.history.look(self.counters, now):
             if station.state == State.UNKNOWN or self._told.get(station.address) == station.state:
                 continue

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.dp.pdu.diag_bits import Reaction
 from dpstack.dp.pdu.diag_texts import conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.monitor.counters import Counters, Master, State, Station
@@ -46,11 +47,8 @@ class Heard:
     seconds: float
     silent_s: float
     now_ns: int
-
-    @property
-    def is_profibus(self) -> bool:
-        """Whether tokens and answers that fit requests show that this is PROFIBUS."""
-        return finding(self.counters).is_profibus
+    #: tokens and answers that fit requests have shown that this is PROFIBUS
+    is_profibus: bool
 
     def is_user(self, station: Station) -> bool:
         """Whether a master uses the station, or it was heard: not an address that only GAP polls ask."""
@@ -120,7 +118,7 @@ def _findings(station: Station, used: list[Station], heard: Heard) -> Iterator[_
     if master is not None:
         yield from _of_master(master, heard)
     else:
-        yield from _state(station, past, device, heard)
+        yield from _state(station, past, heard)
     yield from _lost(station, heard)
     yield from _retries(station, past, used, heard)
     yield from _answers(station, heard)
@@ -143,7 +141,7 @@ def _of_master(master: Master, heard: Heard) -> Iterator[_Finding]:
         yield WARNING, "is in Clear, the outputs of its slaves are zero: look at its mode switch and its slaves"
 
 
-def _state(station: Station, past: Past, device: KnownDevice, heard: Heard) -> Iterator[_Finding]:
+def _state(station: Station, past: Past, heard: Heard) -> Iterator[_Finding]:
     if station.state in (State.UNKNOWN, State.DATA_EXCHANGE):
         if not station.is_present and station.requests:
             yield CRITICAL, "is asked and never answers: look at its power, its address switch and its connector"
@@ -154,13 +152,12 @@ def _state(station: Station, past: Past, device: KnownDevice, heard: Heard) -> I
         yield CRITICAL, "does not answer any more: look at its power, its connector and the cable to it"
         return
     diagnosis = None if station.diagnosis is None else Diagnosis.parse(station.diagnosis)
-    text = "" if diagnosis is None else conspicuous_text(diagnosis, device.texts, exchanging=False)
+    refused = [] if diagnosis is None else [flag for flag in diagnosis.findings if flag.bring_up is Reaction.REFUSES]
+    why = "; ".join(f"{flag.name}, it {flag.text}: {flag.remedy}" for flag in refused)
     yield (
         CRITICAL,
-        (
-            f"is not in data exchange, its master brings it up again and again (now {station.state}): "
-            f"look at {text or 'its parameters and its configuration in the master'}"
-        ),
+        f"is not in data exchange, its master brings it up again and again (now {station.state}): "
+        f"{why or 'look at its parameters and its configuration in the master'}",
     )
 
 
@@ -216,7 +213,7 @@ def _answers(station: Station, heard: Heard) -> Iterator[_Finding]:
         yield (
             WARNING,
             (
-                f"{station.late} answers came after the master had given up: look at its T_SL against MaxTsdr "
+                f"{station.late} answers came after the master had given up: look at T_SL against MaxTsdr "
                 "of the device, and at repeaters or converters on the way"
             ),
         )

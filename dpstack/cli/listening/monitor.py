@@ -30,6 +30,9 @@ from dpstack.units import NS_PER_S, baud_text
 
 #: pause before the next look for a program that holds the port, in s
 _AGAIN_S: Final = 0.5
+_TICK_S: Final = 0.5
+#: octets of a tap or an adapter are no later
+_LATE_NS: Final = NS_PER_S
 _CONVERTER: Final = (
     "nothing is sent, but opening a port may switch RTS for an instant: a converter that takes its direction from RTS "
     "drives the bus for that time"
@@ -165,6 +168,8 @@ class _Live:
         if self._json:
             output.json_line(summary)
         else:
+            if self._view is not None:
+                self._view.show_time_line()
             show_summary(self._monitor.heard(now), summary)
         if self._failure is not None:
             raise self._failure
@@ -173,7 +178,9 @@ class _Live:
     async def _work(self) -> None:
         """Listen until the time is over. Raises PortError where the port cannot be listened to any more."""
         listening = asyncio.ensure_future(self._listen())
-        watching = [] if self._view is None else [asyncio.ensure_future(self._view.watch())]
+        watching = [asyncio.ensure_future(self._tick())]
+        if self._view is not None:
+            watching.append(asyncio.ensure_future(self._view.watch()))
         try:
             await asyncio.wait([listening], timeout=self._args.seconds)
             if listening.done():
@@ -182,6 +189,12 @@ class _Live:
             for task in (listening, *watching):
                 task.cancel()
             await asyncio.gather(listening, *watching, return_exceptions=True)
+
+    async def _tick(self) -> None:
+        """Let the monitor know that time passes, also on a silent line."""
+        while True:
+            await asyncio.sleep(_TICK_S)
+            self._monitor.tick(time_ns() - _LATE_NS)
 
     async def _listen(self) -> None:
         """Listen to the port; where a program that held it ends, wait until one is there again."""

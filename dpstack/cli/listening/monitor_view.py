@@ -20,7 +20,12 @@ _EVENT_STYLES: Final = {"lost": "red", "left": "red", "alarm": "yellow", "gap": 
 _REFRESH_S: Final = 0.5
 #: lines of events under the live list, at most
 _EVENTS: Final = 10
+#: of the time line, after the live list
+_LAST: Final = 40
 _COLUMNS: Final = ("address", "name", "state", "requests", "retries", "no answer", "damaged", "T_SDR us", "verdict")
+#: in the live list of a narrow terminal, which the full table would fill with a few stations
+_NARROW_COLUMNS: Final = ("address", "name", "retries", "verdict")
+_NARROW: Final = 90
 _MASTERS: Final = ("master", "mode", "token us", "rotation us", "hold us", "GAP polls", "drop-outs", "slaves")
 
 
@@ -73,6 +78,11 @@ def _row(address: str, station: Mapping[str, Any]) -> tuple[object, ...]:
     return (address, name, state, *counts, "-" if tsdr is None else f"{tsdr['p50']:g}", station["verdict"])
 
 
+def _narrow_row(address: str, station: Mapping[str, Any]) -> tuple[object, ...]:
+    name = station["name"] or ("master" if station["role"] == "master" else station["state"].replace("_", " "))
+    return (address, name, sum(station["retry_depth"]), station["verdict"])
+
+
 def _master_row(address: str, master: Mapping[str, Any]) -> tuple[object, ...]:
     slaves = ", ".join(map(str, master["slaves"])) or "none"
     times = [_mean(master["token_us"]), _mean(master["rotation_us"]), _hold(master["hold_us"])]
@@ -110,17 +120,23 @@ def _timing_line(summary: Mapping[str, Any]) -> str:
 
 
 class LiveView:
-    """The live list of ``monitor`` on a terminal."""
+    """The live list of ``monitor`` on a terminal, on a screen of its own: every picture is drawn whole, so that nothing
+    is left of the one before when the window changes its size."""
 
     def __init__(self, monitor: Monitor, port: str) -> None:
         self._monitor = monitor
         self._port = port
 
+    def show_time_line(self) -> None:
+        """Print the last entries of the time line as lines: they were on the live screen only."""
+        for one in list(self._monitor.time_line)[-_LAST:]:
+            event_line(one, self._monitor.begun_ns)
+
     async def watch(self) -> None:
-        """Redraw the list until cancelled; the last picture goes, the tables at the end take its place."""
+        """Redraw the list until cancelled; then the terminal has its text of before again."""
         from rich.live import Live
 
-        with output.guarded(), Live(self._picture(), auto_refresh=False, transient=True) as live:
+        with output.guarded(), Live(self._picture(), auto_refresh=False, screen=True) as live:
             while True:
                 await asyncio.sleep(_REFRESH_S)
                 live.update(self._picture(), refresh=True)
@@ -158,6 +174,8 @@ def _fitting(stations: Mapping[str, Mapping[str, Any]], console: Any, room: int)
     """The table of the stations in at most ``room`` lines; where they do not fit, the best ones are left out."""
     from dpstack.cli.terminal import drawing
 
+    narrow = console.width < _NARROW
+    columns = _NARROW_COLUMNS if narrow else _COLUMNS
     shown = dict(stations)
     order = (GOOD, UNKNOWN, WARNING, CRITICAL)
     leaving = sorted(stations, key=lambda address: (order.index(stations[address]["verdict"]), -int(address)))
@@ -165,7 +183,8 @@ def _fitting(stations: Mapping[str, Mapping[str, Any]], console: Any, room: int)
         out = len(stations) - len(shown)
         title = f"stations, {out} good ones are not shown: the window is too small" if out else ""
         styles = [STYLES[station["verdict"]] for station in shown.values()]
-        table = drawing.rich_table(title, _COLUMNS, _rows(shown), console.width, styles)
+        rows = [_narrow_row(*item) for item in shown.items()] if narrow else _rows(shown)
+        table = drawing.rich_table(title, columns, rows, console.width, styles)
         over = len(console.render_lines(table)) - room
         if over <= 0 or len(shown) <= 1:
             return table
