@@ -56,7 +56,8 @@ class Step(NamedTuple):
     probably_answers: int | None = None
 
 
-_NOTHING: Final = Step()
+#: nothing to say
+NOTHING: Final = Step()
 
 
 class Course:
@@ -80,7 +81,7 @@ class Course:
         if head is not None and head[2] & FC_REQUEST:
             return Step(remarks=(f"probably a request {head[1]} -> {head[0]}",))
         if asked is None:
-            return _NOTHING
+            return NOTHING
         asked.damaged = True
         readable = head is not None and head[:2] == (asked.telegram.sa, asked.telegram.da)
         surely = ", as its addresses say" if readable else ""
@@ -109,7 +110,7 @@ class Course:
             remarks = self._without_token(sa)
         self._holder, self._passer = da, sa if sa != da else None
         unanswered = self._give_up()
-        return _NOTHING if unanswered is None and not remarks else Step(unanswered=unanswered, remarks=remarks)
+        return NOTHING if unanswered is None and not remarks else Step(unanswered=unanswered, remarks=remarks)
 
     def _without_token(self, sa: int) -> tuple[str, ...]:
         holder, self._holder, self._passer = self._holder, sa, None
@@ -131,7 +132,7 @@ class Course:
         fc = telegram.fc
         function = fc & FC_FUNCTION
         if telegram.da == BROADCAST or _NOT_ASKED[function]:
-            return _NOTHING if unanswered is None and not remarks else Step(unanswered=unanswered, remarks=remarks)
+            return NOTHING if unanswered is None and not remarks else Step(unanswered=unanswered, remarks=remarks)
         self._asked = request = _Request(telegram, number, end_ns, self._damages)
         if not _IS_COUNTED[function]:
             return Step(unanswered=unanswered, remarks=remarks)

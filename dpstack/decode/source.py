@@ -10,6 +10,7 @@ from dpstack.capture.cutter import split
 from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Interface, Reader
 from dpstack.capture.transmission import Damage, Transmission
 from dpstack.errors import CaptureFileError, UsageError
+from dpstack.fdl.codec import decode
 
 #: what may stand between hex digits
 _BETWEEN: Final = re.compile(r"0x|[\s,;:-]+", re.IGNORECASE)
@@ -95,6 +96,9 @@ def _lines(file: _Again, name: str) -> Iterator[Transmission]:
                 octets = from_hex(text)
             except UsageError as error:
                 raise CaptureFileError(f"{name}: line {number}: {error}") from None
+            if decode(octets) is not None:
+                yield Transmission(octets)
+                continue
             for one in split(octets):
                 yield Transmission(one)
         if not more:

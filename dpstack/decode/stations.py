@@ -20,6 +20,7 @@ from dpstack.dpv1.pdu.read_write import PARAMETER_INDEX, Function
 from dpstack.errors import ConfigError, GsdError
 from dpstack.fdl.telegram import (
     FC_FUNCTION,
+    FC_REQUEST,
     SAP_CHK_CFG,
     SAP_GET_CFG,
     SAP_RD_INP,
@@ -57,6 +58,8 @@ class Station:
         self._config = b"" if self._own is None else self._own.config
         self._dpv1 = False
         self._user_prm = b""  # of the last Set_Prm, until they are explained
+        #: the last octets of outputs and inputs with their fields: most telegrams repeat them
+        self._last: list[tuple[bytes, Fields]] = []
         self._pieces: tuple[tuple[_Piece, ...], tuple[_Piece, ...]] = ((), ())  # of outputs, of inputs
         self._lay_out()
 
@@ -95,6 +98,7 @@ class Station:
                 if size:
                     begin, ends[way] = ends[way], ends[way] + size
                     pieces[way].append(_Piece(slot, name, begin, ends[way]))
+        self._last = [(b"", {}), (b"", {})]
         several = len(identifiers) > 1 or any(name for _, name in places)
         short = len(identifiers) <= _MOST_MODULES
         self._pieces = (tuple(pieces[0]), tuple(pieces[1])) if several and short else ((), ())
@@ -118,6 +122,13 @@ class Station:
     # --- fields ------------------------------------------------------------------------------------------------------
     def process_data(self, data: bytes, *, inputs: bool) -> Fields:
         """The octets of Data_Exchange by the names of the configuration, by module, and as words of a drive."""
+        last, found = self._last[inputs]
+        if data != last:
+            found = self._process_data(data, inputs)
+            self._last[inputs] = data, found
+        return found
+
+    def _process_data(self, data: bytes, inputs: bool) -> Fields:
         names = self.names
         found: Fields = {}
         if self._all is NO_NAMES:
@@ -203,10 +214,10 @@ class Stations:
 
         Raises PduError, or ConfigError for identifiers, where the octets are not what their SAP says.
         """
-        data = telegram.data
+        data, fc = telegram.data, telegram.fc
         if not data:
             return {}
-        request = telegram.is_request
+        request = bool(fc & FC_REQUEST)
         address = telegram.da if request else telegram.sa
         station = self._stations.get(address)
         if station is None:
@@ -216,7 +227,7 @@ class Stations:
             if telegram.dsap is not None or telegram.ssap is not None:
                 return {}
             if request:
-                exchange = telegram.fc & FC_FUNCTION in _EXCHANGES
+                exchange = fc & FC_FUNCTION in _EXCHANGES
                 return station.process_data(data, inputs=False) if exchange else {}
             exchange = asked is None or (asked.dsap is asked.ssap is None and asked.fc & FC_FUNCTION in _EXCHANGES)
             return station.process_data(data, inputs=True) if exchange else {}

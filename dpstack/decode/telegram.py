@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.capture.transmission import Damage, Transmission
-from dpstack.decode.course import Course, Step
+from dpstack.decode.course import NOTHING, Course, Step
 from dpstack.decode.fields import Fields
 from dpstack.decode.names import NO_NAMES, Names
 from dpstack.decode.stations import Stations
@@ -15,7 +15,7 @@ from dpstack.decode.words import acknowledged, describe_with, flaw_text
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.service_names import service
-from dpstack.fdl.telegram import FC_FCB, FC_FCV, FC_FUNCTION, Kind, Req, Resp, Telegram
+from dpstack.fdl.telegram import FC_FCB, FC_FCV, FC_FUNCTION, FC_REQUEST, Kind, Req, Resp, Telegram
 from dpstack.units import NS_PER_S, chars_to_ns
 
 #: the names of functions as the standard has them, of requests and of responses
@@ -23,6 +23,7 @@ _REQUEST: Final = {number.value: number.name for number in Req if number is not 
 _RESPONSE: Final = {number.value: number.name for number in Resp}
 
 
+_KINDS: Final = {kind: kind.name for kind in Kind}
 _KIND_SC: Final = Kind.SC
 _KIND_SD4: Final = Kind.SD4
 #: the causes of damage in words
@@ -85,32 +86,22 @@ class Explained:
         if telegram is None or telegram.fc < 0:
             return None
         number = telegram.fc & FC_FUNCTION
-        names = _REQUEST if telegram.is_request else _RESPONSE
+        names = _REQUEST if telegram.fc & FC_REQUEST else _RESPONSE
         return names.get(number) or f"reserved {number}"
 
     def as_dict(self) -> dict[str, object]:
         """The object of ``decode --json``."""
         telegram, step, sent = self.telegram, self.step, self.transmission
         t_ns = sent.t_ns
-        course = {
-            "retry_of": step.retry_of,
-            "answer_to": step.answer_to,
-            "response_us": step.response_us,
-            "unanswered": step.unanswered,
-            "late": step.late,
-            "repeated_poll_of": step.repeated_poll_of,
-            "fcb_turned": step.fcb_turned,
-            "probably_answers": step.probably_answers,
-            "remarks": list(step.remarks),
-        }
+        course = _NO_COURSE if step is NOTHING else _course(step)
         kind = da = sa = fc = fcb = fcv = dsap = ssap = data = None
         if telegram is not None:
-            kind = telegram.kind.name
+            kind = _KINDS[telegram.kind]
             if telegram.kind is not _KIND_SC:
                 da, sa = telegram.da, telegram.sa
                 if telegram.kind is not _KIND_SD4:
                     fc, dsap, ssap, data = telegram.fc, telegram.dsap, telegram.ssap, telegram.data.hex()
-                    if telegram.is_request:
+                    if fc & FC_REQUEST:
                         fcb, fcv = bool(fc & FC_FCB), bool(fc & FC_FCV)
         found: dict[str, object] = {
             "number": self.number,
@@ -139,6 +130,23 @@ class Explained:
         if sent.damage:
             found["damage"] = [text for bit, text in DAMAGE_TEXTS.items() if sent.damage & bit]
         return found
+
+
+def _course(step: Step) -> dict[str, object]:
+    return {
+        "retry_of": step.retry_of,
+        "answer_to": step.answer_to,
+        "response_us": step.response_us,
+        "unanswered": step.unanswered,
+        "late": step.late,
+        "repeated_poll_of": step.repeated_poll_of,
+        "fcb_turned": step.fcb_turned,
+        "probably_answers": step.probably_answers,
+        "remarks": list(step.remarks),
+    }
+
+
+_NO_COURSE: Final = _course(NOTHING)
 
 
 def damage_text(damage: int) -> str:

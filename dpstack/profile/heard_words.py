@@ -35,36 +35,29 @@ class HeardDrive:
             core.inputs_map, core.outputs_map = core.present_maps()  # as a start writes them, or as they were
         self._channel = CHANNEL_LEN if core.telegram.channel else 0
         self._control: int | None = None
-        #: the last octets of each direction and their fields: most telegrams repeat them
-        self._last: list[tuple[bytes, Fields]] = [(b"", {}), (b"", {})]
 
     def outputs(self, octets: bytes) -> Fields:
         """Parameter channel, control word with the names of its bits, set point in parts of the reference, the fields
         of the map; ``text``: all of it in a few words. Empty for another length."""
-        return self._read(octets, self._core.telegram.output_octets, self._outputs, 0)
+        return self._read(octets, self._core.telegram.output_octets, self._outputs)
 
     def inputs(self, octets: bytes) -> Fields:
         """Parameter channel, status word with the names of its bits, state, actual values, faults and warnings, the
         fields of the map; ``text``: all of it in a few words. Empty for another length."""
-        return self._read(octets, self._core.telegram.input_octets, self._inputs, 1)
+        return self._read(octets, self._core.telegram.input_octets, self._inputs)
 
     def parameter(self, number: int, subindex: int) -> str:
         """The name of a parameter; empty where it has none."""
         spec = self._core.parameter(number, subindex)
         return "" if spec is None else spec.label
 
-    def _read(self, octets: bytes, length: int, read: Callable[[bytes], Fields], way: int) -> Fields:
+    def _read(self, octets: bytes, length: int, read: Callable[[bytes], Fields]) -> Fields:
         if len(octets) != length:
             return {}
-        last, found = self._last[way]
-        if octets == last:
-            return found
         try:
-            found = read(octets)
+            return read(octets)
         except Exception as error:  # a plugin may come from anybody, and the octets too
-            found = {"error": f"the plugin of {self._core.drive} cannot read this: {type(error).__name__}: {error}"}
-        self._last[way] = octets, found
-        return found
+            return {"error": f"the plugin of {self._core.drive} cannot read this: {type(error).__name__}: {error}"}
 
     def _outputs(self, octets: bytes) -> Fields:
         core = self._core

@@ -19,7 +19,7 @@ from dpstack.capture.pcapng import PROFIBUS_DL, USER0
 from dpstack.capture.recording import Gaps, PortAbout, Recording
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
-from dpstack.cli.listening.telegram_lines import filter_argument, show
+from dpstack.cli.listening.telegram_lines import add_names, filter_argument, names_of, show
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
@@ -66,6 +66,7 @@ def add_to(parser: Parser) -> None:
         choices=(USER0, PROFIBUS_DL),
         default=USER0,
     )
+    add_names(parser)
     parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/decode.md", type=filter_argument)
     parser.value("--ring", "N", "keep N files at most, the oldest goes; needs --write and --size", type=_files)
     parser.value("--size", "MB", "of each file of the ring, in 10^6 octets", type=_megabytes)
@@ -116,6 +117,7 @@ class _Capture:
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._args = args
+        names = names_of(args)
         self._json: bool = args.json
         self._filter: Match | None = args.filter
         #: standard output carries the file
@@ -131,7 +133,7 @@ class _Capture:
         self._window: Window[_Heard] | None = None
         if args.trigger:
             self._window = Window(s_to_ns(args.before), s_to_ns(args.after))
-        self._explainer = Explainer() if self._file is None or self._filter is not None else None
+        self._explainer = Explainer(names) if self._file is None or self._filter is not None else None
         self._gaps = Gaps()
         self._kept = 0
         self._too_slow = 0  # transmissions since the last flush that the disk was too slow for

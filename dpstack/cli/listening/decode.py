@@ -11,6 +11,7 @@ from dpstack.capture.cutter import split
 from dpstack.capture.transmission import Transmission
 from dpstack.cli.listening.telegram_lines import add_names, filter_argument, names_of, show
 from dpstack.cli.parser import Parser
+from dpstack.cli.terminal import output
 from dpstack.decode.source import from_hex, read_transmissions
 from dpstack.decode.telegram import explain
 from dpstack.errors import UsageError
@@ -31,10 +32,14 @@ def add_to(parser: Parser) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 where a transmission is no telegram, or the file cannot be read to its end."""
     bad = 0
+    at_once = args.source == ["-"]  # somebody may be watching
     for one in explain(_transmissions(args.source), names_of(args)):
         bad += one.error is not None
         if args.filter is None or args.filter(one):
-            show(one, json=args.json)
+            show(one, json=args.json, flush=at_once)
+            if output.lost.error is not None:
+                break
+    output.flush()
     return 1 if bad else 0
 
 

@@ -128,6 +128,24 @@ def redraws() -> bool:
     return on_terminal() and os.environ.get("TERM", "dumb").lower() not in ("dumb", "unknown", "")
 
 
+def ready_line(text: str, *, flush: bool) -> None:
+    """Write a line whose characters are printable and in the encoding of standard output. Without ``flush`` it may wait
+    until more lines come, or until :func:`flush`."""
+    try:
+        sys.stdout.write(text + "\n")
+        if flush:
+            sys.stdout.flush()
+    except OSError as error:
+        nowhere(sys.stdout.fileno())
+        lose(error)
+
+
+def flush() -> None:
+    """Write what waits."""
+    with guarded():
+        sys.stdout.flush()
+
+
 def json_line(data: Mapping[str, object] | Sequence[object]) -> None:
     """Write one JSON value on a line of its own, and flush."""
     _write(json_text(data, encoding=sys.stdout.encoding or "utf-8"))
