@@ -167,7 +167,7 @@ class Cutter:
         checked = not one.damage and one.octets[0] in _CHECKED
         if packets and checked:  # its check sequence shows that the damaged octet is another one
             return one._replace(note=PACKET_NOTE)
-        note = f"parity or framing error marked by the port at {_places(places)}"
+        note = f"damaged by mark of the port: {_places(places)}"
         if packets:
             note += f"; {PACKET_NOTE}"
         return one._replace(note=note, damage=one.damage | Damage.PARITY_OR_FRAMING)

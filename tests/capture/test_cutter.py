@@ -169,7 +169,7 @@ def test_marked_octets_stay_at_their_place() -> None:
     token, poll, ack = _marked(TOKEN + changed + ACK, 6, 7)
     assert (token.damage, ack.damage) == (0, 0)
     assert (poll.octets, poll.damage) == (changed, Damage.FCS | Damage.PARITY_OR_FRAMING)
-    assert poll.note == "parity or framing error marked by the port at octets 4, 5"
+    assert poll.note == "damaged by mark of the port: octets 4, 5"
 
 
 def test_a_telegram_whose_parity_alone_was_damaged_is_damaged() -> None:
@@ -183,7 +183,7 @@ def test_marks_of_a_whole_packet_do_not_make_checked_telegrams_damaged() -> None
     assert (poll.damage, poll.note) == (0, PACKET_NOTE)
     assert ack.damage == Damage.PARITY_OR_FRAMING
     assert rest.damage == Damage.PARITY_OR_FRAMING | Damage.TOO_SHORT
-    assert rest.note == f"parity or framing error marked by the port at octets 1, 2, 3, 4 and 1 more; {PACKET_NOTE}"
+    assert rest.note == f"damaged by mark of the port: octets 1, 2, 3, 4 and 1 more; {PACKET_NOTE}"
 
 
 @given(st.lists(st.tuples(st.binary(max_size=30), st.sets(st.integers(0, 29)))))

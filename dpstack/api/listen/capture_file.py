@@ -179,8 +179,13 @@ class CaptureFile:
 
     def _check_directory(self) -> None:
         folder = self._path.parent
-        if self._path.is_dir():
-            raise UsageError(f"{self._path}: is a directory; name a file")
+        try:
+            if stat.S_ISDIR(os.stat(self._path).st_mode):
+                raise UsageError(f"{self._path}: is a directory; name a file")
+        except ValueError as error:  # a path with a zero octet
+            raise UsageError(f"{self._path}: {error}; name a file") from None
+        except OSError:
+            pass  # there is none, as it should be
         if not os.access(folder, os.W_OK | os.X_OK):
             raise UsageError(f"{self._path}: cannot be written; name a file in a directory of yours")
 

@@ -27,6 +27,7 @@ from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.decode.filter import Match
 from dpstack.decode.telegram import Explained, Explainer
 from dpstack.errors import CaptureFileError, DpError, PortError, UsageError
+from dpstack.monitor.evidence import finding
 from dpstack.monitor.triggers import Trigger, Triggers, Window, parse_trigger
 from dpstack.text import decimal
 from dpstack.trace import Event
@@ -230,10 +231,11 @@ class _Capture:
             self._keep(heard, "")
             return
         count = self._window.count
-        for kept in self._window.add(one.t_ns or 0, len(one.octets), heard, reason):
-            self._keep(kept.item, kept.remark)
+        keep = self._window.add(one.t_ns or 0, len(one.octets), heard, reason)
         if self._window.count != count:
             self._say(monotonic_ns(), "trigger", f"trigger {count + 1}: {reason}", number=count + 1)
+        for kept in keep:
+            self._keep(kept.item, kept.remark)
 
     def _keep(self, heard: _Heard, remark: str) -> None:
         one, explained, gap = heard
@@ -319,6 +321,7 @@ class _Capture:
             return
         baud = counters.baud or line.baud
         seconds = self._seconds(monotonic_ns())
+        found = finding(counters)
         windows = None if self._window is None else self._window.count
         files = [] if self._file is None else [str(path) for path in self._file.paths]
         if self._json and not self._quiet:
@@ -332,6 +335,8 @@ class _Capture:
                 "octets": counters.octets,
                 "damaged": counters.damaged,
                 "port_damage": self._port_damage,
+                "profibus": found.is_profibus,
+                "evidence": found.text,
                 "lost_chunks": gaps.chunks,
                 "gaps": gaps.count,
                 "kept": self._kept if whole else None,
@@ -347,6 +352,8 @@ class _Capture:
             f"{counters.telegrams} telegrams in {seconds:.1f} s; damaged: {damaged}{by_port}; "
             f"lost chunks: {gaps.chunks}, gaps: {gaps.count}"
         )
+        if counters.telegrams and not found.is_profibus:
+            self._print(found.text, "yellow")
         if windows is not None:
             self._print(f"triggers: {_counts(self._triggers.fired)}; {windows} windows")
         if self._file is not None and whole:

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
+import resource
+import signal
+import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from cli_kit import Cli
-from far_ends import PtyFarEnd
+from far_ends import HANG_S, PtyFarEnd
 
 from dpstack.capture.pcapng import PROFIBUS_DL, Packet, Reader
+from dpstack.cli.main import main
 
 TOKEN = bytes.fromhex("DC 02 02")
 REQUEST = bytes.fromhex("68 05 05 68 83 82 6D 3C 3E EC 16")
@@ -99,3 +105,115 @@ def test_no_file_is_left_where_the_port_cannot_be_opened(cli: Cli, tmp_path: Pat
     path = tmp_path / "a.pcapng"
     assert "no such port" in cli.err("capture", "--port", "/dev/none", "--write", str(path), code=1)
     assert not path.exists()
+
+
+def test_a_ring_of_triggered_windows(cli: Cli, bus: Bus, tmp_path: Path, alone: None) -> None:
+    name = tmp_path / "ring.pcapng"
+    args = ("--port", bus.path, "--baud", "500000", "--write", str(name), "--ring", "2", "--size", "0.002")
+    summary = cli.json("capture", *args, "--trigger", "dc 02 02", "--before", "0", "--after", "0", "--seconds", "0.2")
+    files = sorted(tmp_path.iterdir())
+    assert [str(path) for path in files] == summary["files"]
+    assert len(files) == 2
+    found = [one for path in files for one in packets(path)]
+    triggered = [one for one in found if any(text.endswith("trigger: dc 02 02") for text in one.comments)]
+    assert triggered
+    assert {one.octets for one in triggered} == {TOKEN}
+    assert any("2 transmissions before this one were not kept" in one.comments[0] for one in found if one.comments)
+    assert 0 < summary["windows"] <= summary["kept"] < summary["telegrams"]
+    assert summary["triggers"]["dc 02 02"] >= summary["windows"]
+
+
+def test_the_screen_around_a_trigger(cli: Cli, bus: Bus, alone: None) -> None:
+    args = ("--port", bus.path, "--baud", "500000", "--seconds", "0.1")
+    lines = cli.jsons("capture", *args, "--trigger", "station 3", "--before", "0", "--after", "0")
+    services = [line["service"] for line in lines if line.get("service")]
+    assert services.count("Slave_Diag") > services.count("token")
+    assert lines[-1]["windows"] >= 1
+    assert next(line["number"] for line in lines if line.get("event") == "trigger") == 1
+
+
+@pytest.mark.parametrize(
+    ("args", "text"),
+    [
+        (("--ring", "3", "--write", "x"), "--ring and --size belong together"),
+        (("--ring", "3", "--size", "1"), "--ring needs --write FILE"),
+        (("--ring", "3", "--size", "1", "--write", "-"), "--ring needs --write FILE"),
+        (("--before", "1"), "--before and --after need a --trigger"),
+        (("--ring", "1"), "number of files from 2 on"),
+        (("--trigger", "nonsense"), "there are back, diagnosis, left, lost"),
+        (("--linktype", "1"), "invalid choice: 1"),
+        (("--config", "/nowhere/plant.toml"), "/nowhere/plant.toml"),
+    ],
+)
+def test_options_that_do_not_go_together(cli: Cli, args: tuple[str, ...], text: str) -> None:
+    assert text in cli.err("capture", "--port", "/dev/none", *args)
+
+
+def test_standard_output_carries_the_file(bus: Bus, capfdbinary: pytest.CaptureFixture[bytes], alone: None) -> None:
+    assert main(["capture", "--port", bus.path, "--baud", "500000", "--write", "-", "--seconds", "0.1"]) == 0
+    out, err = capfdbinary.readouterr()
+    found = list(Reader(io.BytesIO(out), "-"))
+    assert {one.octets for one in found if not one.damage} == {TOKEN, REQUEST, ANSWER}
+    assert f"dpstack: {len(found)} transmissions kept in standard output" in err.decode()
+
+
+class Forked:
+    """``dpstack ARGS`` in a fork of this process, its output in ``path``; ``most``: the size of its files at most."""
+
+    def __init__(self, path: Path, *args: str, most: int = -1) -> None:
+        self._path = path
+        self.pid = os.fork()
+        if self.pid == 0:
+            code = 99
+            try:
+                out = os.open(path, os.O_WRONLY | os.O_CREAT)
+                os.dup2(out, 1)
+                os.dup2(out, 2)
+                sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
+                resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+                code = main(args)
+            finally:
+                os._exit(code)
+
+    def end(self) -> int:
+        return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+
+    @property
+    def out(self) -> str:
+        return self._path.read_text(encoding="utf-8")
+
+
+def test_killed_and_on_a_full_disk(bus: Bus, tmp_path: Path, alone: None) -> None:
+    """Killed, a file is readable to its last whole block. A full disk ends the capture with one line."""
+    killed, full = tmp_path / "killed.pcapng", tmp_path / "full.pcapng"
+    args = ("capture", "--port", bus.path, "--baud", "500000", "--write")
+    program = Forked(tmp_path / "1", *args, str(full), most=6_000)
+    assert program.end() == 1
+    lines = program.out.splitlines()
+    assert sum("cannot be written" in line for line in lines) == 1
+    assert lines[-1].endswith(
+        "full.pcapng: cannot be written (File too large); make room there, or name a file elsewhere"
+    )
+    assert "lost chunks: 0" in lines[-2]
+    assert 5_000 < full.stat().st_size <= 6_000
+    program = Forked(tmp_path / "2", *args, str(killed))
+    end = time.monotonic() + HANG_S
+    while not (killed.exists() and killed.stat().st_size > 3_000):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    os.kill(program.pid, signal.SIGKILL)
+    assert program.end() == -signal.SIGKILL
+    for path in (killed, full):
+        assert {TOKEN, REQUEST, ANSWER} <= {one.octets for one in packets(path)}
+
+
+def test_signals_end_it_in_order(bus: Bus, tmp_path: Path, alone: None) -> None:
+    path = tmp_path / "a.pcapng"
+    program = Forked(tmp_path / "1", "capture", "--port", bus.path, "--baud", "500000", "--write", str(path))
+    end = time.monotonic() + HANG_S
+    while not (path.exists() and path.stat().st_size):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    os.kill(program.pid, signal.SIGTERM)
+    assert program.end() == 0
+    assert f"{len(packets(path))} transmissions kept in {path}" in program.out
