@@ -14,7 +14,8 @@ from typing import Final
 
 _MOST_DIGITS: Final = 9
 _SEPARATORS: Final = (",", ":")
-_to_json: Final = json.JSONEncoder(separators=_SEPARATORS, ensure_ascii=False).encode  # json.dumps makes one a call
+#: json.dumps makes an encoder a call
+_to_json: Final = json.JSONEncoder(separators=_SEPARATORS, ensure_ascii=False, check_circular=False).encode
 _SHORT: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
@@ -76,13 +77,16 @@ def json_text(value: object, *, encoding: str = "utf-8", **how: object) -> str:
 
     ``how``: further arguments of :func:`json.dumps`. Raises TypeError for values that JSON does not have.
     """
-    encode = json.JSONEncoder(separators=_SEPARATORS, ensure_ascii=False, **how).encode if how else _to_json  # type: ignore[arg-type]
-    text = encode(value)
-    if not text.isascii():
-        try:
-            text.encode(encoding)
-        except UnicodeEncodeError:
-            text = json.dumps(value, separators=_SEPARATORS, **how)  # type: ignore[arg-type]
+    if not how:
+        text = _to_json(value)
+        if text.isascii() and "\x7f" not in text:  # JSON has escaped the other controls
+            return text
+    else:
+        text = json.dumps(value, separators=_SEPARATORS, ensure_ascii=False, **how)  # type: ignore[arg-type]
+    try:
+        text.encode(encoding)
+    except UnicodeEncodeError:
+        text = json.dumps(value, separators=_SEPARATORS, **how)  # type: ignore[arg-type]
     if text.isprintable():
         return text
     return "".join(letter if is_plain(letter) else _in_json(letter) for letter in text)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, NamedTuple, Protocol
 
 from dpstack.capture.transmission import Damage
@@ -28,6 +29,10 @@ _FLAGS: Final = 2
 _START, _STOP, _RECEIVED, _DROPPED = 2, 3, 4, 5
 #: A PROFIBUS telegram has 255 octets at most, a stranger's packet up to 64 KiB; no block that is read needs more.
 _MOST: Final = 1 << 20
+#: octets of an option's value
+_MOST_OPTION: Final = 0xFFFF
+#: sizes of packets: a telegram has 1 to 255 octets
+_KEPT_SIZES: Final = 512
 #: octets that are read from a file at once
 _PIECE: Final = 1 << 16
 _KNOWN: Final = frozenset((_SECTION, _INTERFACE, _PACKET, _SIMPLE_PACKET, _OLD_PACKET))
@@ -87,9 +92,17 @@ def _block(kind: int, body: bytes) -> bytes:
     return struct.pack("<I", kind) + size + body + size
 
 
-_HEAD: Final = struct.Struct("<IIIIIII").pack
-_TAIL: Final = struct.Struct("<I").pack
-_PAD: Final = (b"", b"\0\0\0", b"\0\0", b"\0")
+def _text(text: str) -> bytes:
+    """The value of an option with text: UTF-8, cut to the 65535 octets that an option can have."""
+    octets = text.encode(errors="replace")
+    return octets if len(octets) <= _MOST_OPTION else octets[:_MOST_OPTION].decode(errors="ignore").encode()
+
+
+@lru_cache(_KEPT_SIZES)
+def _whole_packet(size: int) -> tuple[Callable[..., bytes], int]:
+    """For packets of ``size`` octets without options: the function that makes the block, and the block's length."""
+    padded = size + -size % 4
+    return struct.Struct(f"<IIIIIII{padded}sI").pack, 32 + padded
 
 
 class Writable(Protocol):
@@ -104,14 +117,14 @@ class Writer:
     def __init__(self, file: Writable, application: str) -> None:
         self._write: Callable[[bytes], object] = file.write
         self._interfaces = 0
-        body = struct.pack("<IHHq", _MAGIC, 1, 0, -1) + _option(_APPLICATION, application.encode()) + _option(_END, b"")
+        body = struct.pack("<IHHq", _MAGIC, 1, 0, -1) + _option(_APPLICATION, _text(application)) + _option(_END, b"")
         self._write(_block(_SECTION, body))
 
     def interface(self, name: str, bits_per_s: int, description: str, *, linktype: int = USER0) -> int:
         """Describe a port, or the same port at another rate; returns its number for :meth:`packet`."""
         options = (
-            _option(_IF_NAME, name.encode())
-            + _option(_IF_DESCRIPTION, description.encode())
+            _option(_IF_NAME, _text(name))
+            + _option(_IF_DESCRIPTION, _text(description))
             + _option(_IF_SPEED, struct.pack("<Q", bits_per_s))
             + _option(_IF_TSRESOL, bytes((_NANO,)))
             + _option(_END, b"")
@@ -123,15 +136,14 @@ class Writer:
     def packet(self, interface: int, t_ns: int, octets: bytes, flags: int = 0, comment: str = "") -> None:
         """Octets whose first bit was on the line at ``t_ns`` (ns since 1970)."""
         size = len(octets)
-        pad = _PAD[size & 3]
         if not flags and not comment:  # the usual one, without options
-            length = 32 + size + len(pad)
-            head = _HEAD(_PACKET, length, interface, t_ns >> 32, t_ns & 0xFFFFFFFF, size, size)
-            self._write(head + octets + pad + _TAIL(length))
+            pack, length = _whole_packet(size)
+            self._write(pack(_PACKET, length, interface, t_ns >> 32, t_ns & 0xFFFFFFFF, size, size, octets, length))
             return
-        options = (_option(_COMMENT, comment.encode()) if comment else b"") + _option(_FLAGS, _TAIL(flags))
-        body = struct.pack("<IIIII", interface, t_ns >> 32, t_ns & 0xFFFFFFFF, size, size) + octets + pad
-        self._write(_block(_PACKET, body + options + _option(_END, b"")))
+        options = _option(_COMMENT, _text(comment)) if comment else b""
+        options += _option(_FLAGS, struct.pack("<I", flags)) + _option(_END, b"")
+        head = struct.pack("<IIIII", interface, t_ns >> 32, t_ns & 0xFFFFFFFF, size, size)
+        self._write(_block(_PACKET, head + octets + bytes(-size % 4) + options))
 
     def statistics(
         self, interface: int, start_ns: int, end_ns: int, received: int, dropped: int, comment: str = ""
@@ -139,7 +151,7 @@ class Writer:
         """Counters of the capture of a port up to ``end_ns``: packets received, packets lost in the computer."""
         times = [struct.pack("<II", t >> 32, t & 0xFFFFFFFF) for t in (start_ns, end_ns)]
         options = (
-            (_option(_COMMENT, comment.encode()) if comment else b"")
+            (_option(_COMMENT, _text(comment)) if comment else b"")
             + _option(_START, times[0])
             + _option(_STOP, times[1])
             + _option(_RECEIVED, struct.pack("<Q", received))

@@ -5,5 +5,6 @@
 - ``decode``: ``dpstack decode``: explains every telegram of a capture, or of octets in hex, to the bit
 - ``monitor``: ``dpstack monitor``: judges a bus by listening, live or from a capture file
 - ``monitor_view``: The monitored bus on a screen: a live list that is redrawn, lines of events, tables at the end
+- ``source_file``: Files that are decoded or judged: opening them, and the transmissions in them
 - ``telegram_lines``: Explained telegrams on the screen or as JSON lines, and the argument of ``--filter``
 """

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Iterator
 
 from dpstack.capture.cutter import split
 from dpstack.capture.transmission import Transmission
+from dpstack.cli.listening.source_file import STDIN, is_growing, transmissions_of
 from dpstack.cli.listening.telegram_lines import add_names, filter_argument, names_of, show
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
-from dpstack.decode.source import from_hex, read_transmissions
+from dpstack.decode.source import from_hex
 from dpstack.decode.telegram import explain
 from dpstack.errors import UsageError
 
@@ -32,7 +32,7 @@ def add_to(parser: Parser) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 where a transmission is no telegram, or the file cannot be read to its end."""
     bad = 0
-    at_once = args.source == ["-"]  # somebody may be watching
+    at_once = len(args.source) == 1 and is_growing(args.source[0])  # somebody may be watching
     for one in explain(_transmissions(args.source), names_of(args)):
         bad += one.error is not None
         if args.filter is None or args.filter(one):
@@ -45,14 +45,8 @@ def execute(args: argparse.Namespace) -> int:
 
 def _transmissions(source: list[str]) -> Iterator[Transmission]:
     name = source[0]
-    if len(source) == 1 and name == "-":
-        yield from read_transmissions(sys.stdin.buffer, "standard input")
-    elif len(source) == 1 and os.path.exists(name):  # a file goes before hex digits
-        try:
-            with open(name, "rb") as file:
-                yield from read_transmissions(file, name)
-        except OSError as error:
-            raise UsageError(f"{name}: {error.strerror}") from None
+    if len(source) == 1 and (name == STDIN or os.path.lexists(name) or os.sep in name):  # a file goes before hex digits
+        yield from transmissions_of(name)
     else:
         text = " ".join(source)
         try:

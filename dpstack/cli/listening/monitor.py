@@ -17,11 +17,11 @@ from dpstack.capture.pcapng import Interface
 from dpstack.capture.timing import FILE, LineTiming
 from dpstack.cli import options
 from dpstack.cli.listening.monitor_view import LiveView, event_line, show_summary
+from dpstack.cli.listening.source_file import transmissions_of
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
-from dpstack.decode.source import read_transmissions
 from dpstack.errors import CaptureFileError, PortError, UsageError
 from dpstack.monitor.monitor import Happening, Monitor
 from dpstack.monitor.verdicts import CRITICAL
@@ -102,23 +102,18 @@ class _FromFile:
     def _read(self) -> None:
         monitor = self._monitor
         add = monitor.add
-        try:
-            file = open(self._name, "rb")  # noqa: SIM115
-        except OSError as error:
-            raise UsageError(f"{self._name}: {error.strerror}; give a pcapng file, or --port") from None
-        with file:
-            end = None
-            for one in read_transmissions(file, self._name, self._interface):
-                if not one.baud:
-                    one = one._replace(baud=self._baud or self._without_rate())
-                if one.note and not one.damage:
-                    monitor.gap(one.t_ns or 0, one.note)
-                add(one)
-                if self._limit_ns is not None:
-                    if end is None:
-                        end = (one.t_ns or 0) + self._limit_ns
-                    elif (one.t_ns or 0) >= end:
-                        return
+        end = None
+        for one in transmissions_of(self._name, self._interface):
+            if not one.baud:
+                one = one._replace(baud=self._baud or self._without_rate())
+            if one.note and not one.damage:
+                monitor.gap(one.t_ns or 0, one.note)
+            add(one)
+            if self._limit_ns is not None:
+                if end is None:
+                    end = (one.t_ns or 0) + self._limit_ns
+                elif (one.t_ns or 0) >= end:
+                    return
 
     def _without_rate(self) -> int:
         raise UsageError(

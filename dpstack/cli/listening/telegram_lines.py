@@ -52,8 +52,8 @@ def _json_text() -> Callable[[dict[str, object]], str]:
 
     def text_of(data: dict[str, object]) -> str:
         octets = encode(data)
-        if octets.isascii() and (text := octets.decode()).isprintable():
-            return text
+        if octets.isascii() and b"\x7f" not in octets:  # msgspec has escaped the other controls
+            return octets.decode()
         return json_text(data, encoding=encoding)  # escapes what is not plain
 
     return text_of

@@ -1,0 +1,57 @@
+"""Files that are decoded or judged: opening them, and the transmissions in them. A port is never opened as a file."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+from collections.abc import Callable, Iterator
+from typing import BinaryIO, Final
+
+from dpstack.capture.pcapng import Interface
+from dpstack.capture.transmission import Transmission
+from dpstack.decode.source import read_transmissions
+from dpstack.errors import CaptureFileError, UsageError
+
+#: standard input
+STDIN: Final = "-"
+
+
+def is_growing(name: str) -> bool:
+    """Whether ``name`` may deliver its octets slowly: standard input, a pipe."""
+    try:
+        return name == STDIN or not stat.S_ISREG(os.stat(name).st_mode)
+    except (OSError, ValueError):
+        return False
+
+
+def transmissions_of(
+    name: str, on_interface: Callable[[Interface], None] = lambda interface: None
+) -> Iterator[Transmission]:
+    """The transmissions in the file ``name``, or in standard input, see :func:`read_transmissions`.
+
+    Raises UsageError where it cannot be opened; a device is refused, because opening a port switches its lines.
+    """
+    to_close = None if name == STDIN else _opened(name)
+    try:
+        file, title = (sys.stdin.buffer, "standard input") if to_close is None else (to_close, name)
+        yield from read_transmissions(file, title, on_interface)
+    except OSError as error:
+        raise CaptureFileError(f"{name}: cannot be read to its end ({error.strerror})") from None
+    finally:
+        if to_close is not None:
+            to_close.close()
+
+
+def _opened(name: str) -> BinaryIO:
+    try:
+        mode = os.stat(name).st_mode
+        if stat.S_ISDIR(mode):
+            raise UsageError(f"{name}: is a directory; name a capture file in it")
+        if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
+            raise UsageError(f"{name}: is a device; to listen to a port: dpstack capture --port {name}")
+        return open(name, "rb")
+    except ValueError as error:  # a name with a zero octet
+        raise UsageError(f"{name}: {error}; name a capture file") from None
+    except OSError as error:
+        raise UsageError(f"{name}: cannot be read ({error.strerror}); name a capture file") from None

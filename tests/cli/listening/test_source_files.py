@@ -1,0 +1,96 @@
+"""Files that ``decode`` and ``monitor`` read: what is no ordinary file is refused with a line, or read as it comes."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from cli_kit import Cli
+from far_ends import HANG_S
+
+from dpstack.capture.pcapng import Writer
+
+TOKEN = bytes.fromhex("DC 02 02")
+
+
+def capture(path: Path, packets: int = 3) -> Path:
+    with path.open("wb") as file:
+        writer = Writer(file, "a test")
+        port = writer.interface("p", 500_000, "")
+        for number in range(packets):
+            writer.packet(port, 1_790_000_000_000_000_000 + number * 1_000_000, TOKEN)
+    return path
+
+
+@pytest.mark.parametrize("command", ["decode", "monitor"])
+def test_what_is_no_file_to_read(cli: Cli, tmp_path: Path, command: str) -> None:
+    assert f"{tmp_path}: is a directory; name a capture file in it" in cli.err(command, str(tmp_path))
+    assert "/dev/null: is a device; to listen to a port: dpstack capture --port /dev/null" in cli.err(
+        command, "/dev/null"
+    )
+    dangling = tmp_path / "gone"
+    dangling.symlink_to(tmp_path / "nowhere")
+    assert f"{dangling}: cannot be read (No such file or directory)" in cli.err(command, str(dangling))
+
+
+@pytest.mark.skipif(not hasattr(os, "seteuid"), reason="permissions of POSIX")
+@pytest.mark.parametrize("command", ["decode", "monitor"])
+def test_a_file_without_permission(cli: Cli, tmp_path: Path, command: str) -> None:
+    path = capture(tmp_path / "a.pcapng")
+    path.chmod(0)
+    cli.err(command, "/dev/null")  # imports, for which nobody else may have the permission
+    own = os.geteuid()
+    if own == 0:
+        os.seteuid(65534)
+    try:
+        text = cli.err(command, str(path))
+    finally:
+        os.seteuid(own)
+    assert "cannot be read (Permission denied); name a capture file" in text
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="a file of Linux whose octet 0 cannot be read")
+@pytest.mark.parametrize("command", ["decode", "monitor"])
+def test_a_file_that_fails_while_it_is_read(cli: Cli, command: str) -> None:
+    assert "/proc/self/mem: cannot be read to its end (Input/output error)" in cli.err(
+        command, "/proc/self/mem", code=1
+    )
+
+
+def test_a_file_goes_before_hex_digits(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    capture(tmp_path / "E5")
+    assert [one["kind"] for one in cli.jsons("decode", "E5")] == ["SD4"] * 3
+    assert [one["kind"] for one in cli.jsons("decode", "E5", "E5")] == ["SC"] * 2
+    Path("DC0202").mkdir()
+    assert "DC0202: is a directory" in cli.err("decode", "DC0202")
+
+
+def test_a_pipe_is_decoded_as_it_comes(tmp_path: Path) -> None:
+    """The first telegrams are printed while the writer still has the pipe open."""
+    octets = capture(tmp_path / "a.pcapng").read_bytes()
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    program = subprocess.Popen(
+        [sys.executable, "-m", "dpstack.cli.main", "decode", str(pipe), "--json"], stdout=subprocess.PIPE, text=True
+    )
+    assert program.stdout is not None
+    hangs = threading.Timer(HANG_S, program.kill)
+    hangs.start()
+    try:
+        with pipe.open("wb", buffering=0) as out:
+            out.write(octets[:-40])  # the last packet has 36 octets
+            lines = [json.loads(program.stdout.readline()) for _ in range(1)]
+            out.write(octets[-40:])
+            lines += [json.loads(program.stdout.readline()) for _ in range(2)]
+        assert program.wait(HANG_S) == 0
+    finally:
+        hangs.cancel()
+        program.kill()
+        program.stdout.close()
+    assert [one["number"] for one in lines] == [1, 2, 3]
