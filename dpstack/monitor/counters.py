@@ -610,12 +610,12 @@ class Counters:
         return master
 
     def _new_rate(self, one: Transmission) -> None:
-        if self.baud:
+        before, self.baud = self.baud, one.baud
+        self._set_rate(one.baud)
+        if before:
             self.gap()
             self.fitting_answers = self.passed_tokens = self.reserved = self.broken_tokens = 0
             self._on_change(Change(one.t_ns or 0, "rate", -1, f"the bus runs at {one.baud} bit/s now"))
-        self.baud = one.baud
-        self._set_rate(one.baud)
 
     def _set_rate(self, baud: int) -> None:
         self._durations = [chars_to_ns(size, baud) for size in range(_LONGEST)]

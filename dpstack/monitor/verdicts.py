@@ -127,16 +127,16 @@ def _findings(station: Station, used: list[Station], heard: Heard) -> Iterator[_
 
 
 def _of_master(master: Master, heard: Heard) -> Iterator[_Finding]:
-    if master.drops:
-        level = _level(master.drops, heard.thresholds.drops_warning, heard.thresholds.drops_critical)
-        if level:
-            yield (
-                level,
-                (
-                    f"dropped out of the token ring {_times(master.drops)}: look at its connector, its bus parameters "
-                    "(T_SL, T_TR, HSA the same in all masters), and at the load of its processor"
-                ),
-            )
+    limits = heard.thresholds
+    # the silence of the whole bus is no drop-out of one master
+    drops = master.drops - (master.is_silent and heard.silent_s >= limits.silence_s)
+    level = _level(drops, limits.drops_warning, limits.drops_critical)
+    if level:
+        yield (
+            level,
+            f"dropped out of the token ring {_times(drops)}: look at its connector, its load, and its bus "
+            "parameters (T_SL, T_TR, HSA the same in all masters)",
+        )
     if master.mode == "clear" and master.slaves:
         yield WARNING, "is in Clear, the outputs of its slaves are zero: look at its mode switch and its slaves"
 
@@ -146,7 +146,8 @@ def _state(station: Station, past: Past, heard: Heard) -> Iterator[_Finding]:
         if not station.is_present and station.requests:
             yield CRITICAL, "is asked and never answers: look at its power, its address switch and its connector"
         return
-    if (heard.now_ns - past.state_since) / NS_PER_S < heard.thresholds.bring_up_s:
+    since_ns = heard.now_ns if past.state != station.state else past.state_since
+    if (heard.now_ns - since_ns) / NS_PER_S < heard.thresholds.bring_up_s:
         return
     if station.state == State.OFFLINE:
         yield CRITICAL, "does not answer any more: look at its power, its connector and the cable to it"

@@ -20,6 +20,8 @@ _EVENT_STYLES: Final = {"lost": "red", "left": "red", "alarm": "yellow", "gap": 
 _REFRESH_S: Final = 0.5
 #: lines of events under the live list, at most
 _EVENTS: Final = 10
+#: lines of a table with one station, and of its title
+_LEAST: Final = 9
 #: of the time line, after the live list
 _LAST: Final = 40
 _COLUMNS: Final = ("address", "name", "state", "requests", "retries", "no answer", "damaged", "T_SDR us", "verdict")
@@ -136,18 +138,19 @@ class LiveView:
         """Redraw the list until cancelled; then the terminal has its text of before again."""
         from rich.live import Live
 
-        with output.guarded(), Live(self._picture(), auto_refresh=False, screen=True) as live:
+        with output.guarded(), Live(self.picture(time_ns()), auto_refresh=False, screen=True) as live:
             while True:
                 await asyncio.sleep(_REFRESH_S)
-                live.update(self._picture(), refresh=True)
+                live.update(self.picture(time_ns()), refresh=True)
 
-    def _picture(self) -> Any:
+    def picture(self, now_ns: int) -> Any:
+        """The list at ``now_ns`` (ns since 1970), no higher than the terminal."""
         from rich.console import Console, Group
 
         from dpstack.cli.terminal import drawing
 
         monitor, console = self._monitor, Console()
-        summary: Mapping[str, Any] = monitor.summary(time_ns())
+        summary: Mapping[str, Any] = monitor.summary(now_ns)
         head = drawing.shown(
             f"{self._port}  {_bus_line(summary)}  verdict: {summary['verdict']}", STYLES[summary["verdict"]]
         )
@@ -157,6 +160,8 @@ class LiveView:
             for one in list(monitor.time_line)[-_EVENTS:]
         ]
         top: list[Any] = [head, *why]
+        while len(top) > 1 and _height(console, top) > console.height - _LEAST:
+            del top[-1]
         room = console.height - 1 - _height(console, top)
         stations = summary["stations"]
         table = _fitting(stations, console, max(4, room - min(len(events), 3)))
@@ -181,7 +186,7 @@ def _fitting(stations: Mapping[str, Mapping[str, Any]], console: Any, room: int)
     leaving = sorted(stations, key=lambda address: (order.index(stations[address]["verdict"]), -int(address)))
     while True:
         out = len(stations) - len(shown)
-        title = f"stations, {out} good ones are not shown: the window is too small" if out else ""
+        title = f"{out} more stations: the window is too small" if out else ""
         styles = [STYLES[station["verdict"]] for station in shown.values()]
         rows = [_narrow_row(*item) for item in shown.items()] if narrow else _rows(shown)
         table = drawing.rich_table(title, columns, rows, console.width, styles)

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 from bus_kit import SimBus
 from cli_kit import Cli
+from rich.console import Console
+from speaking_pty import ROUND, SpeakingPty
 from support import MS, S
 
 from dpstack.capture.listener import Listener
 from dpstack.capture.pcapng import Writer
 from dpstack.capture.recording import PortAbout, Recording
-from dpstack.capture.timing import ADAPTER, TAP
+from dpstack.capture.timing import ADAPTER, TAP, timing_of
 from dpstack.capture.transmission import Transmission
+from dpstack.cli.listening.monitor_view import LiveView
+from dpstack.decode.source import read_transmissions
+from dpstack.monitor.monitor import Monitor
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 
@@ -156,3 +161,50 @@ def test_the_thresholds_are_in_the_documents() -> None:
     page = (ROOT / "docs" / "monitor.md").read_text(encoding="utf-8")
     rows = [f"| `{one.name}` | {one.default:g} | {one.unit} | {one.text} | {one.source} |\n" for one in limits()]
     assert page.partition("<!-- thresholds -->\n")[2].partition("<!-- end -->")[0].splitlines(True)[2:] == rows
+
+
+@pytest.fixture
+def speaking() -> Iterator[SpeakingPty]:
+    far = SpeakingPty(ROUND)
+    yield far
+    far.end()
+
+
+def test_a_port_is_listened_to_and_never_written(cli: Cli, speaking: SpeakingPty, alone: None) -> None:
+    lines = cli.jsons("monitor", "--port", speaking.path, "--baud", "500000", "--seconds", "0.2")
+    (start,) = (line for line in lines if line["event"] == "start")
+    assert [start[key] for key in ("baud", "source", "program")] == [500_000, "host", None]
+    summary = lines[-1]
+    assert summary["stations"]["3"]["answers"] > 5
+    assert summary["timing"]["resolution_us"] == 1000
+    assert summary["stations"]["3"]["tsdr_us"] is None
+    assert summary["verdict"] == "unknown"
+    out = cli.out("monitor", "--port", speaking.path, "--baud", "500000", "--seconds", "0.1")
+    assert f"listening on {speaking.path}, 500 kbit/s; Ctrl-C ends\n" in out
+    assert "too little was heard" in out
+    assert speaking.heard == b""
+
+
+@pytest.mark.parametrize(("columns", "lines"), [(40, 12), (60, 10), (120, 40)])
+def test_the_live_list_fits_the_terminal(
+    columns: int, lines: int, captures: Mapping[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("LINES", str(lines))
+    monitor = Monitor(timing_of(TAP, 93_750, exact=True))
+    with open(captures["lost"], "rb") as file:
+        for one in read_transmissions(file, "lost"):
+            monitor.add(one)
+    console = Console(width=columns, height=lines)
+    drawn = console.render_lines(LiveView(monitor, "/dev/ttyUSB0").picture(monitor.counters.ended_ns))
+    text = ["".join(segment.text for segment in row).rstrip() for row in drawn]
+    assert len(text) <= lines
+    assert all(len(row) <= columns for row in text)
+    shown = "\n".join(text)
+    assert "critical" in shown
+    assert any(row.startswith(("│ 4 ", "│ 4")) for row in text), shown
+    if lines == 40:
+        assert "station 4: left data exchange" in shown
+        assert "│ 3 " in shown
+    else:
+        assert "the window is too small" in " ".join(shown.split())
