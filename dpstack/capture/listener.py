@@ -30,7 +30,8 @@ class Listener:
     """Listens at ``baud`` bit/s; None: finds the rate first, and again where it changes.
 
     Each transmission goes to ``on_transmission``; its time is the machine's time plus ``epoch_ns``. ``slack_ns``: delay
-    of the port; ``settle_ns``: see :class:`AutoBaud`. Events: :class:`BaudFound`, at each rate found.
+    of the port; ``settle_ns``, ``silence_ns``, ``limit_ns``: see :class:`AutoBaud`. Events: :class:`BaudFound`, at each
+    rate found; :class:`BaudNotFound` where a search is limited, which is then over.
     """
 
     #: a listening station has no address
@@ -46,11 +47,15 @@ class Listener:
         epoch_ns: int = 0,
         slack_ns: int = 0,
         settle_ns: int = 0,
+        silence_ns: int = NEVER,
+        limit_ns: int = NEVER,
     ) -> None:
         self._on_transmission = on_transmission
         self._epoch_ns = epoch_ns
         self._slack_ns = slack_ns
         self._settle_ns = settle_ns
+        self._silence_ns = silence_ns
+        self._limit_ns = limit_ns
         self._fixed = baud is not None
         self._events: list[Event] = []
         self._search: AutoBaud | None = None
@@ -133,12 +138,20 @@ class Listener:
     # --- inside ---
     def _begin_search(self, now: int) -> None:
         self._cutter = None
-        self._search = AutoBaud(now, slack_ns=self._slack_ns, settle_ns=self._settle_ns)
+        self._search = AutoBaud(
+            now,
+            silence_ns=self._silence_ns,
+            limit_ns=self._limit_ns,
+            slack_ns=self._slack_ns,
+            settle_ns=self._settle_ns,
+        )
 
     def _end_search(self) -> None:
         search = self._search
-        if search is not None and isinstance(search.result, BaudFound):
-            self._events += search.take_events()
+        if search is None or search.result is None:
+            return
+        self._events += search.take_events()
+        if isinstance(search.result, BaudFound):
             self._listen_at(search.result.baud)
 
     def _listen_at(self, baud: int) -> None:

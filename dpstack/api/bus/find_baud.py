@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from time import monotonic_ns
 from typing import Final
 
 from dpstack.api.config.config import Config
+from dpstack.capture.listener import Listener
+from dpstack.capture.transmission import Transmission
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import patience_of
@@ -18,6 +21,7 @@ from dpstack.drivers.runtime import PortLost, Runtime
 from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.errors import BusError, ConfigError, PortError
 from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound
+from dpstack.monitor.evidence import Naming
 from dpstack.ports import Port, open_port
 from dpstack.ports.base import VIRTUAL
 from dpstack.sim.world import World
@@ -26,6 +30,9 @@ from dpstack.units import BAUD_RATES, NEVER, ns_to_s, s_to_ns
 
 #: time of silence (s) that ends the search
 SILENCE_S: Final = 5.0
+#: At most so long (s) it listens at the rate found for evidence of PROFIBUS. At 9600 bit/s a bus has some ten telegrams
+#: in each of them (our choice).
+NAMING_S: Final = 2.0
 #: time of noise (s), octets without a telegram, that ends the search
 _NOISE_S: Final = 20.0
 #: advice after noise, and after silence
@@ -41,6 +48,8 @@ class BaudReport:
 
     ``telegrams``: received in a row, without odd octets between them. ``confidence``: "checked" (telegrams with check
     sum) or "token" (the same token three times). ``missing``: "silence" or "noise". ``text``: the result for people.
+    ``profibus``: tokens and answers at this rate show that it is PROFIBUS (docs/protocol.md#is-it-profibus), with the
+    reason in ``evidence``; None: nobody looked.
     """
 
     baud: int | None
@@ -49,24 +58,48 @@ class BaudReport:
     confidence: str | None = None
     missing: str | None = None
     text: str = ""
+    profibus: bool | None = None
+    evidence: str = ""
 
     def as_dict(self) -> dict[str, object]:
         """The JSON of ``dpstack baud``."""
         line: dict[str, object] = {"baud": self.baud, "seconds": round(self.seconds, 3), "telegrams": self.telegrams}
         if self.baud is None:
             return line | {"reason": self.missing, "text": self.text}
-        return line | {"confidence": self.confidence}
+        return line | {"confidence": self.confidence, "profibus": self.profibus}
 
 
-async def find_baud(port: str, *, timeout: float | None = SILENCE_S, silence: float | None = None) -> BaudReport:
+async def find_baud(
+    port: str, *, timeout: float | None = SILENCE_S, silence: float | None = None, naming: float = NAMING_S
+) -> BaudReport:
     """Listen at ``port``, without sending, for at most ``timeout`` seconds, or until ``silence`` seconds of silence.
 
-    None: no limit. Raises ConfigError for a port that has no wire; PortError.
+    None: no limit. Once the rate is found, listen for at most ``naming`` seconds more until there is evidence that the
+    bus is PROFIBUS; 0: do not. Raises ConfigError for a port that has no wire; PortError.
     """
     require_wire(port)
     # every adapter supports the slowest rate: a port that does not open at it does not exist
     line = open_port(port, BAUD_RATES[0], listen=True)
-    return _report(await search_baud(line, limit_ns=_limit(timeout), silence_ns=_limit(silence)))
+    limit_ns, silence_ns = _limit(timeout), _limit(silence)
+    if not naming:
+        return _report(await search_baud(line, limit_ns=limit_ns, silence_ns=silence_ns))
+    evidence, named = Naming(), asyncio.Event()
+
+    def add(one: Transmission) -> None:
+        evidence.add(one)
+        if evidence.is_profibus:
+            named.set()
+
+    async def wait_for_the_name() -> None:
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(named.wait(), naming)
+
+    listener = Listener(monotonic_ns(), add, limit_ns=limit_ns, silence_ns=silence_ns, **_delays(line))
+    make_runtime = partial(AsyncioRuntime, line, listener, echo=Echo.OFF)
+    report = _report(await _run_search(line.name, make_runtime, wait_for_the_name))
+    if report.baud is None:
+        return report
+    return replace(report, profibus=evidence.is_profibus, evidence=evidence.text)
 
 
 def require_wire(port: str) -> None:
@@ -100,19 +133,19 @@ async def search_baud(
     It skips rates that the port cannot do. Raises PortError where the port cannot be opened, vanishes, or is of a kind
     whose rate cannot be changed; ConfigError where it can do none of ``rates``.
     """
-    search = AutoBaud(
-        monotonic_ns(),
-        rates=rates,
-        silence_ns=silence_ns,
-        limit_ns=limit_ns,
-        slack_ns=patience_of(port).known_ns,
-        settle_ns=settle_ns_of(port),
-    )
+    search = AutoBaud(monotonic_ns(), rates=rates, silence_ns=silence_ns, limit_ns=limit_ns, **_delays(port))
     return await _run_search(port.name, partial(AsyncioRuntime, port, search, echo=Echo.OFF))
 
 
-async def _run_search(where: str, make_runtime: Callable[..., Runtime]) -> BaudFound | BaudNotFound:
-    """Run a search until it has a result. Raises PortError, and any exception of the machine."""
+def _delays(port: Port) -> dict[str, int]:
+    return {"slack_ns": patience_of(port).known_ns, "settle_ns": settle_ns_of(port)}
+
+
+async def _run_search(
+    where: str, make_runtime: Callable[..., Runtime], then: Callable[[], Awaitable[None]] | None = None
+) -> BaudFound | BaudNotFound:
+    """Run a search until it has a result, and ``then`` where the rate was found. Raises PortError, and any exception of
+    the machine."""
     result: asyncio.Future[BaudFound | BaudNotFound] = asyncio.get_running_loop().create_future()
 
     def on_events(events: list[Event]) -> None:
@@ -132,7 +165,10 @@ async def _run_search(where: str, make_runtime: Callable[..., Runtime]) -> BaudF
     runtime = make_runtime(on_events, on_failure=on_failure)
     await runtime.open()
     try:
-        return await result
+        found = await result
+        if then is not None and isinstance(found, BaudFound):
+            await then()
+        return found
     finally:
         await runtime.close()
 
@@ -144,7 +180,7 @@ async def rate_of(config: Config, world: World | None = None) -> BaudReport:
     """
     if world is None:
         where = config.port
-        report = await find_baud(where, timeout=_NOISE_S, silence=SILENCE_S)
+        report = await find_baud(where, timeout=_NOISE_S, silence=SILENCE_S, naming=0)
     else:
         where = "the simulated bus"
         search = AutoBaud(world.now, limit_ns=s_to_ns(_NOISE_S), silence_ns=s_to_ns(SILENCE_S))

@@ -45,7 +45,7 @@ async def rate_of(args: argparse.Namespace) -> int:
     """The baud rate of the arguments, or the one found by listening. Raises BusError."""
     if args.baud != AUTO:
         return int(args.baud)
-    report = await find_baud(args.port)
+    report = await find_baud(args.port, naming=0)
     if report.baud is None:
         raise BusError(
             f"{args.port}: {report.text}; on a bus without a master give the rate, for instance --baud 500000"

@@ -31,6 +31,7 @@ def execute(args: argparse.Namespace) -> int:
         output.json_line(report.as_dict())
     elif report.baud is not None:
         output.line(f"{report.text} ({report.telegrams} in a row, after {report.seconds:.1f} s)")
+        output.line(report.evidence)
     else:
         output.warn(f"{args.port}: {report.text}")
     return 0 if report.baud is not None else 1

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator
+from itertools import cycle
 from pathlib import Path
 from random import Random
 
 import pytest
 from baud_rig import Sent, exchange, lone_token
 from far_ends import FarEnd, PtyFarEnd, TcpFarEnd, open_slave, until
+from ft12 import CONVERSATIONS
 from memory_port import memory_pair
 
-from dpstack.api.bus.find_baud import search_baud
+from dpstack.api.bus.find_baud import find_baud, search_baud
 from dpstack.drivers.segment.hub import Segment
 from dpstack.errors import BaudError, PortError
 from dpstack.fdl.baud_search import BaudFound, BaudNotFound, Confidence, Missing
@@ -49,6 +51,22 @@ async def test_the_rate_of_a_bus_on_ptys(
         talking.cancel()
         assert isinstance(result, BaudFound)
         assert (result.baud, result.confidence) == (baud, confidence)
+        master.hang_up()
+
+
+@pytest.mark.parametrize(("name", "profibus"), [("exchange", True), ("M-Bus writing", False)])
+async def test_the_rate_is_named_profibus_only_with_evidence(tmp_path: Path, name: str, profibus: bool) -> None:
+    """M-Bus has telegrams of the same form: the rate is found, and the bus gets no name."""
+    async with Segment(2, tmp_path / "bus") as segment:
+        master = open_slave(segment.paths[0])
+        termios2.set_raw(master.fd, 19_200)
+        other = ((0, octets) for octets in cycle(CONVERSATIONS["M-Bus writing"]))
+        talking = asyncio.create_task(talk(master, exchange(Random(1)) if profibus else other))
+        report = await find_baud(str(segment.paths[1]), timeout=60, naming=20 if profibus else 0.2)
+        talking.cancel()
+        assert (report.baud, report.confidence, report.profibus) == (19_200, "checked", profibus)
+        assert report.as_dict().items() >= {"baud": 19_200, "confidence": "checked", "profibus": profibus}.items()
+        assert report.evidence.startswith("PROFIBUS: ") == profibus
         master.hang_up()
 
 

@@ -184,7 +184,7 @@ def test_the_rate_of_a_running_bus_is_found_and_a_second_master_joins_at_it(tmp_
     assert found.end() == 0
     (line,) = found.lines
     assert line["baud"] == 187_500
-    assert line["confidence"] == "checked"
+    assert (line["confidence"], line["profibus"]) == ("checked", True)
     assert line["telegrams"] >= 2
     assert line["seconds"] > 0
     second = tmp_path / "second.toml"
