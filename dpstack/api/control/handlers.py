@@ -36,8 +36,9 @@ PTY: Final = "pty"
 _Act = Callable[[Bench, int, list[str]], object]
 
 
-def control_run(bus: Bus, port: str) -> ControlServer:
-    """The control server of a master on ``port``; of one with a pty :meth:`ControlServer.move_to` its path."""
+def control_run(bus: Bus, port: str, feed: TapFeed | None = None) -> ControlServer:
+    """The control server of a master on ``port``; of one with a pty :meth:`ControlServer.move_to` its path. ``feed``:
+    of its tap, if there is one already."""
     specs = KINDS["run"]
     handlers: dict[str, Handler] = {
         "status": lambda _: run_status(bus),
@@ -49,7 +50,7 @@ def control_run(bus: Bus, port: str) -> ControlServer:
         "acyclic": lambda args: acyclic_order(bus, args),
         "class2": lambda args: acyclic_order(bus, args, class2=True),
         "stats": lambda _: bus.stats.summary(),
-        "tap": _run_feed(bus).handler,
+        "tap": (feed or run_feed(bus)).handler,
     }
     if not bus.searching and bus.bench is not None:
         specs = (*specs, *SLAVES)
@@ -102,7 +103,9 @@ def control_segment(segment: Segment, on_event: OnEvent | None = None) -> Contro
     return ControlServer("segment", str(segment.directory), KINDS["segment"], handlers)
 
 
-def _run_feed(bus: Bus) -> TapFeed:
+def run_feed(bus: Bus) -> TapFeed:
+    """The feed of the tap of a master; a line has one tap at a time."""
+
     def about() -> dict[str, object]:
         return {"baud": None, "paced": True} if bus.searching else _line_of(bus.runtime, bus.params.baud)
 

@@ -2,7 +2,8 @@
 
 The machine of the program only fills a bounded ring (:mod:`dpstack.drivers.tap`). The feed empties it beside the bus,
 in small portions, encodes each portion once, and writes it to all its clients. Nothing waits for a client: one that
-does not read in time loses portions, and learns their number in the place of the gap.
+does not read in time loses portions, and learns their number in the place of the gap. A listener within the program
+gets the entries as they are.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping
 from time import monotonic_ns, time_ns
-from typing import Final
+from typing import Final, Protocol
 
 from dpstack.api.control.server import LongCommand, Sender
 from dpstack.drivers.tap import TAP_PAUSE_NS, TAP_PORTION, TAP_SHORT_PAUSE_NS, Tap, Tapped
@@ -41,6 +42,16 @@ class _Reader:
             self.lost += count
 
 
+class TapListener(Protocol):
+    """A listener within the program. Both methods return at once."""
+
+    def describe(self, epoch_ns: int, about: Mapping[str, object]) -> None:
+        """The line is as ``about`` says; ``epoch_ns`` plus the time of an entry is the time since 1970."""
+
+    def put(self, lost: int, entries: list[Tapped]) -> None:
+        """The next entries, before which ``lost`` are missing."""
+
+
 class TapFeed:
     """``attach`` connects a tap to the program's line, or ends it with None; ``now`` is the time of its entries in ns;
     ``about`` describes the line: ``baud`` (None: it is searched for, and nothing is tapped), ``paced``."""
@@ -57,6 +68,7 @@ class TapFeed:
         self._tap = Tap()
         self._attached = False
         self._readers: set[_Reader] = set()
+        self._listeners: list[TapListener] = []
         self._timer: asyncio.TimerHandle | None = None
 
     def handler(self, _args: list[str]) -> LongCommand:
@@ -87,13 +99,32 @@ class TapFeed:
         finally:
             self._leave(reader)
 
+    def add_listener(self, listener: TapListener) -> None:
+        """Hand the entries to ``listener`` from now on."""
+        first = not self._is_followed
+        self._listeners.append(listener)
+        self._begin(first, [], [listener])
+
+    def remove_listener(self, listener: TapListener) -> None:
+        """End it; ``listener`` gets all entries up to now first."""
+        self._hand_out(all_of_it=True)
+        self._listeners.remove(listener)
+        self._end_unless_followed()
+
+    @property
+    def _is_followed(self) -> bool:
+        return bool(self._readers or self._listeners)
+
     def _join(self, reader: _Reader) -> None:
-        first = not self._readers
+        first = not self._is_followed
+        self._readers.add(reader)
+        self._begin(first, [reader], [])
+
+    def _begin(self, first: bool, readers: list[_Reader], listeners: list[TapListener]) -> None:
         if first:
             self._tap = Tap()
-        self._readers.add(reader)
         about = self._about()
-        self._describe(about, [reader])
+        self._describe(about, readers, listeners)
         if first:
             self._follow_search(about)
             self._set_timer(TAP_PAUSE_NS)
@@ -102,7 +133,10 @@ class TapFeed:
         """The last octets go to the client, too, where the program ends."""
         self._hand_out(all_of_it=True)
         self._readers.discard(reader)
-        if self._readers:
+        self._end_unless_followed()
+
+    def _end_unless_followed(self) -> None:
+        if self._is_followed:
             return
         if self._timer is not None:
             self._timer.cancel()
@@ -111,11 +145,14 @@ class TapFeed:
             self._attached = False
             self._attach(None)
 
-    def _describe(self, about: Mapping[str, object], readers: list[_Reader]) -> None:
+    def _describe(self, about: Mapping[str, object], readers: list[_Reader], listeners: list[TapListener]) -> None:
         epoch_ns = time_ns() - (monotonic_ns() if about["baud"] is None else self._now())
-        line = json_text({"item": {"epoch_ns": epoch_ns, **about}}).encode() + b"\n"
-        for reader in readers:
-            reader.sender.offer(line)
+        for listener in listeners:
+            listener.describe(epoch_ns, about)
+        if readers:
+            line = json_text({"item": {"epoch_ns": epoch_ns, **about}}).encode() + b"\n"
+            for reader in readers:
+                reader.sender.offer(line)
 
     def _follow_search(self, about: Mapping[str, object]) -> bool:
         """Tap the line while its rate is known. Returns whether that has changed."""
@@ -131,7 +168,7 @@ class TapFeed:
     def _tick(self) -> None:
         about = self._about()
         if self._follow_search(about):
-            self._describe(about, list(self._readers))
+            self._describe(about, list(self._readers), self._listeners)
         elif self._attached:
             self._hand_out()
         self._set_timer(TAP_SHORT_PAUSE_NS if self._tap.waiting else TAP_PAUSE_NS)
@@ -143,7 +180,9 @@ class TapFeed:
         """Hand a portion to each client, or all there is."""
         while self._attached and self._tap.waiting:
             lost, entries = self._tap.take(TAP_PORTION)
-            octets = _encoded(entries)
+            for listener in self._listeners:
+                listener.put(lost, entries)
+            octets = _encoded(entries) if self._readers else b""
             for reader in self._readers:
                 reader.put(lost, octets, len(entries))
             if not all_of_it:

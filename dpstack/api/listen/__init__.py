@@ -4,7 +4,9 @@
   blocks
 - ``listening``: The transmissions of a line, from an own port or from the tap of a running program
 - ``names``: Names and texts for explained telegrams: of a configuration, of GSD files, of drives
+- ``own_tap``: The transmissions of the bus that this program itself runs, for the report of ``dpstack run``
 - ``plant_files``: Files that a monitor needs: devices from a configuration and from a folder of GSD files, thresholds
   from TOML
 - ``program_tap``: The transmissions of a line that a running program of ours holds, from its control socket
+- ``tap_cutter``: The entries of a tap, cut into transmissions
 """

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from time import monotonic_ns, time_ns
 
 from dpstack.api.control.client import ControlClient, connect
-from dpstack.api.listen.program_tap import OctetsLost, ProgramTap
+from dpstack.api.listen.program_tap import ProgramTap
+from dpstack.api.listen.tap_cutter import OctetsLost
 from dpstack.capture.listener import Listener, OnTransmission
 from dpstack.capture.timing import ADAPTER, HOST, TAP, LineTiming, timing_of
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime

@@ -6,23 +6,17 @@ import asyncio
 import json
 from collections.abc import AsyncGenerator, Callable
 from time import monotonic_ns
-from typing import Annotated, Final, TypedDict
+from typing import Annotated, TypedDict
 
 import msgspec
 from msgspec import Meta
 
 from dpstack.api.control.client import LONGEST_ANSWER, TIMEOUT_S, ControlClient
 from dpstack.api.control.errors import failure
-from dpstack.capture.cutter import Cutter
+from dpstack.api.listen.tap_cutter import TapCutter
 from dpstack.capture.listener import OnTransmission
-from dpstack.capture.transmission import Transmission
-from dpstack.drivers.runtime import PortBack, PortLost
 from dpstack.errors import DpError, PortError
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import BAUD_RATES, NS_PER_MS
-
-#: a telegram from a tap comes in pieces only while it is on the line
-_STALL_NS: Final = 50 * NS_PER_MS
 
 #: 64 bits, and room for the sum of two
 _TimeNs = Annotated[int, Meta(gt=-(2**62), lt=2**62)]
@@ -45,22 +39,11 @@ class _TapLine(TypedDict):
     item: _TapItem
 
 
-class OctetsLost(Event):
-    """The program that holds the port, or this computer, lost ``count`` chunks of octets: there is a gap here."""
-
-    count: int
-    port: str
-
-    TEMPLATE = (
-        "{e.port}: {e.count} chunks of octets were lost: this computer cannot keep up; the transmissions have a gap"
-    )
-
-
 class ProgramTap:
     """The tap of the program behind ``client``, which is closed at the end.
 
-    ``on_transmission`` gets each transmission, ``on_event`` :class:`OctetsLost`, PortLost and PortBack of the program's
-    port, notices.
+    ``on_transmission`` gets each transmission, ``on_event`` what
+    :class:`~dpstack.api.listen.tap_cutter.TapCutter` says, and notices.
     """
 
     def __init__(
@@ -74,10 +57,8 @@ class ProgramTap:
         #: see :class:`dpstack.api.listen.listening.Line`
         self.paced = self.exact = False
         self._client = client
-        self._on_transmission = on_transmission
         self._on_event = on_event
-        self._epoch_ns = 0
-        self._cutter: Cutter | None = None
+        self._cutter = TapCutter(client.port, on_transmission, on_event)
         self._items: AsyncGenerator[_TapItem | None] | None = None
 
     async def open(self) -> None:
@@ -123,58 +104,23 @@ class ProgramTap:
                 self._describe(item)
             if "octets" in item:
                 self._read_portion(item)
-        self._give_up()
+        self._cutter.give_up()
         raise PortError(f"{self.port}: the program ended")
 
     def _describe(self, item: _TapItem) -> None:
-        self._give_up()
-        self._epoch_ns = item["epoch_ns"]
         self.baud = item.get("baud")
+        self._cutter.begin(item["epoch_ns"], self.program)
         self.paced = item.get("paced", False)
         self.exact = item.get("exact", False)
 
     def _read_portion(self, item: _TapItem) -> None:
-        lost = item.get("lost", 0)
-        if lost:
-            self._give_up()
-            self._on_event(OctetsLost(t_ns=monotonic_ns(), count=lost, port=self.port))
+        cutter = self._cutter
+        cutter.lose(item.get("lost", 0))
         for end_ns, baud, octets, sent in item["octets"]:
-            if not octets:
-                self._port_changed(there=bool(baud))
-                continue
-            cutter = self._cutter
-            if cutter is None or cutter.baud != baud:
-                cutter = self._new_cutter(baud)
-            elif sent or cutter.stall_at() <= end_ns:
-                self._deliver(cutter.give_up())
-            self._deliver(cutter.feed(bytes.fromhex(octets), end_ns))
+            cutter.add(end_ns, baud, bytes.fromhex(octets), sent)
         if not item["octets"]:
-            self._give_up()
-
-    def _new_cutter(self, baud: int) -> Cutter:
-        if baud not in BAUD_RATES:
-            raise PortError(f"{self.port}: its tap speaks of {baud} bit/s, which is no PROFIBUS rate: is it dpstack?")
-        self._give_up()
-        self.baud = baud
-        cutter = self._cutter = Cutter(baud, _STALL_NS)
-        return cutter
-
-    def _port_changed(self, *, there: bool) -> None:
-        self._give_up()
-        now = monotonic_ns()
-        if there:
-            self._on_event(PortBack(t_ns=now, port=self.port))
-        else:
-            self._on_event(PortLost(t_ns=now, port=self.port, reason=f"for the {self.program} that holds it"))
-
-    def _give_up(self) -> None:
-        """The octets held wait for nothing more."""
-        if self._cutter is not None:
-            self._deliver(self._cutter.give_up())
-
-    def _deliver(self, transmissions: list[Transmission]) -> None:
-        for one in transmissions:
-            self._on_transmission(one._replace(t_ns=(one.t_ns or 0) + self._epoch_ns))
+            cutter.give_up()
+        self.baud = cutter.baud or self.baud
 
     def _remark(self, text: str) -> None:
         self._on_event(Notice(t_ns=monotonic_ns(), source=self.port, message=text, severity=Severity.WARNING))
