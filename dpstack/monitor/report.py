@@ -16,7 +16,10 @@ from typing import Any, Final, Protocol
 from dpstack.monitor import drawings
 from dpstack.monitor.counters import Counters
 from dpstack.monitor.drawings import text
-from dpstack.monitor.schedule import Rotation, Use
+from dpstack.monitor.monitor import Monitor
+from dpstack.monitor.schedule import Rotation, ScheduleRecorder, Use
+from dpstack.monitor.summary import UNSEEN
+from dpstack.monitor.thresholds import limits
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_S, NS_PER_US, baud_text
 
@@ -47,16 +50,14 @@ _SOURCES: Final = {
     "tap": "the octets of a dpstack program that holds the port; telegrams that it sends have exact times",
     "host": "a pty or a socket: the octets come from another process, not from a wire",
     "adapter": "a serial adapter",
-    "file": "a capture file",
+    "file": "a capture file that does not say how it was timed",
 }
-#: nothing of this reaches a program that reads octets
+#: what the report says that it cannot see
 CANNOT_SEE: Final = (
-    "levels and edges of the signal, reflections, noise that damages no octet: they need an oscilloscope",
-    "cable, connectors, shield, earthing, and whether the segment is terminated at both ends",
-    "the topology: order of the stations, length of cable and stubs, repeaters",
-    "which station sent octets that nobody can read: they count for the station that was asked just before",
+    *UNSEEN,
+    "noise that damages no octet",
     "a station that nobody asks",
-    "what went over the bus before and after the time of this report",
+    "the bus before and after the time of this report",
 )
 _STATION_KEYS: Final = frozenset(
     {
@@ -71,7 +72,7 @@ _MASTER_KEYS: Final = frozenset(
 _TOP_KEYS: Final = frozenset(
     {
         "event", "time", "baud", "seconds", "telegrams", "load", "damaged", "unattributed", "timing", "masters",
-        "stations", "verdict", "reasons",
+        "stations", "verdict", "reasons", "telegrams_per_s", "profibus", "thresholds",
     }
 )  # fmt: skip
 
@@ -82,9 +83,8 @@ class Report:
 
     ``summary``: of ``monitor --json``. ``counters``: for the histograms. ``begun_ns``: begin in ns since 1970.
     ``changes``: the time line; ``changes_left_out``: earlier ones that were not kept. ``rotation``: a typical one.
-    ``thresholds``: rows of name,
-    value, unit, meaning and source. ``line``: port and adapter, and ``parameters``: what is known of the bus, both in
-    words by name. ``made``: time of the report. ``remarks``: one line each.
+    ``line``: port and adapter in words, by name; ``parameters``: those that the listener's own master runs with.
+    ``made``: time of the report. ``remarks``: one line each.
     """
 
     summary: Summary
@@ -95,11 +95,38 @@ class Report:
     changes: Sequence[Entry] = ()
     changes_left_out: int = 0
     rotation: Rotation | None = None
-    thresholds: Sequence[tuple[object, ...]] = ()
     line: Mapping[str, object] = field(default_factory=dict)
     parameters: Mapping[str, object] = field(default_factory=dict)
     remarks: Sequence[str] = ()
     cannot_see: Sequence[str] = CANNOT_SEE
+
+    @classmethod
+    def of(
+        cls,
+        monitor: Monitor,
+        summary: Summary,
+        recorder: ScheduleRecorder,
+        *,
+        version: str,
+        made: datetime,
+        line: Mapping[str, object],
+        parameters: Mapping[str, object],
+        remarks: Sequence[str],
+    ) -> Report:
+        """The report of everything that ``monitor`` and ``recorder`` heard."""
+        return cls(
+            summary=summary,
+            counters=monitor.counters,
+            begun_ns=monitor.begun_ns,
+            version=version,
+            made=made,
+            changes=list(monitor.time_line),
+            changes_left_out=monitor.left_out,
+            rotation=recorder.typical(),
+            line=line,
+            parameters=parameters,
+            remarks=remarks,
+        )
 
     # --- the page ---
     def html(self) -> str:
@@ -144,7 +171,9 @@ class Report:
             "Duration": f"{_duration(seconds)} ({_plain(s.get('seconds'))} s)",
             **self.line,
             "Rate": "unknown" if not s.get("baud") else f"{baud_text(s['baud'])} ({s['baud']} bit/s)",
+            "Recognised as PROFIBUS": s.get("profibus"),
             "Telegrams": s.get("telegrams"),
+            "Telegrams a second": s.get("telegrams_per_s"),
             "Load": _share(s.get("load")),
             "Damaged transmissions": _causes(s.get("damaged") or {}),
             "Not attributed to a station": s.get("unattributed"),
@@ -206,9 +235,13 @@ class Report:
             "Masters": ", ".join(map(str, sorted(counters.masters))) or "none heard",
             "Highest address asked (HSA is at least this)": max(asked, default="none"),
             "GAP polls and FDL status requests": sum(master.gap_polls for master in counters.masters.values()),
-            **self.parameters,
         }
-        return _section("Bus parameters seen", _pairs(rows) + self._set_prm())
+        own = ""
+        if self.parameters:
+            caption = "Parameters of the master in this program (bit times, where no other unit is named)"
+            names = list(self.parameters.items())
+            own = _table(caption, ("Parameter", "Value"), names, numbers=(1,), css="narrow")
+        return _section("Bus parameters seen", _pairs(rows) + own + self._set_prm())
 
     def _set_prm(self) -> str:
         """The parameters that masters gave to slaves, as far as a bring-up was heard."""
@@ -388,9 +421,14 @@ class Report:
         return _section("What this report cannot see", _list(self.cannot_see, ""))
 
     def _thresholds(self) -> str:
-        if not self.thresholds:
-            return ""
-        table = _table("Thresholds", ("Threshold", "Value", "Unit", "Meaning", "Source"), self.thresholds, numbers=(1,))
+        values = self.summary.get("thresholds") or {}
+        rows = [
+            (limit.name, f"{values[limit.name]:g}", limit.unit, limit.text, limit.source)
+            for limit in limits()
+            if limit.name in values
+        ]
+        columns = ("Threshold", "Value", "Unit", "Meaning", "Source")
+        table = _table("Thresholds", columns, rows, numbers=(1,)) if rows else "<p>Not known.</p>"
         return _section("Thresholds of the verdicts", table)
 
     # --- parts ---
@@ -484,6 +522,7 @@ def _table(
     *,
     numbers: Iterable[int],
     head_is_number: bool = False,
+    css: str = "",
 ) -> str:
     """A table whose first column heads its rows. ``numbers``: columns set to the right. Empty columns are left out."""
     kept = list(rows)
@@ -499,7 +538,8 @@ def _table(
         cells = "".join(f"<td{kind(n)}>{_cell(row[n])}</td>" for n in used[1:])
         lines.append(f'<tr><th scope="row"{kind(0)}>{_cell(row[0])}</th>{cells}</tr>\n')
     return (
-        f'<div class="scroll" role="region" aria-label="{text(caption)}" tabindex="0"><table><caption>{text(caption)}'
+        f'<div class="scroll {css}" role="region" aria-label="{text(caption)}" tabindex="0"><table><caption>'
+        f"{text(caption)}"
         f"</caption>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{''.join(lines)}</tbody></table></div>\n"
     )
 

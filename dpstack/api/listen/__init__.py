@@ -8,5 +8,6 @@
 - ``plant_files``: Files that a monitor needs: devices from a configuration and from a folder of GSD files, thresholds
   from TOML
 - ``program_tap``: The transmissions of a line that a running program of ours holds, from its control socket
+- ``report_file``: The file of an acceptance report, and the report of a running bus
 - ``tap_cutter``: The entries of a tap, cut into transmissions
 """

@@ -70,7 +70,7 @@ class CaptureFile:
             sys.stdout.flush()
             self._fd = os.dup(sys.stdout.fileno())
         elif self._ring is None:
-            self._fd = _open_new(self._path)
+            self._fd = open_new(self._path, _OR_STDOUT)
             self.paths.append(self._path)
         else:
             self.paths = _files_of_ring(self._path)
@@ -190,6 +190,7 @@ class CaptureFile:
             raise UsageError(f"{self._path}: cannot be written; name a file in a directory of yours")
 
 
+_OR_STDOUT: Final = ", or - for standard output"
 _FLAGS: Final = os.O_WRONLY | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 
 
@@ -238,10 +239,14 @@ def _number_of(path: Path) -> int:
     return int(path.stem.rsplit("_", 2)[1])
 
 
-def _open_new(path: Path) -> int:
+def open_new(path: Path, otherwise: str = "") -> int:
+    """Make a file, or take an empty one; its descriptor. ``otherwise``: further advice in place of a device.
+
+    Raises UsageError, also where there is a file of that name already.
+    """
     try:
         with contextlib.suppress(FileNotFoundError):
-            _check_new(path, os.stat(path))  # first: a serial port must not even be opened
+            _check_new(path, os.stat(path), otherwise)  # first: a serial port must not even be opened
         fd = os.open(path, _FLAGS | getattr(os, "O_NONBLOCK", 0), 0o666)
     except ValueError as error:  # a path with a zero octet
         raise UsageError(f"{path}: {error}; name a file") from None
@@ -249,19 +254,19 @@ def _open_new(path: Path) -> int:
         why = error.strerror or error
         raise UsageError(f"{path}: cannot be written ({why}); name a file in a directory of yours") from None
     try:
-        _check_new(path, os.fstat(fd))  # again: it may be another one by now
+        _check_new(path, os.fstat(fd), otherwise)  # again: it may be another one by now
     except UsageError:
         os.close(fd)
         raise
     return fd
 
 
-def _check_new(path: Path, found: os.stat_result) -> None:
+def _check_new(path: Path, found: os.stat_result, otherwise: str) -> None:
     """Raises UsageError where ``path`` is anything but an empty file."""
     if stat.S_ISDIR(found.st_mode):
         raise UsageError(f"{path}: is a directory; name a file")
     if not stat.S_ISREG(found.st_mode):
-        raise UsageError(f"{path}: is a device or a pipe; name an ordinary file, or - for standard output")
+        raise UsageError(f"{path}: is a device or a pipe; name an ordinary file{otherwise}")
     if found.st_size:
         raise UsageError(f"{path}: there is a file of that name; give the name of a new file")
 

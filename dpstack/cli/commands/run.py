@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 
 from dpstack.api.bus.bus import Bus, open_bus
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.control import arguments
-from dpstack.api.control.handlers import PTY, address_of, clear_since, control_run
+from dpstack.api.control.handlers import PTY, address_of, clear_since, control_run, run_feed
 from dpstack.api.control.server import ControlServer
+from dpstack.api.listen.report_file import RunReport
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable, refuse_application_watchdog
 from dpstack.cli.parser import Parser
@@ -45,6 +47,7 @@ def add_to(parser: Parser) -> None:
         "join the token ring as one more master, show who is there and in what state, write nothing to any slave; "
         "with --address beside the master that has the same file",
     )
+    parser.value("--report", "FILE.html", "write an acceptance report of what was on the bus, a new file")
     parser.run_by(execute)
 
 
@@ -81,14 +84,18 @@ def _config_and_outputs(args: argparse.Namespace) -> tuple[str, list[str]]:
 
 
 async def _run(config: Config, args: argparse.Namespace) -> int:
-    with StopSignal() as stop:
+    report = None if args.report is None else RunReport(args.report, config)
+    with report or contextlib.nullcontext(), StopSignal() as stop:
         bus = open_bus(config, on_event=lambda event: reporter.event(event))
         reporter = Reporter(bus, json=args.json)
         if bus.searching:
             reporter.searching()
         # `dpstack ctl` also works while the bus searches its rate or joins the ring; a held port is reported once
-        control = control_run(bus, config.port)
+        feed = run_feed(bus)
+        control = control_run(bus, config.port, feed)
         async with reachable(control, quiet=True) as unreachable:
+            if report is not None:
+                report.begin(bus, feed)
             await stop.or_done(_open(bus, control))
             if unreachable is not None:
                 output.warn(unreachable)
@@ -102,15 +109,28 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                 await stop.or_done(_limit(bus, args.seconds, args.rotations))
                 stats, missing, held = bus.stats, not_exchanging(bus), clear_since(bus)
             finally:
+                if report is not None:
+                    report.end()
                 await bus.close()
-    if stop.hurried:
-        return INTERRUPTED
+                written = report is None or stop.hurried or _write(report)
+        if stop.hurried:
+            return INTERRUPTED
     reporter.summary(stats, **({"clear": held} if held else {}))
+    if report is not None and written and not args.json:
+        output.line(f"report: {args.report}")
     if held:
         missing = [clear_text(held), *missing]
     for text in missing:
         output.warn(text)
     return 1 if missing or reporter.stalled or bus.end_failed else 0
+
+
+def _write(report: RunReport) -> bool:
+    """Write the report. A failure is a warning: the bus has run as it has run."""
+    why = report.write()
+    if why is not None:
+        output.warn(why)
+    return why is None
 
 
 async def _open(bus: Bus, control: ControlServer) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 from datetime import UTC, datetime
 from time import monotonic_ns, time_ns
 from typing import Final
@@ -13,6 +14,7 @@ from dpstack.api.config.bus import AUTO
 from dpstack.api.config.config import load_config
 from dpstack.api.listen.listening import Line, Listening, OctetsLost
 from dpstack.api.listen.plant_files import load_devices, load_thresholds
+from dpstack.api.listen.report_file import ReportFile, port_lines
 from dpstack.capture.pcapng import Interface
 from dpstack.capture.timing import FILE, LineTiming
 from dpstack.cli import options
@@ -53,6 +55,7 @@ def add_to(parser: Parser) -> None:
     parser.value("--gsd", "DIR", "folder of GSD files: models and diagnosis texts by ident number")
     parser.value("--thresholds", "FILE", "TOML file with other thresholds, see docs/monitor.md")
     parser.value("--seconds", "S", "end after so many seconds", type=options.seconds)
+    parser.value("--report", "FILE.html", "write an acceptance report, a new file; see docs/report.md")
     parser.run_by(execute)
 
 
@@ -63,17 +66,32 @@ def execute(args: argparse.Namespace) -> int:
     config = None if args.config is None else load_config(args.config)
     devices = load_devices(config, args.gsd, output.warn)
     thresholds = None if args.thresholds is None else load_thresholds(args.thresholds)
-    if args.file is None:
-        monitor = Monitor(LineTiming(FILE, None), devices=devices, thresholds=thresholds, begun_ns=time_ns())
-        return run_unhurried(_Live(args, monitor).run(), json=args.json)
-    monitor = Monitor(LineTiming(FILE, None), devices=devices, thresholds=thresholds)
-    return _FromFile(args, monitor).run()
+    live = args.file is None
+    begun_ns = time_ns() if live else None
+    monitor = Monitor(LineTiming(FILE, None), devices=devices, thresholds=thresholds, begun_ns=begun_ns)
+    report = None if args.report is None else ReportFile(args.report, monitor)
+    with report or contextlib.nullcontext():
+        if live:
+            return run_unhurried(_Live(args, monitor, report).run(), json=args.json)
+        return _FromFile(args, monitor, report).run()
+
+
+def _write(report: ReportFile | None, summary: dict[str, object], line: dict[str, object], *, json: bool) -> None:
+    """Write the report, if there is to be one; a failure is a warning."""
+    if report is None:
+        return
+    why = report.write(summary, line)
+    if why is not None:
+        output.warn(why)
+    elif not json:
+        output.line(f"report: {report.name}")
 
 
 class _FromFile:
     """Judges a capture file."""
 
-    def __init__(self, args: argparse.Namespace, monitor: Monitor) -> None:
+    def __init__(self, args: argparse.Namespace, monitor: Monitor, report: ReportFile | None) -> None:
+        self._report = report
         self._name: str = args.file
         self._json: bool = args.json
         self._baud = 0 if args.baud == AUTO else args.baud
@@ -95,13 +113,14 @@ class _FromFile:
             output.json_line(summary)
         else:
             show_summary(self._monitor.heard(), summary)
+        _write(self._report, summary, {"Capture file": self._name}, json=self._json)
         if damage is not None:
             output.warn(str(damage))
         return 1 if damage is not None or summary["verdict"] == CRITICAL else 0
 
     def _read(self) -> None:
         monitor = self._monitor
-        add = monitor.add
+        add = monitor.add if self._report is None else self._report.add
         end = None
         for one in transmissions_of(self._name, self._interface):
             if not one.baud:
@@ -137,8 +156,10 @@ class _FromFile:
 class _Live:
     """Judges the bus at a port."""
 
-    def __init__(self, args: argparse.Namespace, monitor: Monitor) -> None:
+    def __init__(self, args: argparse.Namespace, monitor: Monitor, report: ReportFile | None) -> None:
         self._args = args
+        self._report = report
+        self._add = monitor.add if report is None else report.add
         self._json: bool = args.json
         self._monitor = monitor
         self._line: Line | None = None
@@ -166,9 +187,17 @@ class _Live:
             if self._view is not None:
                 self._view.show_time_line()
             show_summary(self._monitor.heard(now), summary)
+        if self._line is not None:
+            _write(self._report, summary, self._about(self._line), json=self._json)
         if self._failure is not None:
             raise self._failure
         return int(summary["verdict"] == CRITICAL)
+
+    def _about(self, line: Line) -> dict[str, object]:
+        """The line for the report."""
+        if line.program is not None:
+            return {"Port": line.port, "Listened": f"through the dpstack {line.program} that holds the port"}
+        return {**port_lines(line.port), "Listened": f"on the port itself, which wrote nothing; {_CONVERTER}"}
 
     async def _work(self) -> None:
         """Listen until the time is over. Raises PortError where the port cannot be listened to any more."""
@@ -196,7 +225,7 @@ class _Live:
         baud = None if self._args.baud == AUTO else self._args.baud
         while True:
             self._listening = None
-            listening = Listening(self._args.port, baud, self._monitor.add, self._on_event, own=self._line is None)
+            listening = Listening(self._args.port, baud, self._add, self._on_event, own=self._line is None)
             try:
                 async with listening:
                     self._listening = listening

@@ -1,0 +1,165 @@
+"""The file of an acceptance report, made before listening begins, written at the end; the report of a running bus."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from dpstack import __version__
+from dpstack.api.bus.bus import Bus
+from dpstack.api.config.config import Config
+from dpstack.api.control.tap_feed import TapFeed
+from dpstack.api.listen.capture_file import open_new
+from dpstack.api.listen.own_tap import OwnTap
+from dpstack.api.listen.plant_files import load_devices
+from dpstack.capture.timing import TAP, LineTiming
+from dpstack.capture.transmission import Transmission
+from dpstack.monitor.monitor import Monitor
+from dpstack.monitor.report import Report
+from dpstack.monitor.schedule import ScheduleRecorder
+from dpstack.ports.adapters import list_adapters
+from dpstack.trace import Event
+
+
+class ReportFile:
+    """The report of ``monitor`` in the file ``name``; give it each transmission with :meth:`add`, after the monitor.
+
+    Entering makes the file. It raises UsageError where there is a file of that name already, unless it is empty, or
+    where it cannot be made. A file in which nothing was written is removed at the end.
+    """
+
+    def __init__(self, name: str, monitor: Monitor) -> None:
+        self.name = name
+        self._path = Path(name)
+        self._monitor = monitor
+        self._recorder = ScheduleRecorder()
+        self._fd = -1
+
+    def __enter__(self) -> ReportFile:
+        self._fd = open_new(self._path)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        fd, self._fd = self._fd, -1
+        empty = not os.fstat(fd).st_size
+        os.close(fd)
+        if empty:
+            with contextlib.suppress(OSError):
+                self._path.unlink()
+
+    def add(self, one: Transmission) -> None:
+        """Count ``one``, and record it where it belongs to a rotation that the report may show."""
+        self._monitor.add(one)
+        self._recorder.add(one)
+
+    def write(
+        self,
+        summary: Mapping[str, object],
+        line: Mapping[str, object],
+        parameters: Mapping[str, object] | None = None,
+        remarks: Sequence[str] = (),
+    ) -> str | None:
+        """Write the report of ``summary``; ``line``, ``parameters`` and ``remarks`` as :class:`Report` has them.
+
+        Returns None, or one line that says why it could not be written: nothing is in the file then.
+        """
+        report = Report.of(
+            self._monitor,
+            summary,
+            self._recorder,
+            version=__version__,
+            made=datetime.now(UTC),
+            line=line,
+            parameters=parameters or {},
+            remarks=remarks,
+        )
+        octets = memoryview(report.html().encode("utf-8", "backslashreplace"))
+        try:
+            while octets:
+                octets = octets[os.write(self._fd, octets) :]
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, 0)
+            return f"{self.name}: the report cannot be written ({error.strerror or error}); make room there"
+        return None
+
+
+class RunReport:
+    """The report of a bus that this program runs: its own tap, counted in short steps beside the bus.
+
+    Entering makes the file, as :class:`ReportFile` does. Then :meth:`begin`, :meth:`end`, :meth:`write`.
+    """
+
+    def __init__(self, name: str, config: Config) -> None:
+        self._monitor = Monitor(LineTiming(TAP, None), devices=load_devices(config, None))
+        self._file = ReportFile(name, self._monitor)
+        self._tap: OwnTap | None = None
+        self._bus: Bus | None = None
+        self._clock_ns = time.time_ns() - time.monotonic_ns()
+        self._ended_ns = 0
+
+    def __enter__(self) -> RunReport:
+        self._file.__enter__()
+        return self
+
+    def __exit__(self, *why: object) -> None:
+        self.end()
+        self._file.__exit__(*why)
+
+    def begin(self, bus: Bus, feed: TapFeed) -> None:
+        """Listen to ``bus`` through ``feed``; at any time, also before the bus is open."""
+        self._bus = bus
+        self._tap = OwnTap(feed, bus.config.port, self._file.add, self._on_event)
+        self._tap.begin()
+
+    def end(self) -> None:
+        """Listen no longer: the ordered end of the bus is no part of the report."""
+        if self._tap is not None and not self._ended_ns:
+            self._ended_ns = time.time_ns()
+            self._tap.end()
+
+    def write(self) -> str | None:
+        """Count what still waits, and write the report. Returns why that failed, else None."""
+        tap, bus = self._tap, self._bus
+        assert tap is not None
+        assert bus is not None
+        tap.rest()
+        self._monitor.timing = tap.timing
+        lines = {
+            **port_lines(bus.runtime.port_name),
+            "Listened": f"through the dpstack run that is master {bus.params.address} of this bus",
+            "Driver": bus.driver,
+        }
+        remarks = []
+        if tap.lost:
+            remarks.append(
+                f"{tap.lost} pieces of octets were lost, as this computer could not keep up: counts are too low"
+            )
+        if not bus.runtime.paced:
+            remarks.append("no wire gave the octets their time here: the times are this computer's, not a bus's")
+        parameters = bus.plan.as_dict()["parameters"]
+        assert isinstance(parameters, dict)
+        return self._file.write(self._monitor.summary(self._ended_ns), lines, parameters, remarks)
+
+    def _on_event(self, event: Event) -> None:
+        self._monitor.gap(event.t_ns + self._clock_ns, event.text)
+
+
+def port_lines(port: str) -> dict[str, object]:
+    """Port and adapter for the report, as far as the operating system names it."""
+    lines: dict[str, object] = {"Port": port}
+    try:
+        path = os.path.realpath(port)
+        adapters = [one for one in list_adapters() if os.path.realpath(one.path) == path]
+    except OSError:
+        adapters = []
+    if adapters:
+        found = adapters[0]
+        lines["Adapter"] = " ".join(filter(None, (found.chip, f"(driver {found.driver})" if found.driver else "")))
+        if found.by_id:
+            lines["Lasting path of the adapter"] = found.by_id
+    return lines
