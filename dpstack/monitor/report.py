@@ -146,7 +146,9 @@ class Report:
             self._limits(),
             self._thresholds(),
         )
-        title = f"PROFIBUS acceptance report, {self._begun():%Y-%m-%d}"
+        is_profibus = self.summary.get("profibus", True)
+        name = "PROFIBUS acceptance report" if is_profibus else "Report of a line that was not recognised as PROFIBUS"
+        title = f"{name}, {self._begun():%Y-%m-%d}"
         made = f"dpstack {self.version}, report made {_time(self.made)}"
         style = resources.files(__package__).joinpath("report.css").read_text(encoding="utf-8")
         return (
@@ -155,7 +157,7 @@ class Report:
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f'<meta name="generator" content="dpstack {text(self.version)}">\n'
             f"<title>{text(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
-            "<header><h1>PROFIBUS acceptance report</h1><p>Made of the octets on the bus; listening sends none.</p>"
+            f"<header><h1>{name}</h1><p>Made of the octets on the bus; listening sends none.</p>"
             f"</header>\n<main>\n{_join(sections)}</main>\n<footer><p>{text(made)}</p></footer>\n"
             "</body>\n</html>\n"
         )
@@ -236,12 +238,10 @@ class Report:
             "Highest address asked (HSA is at least this)": max(asked, default="none"),
             "GAP polls and FDL status requests": sum(master.gap_polls for master in counters.masters.values()),
         }
-        own = ""
         if self.parameters:
-            caption = "Parameters of the master in this program (bit times, where no other unit is named)"
-            names = list(self.parameters.items())
-            own = _table(caption, ("Parameter", "Value"), names, numbers=(1,), css="narrow")
-        return _section("Bus parameters seen", _pairs(rows) + own + self._set_prm())
+            own = ", ".join(f"{name} {value}" for name, value in self.parameters.items())
+            rows["The master of this program runs with (bit times, where no other unit is named)"] = own
+        return _section("Bus parameters seen", _pairs(rows) + self._set_prm())
 
     def _set_prm(self) -> str:
         """The parameters that masters gave to slaves, as far as a bring-up was heard."""
@@ -321,7 +321,8 @@ class Report:
         return _section("Stations", _join(tables))
 
     def _histograms(self) -> str:
-        figures = []
+        figures: list[str] = []
+        untimed: list[str] = []
         for address, one in self._by_address("masters"):
             master = self.counters.masters.get(int(address))
             if master is not None:
@@ -330,7 +331,10 @@ class Report:
                     ("token_us", master.token_ns, "token rotation"),
                     ("hold_us", master.hold_ns, "token held"),
                 ):
-                    figures += _figure(one.get(key), values, f"{name} of master {address}")
+                    drawn = _figure(one.get(key), values, f"{name} of master {address}")
+                    figures += drawn
+                    if values.count and not drawn:
+                        untimed.append(f"{name} of master {address}")
         timed = []
         for address, one in self._by_address("stations"):
             station = self.counters.stations.get(int(address))
@@ -349,7 +353,8 @@ class Report:
                 figures += _figure(one["tsdr_us"], values, f"T_SDR of {self._name(int(address))}")
         left = len(timed) - MOST_HISTOGRAMS
         note = "" if left <= 0 else f"<p>{left} stations with shorter T_SDR have no histogram here.</p>"
-        none = "" if timed else "<p>T_SDR: this port cannot time it.</p>"
+        untimed += [] if timed else ["T_SDR of the stations"]
+        none = f"<p>This port cannot time, or not finely enough: {text(', '.join(untimed))}.</p>" if untimed else ""
         grid = f'<div class="grid">{_join(figures)}</div>' if figures else ""
         return _section("Histograms", overview + grid + note + none)
 
@@ -522,7 +527,6 @@ def _table(
     *,
     numbers: Iterable[int],
     head_is_number: bool = False,
-    css: str = "",
 ) -> str:
     """A table whose first column heads its rows. ``numbers``: columns set to the right. Empty columns are left out."""
     kept = list(rows)
@@ -538,7 +542,7 @@ def _table(
         cells = "".join(f"<td{kind(n)}>{_cell(row[n])}</td>" for n in used[1:])
         lines.append(f'<tr><th scope="row"{kind(0)}>{_cell(row[0])}</th>{cells}</tr>\n')
     return (
-        f'<div class="scroll {css}" role="region" aria-label="{text(caption)}" tabindex="0"><table><caption>'
+        f'<div class="scroll" role="region" aria-label="{text(caption)}" tabindex="0"><table><caption>'
         f"{text(caption)}"
         f"</caption>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{''.join(lines)}</tbody></table></div>\n"
     )

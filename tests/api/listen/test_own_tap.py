@@ -1,0 +1,110 @@
+"""A program listens to its own bus in short steps: every telegram in its order, and each loss told."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+from dpstack.api.control.tap_feed import TapFeed
+from dpstack.api.listen import own_tap
+from dpstack.api.listen.own_tap import OwnTap
+from dpstack.api.listen.tap_cutter import OctetsLost
+from dpstack.capture.transmission import Transmission
+from dpstack.drivers.runtime import PortBack, PortLost
+from dpstack.drivers.tap import CAPACITY, Tap
+from dpstack.trace import Event
+from dpstack.units import chars_to_ns
+
+BAUD = 500_000
+TOKEN = bytes.fromhex("dc 02 02")
+
+
+class Line:
+    """A line with a tap, in place of a runtime."""
+
+    def __init__(self) -> None:
+        self.tap: Tap | None = None
+        self.heard: list[Transmission] = []
+        self.events: list[Event] = []
+        self.feed = TapFeed(self.attach, lambda: 0, self.about)
+        self.own = OwnTap(self.feed, "port", self.heard.append, self.events.append)
+
+    def attach(self, tap: Tap | None) -> None:
+        self.tap = tap
+
+    def about(self) -> Mapping[str, object]:
+        return {"baud": BAUD, "paced": True, "exact": True}
+
+    def send(self, *entries: Any) -> None:
+        assert self.tap is not None
+        for entry in entries:
+            self.tap.add(entry)
+
+    async def until(self, count: int) -> None:
+        """Wait until ``count`` transmissions were heard."""
+        for _ in range(20_000):
+            if len(self.heard) >= count:
+                return
+            await asyncio.sleep(0.001)
+        raise AssertionError(f"only {len(self.heard)} of {count} transmissions were heard")
+
+
+def _tokens(count: int, begin: int = 0) -> list[tuple[int, int, bytes, bool]]:
+    return [((begin + number + 1) * 1_000_000, BAUD, TOKEN, True) for number in range(count)]
+
+
+async def test_every_telegram_once_and_in_order_and_steps_are_short() -> None:
+    line = Line()
+    line.own.begin()
+    line.send(*_tokens(3000))
+    await line.until(1)
+    assert len(line.heard) < 3000  # not all at once
+    await line.until(3000)
+    line.send(*_tokens(500, 3000))
+    line.own.end()
+    assert line.tap is None
+    line.own.rest()
+    assert len(line.heard) == 3500
+    ends = [(one.t_ns or 0) + chars_to_ns(3, BAUD) for one in line.heard]
+    assert {after - before for before, after in pairwise(ends)} == {1_000_000}
+    assert (line.own.lost, line.events) == (0, [])
+    assert line.own.timing.resolution_ns == 1
+
+
+async def test_a_lost_entry_is_told_in_its_place() -> None:
+    line = Line()
+    line.own.begin()
+    assert line.tap is not None
+    line.send(*_tokens(CAPACITY + 7))
+    line.own.end()
+    line.own.rest()
+    # the line that describes the tap takes one place in the queue
+    assert line.own.lost + len(line.heard) == CAPACITY + 7
+    assert line.own.lost >= 7
+    assert sum(event.count for event in line.events if isinstance(event, OctetsLost)) == line.own.lost
+
+
+async def test_a_queue_that_is_full_delays_nobody() -> None:
+    line = Line()
+    line.own.begin()
+    for number in range(4):  # nothing runs between these
+        line.own.put(0, _tokens(CAPACITY // 2, number * CAPACITY))
+    line.own.end()
+    line.own.rest()
+    assert len(line.heard) + line.own.lost == 2 * CAPACITY
+    assert line.own.lost >= CAPACITY
+
+
+async def test_a_port_that_was_lost_and_is_back() -> None:
+    line = Line()
+    line.own.begin()
+    line.send(*_tokens(1), (2_000_000, 0, b"", False), (3_000_000, BAUD, b"", False), *_tokens(1, 3))
+    await line.until(2)
+    line.own.end()
+    assert [type(event) for event in line.events] == [PortLost, PortBack]
+
+
+def test_a_step_is_short_beside_a_cycle() -> None:
+    assert own_tap._STEP_NS <= 200_000
