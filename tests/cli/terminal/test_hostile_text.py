@@ -205,6 +205,7 @@ NAMES = [
     ["monitor", "--port", f"/nowhere/{EVIL}"],
     ["monitor", EVIL, "--gsd", EVIL],
     ["monitor", EVIL, "--thresholds", EVIL],
+    ["monitor", EVIL, "--report", f"/nowhere/{EVIL}"],
     ["decode", EVIL],
     ["decode", "E5", "--filter", EVIL],
     ["doctor", "--port", f"/nowhere/{EVIL}"],
