@@ -5,10 +5,11 @@
     not token and data contains "06 00"
 
 Words: ``sa``, ``da``, ``dsap``, ``ssap``, ``length`` (octets on the wire) and ``response_us`` are numbers; ``kind``,
-``service`` and ``function`` are names, upper or lower case; ``octets`` and ``data`` are hex digits. Comparisons are
-``==``, ``!=``, ``<``, ``<=``, ``>``, ``>=`` and ``contains``. By themselves stand ``token``, ``request``, ``answer``,
-``retry``, ``unanswered``, ``late``, ``error``, ``remark``, and ``station N``, which sends or is addressed. They are
-joined by ``and``, ``or``, ``not`` and parentheses.
+``service`` and ``function`` are names, ``text`` is the line in words, upper or lower case; ``octets`` and ``data``
+are hex digits. Comparisons are ``==``, ``!=``, ``<``, ``<=``, ``>``, ``>=`` and ``contains``. By themselves stand
+``token``, ``request``, ``answer``, ``retry``, ``repeated``, ``unanswered``, ``late``, ``error``, ``damaged``,
+``remark``, and ``station N``, which sends or is addressed. They are joined by ``and``, ``or``, ``not`` and
+parentheses.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ _NAMES: Final[Mapping[str, Callable[[Explained], str]]] = {
     "kind": lambda one: "" if one.telegram is None else one.telegram.kind.name,
     "service": lambda one: one.service,
     "function": lambda one: one.function or "",
+    "text": lambda one: one.text,
 }
 _OCTETS: Final[Mapping[str, Callable[[Explained], bytes]]] = {
     "octets": lambda one: one.transmission.octets,
@@ -51,9 +53,11 @@ _FLAGS: Final[Mapping[str, Match]] = {
     "request": lambda one: one.telegram is not None and one.telegram.is_request,
     "answer": lambda one: one.step.answer_to is not None,
     "retry": lambda one: one.step.retry_of is not None,
+    "repeated": lambda one: one.step.repeated_poll_of is not None,
     "unanswered": lambda one: one.step.unanswered is not None,
     "late": lambda one: one.step.late,
     "error": lambda one: one.error is not None,
+    "damaged": lambda one: one.telegram is None or bool(one.transmission.damage),
     "remark": lambda one: bool(one.step.remarks),
 }
 _COMPARE: Final[Mapping[str, Callable[[float, float], bool]]] = {

@@ -188,6 +188,8 @@ LOG = (TOKEN, POLL, POLL, ANSWER, b"\xaa")
         ("response_us > 99.5", [4]),
         ("function contains srd and kind != SD1", [2, 3]),
         ("not not token", [1]),
+        ("damaged or repeated", [5]),
+        ('text contains "retry of 2"', [3]),
     ],
 )
 def test_filters(text: str, numbers: list[int]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import functools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 
 from dpstack.api.config.config import load_config
 from dpstack.api.listen.names import decode_names
@@ -69,8 +69,22 @@ def show(one: Explained, *, json: bool, flush: bool = True) -> None:
     time = "" if sent.t_ns is None else f"{sent.t_ns // NS_PER_S}.{sent.t_ns % NS_PER_S:09}  "
     output.line(f"{one.number:>6}  {time}{sent.octets.hex(' ')}")
     output.line(f"        {one.text}")
-    for name, value in one.fields.items():
-        output.line(f"          {name}: {_plain(value)}")
+    for text in _field_lines(one.fields):
+        output.line(f"          {text}")
+
+
+def _field_lines(fields: Mapping[str, object]) -> Iterator[str]:
+    """A line for each field; the fields in a field, and the entries of a list of fields, stand below it."""
+    for name, value in fields.items():
+        match value:
+            case dict():
+                yield f"{name}:"
+                yield from (f"  {line}" for line in _field_lines(value) if not line.startswith("text: "))
+            case [dict(), *_]:
+                yield f"{name}:"
+                yield from (f"  {_plain(entry)}" for entry in value)
+            case _:
+                yield f"{name}: {_plain(value)}"
 
 
 def _plain(value: object) -> str:

@@ -195,7 +195,9 @@ class PkwChannel:
         if spec is not None and not reads:
             long = "long" in what
             value = spec.to_value(spec.from_wire(pkw.pwe, 32 if long else 16))
-            found |= {"value": value, "unit": spec.unit}
+            found["value"] = value
+            if spec.unit:
+                found["unit"] = spec.unit
             text += f" = {value:g}" + (f" {spec.unit}" if spec.unit else "")
         elif not reads:
             text += f" = {pkw.pwe:#x}"

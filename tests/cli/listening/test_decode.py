@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import io
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cli_kit import Cli
+from octet_slave import DL, sd2
 
 from dpstack.capture.pcapng import PROFIBUS_DL, Writer
 from dpstack.capture.transmission import Damage
@@ -116,3 +120,132 @@ def test_a_cut_capture_and_one_of_another_link_type(cli: Cli, tmp_path: Path) ->
     assert "packets of link type 1, PROFIBUS has 147 (USER0) or 257" in cli.err(
         "decode", _capture(tmp_path / "b", linktype=1), code=1
     )
+
+
+COURSE: dict[str, object] = {
+    "retry_of": None,
+    "answer_to": None,
+    "response_us": None,
+    "unanswered": None,
+    "late": False,
+    "repeated_poll_of": None,
+    "fcb_turned": None,
+    "probably_answers": None,
+    "remarks": [],
+}
+
+
+def test_json_has_the_keys_of_the_interface(cli: Cli) -> None:
+    """Each kind of telegram, a retry, an answer, an acknowledgement and octets that are none: all keys and values."""
+    poll, answer = "6804046803025D076916", "68040468020308AAB716"
+    token, first, again, got, nothing = _json(cli, "DC0202", poll, poll, answer, "AA", code=1)
+    none = dict.fromkeys(("fc", "function", "fcb", "fcv", "dsap", "ssap", "data", "error", "t"))
+    assert token == none | {
+        "number": 1,
+        "octets": "dc0202",
+        "kind": "SD4",
+        "da": 2,
+        "sa": 2,
+        "service": "token",
+        "fields": {},
+        "course": COURSE,
+        "text": "token 2 -> 2 (to itself)",
+    }
+    asked = {
+        "number": 2,
+        "t": None,
+        "octets": "6804046803025d076916",
+        "kind": "SD2",
+        "da": 3,
+        "sa": 2,
+        "fc": 0x5D,
+        "function": "SRD_HIGH",
+        "fcb": False,
+        "fcv": True,
+        "service": "Data_Exchange",
+        "dsap": None,
+        "ssap": None,
+        "data": "07",
+        "fields": {},
+        "course": COURSE,
+        "error": None,
+        "text": "Data_Exchange request 2 -> 3, 1 octet (SRD high, FCV=1 FCB=0)",
+    }
+    assert first == asked
+    assert again == asked | {
+        "number": 3,
+        "course": COURSE | {"retry_of": 2, "unanswered": 2, "fcb_turned": False},
+        "text": f"{asked['text']}; retry of 2",
+    }
+    assert got == asked | {
+        "number": 4,
+        "octets": answer.lower(),
+        "da": 2,
+        "sa": 3,
+        "fc": 8,
+        "function": "DL",
+        "fcb": None,
+        "fcv": None,
+        "data": "aa",
+        "course": COURSE | {"answer_to": 3},
+        "text": "Data_Exchange answer 3 -> 2, 1 octet (DL, slave)",
+    }
+    why = "no telegram: no start octet (10, 68, A2, DC, E5): octet 1 is aa"
+    keys = dict.fromkeys(("da", "sa", "kind", "service"))
+    assert nothing == none | keys | {
+        "number": 5,
+        "octets": "aa",
+        "fields": {},
+        "course": COURSE,
+        "error": why,
+        "text": why,
+    }
+
+
+def test_an_acknowledgement_is_from_the_station_that_was_asked(cli: Cli) -> None:
+    _, ack = _json(cli, "680C0C6883825D3D3E8814050B0696012616E5")
+    assert (ack["kind"], ack["da"], ack["sa"], ack["from"], ack["service"]) == ("SC", None, None, 3, "Set_Prm")
+
+
+@pytest.mark.parametrize(
+    ("args", "error"),
+    [
+        (("--config", "none.toml"), "none.toml: there is no such file"),
+        (("--gsd", "none.gsd"), "none.gsd: No such file or directory; give the path of a GSD file"),
+        (("--gsd", "."), "no GSD file (.gsd, .gse, .gsg ...) is in this directory"),
+    ],
+)
+def test_names_that_cannot_be_read_are_one_line(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], error: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert error in cli.err("decode", *args, "E5")
+
+
+def test_modules_and_texts_of_a_gsd_file_of_the_user(cli: Cli) -> None:
+    """The slave is in no configuration: its ident number in Set_Prm and its Chk_Cfg name the device of the file."""
+    folder = str(Path(__file__).parents[3] / "examples")
+    octets = [
+        sd2(9, 2, 0x5D, 61, 62, bytes.fromhex("88 01 01 0B 1A 2B 00 80 00 00 08 00 01 00 64")),
+        sd2(9, 2, 0x7D, 62, 62, bytes.fromhex("10 20")),
+        sd2(2, 9, DL, 62, 60, bytes.fromhex("08 0C 00 02 1A 2B 02 01 81 41 A6")),
+    ]
+    _, chk_cfg, diag = _json(cli, "--gsd", folder, *(one.hex() for one in octets))
+    fields: Any = chk_cfg["fields"]
+    assert fields["Parameters"] == {"Diagnosis": "on", "Delay": 100}
+    assert [(one["slot"], one["module"]) for one in fields["Cfg_Data"]] == [(1, "8 DI"), (2, "8 DO")]
+    assert fields["names_from"] == "terminal.gsd"
+    fields = diag["fields"]
+    assert fields["texts"] == ["fuse blown (replace F1)", "slot 2 (8 DO), input channel 1 (word): line break"]
+    assert "fuse blown (replace F1); slot 2 (8 DO)" in str(diag["text"])
+
+
+def test_a_reader_that_goes_away_ends_the_decoding(tmp_path: Path) -> None:
+    """``| head``: a process, because standard output itself is lost."""
+    file = tmp_path / "bus.txt"
+    file.write_text("DC 02 02\n" * 50_000)
+    run = "from dpstack.cli.main import main; raise SystemExit(main())"
+    program = f"{sys.executable} -c '{run}' decode {file} --json | head -2"
+    done = subprocess.run(program, shell=True, capture_output=True, text=True, check=False)
+    assert len(done.stdout.splitlines()) == 2
+    assert done.stderr == ""
