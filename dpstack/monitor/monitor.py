@@ -126,7 +126,7 @@ class Monitor:
             devices=self.devices,
             timing=Timing(self.timing, counters.together / whole if whole else 0.0),
             thresholds=self.thresholds,
-            seconds=(now - self.begun_ns) / NS_PER_S if self.begun_ns else 0.0,
+            seconds=max(0, now - self.begun_ns) / NS_PER_S if self.begun_ns else 0.0,
             silent_s=(now - counters.ended_ns) / NS_PER_S if counters.ended_ns else 0.0,
             now_ns=now,
             is_profibus=self._is_profibus(),

@@ -6,17 +6,27 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
+from bus_kit import SimBus
+from hypothesis import given
+from hypothesis import strategies as st
+from property_kit import examples
 from support import S
 
+from dpstack.capture.listener import Listener
 from dpstack.capture.timing import LineTiming, timing_of
 from dpstack.capture.transmission import Transmission
+from dpstack.dp.master.events import SlaveState
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.parser import load_gsd
 from dpstack.monitor.counters import Master, State, Station
 from dpstack.monitor.devices import Devices, KnownDevice
-from dpstack.monitor.monitor import Monitor
+from dpstack.monitor.monitor import Happening, Monitor
 from dpstack.monitor.thresholds import Thresholds, limits
 from dpstack.monitor.verdicts import Verdict, judge
+from dpstack.params import BusParams
+from dpstack.sim.transmission import Transmission as Sent
+from dpstack.sim.world import World
+from dpstack.text import json_text
 from dpstack.units import NS_PER_US
 
 BAUD = 500_000
@@ -323,3 +333,76 @@ def test_every_threshold_has_values_that_it_allows() -> None:
         assert limit.low <= limit.default <= limit.high
         assert limit.source
         assert getattr(replace(Thresholds(), **{limit.name: limit.high}), limit.name) == limit.high
+
+
+def test_a_connector_and_an_absent_slave_on_a_simulated_bus() -> None:
+    """The world damages every 25th answer of slave 4 in two short times; nobody is at address 5."""
+    world = World(keep=10, referee=False)
+    params = BusParams.preset(93_750, address=2)
+    bus = SimBus(world, params, [3, 4, 5, 6], silent=[5])
+    monitor = Monitor(timing_of("tap", 93_750, exact=True))
+    world.add(Listener(world.now, monitor.add, baud=93_750, epoch_ns=NOW), name="listener")
+    world.run_for(4 * S)
+    answers = 0
+
+    def some_of_slave_4(tx: Sent) -> bool:
+        nonlocal answers
+        answers += tx.octets[5:6] == b"\x84" or tx.octets[5:6] == b"\x04"
+        return (tx.octets[5:6] == b"\x04" and answers % 4 == 0) and len(tx.octets) > 6
+
+    world.faults.damage(some_of_slave_4, octet=-2, flips=0b110, times=8)
+    world.run_for(14 * S)
+    assert bus.state(4) is SlaveState.DATA_EXCHANGE
+    found, stations = judge(monitor.heard())
+    assert {address: one.level for address, one in stations.items()} == {
+        2: "good", 3: "good", 4: "warning", 5: "critical", 6: "good",
+    }  # fmt: skip
+    assert (
+        " of its requests needed a retry, its neighbours none: answers damaged in bursts: look at its connector"
+        in (stations[4].reasons[0])
+    )
+    assert stations[5].reasons[0].startswith("is asked and never answers: look at its power")
+    assert found.level == "critical"
+    assert sum(monitor.counters.stations[4].retry_depth) == 8
+
+
+OCTETS = st.one_of(
+    st.binary(max_size=12),
+    st.sampled_from(
+        [
+            bytes.fromhex(text)
+            for text in (
+                "DC 02 02", "DC 05 02", "DC 02 05", "E5", "68 05 05 68 83 82 6D 3C 3E EC 16", "10 03 02 49 4E 16",
+                "68 0B 0B 68 82 83 08 3E 3C 02 05 00 FF 12 34 D3 16", "10 03 02 5D 62 16", "10 03 02 7D 82 16",
+                "68 04 04 68 02 03 08 AA B7 16", "10 02 03 03 08 16", "10 02 03 02 07 16",
+            )
+        ]
+    ),
+)  # fmt: skip
+
+
+@given(
+    st.lists(
+        st.builds(
+            Transmission,
+            OCTETS,
+            st.one_of(st.none(), st.integers(0, 10**10), st.integers(0, 1 << 70)),
+            st.sampled_from((0, 500_000, 500_000, 12_000_000, 1)),
+            st.just(""),
+            st.sampled_from((0, 0, 1 << 24)),
+        ),
+        max_size=30,
+    )
+)
+@examples(40)
+def test_nothing_that_is_heard_makes_it_fail(heard: list[Transmission]) -> None:
+    """Times that run backwards, rates that change, damage: there is always a summary that JSON has."""
+    events: list[Happening] = []
+    monitor = Monitor(EXACT, on_event=events.append)
+    for one in heard:
+        monitor.add(one)
+    summary = monitor.summary()
+    json_text([summary, *(one.as_dict(monitor.begun_ns) for one in events)])
+    assert summary["verdict"] in ("good", "warning", "critical", "unknown")
+    assert 0 <= summary["load"] <= 1  # type: ignore[operator]
+    assert summary["seconds"] >= 0  # type: ignore[operator]

@@ -97,7 +97,9 @@ class _FromFile:
         self._baud = 0 if args.baud == AUTO else args.baud
         self._limit_ns = None if args.seconds is None else int(args.seconds * NS_PER_S)
         self._monitor = monitor
-        self._interfaces = 0
+        self._port: str | None = None
+        self._other_port = False
+        self._left_out: set[str] = set()
         monitor.on_event = self._show
 
     def run(self) -> int:
@@ -123,6 +125,8 @@ class _FromFile:
         add = monitor.add if self._report is None else self._report.add
         end = None
         for one in transmissions_of(self._name, self._interface):
+            if self._other_port:
+                continue
             if not one.baud:
                 one = one._replace(baud=self._baud or self._without_rate())
             if one.note and not one.damage:
@@ -140,11 +144,15 @@ class _FromFile:
         )
 
     def _interface(self, interface: Interface) -> None:
-        timing = LineTiming.parse(interface.description)
-        if self._interfaces and timing.source != self._monitor.timing.source:
-            timing = LineTiming(FILE, None)  # of two ports with different clocks
-        self._interfaces += 1
-        self._monitor.timing = timing
+        """The next transmissions are of this port: those of the first one are judged."""
+        if self._port is None:
+            self._port = interface.name
+        self._other_port = interface.name != self._port
+        if not self._other_port:
+            self._monitor.timing = LineTiming.parse(interface.description)
+        elif interface.name not in self._left_out:
+            self._left_out.add(interface.name)
+            output.warn(f"{self._name}: only the port {self._port!r} is judged; left out: {interface.name!r}")
 
     def _show(self, happening: Happening) -> None:
         if self._json:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -208,3 +209,16 @@ def test_the_live_list_fits_the_terminal(
         assert "│ 3 " in shown
     else:
         assert "the window is too small" in " ".join(shown.split())
+
+
+def test_a_file_of_two_ports_is_judged_by_the_first(cli: Cli, tmp_path: Path) -> None:
+    path = tmp_path / "two.pcapng"
+    with path.open("wb") as file:
+        writer = Writer(file, "a test")
+        ports = [writer.interface(name, 500_000, "") for name in ("left", "right")]
+        for number in range(6):
+            writer.packet(ports[number % 2], EPOCH + number * MS, bytes((0xDC, number % 2, number % 2)))
+    out, err = cli("monitor", str(path), "--json")
+    assert err == f"dpstack: {path}: only the port 'left' is judged; left out: 'right'\n"
+    summary = json.loads(out.splitlines()[-1])
+    assert (summary["telegrams"], list(summary["masters"])) == (3, ["0"])

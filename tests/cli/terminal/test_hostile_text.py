@@ -170,7 +170,9 @@ def test_plan_and_run_of_such_a_device(reader: str, config: Path, capsys: pytest
         assert code in (0, 1)
 
 
-def test_comments_of_a_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_comments_of_a_capture(
+    reader: str, gsd: Path, config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "bus.pcapng"
     with path.open("wb") as file:
         writer = Writer(file, EVIL)
@@ -178,6 +180,10 @@ def test_comments_of_a_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str
     for json_or_not in ([], ["--json"]):
         code, _, _ = run(capsys, "decode", str(path), *json_or_not)
         assert code == 0
+        more = ("--gsd", str(gsd.parent), "--config", str(config))
+        code, out, _ = run(capsys, "monitor", str(path), *more, *json_or_not)
+        assert code == 0
+        assert "owned" in out
 
 
 NAMES = [
