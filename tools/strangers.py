@@ -25,6 +25,8 @@ ROOT: Final = Path(__file__).resolve().parent.parent
 PROGRAMS: Final[Mapping[str, str]] = {
     "tshark": "tshark",
     "capinfos": "wireshark-common",
+    "editcap": "wireshark-common",
+    "mergecap": "wireshark-common",
     "chromium": "chromium",
     "pdfinfo": "poppler-utils",
     "pdftotext": "poppler-utils",
