@@ -64,6 +64,8 @@ class Port(ABC):
     """
 
     delivery: Delivery = Delivery.HOST
+    #: what becomes of damaged octets, in words; known once it is open
+    damaged_octets: str = "the port does not tell damaged octets"
     #: writes octets and returns the number of those written; raises BlockingIOError, or one of ``_failures``
     _send: Callable[[bytes], int]
     _failures: tuple[type[Exception], ...] = (OSError,)

@@ -77,6 +77,7 @@ class TtyPort(FdPort):
                 self._unmarker.packets = adapter.driver in MARKS_PACKETS
                 self._tuning = Tuning(fd, adapter, event_char=self._event_char, rs485=self._rs485)
                 self.notices += self._tuning.notices
+            self.damaged_octets = self._damaged_octets()
             if self._listen and not drop_rts(fd) and self.delivery is Delivery.ADAPTER:
                 self.notices.append("its RTS line cannot be dropped: a converter that RTS switches would drive the bus")
         except termios.error as exc:
@@ -86,6 +87,15 @@ class TtyPort(FdPort):
             os.close(fd)
             raise
         self._use(fd)
+
+    def _damaged_octets(self) -> str:
+        if not self._unmark:
+            return "the port does not tell damaged octets" if not self._marks else "the port drops damaged octets"
+        if not self._listen:
+            return "the port drops octets with a parity or framing error"
+        if self._unmarker.packets:
+            return "octets with a parity or framing error are marked, by whole packets of the adapter"
+        return "octets with a parity or framing error are marked at their place"
 
     def damage(self) -> dict[str, int]:
         """``marked``: octets that the tty has marked as damaged; the others are the driver's counters."""

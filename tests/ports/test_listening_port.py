@@ -65,7 +65,7 @@ def test_a_port_whose_rts_cannot_be_dropped_says_so(
     assert any("RTS line cannot be dropped" in notice for notice in port.notices)
 
 
-@given(st.lists(st.tuples(st.integers(0, 255), st.booleans())), st.data())
+@given(st.lists(st.tuples(st.integers(0, 255), st.booleans()), max_size=20), st.data())
 def test_marked_octets_keep_their_places(characters: list[tuple[int, bool]], data: st.DataObject) -> None:
     wire = bytearray()
     for octet, good in characters:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from time import monotonic_ns, time_ns
+from typing import Final
 
 from dpstack.api.control.client import ControlClient, connect
 from dpstack.api.listen.program_tap import ProgramTap
@@ -26,6 +28,9 @@ from dpstack.units import BAUD_RATES
 __all__ = ["Line", "Listening", "OctetsLost"]
 
 
+_DROPPED: Final = "the program that holds the port drops octets that the port marks as damaged"
+
+
 @dataclass(frozen=True, slots=True)
 class Line:
     """The line that is listened to. ``port``: its name; ``program``: the kind of dpstack program that holds it ("run",
@@ -43,6 +48,8 @@ class Line:
     paced: bool
     #: the times are those of a simulated wire
     exact: bool = False
+    #: what becomes of damaged octets, in words
+    damaged: str = ""
 
     @property
     def timing(self) -> LineTiming:
@@ -85,11 +92,11 @@ class Listening:
         """The line, once it is entered."""
         tap = self._tap
         if tap is not None:
-            return Line(self.port, TAP, tap.program, tap.baud, tap.paced, tap.exact)
+            return Line(self.port, TAP, tap.program, tap.baud, tap.paced, tap.exact, _DROPPED)
         assert self._line is not None
         if self._listener is None or self._line.baud == self._listener.found:
             return self._line
-        self._line = Line(self._line.port, self._line.source, None, self._listener.found, self._line.paced)
+        self._line = dataclasses.replace(self._line, baud=self._listener.found)
         return self._line
 
     async def __aenter__(self) -> Listening:
@@ -143,7 +150,9 @@ class Listening:
         )
         await self._runtime.open()
         source = ADAPTER if port.delivery is Delivery.ADAPTER else HOST
-        self._line = Line(self._runtime.port_name, source, None, self._baud, self._runtime.paced)
+        self._line = Line(
+            self._runtime.port_name, source, None, self._baud, self._runtime.paced, damaged=port.damaged_octets
+        )
 
     def _on_events(self, events: list[Event]) -> None:
         for event in events:

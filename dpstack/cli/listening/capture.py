@@ -36,12 +36,14 @@ from dpstack.units import baud_text, ns_to_s, s_to_ns
 #: pause between two writes to the file, in s
 _FLUSH_S: Final = 0.1
 #: what is kept around a trigger, in s
-_BEFORE_S: Final = 2.0
+_BEFORE_S: Final = 5.0
 _AFTER_S: Final = 2.0
 _OCTETS_ONLY: Final = (
     "link type 257 is PROFIBUS as registered, but tshark and Wireshark 4.0 have no dissector for it and show only "
     "octets; 147 works with `dpstack wireshark install`"
 )
+#: memory of an explained telegram in octets, about
+_EXPLAINED: Final = 2_000
 #: pause before the next look for a program that holds the port, in s
 _AGAIN_S: Final = 0.5
 _files = options.number(decimal, 2, 100_000, "number of files from 2 on")
@@ -209,7 +211,7 @@ class _Capture:
         if again:
             self._say(monotonic_ns(), "port", f"the {line.program} on {line.port} is back", lost=False)
             return
-        self._about = PortAbout(line.port, line.source, line.paced, line.exact)
+        self._about = PortAbout(line.port, line.source, line.paced, line.exact, line.damaged)
         if self._json and not self._quiet:
             start = {"event": "start", "time": _now(), "port": line.port, "baud": line.baud}
             output.json_line({**start, "source": line.source, "program": line.program, "paced": line.paced})
@@ -231,7 +233,8 @@ class _Capture:
             self._keep(heard, "")
             return
         count = self._window.count
-        keep = self._window.add(one.t_ns or 0, len(one.octets), heard, reason)
+        size = len(one.octets) + (0 if explained is None else _EXPLAINED)
+        keep = self._window.add(one.t_ns or 0, size, heard, reason)
         if self._window.count != count:
             self._say(monotonic_ns(), "trigger", f"trigger {count + 1}: {reason}", number=count + 1)
         for kept in keep:

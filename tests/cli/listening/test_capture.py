@@ -57,6 +57,14 @@ def bus() -> Iterator[Bus]:
     bus.end()
 
 
+def wait_for_octets(path: Path) -> None:
+    """Until the capture has written some telegrams to ``path``."""
+    end = time.monotonic() + HANG_S
+    while not (path.exists() and path.stat().st_size > 2_000):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
 def packets(path: Path) -> list[Packet]:
     with path.open("rb") as file:
         return list(Reader(file, path.name))
@@ -149,6 +157,30 @@ def test_options_that_do_not_go_together(cli: Cli, args: tuple[str, ...], text: 
     assert text in cli.err("capture", "--port", "/dev/none", *args)
 
 
+def test_a_port_that_vanishes_and_comes_back(cli: Cli, bus: Bus, tmp_path: Path, alone: None) -> None:
+    port, path = tmp_path / "port", tmp_path / "a.pcapng"
+    port.symlink_to(bus.path)
+    again: list[Bus] = []
+
+    def replug() -> None:
+        wait_for_octets(path)
+        port.unlink()
+        bus.end()
+        again.append(Bus(ROUND))
+        port.symlink_to(again[0].path)
+
+    replugging = threading.Thread(target=replug)
+    replugging.start()
+    args = ("capture", "--port", str(port), "--baud", "500000", "--write", str(path), "--seconds", "0.6")
+    lines = cli.jsons(*args)
+    replugging.join()
+    again[0].end()
+    assert [line["event"] for line in lines if line["event"] in ("gap", "port")] == ["gap", "port"]
+    assert lines[-1]["gaps"] == 1
+    (told,) = (one for one in packets(path) if one.comments and one.comments[0].startswith("gap: "))
+    assert "vanished" in told.comments[0]
+
+
 def test_standard_output_carries_the_file(bus: Bus, capfdbinary: pytest.CaptureFixture[bytes], alone: None) -> None:
     assert main(["capture", "--port", bus.path, "--baud", "500000", "--write", "-", "--seconds", "0.1"]) == 0
     out, err = capfdbinary.readouterr()
@@ -197,10 +229,7 @@ def test_killed_and_on_a_full_disk(bus: Bus, tmp_path: Path, alone: None) -> Non
     assert "lost chunks: 0" in lines[-2]
     assert 5_000 < full.stat().st_size <= 6_000
     program = Forked(tmp_path / "2", *args, str(killed))
-    end = time.monotonic() + HANG_S
-    while not (killed.exists() and killed.stat().st_size > 3_000):
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    wait_for_octets(killed)
     os.kill(program.pid, signal.SIGKILL)
     assert program.end() == -signal.SIGKILL
     for path in (killed, full):
@@ -210,10 +239,7 @@ def test_killed_and_on_a_full_disk(bus: Bus, tmp_path: Path, alone: None) -> Non
 def test_signals_end_it_in_order(bus: Bus, tmp_path: Path, alone: None) -> None:
     path = tmp_path / "a.pcapng"
     program = Forked(tmp_path / "1", "capture", "--port", bus.path, "--baud", "500000", "--write", str(path))
-    end = time.monotonic() + HANG_S
-    while not (path.exists() and path.stat().st_size):
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    wait_for_octets(path)
     os.kill(program.pid, signal.SIGTERM)
     assert program.end() == 0
     assert f"{len(packets(path))} transmissions kept in {path}" in program.out
