@@ -193,7 +193,8 @@ class _Capture:
                 if self._line is None or self._line.program is None:
                     raise
                 if self._listening is not None:
-                    self._gap(monotonic_ns(), f"{error}; waiting until a program holds the port again")
+                    self._gap(monotonic_ns(), str(error))
+                    self._say(monotonic_ns(), "notice", "waiting until a program holds the port again")
             await asyncio.sleep(_AGAIN_S)
 
     async def _write(self, file: CaptureFile) -> None:
