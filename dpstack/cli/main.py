@@ -34,12 +34,13 @@ _COMMANDS = {
     "capture": "listens to a bus and keeps the telegrams in a pcapng file, or explains them; never sends",
     "monitor": "judges a bus by listening, live or from a capture file: stations, masters, verdicts with reasons",
     "decode": "explains telegrams to the bit: of a pcapng file, or octets in hex",
+    "wireshark": "dissector and extcap program for the Wireshark that is there: install, remove, where",
     "ports": "serial adapters with their lasting path, chip and holder",
     "doctor": "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
     "gsd": "GSD files: show, check, configure",
 }
 #: those whose modules stand in the room ``listening``
-_LISTENING = ("baud", "capture", "decode", "monitor")
+_LISTENING = ("baud", "capture", "decode", "monitor", "wireshark")
 _INTERRUPTED = 130
 #: environment variable; any value: errors are printed with their traceback
 _DEBUG = "DPSTACK_DEBUG"

@@ -227,6 +227,8 @@ local BY_SAP = {
     [55] = "Set_Slave_Add", [56] = "RD_Inp", [57] = "RD_Outp", [58] = "Global_Control", [59] = "Get_Cfg",
     [60] = "Slave_Diag", [61] = "Set_Prm", [62] = "Chk_Cfg",
 }
+-- polls of the GAP: as a rule nobody has that address
+local FDL_STATUS = 9
 -- requests with a frame count, and those that nobody answers
 local COUNTED = set(3, 5, 7, 12, 13)
 local UNANSWERED = set(0, 4, 6)
@@ -1157,7 +1159,10 @@ end
 
 local function follow_request(line, telegram, number)
     local remarks = without_token(line, telegram.sa)
-    local step = { unanswered = give_up(line, number), remarks = remarks, pair = { telegram.sa, telegram.da } }
+    local step = {
+        unanswered = give_up(line, number), remarks = remarks, pair = { telegram.sa, telegram.da },
+        poll = telegram.func == FDL_STATUS,
+    }
     if telegram.da == BROADCAST or UNANSWERED[telegram.func] then
         return step
     end
@@ -1195,7 +1200,7 @@ local function answer_step(request, number)
     answers[request.number] = answers[request.number] or number
     return {
         answer_to = request.number, service = service_of(asked), from = asked.da, remarks = {},
-        pair = { asked.sa, asked.da },
+        pair = { asked.sa, asked.da }, poll = asked.func == FDL_STATUS,
     }
 end
 
@@ -1404,7 +1409,7 @@ local UNITS = { [""] = 1, k = 1000, M = 1000000 }
 -- by description of an interface
 local rates = {}
 
--- the baud rate that the description of an interface names last ("PROFIBUS /dev/ttyUSB0, 500 kbit/s")
+-- the baud rate that the description of an interface names ("/dev/ttyUSB0, 500 kbit/s, 8 data bits, even parity")
 local function baud_of_frame()
     if profibus.prefs.baud > 0 then
         return profibus.prefs.baud
@@ -1413,8 +1418,11 @@ local function baud_of_frame()
     local about = info and tostring(info.value) or ""
     if rates[about] == nil then
         rates[about] = 0
-        for number, unit in string.gmatch(about, "(%d+%.?%d*) ([kM]?)bit/s") do
+        for number, unit, more in string.gmatch(about, "(%d+%.?%d*) ([kM]?)bit/s(%C?)") do
             rates[about] = math.floor(tonumber(number) * UNITS[unit] + 0.5)
+            if more == "," then -- ", 8 data bits", as dpstack writes it
+                break
+            end
         end
     end
     return rates[about]
@@ -1490,7 +1498,9 @@ local function add_course(tree, step, number)
         tree:add(fields.response_in, answers[number]):set_generated()
     elseif given_up[number] then
         local item = tree:add(fields.given_up_in, given_up[number]):set_generated()
-        item:add_proto_expert_info(experts.lost, "Nobody answered")
+        if not step.poll then
+            item:add_proto_expert_info(experts.lost, "Nobody answered")
+        end
     end
     if step.retry_of then
         local item = tree:add(fields.retry_of, step.retry_of):set_generated()
@@ -1498,7 +1508,8 @@ local function add_course(tree, step, number)
     end
     if step.unanswered then
         local item = tree:add(fields.unanswered, step.unanswered):set_generated()
-        if not step.retry_of then
+        local request = steps[step.unanswered]
+        if not step.retry_of and not (request and request.poll) then
             item:add_proto_expert_info(experts.lost, "Telegram " .. step.unanswered .. " was not answered")
         end
     end
@@ -1613,8 +1624,11 @@ function profibus.dissector(tvb, pinfo, tree)
             root:add(fields.octets, all)
         end
         root:add(fields.error, flaw):add_proto_expert_info(experts.damaged, flaw)
+        if marks ~= "" then
+            root:add(fields.damage, marks)
+        end
     end
-    if marks ~= "" then
+    if marks ~= "" and telegram then
         root:add(fields.damage, marks):add_proto_expert_info(experts.damaged, "Marked by the port: " .. marks)
     end
     for at = marks ~= "" and 2 or 1, #notes do
@@ -1638,7 +1652,7 @@ DissectorTable.get("wtap_encap"):add((wtap_encaps or wtap).USER0, profibus)
 local COLUMNS = { "requests", "answers", "retries", "no answer", "late", "min us", "mean us", "max us" }
 
 local function new_table()
-    return { rows = {}, telegrams = 0, tokens = 0, damaged = 0, unasked = 0 }
+    return { rows = {}, telegrams = 0, tokens = 0, damaged = 0, unasked = 0, polls = 0, polled = 0 }
 end
 
 local function row_of(counts, pair)
@@ -1659,6 +1673,9 @@ local function count(counts, number)
         counts.damaged = counts.damaged + 1
     elseif step.token then
         counts.tokens = counts.tokens + 1
+    elseif step.poll then
+        counts.polls = counts.polls + (step.answer_to and 0 or 1)
+        counts.polled = counts.polled + (step.answer_to and 1 or 0)
     elseif step.pair and not step.answer_to then
         local row = row_of(counts, step.pair)
         row.requests = row.requests + 1
@@ -1676,7 +1693,7 @@ local function count(counts, number)
         counts.unasked = counts.unasked + 1
     end
     local missed = step.unanswered and steps[step.unanswered]
-    if missed and missed.pair then
+    if missed and missed.pair and not missed.poll then
         local row = row_of(counts, missed.pair)
         row.lost = row.lost + 1
     end
@@ -1693,7 +1710,8 @@ local function table_text(counts)
     for _, key in ipairs(keys) do
         local row = counts.rows[key]
         local times = { "-", "-", "-" }
-        if row.timed > 0 then
+        -- an answer before the end of its request: no wire gave the octets their time
+        if row.timed > 0 and row.min >= 0 then
             times = {
                 string.format("%.1f", row.min), string.format("%.1f", row.sum / row.timed), string.format("%.1f", row.max),
             }
@@ -1704,6 +1722,7 @@ local function table_text(counts)
     end
     out[#out + 1] = string.format("%d telegrams, %d of them tokens, %d damaged, %d answers without a request",
         counts.telegrams, counts.tokens, counts.damaged, counts.unasked)
+    out[#out + 1] = string.format("%d requests FDL_Status (GAP), %d of them answered", counts.polls, counts.polled)
     return table.concat(out, "\n")
 end
 

@@ -7,4 +7,5 @@
 - ``monitor_view``: The monitored bus on a screen: a live list that is redrawn, lines of events, tables at the end
 - ``source_file``: Files that are decoded or judged: opening them, and the transmissions in them
 - ``telegram_lines``: Explained telegrams on the screen or as JSON lines, and the argument of ``--filter``
+- ``wireshark``: ``dpstack wireshark``: dissector and extcap program for the Wireshark that is there
 """

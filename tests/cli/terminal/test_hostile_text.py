@@ -214,6 +214,7 @@ NAMES = [
     ["monitor", EVIL, "--report", f"/nowhere/{EVIL}"],
     ["decode", EVIL],
     ["decode", "E5", "--filter", EVIL],
+    ["wireshark", EVIL],
     ["doctor", "--port", f"/nowhere/{EVIL}"],
     ["ports", EVIL],
     ["demo", "--baud", EVIL],
