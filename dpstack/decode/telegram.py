@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.capture.transmission import Damage, Transmission
-from dpstack.decode.course import NOTHING, Course, Step
+from dpstack.decode.course import Course, Step
 from dpstack.decode.fields import Fields
 from dpstack.decode.names import NO_NAMES, Names
 from dpstack.decode.stations import Stations
@@ -43,7 +43,8 @@ _NO_FIELDS: Final[Fields] = {}
 @dataclass(slots=True, eq=False)
 class Explained:
     """One transmission. ``telegram`` is None where the octets are none, ``error`` says why, and also what is wrong in
-    the data unit of a whole telegram. ``sender``, ``receiver``: names of the stations, empty where they have none."""
+    the data unit of a whole telegram. ``fields`` may be shared with other telegrams of the same content: do not change
+    them. ``sender``, ``receiver``: names of the stations, empty where they have none."""
 
     number: int
     transmission: Transmission
@@ -93,7 +94,6 @@ class Explained:
         """The object of ``decode --json``."""
         telegram, step, sent = self.telegram, self.step, self.transmission
         t_ns = sent.t_ns
-        course = _NO_COURSE if step is NOTHING else _course(step)
         kind = da = sa = fc = fcb = fcv = dsap = ssap = data = None
         if telegram is not None:
             kind = _KINDS[telegram.kind]
@@ -119,7 +119,7 @@ class Explained:
             "ssap": ssap,
             "data": data,
             "fields": self.fields,
-            "course": course,
+            "course": _course(step),
             "error": self.error,
             "text": self.text,
         }
@@ -144,9 +144,6 @@ def _course(step: Step) -> dict[str, object]:
         "probably_answers": step.probably_answers,
         "remarks": list(step.remarks),
     }
-
-
-_NO_COURSE: Final = _course(NOTHING)
 
 
 def damage_text(damage: int) -> str:

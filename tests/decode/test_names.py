@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import functools
 import json
+import tracemalloc
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -18,7 +20,7 @@ from dpstack.api.config.config import parse_config
 from dpstack.api.listen.names import decode_names
 from dpstack.capture.transmission import Transmission
 from dpstack.decode.names import NO_NAMES, Names
-from dpstack.decode.telegram import Explained, explain
+from dpstack.decode.telegram import Explained, Explainer, explain
 from dpstack.fdl.codec import encode_sd2
 from dpstack.trace import WireEntry
 
@@ -282,3 +284,28 @@ def test_a_foreign_slave_at_an_address_of_the_configuration_keeps_only_its_name(
     assert first.fields["Configured_Ident_Number"] == "0x1234"
     assert "8 [valves]" in first.text
     assert "inputs" not in second.fields
+
+
+def test_a_long_log_needs_no_more_memory_than_a_short_one() -> None:
+    """Ident numbers and modules change with each telegram. 1200 explained telegrams that stayed would be over 1 MB."""
+
+    def sent(numbers: range) -> Iterator[Transmission]:
+        for number in numbers:
+            da, sa, two = number % 127, number // 127 % 127, number.to_bytes(2, "big")
+            yield Transmission(encode_sd2(da, sa, 0x5D, bytes(2) + two))
+            yield Transmission(sd2(sa, da, DL, 62, 60, bytes.fromhex("00 0C 00 02") + two + bytes(3)))
+            yield Transmission(sd2(da, sa, 0x7D, 62, 62, bytes((number % 3 + 0x10, number % 5 + 0x20))))
+
+    explainer = Explainer(_others())
+
+    def explain_all(numbers: range) -> int:
+        for one in sent(numbers):
+            explainer.add(one).as_dict()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    try:
+        before = explain_all(range(400))
+        assert explain_all(range(400)) < before + 300_000
+    finally:
+        tracemalloc.stop()
