@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import struct
 from collections.abc import Iterator
+from itertools import accumulate
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -154,10 +155,169 @@ def test_what_is_wrong_is_said_with_its_place(octets: bytes, text: str) -> None:
         _read(octets)
 
 
-@given(st.data())
-def test_no_file_does_anything_else(data: st.DataObject) -> None:
-    octets = bytearray(HAND * 2)
-    for _ in range(data.draw(st.integers(1, 6))):
-        octets[data.draw(st.integers(0, len(octets) - 1))] = data.draw(st.integers(0, 255))
-    with contextlib.suppress(CaptureFileError):
-        assert len(_read(bytes(octets))) <= 2
+def _files() -> list[bytes]:
+    """Real files: ours with all that it can hold, and one in the other order with old, simple and unknown blocks."""
+    file = io.BytesIO()
+    writer = Writer(file, "a test")
+    ports = [writer.interface(f"port {n}", 9_600, "even parity") for n in range(2)]
+    for n in range(6):
+        writer.packet(ports[n & 1], T + n, bytes(range(n)), Damage.FCS if n & 2 else 0, "a comment" if n & 1 else "")
+        if n == 2:
+            writer.statistics(0, T, T + 1, 3, 1)
+    section = _turned(0x0A0D0D0A, struct.pack(">IHHq", 0x1A2B3C4D, 1, 0, -1))
+    port = _turned(1, struct.pack(">HHI", 147, 0, 0) + struct.pack(">HHQ", 8, 8, 500_000) + bytes(4))
+    old = _turned(2, struct.pack(">HHIIII", 0, 0, 7, 5, 3, 3) + b"\xdc\2\2\0")
+    others = [_turned(0x0BAD, b"abcd"), _turned(3, struct.pack(">I", 1) + b"\xe5\0\0\0"), _turned(5, bytes(12))]
+    return [file.getvalue(), section + port + old + others[0] + others[1] + others[2] + old, HAND * 3]
+
+
+FILES = _files()
+
+
+def _block_ends(octets: bytes) -> list[int]:
+    order, ends = "<", [0]
+    while ends[-1] < len(octets):
+        at = ends[-1]
+        if octets[at : at + 4] == b"\n\r\r\n":
+            order = "<" if octets[at + 8] == 0x4D else ">"
+        ends.append(at + int(struct.unpack_from(order + "I", octets, at + 4)[0]))
+    return ends
+
+
+class _Counted:
+    """A file that delivers ``size`` octets a call at most, and notes how often and how far it was read."""
+
+    def __init__(self, octets: bytes, size: int = 1 << 30) -> None:
+        self._file = io.BytesIO(octets)
+        self._size = size
+        self.calls = self.octets = 0
+
+    def read(self, size: int, /) -> bytes:
+        piece = self._file.read(min(size, self._size))
+        self.calls += 1
+        self.octets += len(piece)
+        return piece
+
+
+def _outcome(file: _Counted) -> tuple[list[Packet], str]:
+    """The packets, and the error or how the file ends."""
+    found: list[Packet] = []
+    reader = Reader(file, "a")
+    try:
+        for packet in reader:
+            found.append(packet)
+            assert len(reader._held) <= (1 << 20) + (1 << 16)
+    except CaptureFileError as error:
+        return found, str(error)
+    return found, reader.cut
+
+
+_lengths = st.sampled_from([0, 4, 8, 12, 13, 16, 0x7FFFFFFC, 0xFFFFFFFC, 0xFFFFFFFF])
+
+
+@st.composite
+def _damaged(draw: st.DrawFn) -> tuple[bytes, bytes, int]:
+    """A real file, the same with damage, and where the damage begins."""
+    whole = draw(st.sampled_from(FILES))
+    octets = bytearray(whole)
+    at = draw(st.integers(0, len(octets) - 1))
+    match draw(st.integers(0, 4)):
+        case 0:
+            octets[at] ^= draw(st.integers(1, 255))
+        case 1:
+            del octets[at : at + draw(st.integers(1, 40))]
+        case 2:
+            octets[at:at] = draw(st.binary(min_size=1, max_size=40))
+        case 3:
+            del octets[at:]
+        case _:
+            at -= at % 4
+            octets[at : at + 4] = draw(_lengths).to_bytes(4, draw(st.sampled_from(["little", "big"])))
+    return whole, bytes(octets), at
+
+
+@given(_damaged(), st.integers(1, 90))
+def test_everything_before_the_damage_is_delivered_and_pieces_make_no_difference(
+    case: tuple[bytes, bytes, int], size: int
+) -> None:
+    whole, octets, at = case
+    file = _Counted(octets)
+    found, end = _outcome(file)
+    assert end.isprintable()
+    before = max(one for one in _block_ends(whole) if one <= at)
+    safe = _read(whole[:before]) if before else []
+    assert found[: len(safe)] == safe
+    assert file.calls <= 3
+    assert file.octets <= len(octets)
+    assert _outcome(_Counted(octets, size)) == (found, end)
+
+
+@given(st.binary(max_size=60).map(lambda tail: HAND[:32] + tail) | st.binary(max_size=60))
+def test_any_octets_end_with_a_line_or_an_end(octets: bytes) -> None:
+    assert _outcome(_Counted(octets))[0] == []
+
+
+class _Endless:
+    """A file that begins with ``head`` and never ends. ``calls``: how often it was read."""
+
+    def __init__(self, head: bytes) -> None:
+        self._head = head
+        self.calls = 0
+
+    def read(self, size: int, /) -> bytes:
+        self.calls += 1
+        piece, self._head = self._head[:size], self._head[size:]
+        return piece or bytes(size)
+
+
+def test_a_length_that_lies_is_no_reason_to_keep_octets() -> None:
+    """Of a known type: refused at once. Of another one: passed over in pieces, the last of which shows the lie."""
+    known = _Endless(HAND + struct.pack("<II", 6, 0xFFFFFFFC))
+    reader = Reader(known, "a")
+    with pytest.raises(CaptureFileError, match="claims 4294967292 octets, more than"):
+        assert not list(reader)[1:]
+    assert known.calls <= 2
+    other = _Endless(HAND + struct.pack("<II", 77, 0x3FFFFFFC))
+    reader = Reader(other, "a")
+    packets = iter(reader)
+    assert next(packets).octets == b"\xe5"
+    with pytest.raises(CaptureFileError, match=rf"two lengths, 1073741820 and 0 \(at octet {len(HAND)}\)"):
+        next(packets)
+    assert other.calls <= (1 << 30 >> 16) + 3
+    assert len(reader._held) <= 1 << 16
+
+
+def test_options_without_end_end_with_their_block() -> None:
+    body = struct.pack("<IIIII", 0, 0, 5, 1, 1) + b"\xe5\0\0\0"
+    comments = struct.pack("<HH", 1, 0) * 100_000
+    size = struct.pack("<I", len(body) + len(comments) + 12)
+    (packet,) = _read(HAND[:-36] + struct.pack("<I", 6) + size + body + comments + size)
+    assert len(packet.comments) == 100_000
+    with pytest.raises(CaptureFileError, match="more than 4096 interfaces"):
+        _read(HAND[:32] + HAND[32:84] * 4_097)
+    speed = struct.pack("<HH", 8, 0xFFFC) + b"\xff" * 0xFFFC  # of 65532 octets, in place of 8
+    size = struct.pack("<I", 20 + len(speed))
+    packets = _read(HAND[:32] + struct.pack("<I", 1) + size + HAND[40:48] + speed + size + HAND[-36:])
+    assert packets[0].interface.bits_per_s < 1 << 64
+
+
+def test_each_write_has_whole_blocks_as_a_buffered_file_passes_them_on() -> None:
+    """A program that is killed leaves a file that ends with a whole block: no write to the system splits one."""
+    written: list[bytes] = []
+
+    class Raw(io.RawIOBase):
+        def writable(self) -> bool:
+            return True
+
+        def write(self, octets: Any, /) -> int:
+            written.append(bytes(octets))
+            return len(octets)
+
+    with io.BufferedWriter(Raw(), 1_000) as file:
+        writer = Writer(file, "a test")
+        port = writer.interface("p", 9_600, "")
+        for n in range(500):
+            writer.packet(port, T + n, bytes(n % 256), 0, "x" * (n % 7))
+    ends = set(_block_ends(b"".join(written)))
+    assert len(written) > 20
+    assert set(accumulate(map(len, written))) <= ends
