@@ -19,6 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 from support import MS, S
+from wire_truth import arriving
 
 from dpstack.dp.master.events import SlaveState, SlaveStateChanged
 from dpstack.fdl.decoder import Decoder
@@ -27,16 +28,6 @@ from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
 
 MASTER = "2"
-
-
-def arriving(tx: Transmission) -> list[int]:
-    """The octet numbers of ``tx`` that a UART hands over: start and stop bit sound, parity even."""
-    kept = []
-    for number in range(len(tx.octets)):
-        bits = [tx.flips.get(number, 0) >> bit & 1 for bit in range(11)]
-        if not bits[0] and not bits[10] and sum(bits[1:10]) % 2 == 0:
-            kept.append(number)
-    return kept
 
 
 class Wire:

@@ -234,6 +234,7 @@ class Counters:
         self.passed_tokens = 0
         self.reserved = 0
         self.broken_tokens = 0
+        self._strays_before = 0  # at other rates
         self._on_change = on_change
         self._on_look = on_look
         self._asked: _Exchange | None = None
@@ -250,6 +251,16 @@ class Counters:
     def asked(self) -> Station | None:
         """The station that was asked and whose answer may still come: its ``requests`` are one more than their ends."""
         return None if self._asked is None else self._asked.station
+
+    @property
+    def open_pieces(self) -> int:
+        """Damaged transmissions since the request that waits for its answer: they count with its end."""
+        return 0 if self._asked is None else self._asked.pieces
+
+    @property
+    def contradictions(self) -> int:
+        """Telegrams at the present rate that PROFIBUS has no place for: evidence against it."""
+        return self.reserved + self.broken_tokens + self.strays - self._strays_before
 
     def is_used(self, address: int) -> bool:
         """Whether a master asks ``address`` for more than its FDL status: it is no address of the GAP only."""
@@ -615,6 +626,7 @@ class Counters:
         if before:
             self.gap()
             self.fitting_answers = self.passed_tokens = self.reserved = self.broken_tokens = 0
+            self._strays_before = self.strays
             self._on_change(Change(one.t_ns or 0, "rate", -1, f"the bus runs at {one.baud} bit/s now"))
 
     def _set_rate(self, baud: int) -> None:

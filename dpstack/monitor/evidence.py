@@ -35,7 +35,7 @@ class Finding(NamedTuple):
 def finding(counters: Counters) -> Finding:
     """The protocol of the bus that ``counters`` counted, by all that was heard at the present rate."""
     tokens, answers = counters.passed_tokens, counters.fitting_answers
-    against = counters.reserved + counters.broken_tokens + counters.strays
+    against = counters.contradictions
     seen = f"{_many(tokens, 'token')} passed on, {_many(answers, 'answer')} that fit requests"
     if tokens + answers >= ENOUGH and tokens + answers > OUTWEIGHS * against:
         return Finding(True, f"PROFIBUS: {seen}")

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from dpstack.sim.transmission import Transmission
 from dpstack.trace import WireEntry
 
 #: requests that nobody answers by their function: SDN, time event
@@ -45,7 +46,8 @@ class Truth:
 
 def on_wire(log: Iterable[WireEntry]) -> list[WireEntry]:
     """The transmissions that were on the wire, in the order of their begin."""
-    return sorted((e for e in log if not any(lost in e.note for lost in LOST)), key=lambda e: e.start_ns)
+    heard = (e for e in log if e.octets and not any(lost in e.note for lost in LOST))
+    return sorted(heard, key=lambda e: e.start_ns)
 
 
 def truth_of(log: Iterable[WireEntry]) -> Truth:
@@ -111,3 +113,13 @@ def truth_of(log: Iterable[WireEntry]) -> Truth:
             truth.rr[sender] += fc & 0x0F == 2
     truth.open = asked
     return truth
+
+
+def arriving(tx: Transmission) -> list[int]:
+    """The octet numbers of ``tx`` that a UART hands over: start and stop bit sound, parity even."""
+    kept = []
+    for number in range(len(tx.octets)):
+        bits = [tx.flips.get(number, 0) >> bit & 1 for bit in range(11)]
+        if not bits[0] and not bits[10] and sum(bits[1:10]) % 2 == 0:
+            kept.append(number)
+    return kept
