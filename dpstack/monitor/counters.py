@@ -223,6 +223,9 @@ class Counters:
         self.strays = 0
         #: telegrams that began when the one before had hardly ended: they arrived together in the computer
         self.together = 0
+        #: how long the telegrams that arrived together with the one before took on the wire, by pieces of the source
+        self.pieces_ns = Histogram()
+        self._piece_ns = 0
         self.octets = 0
         self.busy_ns = 0
         self.begun_ns: int | None = None
@@ -290,6 +293,10 @@ class Counters:
             self.begun_ns = start
         elif start - self.ended_ns < self._together_ns:
             self.together += 1
+            self._piece_ns += duration
+        elif self._piece_ns:
+            self.pieces_ns.add(self._piece_ns)
+            self._piece_ns = 0
         end = self.ended_ns = start + duration
         telegram = None if one.damage else decode(octets)
         if telegram is None:

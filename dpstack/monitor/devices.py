@@ -27,11 +27,11 @@ _UNKNOWN: Final = KnownDevice()
 @dataclass(slots=True)
 class Devices:
     """Known devices: ``by_address`` from the user's configuration, ``by_ident`` from a folder of GSD files. ``t_sl`` in
-    bit times from the configuration, None where there is none."""
+    bit times by baud rate, from the configuration; empty where there is none."""
 
     by_address: dict[int, KnownDevice] = field(default_factory=dict)
     by_ident: dict[int, KnownDevice] = field(default_factory=dict)
-    t_sl: int | None = None
+    t_sl: Mapping[int, int] = field(default_factory=dict)
 
     def find(self, address: int, ident: int | None) -> KnownDevice:
         """The device at ``address``; the configuration goes before GSD files found by ``ident``."""

@@ -81,6 +81,12 @@ class Past:
         self._answers = tsdr.count
         self._minute = dict(tsdr.buckets)
 
+    def forget_durations(self) -> None:
+        """The minutes begin anew, with an empty histogram."""
+        self.first_tsdr = self.last_tsdr = None
+        self._answers = 0
+        self._minute = {}
+
 
 class History:
     """The past of the stations of ``counters``; :meth:`look` is called once in a second of bus time."""
@@ -94,6 +100,12 @@ class History:
     def of(self, address: int) -> Past:
         """The past of a station; an empty one for a station that was never asked."""
         return self.stations.get(address) or Past()
+
+    def forget_durations(self) -> None:
+        """The rate has changed: the first minute begins now."""
+        self._minute_at = None
+        for past in self.stations.values():
+            past.forget_durations()
 
     def look(self, counters: Counters, now: int) -> list[Station]:
         """Take the counters at ``now`` (ns). Returns the stations whose state changed since the last time."""

@@ -21,6 +21,7 @@ from dpstack.monitor.summary import summary
 from dpstack.monitor.thresholds import Thresholds
 from dpstack.monitor.timing import Timing
 from dpstack.monitor.verdicts import Heard
+from dpstack.stats import Histogram
 from dpstack.units import NS_PER_S, baud_text
 
 #: entries of the time line: the newest are kept
@@ -119,12 +120,11 @@ class Monitor:
         """All that was heard up to ``now_ns`` (ns since 1970; None: up to the end of the last transmission)."""
         counters = self.counters
         now = counters.ended_ns if now_ns is None else max(now_ns, counters.ended_ns)
-        whole = counters.telegrams + sum(counters.damaged.values())
         return Heard(
             counters=counters,
             history=self.history,
             devices=self.devices,
-            timing=Timing(self.timing, counters.together / whole if whole else 0.0),
+            timing=Timing.of(self.timing, counters),
             thresholds=self.thresholds,
             seconds=max(0, now - self.begun_ns) / NS_PER_S if self.begun_ns else 0.0,
             silent_s=(now - counters.ended_ns) / NS_PER_S if counters.ended_ns else 0.0,
@@ -177,8 +177,17 @@ class Monitor:
                 self._tell(Happening(t_ns, kind, address, self._name(address), line))
             case "rate":
                 baud = self.counters.baud
+                self._forget_durations()
                 text = f"the bus runs at {baud_text(baud)} now" if baud else "the rate is not known any more"
                 self._tell(Happening(t_ns, kind, None, "", text, {"baud": baud}))
+
+    def _forget_durations(self) -> None:
+        """Durations at another rate are no measure for those of now."""
+        for station in self.counters.stations.values():
+            station.answer_ns = Histogram()
+        for master in self.counters.masters.values():
+            master.token_ns, master.rotation_ns, master.hold_ns = Histogram(), Histogram(), Histogram()
+        self.history.forget_durations()
 
     def _diagnosed(self, t_ns: int, address: int, octets: bytes) -> None:
         diagnosis = Diagnosis.parse(octets)

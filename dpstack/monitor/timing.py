@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.capture.timing import LineTiming
+from dpstack.monitor.counters import Counters
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_US
 
@@ -19,6 +20,8 @@ RESOLVED: Final = 4
 #: Where more than this share of the telegrams arrived together, distances of neighbouring telegrams say nothing (our
 #: choice).
 MOST_BATCHED: Final = 0.1
+#: and the source is no finer than so much of the pieces in which it delivers them
+_PIECES: Final = 0.9
 #: the quantiles of a summary
 QUANTILES: Final[Mapping[str, float]] = {"p50": 0.5, "p99": 0.99}
 ROTATION_QUANTILES: Final[Mapping[str, float]] = {**QUANTILES, "p999": 0.999}
@@ -31,6 +34,17 @@ class Timing:
 
     line: LineTiming
     batched: float
+
+    @classmethod
+    def of(cls, line: LineTiming, counters: Counters) -> Timing:
+        """The timing that ``line`` tells, and that shows in the telegrams: an adapter whose latency timer is 16 ms
+        delivers pieces of 16 ms."""
+        whole = counters.telegrams + sum(counters.damaged.values())
+        batched = counters.together / whole if whole else 0.0
+        if batched > MOST_BATCHED and line.resolution_ns is not None:
+            piece = counters.pieces_ns.quantile_ns(_PIECES)
+            line = LineTiming(line.source, max(line.resolution_ns, piece))
+        return cls(line, batched)
 
     @property
     def times_neighbours(self) -> bool:

@@ -103,7 +103,7 @@ def _doubt(station: Station, heard: Heard) -> str:
     doubt = _bus_doubt(heard)
     if doubt or station.is_master:
         return doubt
-    if station.state == State.UNKNOWN:
+    if station.state == State.UNKNOWN or (station.master is None and station.state == State.DIAGNOSIS):
         return "no master exchanges data with it"
     if station.requests < heard.thresholds.min_requests:
         return f"too little was heard: {station.requests} requests, {heard.thresholds.min_requests:g} are needed"
@@ -147,6 +147,8 @@ def _state(station: Station, past: Past, heard: Heard) -> Iterator[_Finding]:
             yield CRITICAL, "is asked and never answers: look at its power, its address switch and its connector"
         return
     since_ns = heard.now_ns if past.state != station.state else past.state_since
+    if station.master is None and station.state == State.DIAGNOSIS:
+        return  # nobody has parameterised it
     if (heard.now_ns - since_ns) / NS_PER_S < heard.thresholds.bring_up_s:
         return
     if station.state == State.OFFLINE:
@@ -256,7 +258,7 @@ def _tsdr(station: Station, past: Past, device: KnownDevice, heard: Heard) -> It
                 f"{baud_text(baud)}: look at repeaters and converters on the way, and at the device's firmware"
             ),
         )
-    t_sl = heard.devices.t_sl
+    t_sl = heard.devices.t_sl.get(baud)
     if t_sl and heard.timing.resolves(most) and most > limits.tsdr_of_t_sl * bits_to_ns(t_sl, baud):
         yield (
             WARNING,

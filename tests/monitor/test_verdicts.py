@@ -261,7 +261,7 @@ def _slow(bus: Bus, bits: int) -> None:
 
 def test_t_sdr_against_the_gsd_file_and_t_sl() -> None:
     device = KnownDevice(max_tsdr={BAUD: 60, 1_500_000: 200})
-    bus = Bus(devices=Devices(by_address={3: device, 4: device}, t_sl=200))
+    bus = Bus(devices=Devices(by_address={3: device, 4: device}, t_sl={BAUD: 200}))
     _slow(bus, 100)
     assert bus.verdict(4).level == "good"
     assert [reason.partition(":")[0] for reason in bus.verdict(3).reasons] == [
@@ -273,7 +273,7 @@ def test_t_sdr_against_the_gsd_file_and_t_sl() -> None:
 
 @pytest.mark.parametrize("timing", [timing_of("adapter", BAUD), timing_of("host", BAUD), LineTiming("file", None)])
 def test_no_verdict_rests_on_what_the_source_cannot_time(timing: LineTiming) -> None:
-    bus = Bus(timing, devices=Devices(by_address={3: KnownDevice(max_tsdr={BAUD: 60})}, t_sl=200))
+    bus = Bus(timing, devices=Devices(by_address={3: KnownDevice(max_tsdr={BAUD: 60})}, t_sl={BAUD: 200}))
     _slow(bus, 190)
     past = bus.history.of(3)
     past.first_tsdr, past.last_tsdr = 20_000, 200_000
@@ -317,6 +317,35 @@ def test_unknown() -> None:
     bus[3].state = State.UNKNOWN
     assert bus.verdict(3) == Verdict("unknown", ("no master exchanges data with it",))
     assert bus.bus.level == "good"
+
+
+def test_an_adapter_is_no_finer_than_the_pieces_in_which_it_delivers() -> None:
+    monitor = Monitor(timing_of("adapter", BAUD))
+    token = bytes.fromhex("DC 02 02")
+    for piece in range(100):
+        for number in range(240):  # tokens of 66 us, without a gap
+            monitor.add(Transmission(token, NOW + piece * 20_000_000 + number * 66_000, BAUD))
+    timing = monitor.heard().timing
+    assert timing.batched == pytest.approx(239 / 240)
+    # 239 tokens after the first one of a piece
+    assert timing.line.resolution_ns == pytest.approx(239 * 66_000, rel=0.01)
+    assert timing.neighbours(monitor.counters.masters[2].token_ns) is None
+
+
+def test_durations_begin_anew_at_another_rate() -> None:
+    bus = Bus(devices=Devices(by_address={3: KnownDevice(max_tsdr={1_500_000: 60})}))
+    _slow(bus, 50)  # 100 us, which are 150 bit times at 1.5 Mbit/s
+    bus.counters.add(Transmission(bytes.fromhex("DC 02 02"), NOW + 1, 1_500_000))
+    assert bus[3].answer_ns.count == 0
+    assert bus.history.of(3).first_tsdr is None
+    assert not any("MaxTsdr" in reason or "bit times" in reason for reason in bus.verdict(3).reasons)
+
+
+def test_a_slave_that_nobody_parameterises() -> None:
+    bus = Bus()
+    bus[3].state, bus[3].master = State.DIAGNOSIS, None
+    bus.history.look(bus.counters, NOW - 20 * S)
+    assert bus.verdict(3) == Verdict("unknown", ("no master exchanges data with it",))
 
 
 def test_too_little_evidence_for_profibus() -> None:

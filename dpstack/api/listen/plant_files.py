@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.model import Device
 from dpstack.monitor.devices import Devices, KnownDevice
 from dpstack.monitor.thresholds import Thresholds, limits
-from dpstack.params import BusParams
+from dpstack.units import BAUD_RATES
 
 #: octets of a file with thresholds
 _MOST = 100_000
@@ -42,7 +43,7 @@ def load_devices(
                 on_skipped(f"skipped: {path}: it has no Ident_Number")
             else:
                 by_ident.setdefault(device.ident, _described(device))
-    return Devices(by_address, by_ident, None if config is None else _t_sl(config))
+    return Devices(by_address, by_ident, {} if config is None else _t_sl(config))
 
 
 def _files(folder: Path) -> list[Path]:
@@ -69,10 +70,13 @@ def _model(device: Device) -> str:
     return " ".join(filter(None, (device.vendor, device.model)))
 
 
-def _t_sl(config: Config) -> int | None:
-    """T_SL of the configured bus, None where its rate is found by listening."""
-    params: BusParams | None = config.params() if isinstance(config.bus.baud, int) else None
-    return None if params is None else params.t_sl
+def _t_sl(config: Config) -> dict[int, int]:
+    """T_SL by baud rate; rates that do not fit the configuration are left out."""
+    found = {}
+    for baud in BAUD_RATES:
+        with contextlib.suppress(ConfigError):
+            found[baud] = config.params(baud).t_sl
+    return found
 
 
 def load_thresholds(path: str | Path) -> Thresholds:

@@ -16,7 +16,7 @@ from dpstack.api.listen.listening import Line, Listening, OctetsLost
 from dpstack.api.listen.plant_files import load_devices, load_thresholds
 from dpstack.api.listen.report_file import ReportFile, port_lines
 from dpstack.capture.pcapng import Interface
-from dpstack.capture.timing import FILE, LineTiming
+from dpstack.capture.timing import ADAPTER, FILE, LineTiming
 from dpstack.cli import options
 from dpstack.cli.listening.monitor_view import LiveView, event_line, show_summary
 from dpstack.cli.listening.source_file import transmissions_of
@@ -171,6 +171,8 @@ class _Live:
         self._json: bool = args.json
         self._monitor = monitor
         self._line: Line | None = None
+        self._begun = asyncio.Event()
+        self._early: list[Event] = []  # before the start line
         self._listening: Listening | None = None  # while it is entered
         self._view = LiveView(monitor, args.port) if output.redraws() and not args.json else None
         self._failure: PortError | None = None
@@ -212,7 +214,7 @@ class _Live:
         listening = asyncio.ensure_future(self._listen())
         watching = [asyncio.ensure_future(self._tick())]
         if self._view is not None:
-            watching.append(asyncio.ensure_future(self._view.watch()))
+            watching.append(asyncio.ensure_future(self._watch(self._view)))
         try:
             await asyncio.wait([listening], timeout=self._args.seconds)
             if listening.done():
@@ -221,6 +223,10 @@ class _Live:
             for task in (listening, *watching):
                 task.cancel()
             await asyncio.gather(listening, *watching, return_exceptions=True)
+
+    async def _watch(self, view: LiveView) -> None:
+        await self._begun.wait()  # what stands on the screen before stays readable
+        await view.watch()
 
     async def _tick(self) -> None:
         """Let the monitor know that time passes, also on a silent line."""
@@ -256,15 +262,21 @@ class _Live:
             now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
             start = {"event": "start", "time": now, "port": line.port, "baud": line.baud, "source": line.source}
             output.json_line({**start, "program": line.program})
-            return
-        through = f" through the {line.program} that holds it" if line.program else ""
-        rate = "its rate is searched" if line.baud is None else baud_text(line.baud)
-        if self._view is None:
+        elif self._view is None:
+            through = f" through the {line.program} that holds it" if line.program else ""
+            rate = "its rate is searched" if line.baud is None else baud_text(line.baud)
             output.line(f"listening on {line.port}{through}, {rate}; Ctrl-C ends", "bold")
-        if line.program is None and line.source == "adapter":
+        if line.program is None and line.source == ADAPTER and not self._json:
             output.warn(_CONVERTER)
+        self._begun.set()
+        early, self._early = self._early, []
+        for event in early:
+            self._on_event(event)
 
     def _on_event(self, event: Event) -> None:
+        if self._line is None:
+            self._early.append(event)
+            return
         t_ns = event.t_ns + self._clock_ns
         match event:
             case OctetsLost() | PortLost():
