@@ -20,12 +20,16 @@ from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.line.rate import settle_ns_of
 from dpstack.errors import BusError, DpError, PortError, UsageError
+from dpstack.fdl.baud_search import BaudFound
 from dpstack.ports import Delivery, open_port
 from dpstack.ports.base import VIRTUAL
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES
 
-__all__ = ["Line", "Listening", "OctetsLost"]
+__all__ = ["PORT_LOSSES", "BaudFound", "Line", "Listening", "OctetsLost"]
+
+#: causes in :meth:`Listening.damage` of octets that are missing: overruns of UART and driver, and thrown away unread
+PORT_LOSSES: Final = ("overrun", "buf_overrun", "discarded")
 
 
 _DROPPED: Final = "the program that holds the port drops octets that the port marks as damaged"

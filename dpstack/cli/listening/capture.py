@@ -14,7 +14,7 @@ from dpstack import __version__
 from dpstack.api.bus.events_json import PortLost, event_json
 from dpstack.api.config.bus import AUTO
 from dpstack.api.listen.capture_file import STDOUT, CaptureFile, Ring
-from dpstack.api.listen.listening import Line, Listening, OctetsLost
+from dpstack.api.listen.listening import PORT_LOSSES, BaudFound, Line, Listening, OctetsLost
 from dpstack.capture.pcapng import PROFIBUS_DL, USER0
 from dpstack.capture.recording import Gaps, PortAbout, Recording
 from dpstack.capture.transmission import Transmission
@@ -42,6 +42,8 @@ _OCTETS_ONLY: Final = (
     "link type 257 is PROFIBUS as registered, but tshark and Wireshark 4.0 have no dissector for it and show only "
     "octets; 147 works with `dpstack wireshark install`"
 )
+#: pause between two looks at the counters of the port, in s
+_WATCH_S: Final = 1.0
 #: memory of an explained telegram in octets, about
 _EXPLAINED: Final = 2_000
 #: pause before the next look for a program that holds the port, in s
@@ -154,6 +156,7 @@ class _Capture:
                 failure = error
             if stop.hurried:
                 return INTERRUPTED
+            self._look_at_port()
             failure = await self._close() or failure
             self._summary(whole=failure is None)
         if failure is not None:
@@ -162,7 +165,7 @@ class _Capture:
 
     async def _work(self) -> None:
         """Listen until the time is over. Raises the errors of the port and of the file."""
-        tasks = {asyncio.create_task(self._listen())}
+        tasks = {asyncio.create_task(self._listen()), asyncio.create_task(self._watch_port())}
         if self._file is not None:
             tasks.add(asyncio.create_task(self._write(self._file)))
         try:
@@ -185,10 +188,7 @@ class _Capture:
                 async with listening:
                     self._listening = listening
                     self._start(listening.line)
-                    try:
-                        await listening.ended()
-                    finally:
-                        self._port_damage = listening.damage()
+                    await listening.ended()
             except PortError as error:
                 if self._line is None or self._line.program is None:
                     raise
@@ -196,6 +196,21 @@ class _Capture:
                     self._gap(monotonic_ns(), str(error))
                     self._say(monotonic_ns(), "notice", "waiting until a program holds the port again")
             await asyncio.sleep(_AGAIN_S)
+
+    async def _watch_port(self) -> None:
+        """Octets that the port has lost are a gap. It counts them, and does not say where they were."""
+        while True:
+            await asyncio.sleep(_WATCH_S)
+            self._look_at_port()
+
+    def _look_at_port(self) -> None:
+        if self._listening is None:
+            return
+        before, self._port_damage = self._port_damage, self._listening.damage()
+        lost = sum(self._port_damage.get(cause, 0) - before.get(cause, 0) for cause in PORT_LOSSES)
+        if lost > 0:
+            where = f"within the last {_WATCH_S:g} s"
+            self._gap(monotonic_ns(), f"this computer read the port too late: {lost} octets were lost {where}")
 
     async def _write(self, file: CaptureFile) -> None:
         while True:
@@ -278,6 +293,8 @@ class _Capture:
                 self._gap(event.t_ns, event.text, count)
             case PortLost():
                 self._gap(event.t_ns, event.text)
+            case BaudFound() if self._triggers.counters.octets:
+                self._gap(event.t_ns, f"{event.text}; what was sent during the search for the rate is missing")
             case _:
                 line = event_json(event, self._seconds(event.t_ns)) or {}
                 kind = str(line.pop("event", "notice"))
