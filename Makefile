@@ -36,7 +36,7 @@ soak: $(VENV)/.test
 	$(PY) -m pytest -m soak --hypothesis-profile=soak --hypothesis-seed=$(SEED) $(TESTS)
 
 # Programs of others at one end: each is installed where that may be (root, or sudo without a password), run in processes
-# of its own, and missed with an error, not skipped. make strangers TESTS=tests/strangers/test_report.py runs a part
+# of its own, and missed with an error, not skipped. make strangers TESTS=tests/strangers/test_report_in_chromium.py runs a part
 strangers: $(VENV)/.test
 	$(PY) -m tools.strangers $(TESTS)
 

@@ -24,6 +24,7 @@ _NARROW: Final = 10
 _PER_STRIP: Final = 18
 _MOST_STRIPS: Final = 12
 _STRIP: Final = 96
+_NAMES: Final = 138.0  # room for the name in front of a row
 _LETTER: Final = 6.2  # width of a letter of 11 px
 _FILL: Final = {Use.REQUEST: "request", Use.ANSWER: "answer", Use.TOKEN: "token", Use.DAMAGED: "damage"}
 #: marks of the time line by the kind of change: shape, and its name in the legend
@@ -144,7 +145,7 @@ def answer_times(stations: Sequence[tuple[str, Mapping[str, float], float | None
     for number, (name, times, limit) in enumerate(stations):
         y = top + row * (number + 0.5)
         low, half, most, high = (left + float(times[key]) * scale for key in ("min", "p50", "p99", "max"))
-        body.append(_label(left - 6, y + 4, _short(name, 22), anchor="end"))
+        body.append(_label(left - 6, y + 4, _short(name), anchor="end"))
         body.append(f'<path class="axis" d="M{low:.1f} {y}H{high:.1f}M{low:.1f} {y - 4}v8M{high:.1f} {y - 4}v8"/>')
         body.append(f'<rect class="answer" x="{low:.1f}" y="{y - 5}" width="{max(most - low, 1):.1f}" height="10"/>')
         body.append(f'<path class="mark" d="M{half:.1f} {y - 5}v10"/>')
@@ -171,9 +172,15 @@ def _axis(span: float, unit: str, left: float, bottom: float, scale: float, top:
     return body
 
 
-def _short(name: str, most: int) -> str:
+def _short(name: str) -> str:
+    """``name``, cut to the room in front of a row."""
     name = printable(name)
-    return name if len(name) <= most else name[: most - 1] + "…"
+    room = _NAMES
+    for place, letter in enumerate(name):
+        room -= 11.0 if letter in "MW@%" or not letter.isascii() else 8.5 if letter.isupper() or letter in "mw" else 6.6
+        if room < 0:
+            return name[: max(place - 1, 1)] + "…"
+    return name
 
 
 class Mark(NamedTuple):
@@ -193,7 +200,7 @@ def time_line(changes: Sequence[Mark], seconds: float, names: Mapping[int | None
     body = _axis(seconds, "s", left, bottom, scale, top)
     places = {address: top + row * (number + 0.5) for number, address in enumerate(addresses)}
     for address, y in places.items():
-        body.append(_label(left - 6, y + 4, _short(names[address], 22), anchor="end"))
+        body.append(_label(left - 6, y + 4, _short(names[address]), anchor="end"))
         body.append(f'<path class="grid" d="M{left} {y}H{right}"/>')
         body += _absences(changes, address, left, y, scale, seconds)
     drawn = set()

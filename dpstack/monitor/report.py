@@ -279,7 +279,8 @@ class Report:
         for address, one in self._by_address("stations"):
             verdict = one.get("verdict")
             sign = _Html(_badge(verdict)) if verdict is not None else ""
-            who.append((address, *(_plain(one.get(key), "") for key in _WHO), sign))
+            about = {**one, "state": str(one.get("state") or "").replace("_", " ")}
+            who.append((address, *(_plain(about.get(key), "") for key in _WHO), sign))
             counts.append((address, *(one.get(key) for key in _COUNTS)))
             depth = one.get("retry_depth")
             depths = ", ".join(map(str, depth)) if isinstance(depth, (list, tuple)) else depth
@@ -368,11 +369,19 @@ class Report:
         left_out = self.changes_left_out + len(self.changes) - len(shown)
         changes = [drawings.Mark(self._seconds(one.t_ns), one.kind, one.address) for one in shown]
         names = {address: self._name(address) for address in {one.address for one in shown}}
-        rows = [(f"{self._seconds(one.t_ns):.3f}", names[one.address], one.kind, one.text) for one in shown]
+        rows = [
+            (
+                f"{self._seconds(one.t_ns):.3f}",
+                "bus" if one.address is None else one.address,
+                one.kind.replace("_", " "),
+                one.text,
+            )
+            for one in shown
+        ]
         note = f"<p>{left_out} earlier changes are not shown.</p>" if left_out else ""
         drawing = _figure_of("Changes by station", drawings.time_line(changes, seconds, names))
         legend = drawings.marks_legend(one.kind for one in shown)
-        table = _table("Changes", ("Seconds", "Station", "Change", "Text"), rows, numbers=(), head_is_number=True)
+        table = _table("Changes", ("Seconds", "Address", "Change", "Text"), rows, numbers=(), head_is_number=True)
         return _section("Time line", drawing + legend + note + table)
 
     def _seconds(self, t_ns: int) -> float:
