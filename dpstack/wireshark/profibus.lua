@@ -176,6 +176,45 @@ local function parse_token(octets)
     return { kind = "SD4", da = octet(octets, 2), sa = octet(octets, 3), data = "", da_at = 1, data_at = 3, end_at = 3 }
 end
 
+-- The number of octets that the telegram claims to have; of an SD2 telegram the larger one of LE and its repetition.
+local function claimed(octets)
+    if octet(octets, 1) ~= SD2 then
+        return LENGTHS[octet(octets, 1)] or 1
+    elseif #octets < 2 then
+        return 2
+    end
+    local le = octet(octets, 2)
+    if #octets > 2 and octet(octets, 3) > le then
+        le = octet(octets, 3)
+    end
+    return math.min(math.max(le, 3), 249) + 6
+end
+
+-- The octet that shows a flaw, counted from 1.
+local function place_of(flaw, octets)
+    local size = claimed(octets)
+    if flaw == LE_MISMATCH then
+        return string.format(": octets 2 and 3 are %02x and %02x", octet(octets, 2), octet(octets, 3))
+    elseif flaw == LE_RANGE then
+        return string.format(": octet 2 is %02x", octet(octets, 2))
+    elseif flaw == BAD_SECOND_SD then
+        return string.format(": octet 4 is %02x", octet(octets, 4))
+    elseif flaw == BAD_ED then
+        return string.format(": octet %d is %02x", size, octet(octets, size))
+    elseif flaw == BAD_FCS then
+        local first = octet(octets, 1) == SD2 and 5 or 2
+        return string.format(": octet %d is %02x, the sum is %02x", size - 1, octet(octets, size - 1),
+            check_sum(octets, first, size - 2))
+    elseif flaw == BAD_START then
+        return string.format(": octet 1 is %02x", octet(octets, 1))
+    end
+    return ""
+end
+
+local function octets_text(count)
+    return count .. (count == 1 and " octet" or " octets")
+end
+
 -- The telegram that `octets` are from the first to the last; nil and the reason where they are none.
 local function decode(octets)
     local size = #octets
@@ -198,11 +237,13 @@ local function decode(octets)
         flaw = BAD_START
     end
     if flaw then
-        return nil, "no telegram: " .. flaw
-    elseif not telegram then
+        return nil, "no telegram: " .. flaw .. place_of(flaw, octets)
+    elseif not telegram and size == 1 then
         return nil, "no telegram: cut off"
-    elseif (start == SD2 and octet(octets, 2) + 6 or LENGTHS[start]) ~= size then
-        return nil, "a telegram with other octets after it"
+    elseif not telegram then
+        return nil, string.format("no telegram: cut off after %s of %d", octets_text(size), claimed(octets))
+    elseif claimed(octets) ~= size then
+        return nil, string.format("a telegram with other octets after it, from octet %d on", claimed(octets) + 1)
     end
     return telegram
 end
@@ -490,6 +531,10 @@ local function global_control(data)
     node(nodes, "unsync", bit(control, 4), 0)
     node(nodes, "sync", bit(control, 5), 0)
     node_groups(nodes, "group_select", octet(data, 2), 1)
+    local reserved = control - bits(control, 1, 5) * 2
+    if reserved > 0 then
+        node(nodes, "reserved", reserved, 0)
+    end
     return nodes
 end
 
@@ -1028,7 +1073,7 @@ local function contents(telegram)
         if good then
             return text
         elseif type(found) == "table" then
-            return "cannot be read (" .. found.pdu .. ")"
+            return ""
         end
         error(found, 0)
     end
@@ -1083,10 +1128,14 @@ local function function_text(telegram)
     return #parts > 0 and table.concat(parts, ", ") or string.format("FC 0x%02x", telegram.fc)
 end
 
-local function describe(telegram)
+-- `step`: its place in the course; `unit_error`: why its data unit cannot be read
+local function describe(telegram, step, unit_error)
     local name = service_of(telegram)
     if telegram.kind == "SC" then
-        return "SC"
+        if step.service == nil then
+            return "SC"
+        end
+        return string.format("SC %d -> %d, acknowledges %s", step.pair[2], step.pair[1], step.service)
     end
     local way = telegram.sa .. " -> " .. (telegram.da == BROADCAST and "all" or telegram.da)
     if telegram.kind == "SD4" then
@@ -1098,29 +1147,31 @@ local function describe(telegram)
     elseif name == "acknowledgement" then
         side = ""
     end
-    local parts = { name .. " " .. side .. way }
+    local front = name .. " " .. side .. way
     local size = #telegram.data
     if name == "Global_Control" and telegram.request and size == 2 then
-        parts[#parts + 1] = control_text(telegram.data)
+        front = front .. ", " .. control_text(telegram.data)
     elseif size > 0 then
-        local words = contents(telegram)
-        parts[#parts + 1] = size .. (size == 1 and " octet" or " octets") .. (words ~= "" and ": " .. words or "")
+        local words = unit_error and "cannot be read (" .. unit_error .. ")" or contents(telegram)
+        front = front .. ", " .. octets_text(size) .. (words ~= "" and ": " .. words or "")
     end
     if telegram.kind == "SD2" and size == 0 and not (telegram.dsap or telegram.ssap or telegram.dseg or telegram.sseg) then
-        parts[#parts + 1] = "LE = 3"
+        front = front .. ", LE = 3"
     end
     if telegram.dseg then
-        parts[#parts + 1] = "DSEG " .. telegram.dseg
+        front = front .. ", DSEG " .. telegram.dseg
     end
     if telegram.sseg then
-        parts[#parts + 1] = "SSEG " .. telegram.sseg
+        front = front .. ", SSEG " .. telegram.sseg
     end
-    return table.concat(parts, ", ") .. " (" .. function_text(telegram) .. ")"
+    return front .. " (" .. function_text(telegram) .. ")"
 end
 
 -- --- the course of the bus, as dpstack/decode/course.py follows it ---------------------------------------------------
 
--- by port: asked, missed, last, holder
+-- by port: asked (the request whose answer is due), missed (the one before it, that nobody answered in time), last (by
+-- master and station), holder of the token, passer (of the token, as long as its holder has sent nothing), damages
+-- (damaged transmissions so far)
 local lines = {}
 -- by number of the packet: what it is in the course
 local steps = {}
@@ -1128,9 +1179,31 @@ local steps = {}
 local answers, given_up = {}, {}
 local NOTHING = {}
 
+local function follow_damaged(line, octets)
+    line.damages = line.damages + 1
+    line.missed, line.holder, line.passer = nil, nil, nil
+    local at = ({ [SD1] = 2, [SD2] = 5 })[string.byte(octets, 1) or 0]
+    local da, sa, fc
+    if at and #octets >= at + 2 then
+        da, sa, fc = octet(octets, at) % 128, octet(octets, at + 1) % 128, octet(octets, at + 2)
+    end
+    local step = { damaged = true, remarks = {} }
+    local asked = line.asked
+    if fc and bit(fc, 6) then
+        step.remarks[1] = string.format("probably a request %d -> %d", sa, da)
+    elseif asked then
+        asked.damaged = true
+        local readable = fc and da == asked.telegram.sa and sa == asked.telegram.da
+        step.probably_answers = asked.number
+        step.remarks[1] = string.format("probably the answer to telegram %d%s", asked.number,
+            readable and ", as its addresses say" or "")
+    end
+    return step
+end
+
 local function without_token(line, sa)
     local holder = line.holder
-    line.holder = sa
+    line.holder, line.passer = sa, nil
     if holder == nil or holder == sa then
         return {}
     end
@@ -1144,8 +1217,28 @@ local function give_up(line, number)
         return nil
     end
     line.missed = asked
+    if asked.damaged then
+        return nil
+    end
     given_up[asked.number] = number
     return asked.number
+end
+
+local function follow_token(line, telegram, number)
+    local sa, da, holder = telegram.sa, telegram.da, line.holder
+    local remarks = {}
+    if holder ~= nil and holder ~= sa then
+        if line.passer == sa then
+            local again = da == holder and "the token again" or "the token to another station"
+            remarks[1] = string.format("%s: station %d did not take it", again, holder)
+        elseif sa == da then
+            remarks[1] = string.format("station %d claims the token, which station %d held", sa, holder)
+        else
+            remarks = without_token(line, sa)
+        end
+    end
+    line.holder, line.passer = da, sa ~= da and sa or nil
+    return { unanswered = give_up(line, number), remarks = remarks, token = true }
 end
 
 local function same_telegram(one, other)
@@ -1166,7 +1259,7 @@ local function follow_request(line, telegram, number)
     if telegram.da == BROADCAST or UNANSWERED[telegram.func] then
         return step
     end
-    local request = { telegram = telegram, number = number, answered = false }
+    local request = { telegram = telegram, number = number, answered = false, damages = line.damages }
     line.asked = request
     if not COUNTED[telegram.func] then
         return step
@@ -1177,17 +1270,25 @@ local function follow_request(line, telegram, number)
     if before == nil then
         return step
     end
-    local fc, old = telegram.fc, before.telegram.fc
-    local same_bit = bits(fc, 4, 2) == bits(old, 4, 2)
-    if not before.answered and same_telegram(telegram, before.telegram) then
+    local same = not before.answered and same_telegram(telegram, before.telegram)
+    if not bit(telegram.fc, 4) then
+        step.repeated_poll_of = same and before.number or nil
+        return step
+    end
+    local turned = bit(telegram.fc, 5) ~= bit(before.telegram.fc, 5)
+    if same and not turned then
         step.retry_of = before.number
-    elseif bit(fc, 4) and before.answered and bit(fc, 5) == bit(old, 5) then
+    elseif before.damages ~= line.damages then
+        return step -- a request or an answer between them may be missing
+    elseif before.answered and not turned then
         remarks[#remarks + 1] = string.format(
             "the frame count bit was not turned: station %d takes this for a repetition", telegram.da)
-    elseif bit(fc, 4) and not before.answered and not same_bit then
-        remarks[#remarks + 1] =
-            "another request with a turned frame count bit, though the one before was not answered"
+    elseif not before.answered then
+        remarks[#remarks + 1] = string.format(
+            "another request with %s frame count bit, though the one before was not answered",
+            turned and "a turned" or "the same")
     end
+    step.fcb_turned = turned
     return step
 end
 
@@ -1222,19 +1323,16 @@ local function follow_answer(line, telegram, number)
     return { remarks = { "an answer that no request before it asked for" } }
 end
 
-local function follow(port, telegram, number)
+local function follow(port, telegram, octets, number)
     local line = lines[port]
     if line == nil then
-        line = { last = {} }
+        line = { last = {}, damages = 0 }
         lines[port] = line
     end
     if telegram == nil then
-        line.missed = nil
-        return { damaged = true, remarks = {} }
+        return follow_damaged(line, octets)
     elseif telegram.kind == "SD4" then
-        local remarks = without_token(line, telegram.sa)
-        line.holder = telegram.da
-        return { unanswered = give_up(line, number), remarks = remarks, token = true }
+        return follow_token(line, telegram, number)
     elseif telegram.request then
         return follow_request(line, telegram, number)
     end
@@ -1314,6 +1412,9 @@ define("unanswered", ProtoField.framenum("profibus.unanswered", "Not answered be
 define("given_up_in", ProtoField.framenum("profibus.given_up_in", "Not answered until", base.NONE))
 define("response_time", ProtoField.relative_time("profibus.response_time", "Response time"))
 yes_no_field("late", "Late answer")
+define("repeated_poll_of", ProtoField.framenum("profibus.repeated_poll_of", "The same poll as", base.NONE))
+define("probably_answers", ProtoField.framenum("profibus.probably_answers", "Probably the answer to", base.NONE))
+yes_no_field("fcb_turned", "FCB was turned")
 text_field("remark", "Out of order")
 
 -- of a data unit: the names of the standard
@@ -1342,7 +1443,7 @@ for _, name in ipairs({
 }) do
     hex_field("dp." .. string.lower(name), name, 16)
 end
-for _, name in ipairs({ "Function_Num", "Error_Decode", "Error_Code_1", "Error_Code_2" }) do
+for _, name in ipairs({ "Function_Num", "Error_Decode", "Error_Code_1", "Error_Code_2", "reserved" }) do
     hex_field("dp." .. string.lower(name), name)
 end
 for _, name in ipairs({
@@ -1387,13 +1488,13 @@ end
 local frame_port = extractor("frame.interface_name")
 local frame_about = extractor("frame.interface_description")
 local frame_comment = extractor("frame.comment")
--- error bits of epb_flags, in the order of dpstack
+-- error bits of epb_flags, in the order of dpstack; true: the octets themselves do not show it
 local MARKS = {
     { extractor("frame.packet_flags_crc_error"), "check sequence" },
-    { extractor("frame.packet_flags_packet_too_error"), "too long" },
+    { extractor("frame.packet_flags_packet_too_error"), "too long", true },
     { extractor("frame.packet_flags_packet_too_short_error"), "too short" },
     { extractor("frame.packet_flags_start_frame_delimiter_error"), "start octet" },
-    { extractor("frame.packet_flags_symbol_error"), "parity or framing" },
+    { extractor("frame.packet_flags_symbol_error"), "parity or framing", true },
 }
 
 -- Time of the first bit in ns since the first packet, nil where the file has none. (As a number, the time since 1970
@@ -1428,15 +1529,17 @@ local function baud_of_frame()
     return rates[about]
 end
 
+-- the names of all marks, and of those that the octets themselves do not show
 local function marks_of_frame()
-    local found = {}
+    local all, unseen = {}, {}
     for _, mark in ipairs(MARKS) do
         local info = mark[1]()
         if info and info.value then
-            found[#found + 1] = mark[2]
+            all[#all + 1] = mark[2]
+            unseen[#unseen + 1] = mark[3] and mark[2] or nil
         end
     end
-    return table.concat(found, ", ")
+    return all, unseen
 end
 
 -- --- the tree --------------------------------------------------------------------------------------------------------
@@ -1527,33 +1630,39 @@ local function add_course(tree, step, number)
             tree:add(fields.late, true):set_generated()
         end
     end
+    if step.repeated_poll_of then
+        tree:add(fields.repeated_poll_of, step.repeated_poll_of):set_generated()
+    end
+    if step.probably_answers then
+        tree:add(fields.probably_answers, step.probably_answers):set_generated()
+    end
+    if step.fcb_turned ~= nil then
+        tree:add(fields.fcb_turned, step.fcb_turned):set_generated()
+    end
     for _, remark in ipairs(step.remarks) do
         local item = tree:add(fields.remark, remark):set_generated()
-        item:add_proto_expert_info(step.late and experts.late or experts.remark, remark)
+        if not step.damaged then
+            item:add_proto_expert_info(step.late and experts.late or experts.remark, remark)
+        end
     end
 end
 
--- the parts of the text that `dpstack decode` prints; and the text for the column, in which an SC has its service
+-- the line that `dpstack decode` prints
 local function words(telegram, flaw, unit_error, step, notes)
-    local parts = { telegram and describe(telegram) or flaw }
-    if unit_error then
-        parts[#parts + 1] = "cannot be read: " .. unit_error
-    end
+    local parts = { telegram and describe(telegram, step, unit_error) or flaw }
     if step.retry_of then
-        parts[#parts + 1] = "retry of " .. step.retry_of
+        parts[2] = "retry of " .. step.retry_of
+    elseif step.repeated_poll_of then
+        parts[2] = "the same poll as " .. step.repeated_poll_of
     elseif step.unanswered then
-        parts[#parts + 1] = step.unanswered .. " was not answered"
+        parts[2] = step.unanswered .. " was not answered"
     end
     for _, list in ipairs({ step.remarks, notes }) do
         for _, text in ipairs(list) do
             parts[#parts + 1] = text
         end
     end
-    local text = table.concat(parts, "; ")
-    if telegram and telegram.kind == "SC" and step.service then
-        parts[1] = "SC: " .. step.service .. " acknowledged by " .. step.from
-    end
-    return text, table.concat(parts, "; ")
+    return table.concat(parts, "; ")
 end
 
 function profibus.dissector(tvb, pinfo, tree)
@@ -1564,7 +1673,7 @@ function profibus.dissector(tvb, pinfo, tree)
     local step = steps[number]
     if step == nil then
         local port = frame_port()
-        step = follow(port and tostring(port.value) or "", telegram, number)
+        step = follow(port and tostring(port.value) or "", telegram, octets, number)
         step.begun, step.size = time_of_frame(pinfo), #octets
         steps[number] = step
     end
@@ -1574,18 +1683,21 @@ function profibus.dissector(tvb, pinfo, tree)
         nodes, unit_error = data_unit(telegram)
     end
 
-    local marks = marks_of_frame()
+    local marks, unseen = marks_of_frame()
     local notes = {}
-    if marks ~= "" then
-        notes[1] = "marked by the port: " .. marks
+    local told = telegram and marks or unseen
+    if #told > 0 then
+        notes[1] = "marked by the port: " .. table.concat(told, ", ")
     end
-    for _, comment in ipairs({ frame_comment() }) do
-        notes[#notes + 1] = tostring(comment.value)
+    local comments = {}
+    for at, comment in ipairs({ frame_comment() }) do
+        comments[at] = tostring(comment.value)
+        notes[#notes + 1] = comments[at]
     end
 
-    local text, info = words(telegram, flaw, unit_error, step, notes)
+    local text = words(telegram, flaw, unit_error, step, notes)
     pinfo.cols.protocol = "PROFIBUS"
-    pinfo.cols.info = info
+    pinfo.cols.info = text
     if telegram and telegram.sa then
         pinfo.cols.src = tostring(telegram.sa)
         pinfo.cols.dst = telegram.da == BROADCAST and "all" or tostring(telegram.da)
@@ -1595,7 +1707,7 @@ function profibus.dissector(tvb, pinfo, tree)
     end
 
     local all = size > 0 and tvb() or nil
-    local root = all and tree:add(profibus, all, "PROFIBUS: " .. info) or tree:add(profibus, "PROFIBUS: " .. info)
+    local root = all and tree:add(profibus, all, "PROFIBUS: " .. text) or tree:add(profibus, "PROFIBUS: " .. text)
     root:add(fields.text, text):set_generated()
     if telegram then
         add_link_layer(root:add(all, "Link layer (FDL)"), tvb, telegram)
@@ -1624,16 +1736,16 @@ function profibus.dissector(tvb, pinfo, tree)
             root:add(fields.octets, all)
         end
         root:add(fields.error, flaw):add_proto_expert_info(experts.damaged, flaw)
-        if marks ~= "" then
-            root:add(fields.damage, marks)
-        end
     end
-    if marks ~= "" and telegram then
-        root:add(fields.damage, marks):add_proto_expert_info(experts.damaged, "Marked by the port: " .. marks)
+    for _, mark in ipairs(marks) do
+        root:add(fields.damage, mark)
     end
-    for at = marks ~= "" and 2 or 1, #notes do
-        if string.find(notes[at], "lost") or string.find(notes[at], "gap") then
-            root:add_proto_expert_info(experts.gap, notes[at])
+    if telegram and #marks > 0 then
+        root:add_proto_expert_info(experts.damaged, notes[1])
+    end
+    for _, comment in ipairs(comments) do
+        if string.find(comment, "lost") or string.find(comment, "gap") then
+            root:add_proto_expert_info(experts.gap, comment)
         end
     end
     add_course(root:add(profibus, "Course of the bus"), step, number)

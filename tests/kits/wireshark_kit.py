@@ -37,7 +37,6 @@ _MORE: Final = frozenset(
         "pair",
         "response_in",
         "given_up_in",
-        "damage",
         "octets",
     )
 )
@@ -52,6 +51,9 @@ _NAMES: Final = {
     "course.unanswered": "unanswered",
     "course.late": "late",
     "course.remarks": "remark",
+    "course.repeated_poll_of": "repeated_poll_of",
+    "course.fcb_turned": "fcb_turned",
+    "course.probably_answers": "probably_answers",
 }
 _AGGREGATOR: Final = "\x1f"
 
