@@ -84,12 +84,17 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
         **keys,
     )
     opening = monotonic_ns()
-    async with bus:
+    async with contextlib.AsyncExitStack() as stack:
+        if args.control:
+            from dpstack.api.control.handlers import control_run
+
+            await stack.enter_async_context(control_run(bus, args.port))
+        await stack.enter_async_context(bus)
         opened = monotonic_ns()
         await bus.operate()
         await bus.ready(timeout=_PATIENCE_NS / 1e9)
         ready = monotonic_ns()
-        told(ready=ready, imported=imported, opening=opening, opened=opened, events=events)
+        told(port=args.port, ready=ready, imported=imported, opening=opening, opened=opened, events=events)
         events.clear()
         reading = [asyncio.create_task(_read(slave, args.records)) for slave in bus.slaves if args.records]
         held_up = await application(args.app, ended)
@@ -258,6 +263,7 @@ def main() -> int:
     parser.add_argument("--cycle-ms", type=float)
     parser.add_argument("--records", type=int, default=0, help="octets of the records read without end, 0: none")
     parser.add_argument("--t-id1", type=int, default=0, help="of the bare loop, in bit times; 0: without any pause")
+    parser.add_argument("--control", action="store_true", help="with a control socket")
     parser.add_argument("--app", choices=APPLICATIONS, default="idle")
     args = parser.parse_args()
     ended = Ended()

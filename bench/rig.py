@@ -196,6 +196,14 @@ class Bench:
         took = until - since
         return Taken(took / 1e9, data["exchanges"], cpu, waited / took, records, data["held"], turns, token_turns, loop)
 
+    def cpu_slice(self, seconds: float) -> tuple[int, int]:
+        """CPU time of the master in ns, and the exchanges meanwhile; short, and without calibration."""
+        self._ask("begin")
+        cpu = self._sum(_cpu_of)
+        time.sleep(seconds)
+        exchanges = int(self._ask("count"))
+        return self._sum(_cpu_of) - cpu, exchanges
+
     def opened_at(self) -> int:
         """When the master's port was opened, in ns; only with a probe."""
         found = [path.read_bytes()[8:16] for path in self._folder.iterdir() if path.name.isdigit()]
@@ -284,13 +292,14 @@ def bench(
     cycle_ms: float | None = None,
     ident: int = IDENT,
     records: int = 0,
+    control: bool = False,
 ) -> Iterator[Bench]:
     """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind,
     MasterFailedError when it does not get its slaves into data exchange.
 
     ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted;
     ``ident``: what the slaves are, of which the masters believe IDENT. ``records``: the master reads records of so many
-    octets from all slaves without end, 0: none.
+    octets from all slaves without end, 0: none. ``control``: it has a control socket, as a ``run`` has.
     """
     refused = unavailable(kind, cycle_ms)
     if refused:
@@ -305,6 +314,8 @@ def bench(
             words += ["--gap", str(gap)]
         if records:
             words += ["--records", str(records)]
+        if control:
+            words.append("--control")
         if cycle_ms is not None:
             words += ["--cycle-ms", str(cycle_ms)]
         if kind == "bare" and paced:

@@ -7,7 +7,7 @@ added. A reader that is too slow loses entries, which the tap counts with their 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from dpstack.errors import UsageError
@@ -17,12 +17,12 @@ from dpstack.machine import Machine
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_MS
 
-#: entries: a full bus at 12 Mbit/s has some 20 000 telegrams a second, and a reader comes every 20 ms
+#: entries: a full bus at 12 Mbit/s has some 20 000 telegrams a second, and a reader comes every 0.1 s
 CAPACITY: Final = 8_192
-#: A reader takes at most this many entries at once, so that it delays no cycle ...
-TAP_PORTION: Final = 64
-#: ... and comes back after this time ...
-TAP_PAUSE_NS: Final = 20 * NS_PER_MS
+#: A reader takes at most this many entries at once, so that it delays no cycle (it needs some 50 us for them) ...
+TAP_PORTION: Final = 256
+#: ... and comes back after this time, as each wake-up costs more than the entries ...
+TAP_PAUSE_NS: Final = 100 * NS_PER_MS
 #: ... or after this one, where entries are left.
 TAP_SHORT_PAUSE_NS: Final = NS_PER_MS
 
@@ -33,12 +33,14 @@ Tapped = tuple[int, int, bytes, bool]
 
 
 class Tap:
-    """The ring. ``lost``: chunks and telegrams that found it full since the last :meth:`take`."""
+    """The ring. ``lost``: chunks and telegrams that found it full since the last :meth:`take`. ``on_portion`` is called
+    after each :meth:`extend`."""
 
     def __init__(self, capacity: int = CAPACITY) -> None:
         self.ring: deque[Tapped] = deque()
         self.capacity = capacity
         self.lost = 0
+        self.on_portion: Callable[[], None] | None = None
         self._taken = 0  # entries taken so far
         self._gaps: deque[tuple[int, int]] = deque()  # entries before the gap, counted from the first; entries lost
 
@@ -56,6 +58,8 @@ class Tap:
         room = max(0, self.capacity - len(self.ring))
         self.ring.extend(entries[:room])
         self.lost += len(entries[room:])
+        if self.on_portion is not None:
+            self.on_portion()
 
     def take(self, most: int = CAPACITY) -> tuple[int, list[Tapped]]:
         """Remove the oldest entries, at most ``most``, and none behind the next gap. Returns the number of entries

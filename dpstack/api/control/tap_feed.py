@@ -162,6 +162,7 @@ class TapFeed:
         self._attached = known
         if known:
             self._tap = Tap()
+            self._tap.on_portion = self._hand_out
         self._attach(self._tap if known else None)
         return True
 
@@ -190,6 +191,6 @@ class TapFeed:
 
 
 def _encoded(entries: list[Tapped]) -> bytes:
-    import msgspec  # here, as most programs are never tapped; the time of `json` would be three times as long
+    import msgspec  # here, as most programs are never tapped
 
     return msgspec.json.encode([(end_ns, baud, octets.hex(), sent) for end_ns, baud, octets, sent in entries])

@@ -20,7 +20,7 @@ from dpstack.trace import Event, Notice, Severity
 
 #: 64 bits, and room for the sum of two
 _TimeNs = Annotated[int, Meta(gt=-(2**62), lt=2**62)]
-_Octets = Annotated[str, Meta(pattern="^([0-9a-f]{2})*$")]
+_Hex = Annotated[str, Meta(pattern="^([0-9a-f]{2})*$")]
 
 
 class _TapItem(TypedDict, total=False):
@@ -31,7 +31,7 @@ class _TapItem(TypedDict, total=False):
     baud: int | None
     paced: bool
     exact: bool
-    octets: list[tuple[_TimeNs, int, _Octets, bool]]
+    octets: list[tuple[_TimeNs, int, _Hex, bool]]
     lost: Annotated[int, Meta(ge=0, lt=2**62)]
 
 

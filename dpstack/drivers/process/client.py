@@ -220,7 +220,7 @@ class ProcessRuntime:
                 self._slaves.pop(address, None)
 
     def tap(self, tap: Tap | None) -> None:
-        """The tap is in the bus process, which sends its entries here within some 20 ms. At any time: a word in the
+        """The tap is in the bus process, which sends its entries here within some 0.1 s. At any time: a word in the
         shared memory cannot be refused, and a bus process that was stopped finds it when it goes on."""
         self._tap = tap
         if self._image is not None:

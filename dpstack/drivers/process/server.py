@@ -44,8 +44,8 @@ from dpstack.units import NS_PER_MS, ms_text
 
 #: interval of the heartbeat; the bus process reads the application's outputs at least as often
 _HEARTBEAT: Final = 20 * NS_PER_MS
-#: after this many heartbeats come the counters, changes without an event, and news held back for an application that
-#: did not read
+#: after this many heartbeats come the counters, changes without an event, the octets of a tap, and news held back for
+#: an application that did not read
 _BEATS_TO_NEWS: Final = 5
 #: interval of the statuses of the drives, where the rounds are not watched and no event comes
 _DRIVES_NS: Final = 10 * NS_PER_MS
@@ -270,12 +270,11 @@ class Host:
     # --- the tap ---
 
     def _follow_tap(self) -> None:
-        """Begin or end the tap as the application wants it; send what the tap holds."""
+        """Begin or end the tap as the application wants it."""
         wanted = bool(self._image.words[Word.TAPPED])
         if wanted is (self._tap is None):
             self._tap = Tap() if wanted else None
             self.runtime.tap(self._tap)
-        self._send_tapped()
 
     def _send_tapped(self) -> None:
         """Send a portion of the octets on the line; portions are small, so that they delay no cycle. While the
@@ -354,6 +353,7 @@ class Host:
         self._follow_tap()
         self._beats += 1
         if not self._beats % _BEATS_TO_NEWS:
+            self._send_tapped()
             self._publish_counters()
             if not self._outbox.full:
                 missed, self._dropped = self._dropped, 0
