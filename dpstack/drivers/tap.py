@@ -40,7 +40,7 @@ class Tap:
         self.ring: deque[Tapped] = deque()
         self.capacity = capacity
         self.lost = 0
-        self.on_portion: Callable[[], None] | None = None
+        self.on_portion: Callable[[], object] | None = None
         self._taken = 0  # entries taken so far
         self._gaps: deque[tuple[int, int]] = deque()  # entries before the gap, counted from the first; entries lost
 

@@ -12,6 +12,7 @@ from driver_rig import REQUEST, TOKEN, Rig
 from far_ends import until
 from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 from support import MS, S
 
 from dpstack.drivers.line import line_runtime
@@ -27,6 +28,7 @@ def entry(number: int) -> Tapped:
     return (number, 500_000, bytes((number % 256,)), False)
 
 
+@examples(60)
 @given(
     st.integers(1, 5),
     st.lists(st.one_of(st.just("add"), st.integers(1, 7), st.tuples(st.integers(0, 6), st.integers(0, 3)))),

@@ -22,6 +22,8 @@ from dpstack.units import ns_to_s
 _SIGN_OF_LIFE_S: Final = 1.0
 #: a client that reads nothing for so many signs of life is disconnected
 _PATIENCE: Final = 60
+#: octets of the entries in a line; many programs read lines of up to 64 KB
+_LONGEST_LINE: Final = 60_000
 
 
 class _Reader:
@@ -162,17 +164,20 @@ class TapFeed:
         self._attached = known
         if known:
             self._tap = Tap()
-            self._tap.on_portion = self._hand_out
+            loop = asyncio.get_running_loop()
+            self._tap.on_portion = lambda: loop.call_soon(self._hand_out)  # not in the middle of the driver's work
         self._attach(self._tap if known else None)
         return True
 
     def _tick(self) -> None:
-        about = self._about()
-        if self._follow_search(about):
-            self._describe(about, list(self._readers), self._listeners)
-        elif self._attached:
-            self._hand_out()
-        self._set_timer(TAP_SHORT_PAUSE_NS if self._tap.waiting else TAP_PAUSE_NS)
+        try:
+            about = self._about()
+            if self._follow_search(about):
+                self._describe(about, list(self._readers), self._listeners)
+            else:
+                self._hand_out()
+        finally:
+            self._set_timer(TAP_SHORT_PAUSE_NS if self._tap.waiting else TAP_PAUSE_NS)
 
     def _set_timer(self, pause_ns: int) -> None:
         self._timer = asyncio.get_running_loop().call_later(ns_to_s(pause_ns), self._tick)
@@ -183,11 +188,21 @@ class TapFeed:
             lost, entries = self._tap.take(TAP_PORTION)
             for listener in self._listeners:
                 listener.put(lost, entries)
-            octets = _encoded(entries) if self._readers else b""
-            for reader in self._readers:
-                reader.put(lost, octets, len(entries))
+            if self._readers:
+                self._put(lost, entries)
             if not all_of_it:
                 return
+
+    def _put(self, lost: int, entries: list[Tapped]) -> None:
+        """Send ``entries`` to all clients, in one line unless it would be too long."""
+        octets = _encoded(entries)
+        half = len(entries) // 2
+        if half and len(octets) > _LONGEST_LINE:
+            self._put(lost, entries[:half])
+            self._put(0, entries[half:])
+            return
+        for reader in self._readers:
+            reader.put(lost, octets, len(entries))
 
 
 def _encoded(entries: list[Tapped]) -> bytes:
