@@ -161,9 +161,9 @@ class Explainer:
         self._named = bool(names.slaves)
         self._number = 0
 
-    def add(self, sent: Transmission) -> Explained:
-        """The next transmission. Never raises for octets."""
-        self._number = number = self._number + 1
+    def add(self, sent: Transmission, number: int | None = None) -> Explained:
+        """The next transmission; ``number``: where it is not that of the one before and 1. Never raises for octets."""
+        self._number = number = self._number + 1 if number is None else number
         octets, t_ns, baud, _, _ = sent
         telegram = decode(octets)
         if telegram is None:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from dpstack.capture.cutter import split
+from dpstack.capture.pcapng import Interface
 from dpstack.capture.transmission import Transmission
 from dpstack.cli.listening.source_file import STDIN, is_growing, transmissions_of
 from dpstack.cli.listening.telegram_lines import add_names, filter_argument, names_of, show
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
+from dpstack.decode.names import Names
 from dpstack.decode.source import from_hex
-from dpstack.decode.telegram import explain
+from dpstack.decode.telegram import Explained, Explainer
 from dpstack.errors import UsageError
 
 
@@ -33,7 +35,8 @@ def execute(args: argparse.Namespace) -> int:
     """Exit code 1 where a transmission is no telegram, or the file cannot be read to its end."""
     bad = 0
     at_once = len(args.source) == 1 and is_growing(args.source[0])  # somebody may be watching
-    for one in explain(_transmissions(args.source), names_of(args)):
+    buses = _Buses(names_of(args))
+    for one in map(buses.explain, _transmissions(args.source, buses.choose)):
         bad += one.error is not None
         if args.filter is None or args.filter(one):
             show(one, json=args.json, flush=at_once)
@@ -43,10 +46,29 @@ def execute(args: argparse.Namespace) -> int:
     return 1 if bad else 0
 
 
-def _transmissions(source: list[str]) -> Iterator[Transmission]:
+class _Buses:
+    """The buses in one file: each port has its own course and stations, the numbers of telegrams are those of the
+    file."""
+
+    def __init__(self, names: Names) -> None:
+        self._names = names
+        self._explainers: dict[str, Explainer] = {}
+        self._explainer = Explainer(names)
+        self._number = 0
+
+    def choose(self, interface: Interface) -> None:
+        """The next transmission is of this port; at another rate the same port is another interface of the file."""
+        self._explainer = self._explainers.setdefault(interface.name, Explainer(self._names))
+
+    def explain(self, sent: Transmission) -> Explained:
+        self._number += 1
+        return self._explainer.add(sent, self._number)
+
+
+def _transmissions(source: list[str], on_interface: Callable[[Interface], None]) -> Iterator[Transmission]:
     name = source[0]
     if len(source) == 1 and (name == STDIN or os.path.lexists(name) or os.sep in name):  # a file goes before hex digits
-        yield from transmissions_of(name)
+        yield from transmissions_of(name, on_interface)
     else:
         text = " ".join(source)
         try:

@@ -249,3 +249,20 @@ def test_a_reader_that_goes_away_ends_the_decoding(tmp_path: Path) -> None:
     done = subprocess.run(program, shell=True, capture_output=True, text=True, check=False)
     assert len(done.stdout.splitlines()) == 2
     assert done.stderr == ""
+
+
+def test_two_ports_in_one_file_are_two_buses(cli: Cli, tmp_path: Path) -> None:
+    """Their telegrams alternate; each answer belongs to the request on its own port."""
+    poll, answer = bytes.fromhex("6804046803025D076916"), bytes.fromhex("68040468020308AAB716")
+    with (tmp_path / "two").open("wb") as file:
+        writer = Writer(file, "a test")
+        ports = [writer.interface(name, 500_000, "") for name in ("one", "two")]
+        for number, octets in enumerate((poll, poll, answer, answer)):
+            writer.packet(ports[number % 2], 1_000_000_000 + number, octets)
+    found = [one["course"] for one in _json(cli, str(tmp_path / "two"))]
+    assert [(one["answer_to"], one["retry_of"], one["remarks"]) for one in found] == [  # type: ignore[index]
+        (None, None, []),
+        (None, None, []),
+        (1, None, []),
+        (2, None, []),
+    ]
