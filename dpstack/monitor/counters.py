@@ -641,8 +641,9 @@ class Counters:
         self._together_ns = TOGETHER_BITS * NS_PER_S // baud
         self._silent_ns = min(max(SILENT_NS, bits_to_ns(SILENT_BITS, baud)), LONGEST_SILENCE_NS)
 
-    def gap(self) -> None:
-        """Octets were lost here before they could be counted. The open request counts no more: nobody knows its end."""
+    def gap(self, until_ns: int = 0) -> None:
+        """Octets were lost here before they could be counted. The open request counts no more: nobody knows its end.
+        Until ``until_ns`` (since 1970) nobody listened, so that no station counts as silent."""
         asked = self._asked
         if asked is not None:
             asked.station.requests -= 1
@@ -652,6 +653,9 @@ class Counters:
         self._damaged_after = self.telegrams
         for master in self.masters.values():
             master.forget_times()
+            master.heard_at = max(master.heard_at, until_ns)
+        for station in self.stations.values():
+            station.answered_at = max(station.answered_at, until_ns)
 
     # --- silence ---
     def look(self, now: int) -> None:

@@ -94,6 +94,9 @@ class Monitor:
         self._blocks: dict[int, frozenset[bytes]] = {}  # the extended diagnosis of each station
         self._conspicuous: dict[int, str] = {}
         self._looked_ns = 0
+        self._lost_ns: int | None = None  # nothing can be heard since then
+        self._back_ns = 0  # the line was heard again from then on
+        self._deaf_ns = 0  # time in which nothing could be heard
         self._named_baud: int | None = None  # PROFIBUS is proven at this rate
         self._told: dict[int, str] = {}  # the last state told of each station
 
@@ -103,9 +106,24 @@ class Monitor:
         return (self.counters.begun_ns or 0) if self._begun_ns is None else self._begun_ns
 
     def gap(self, t_ns: int, text: str) -> None:
-        """Octets are missing here: put it on the time line, and count no duration across it."""
-        self.counters.gap()
+        """Octets are missing before ``t_ns``: put it on the time line. No duration is counted across it, and no station
+        is silent because of it."""
+        self.counters.gap(t_ns)
         self._tell(Happening(t_ns, "gap", None, "", text))
+
+    def lost(self, t_ns: int, text: str) -> None:
+        """From now on nothing can be heard, until :meth:`back`."""
+        if self._lost_ns is None:
+            self._lost_ns = t_ns
+        self.gap(t_ns, text)
+
+    def back(self, t_ns: int, text: str) -> None:
+        """The line is heard again. The time since :meth:`lost` is none of listening."""
+        if self._lost_ns is not None:
+            self._deaf_ns += max(0, t_ns - self._lost_ns)
+            self._lost_ns = None
+        self._back_ns = t_ns
+        self.gap(t_ns, text)
 
     def remark(self, t_ns: int, text: str) -> None:
         """Put a remark of the source of the octets on the time line."""
@@ -113,12 +131,14 @@ class Monitor:
 
     def tick(self, now_ns: int) -> None:
         """Time has passed, ns since 1970: a line where nothing is heard is looked at once a second."""
-        if now_ns - self._looked_ns >= NS_PER_S:
+        if self._lost_ns is None and now_ns - self._looked_ns >= NS_PER_S:
             self.counters.look(now_ns)
 
     def heard(self, now_ns: int | None = None) -> Heard:
         """All that was heard up to ``now_ns`` (ns since 1970; None: up to the end of the last transmission)."""
         counters = self.counters
+        if self._lost_ns is not None:
+            now_ns = self._lost_ns  # later nothing could be heard
         now = counters.ended_ns if now_ns is None else max(now_ns, counters.ended_ns)
         return Heard(
             counters=counters,
@@ -126,8 +146,8 @@ class Monitor:
             devices=self.devices,
             timing=Timing.of(self.timing, counters),
             thresholds=self.thresholds,
-            seconds=max(0, now - self.begun_ns) / NS_PER_S if self.begun_ns else 0.0,
-            silent_s=(now - counters.ended_ns) / NS_PER_S if counters.ended_ns else 0.0,
+            seconds=max(0, now - self.begun_ns - self._deaf_ns) / NS_PER_S if self.begun_ns else 0.0,
+            silent_s=(now - max(counters.ended_ns, self._back_ns)) / NS_PER_S if counters.ended_ns else 0.0,
             now_ns=now,
             is_profibus=self._is_profibus(),
         )

@@ -67,7 +67,8 @@ def judge(heard: Heard) -> tuple[Verdict, dict[int, Verdict]]:
     levels = {verdict.level for verdict in stations.values()}
     for address, verdict in stations.items():
         if verdict.level in (WARNING, CRITICAL):
-            found.append((verdict.level, f"station {address}: {verdict.reasons[0]}"))
+            role = "master" if address in counters.masters else "station"
+            found.append((verdict.level, f"{role} {address}: {verdict.reasons[0]}"))
     doubt = _bus_doubt(heard)
     if not doubt and levels <= {UNKNOWN} and not counters.masters:
         doubt = "no station could be judged"
@@ -216,7 +217,7 @@ def _answers(station: Station, heard: Heard) -> Iterator[_Finding]:
         yield (
             WARNING,
             (
-                f"{station.late} answers came after the master had given up: look at T_SL against MaxTsdr "
+                f"{_many(station.late, 'answer')} came after the master had given up: look at T_SL against MaxTsdr "
                 "of the device, and at repeaters or converters on the way"
             ),
         )
@@ -310,6 +311,10 @@ def _level(value: float, warning: float, critical: float) -> str:
 
 def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
+
+
+def _many(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def _percent(share: float) -> str:

@@ -132,6 +132,23 @@ def test_a_line_that_falls_silent() -> None:
     assert line.monitor.summary(line.now + 10 * S)["reasons"] == ["silent since 10.0 s: no master sends any more"]
 
 
+def test_a_time_in_which_nothing_could_be_heard_is_no_silence() -> None:
+    line = Line()
+    for _ in range(4):
+        line.send(token(2, 5), token(5, 2))
+    heard = line.monitor.summary()["seconds"]
+    line.monitor.lost(line.now, "the port was lost")
+    line.monitor.tick(line.now + 30 * S)
+    assert line.monitor.summary(line.now + 30 * S)["seconds"] == 0.008
+    line.now += 60 * S
+    line.monitor.back(line.now, "the port is back")
+    line.monitor.tick(line.now + 1)
+    line.send(token(2, 5), token(5, 2))
+    assert [kind for kind, _ in line.told] == ["joined", "joined", "gap", "gap"]
+    assert line.monitor.summary()["seconds"] == pytest.approx(float(str(heard)) + 0.002, abs=0.001)
+    assert line.monitor.counters.masters[5].drops == 0
+
+
 def _hours(line: Line, seconds: int) -> None:
     """A round with a retry, a damaged answer and another diagnosis each second."""
     request = [encode(Telegram(Kind.SD2, 3, 2, fc, None, None, b"\1\2")) for fc in (0x5D, 0x7D)]

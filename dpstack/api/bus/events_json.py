@@ -44,6 +44,7 @@ __all__ = [
     "MasterSeen",
     "MasterStopped",
     "Notice",
+    "PortBack",
     "PortLost",
     "RingJoined",
     "Severity",

@@ -9,10 +9,10 @@ from datetime import UTC, datetime
 from time import monotonic_ns, time_ns
 from typing import Final
 
-from dpstack.api.bus.events_json import PortLost
+from dpstack.api.bus.events_json import PortBack, PortLost
 from dpstack.api.config.bus import AUTO
 from dpstack.api.config.config import load_config
-from dpstack.api.listen.listening import Line, Listening, OctetsLost
+from dpstack.api.listen.listening import PORT_LOSSES, Line, Listening, OctetsLost
 from dpstack.api.listen.plant_files import load_devices, load_thresholds
 from dpstack.api.listen.report_file import ReportFile, port_lines
 from dpstack.capture.pcapng import Interface
@@ -172,6 +172,7 @@ class _Live:
         self._monitor = monitor
         self._line: Line | None = None
         self._begun = asyncio.Event()
+        self._port_damage: dict[str, int] = {}
         self._early: list[Event] = []  # before the start line
         self._listening: Listening | None = None  # while it is entered
         self._view = LiveView(monitor, args.port) if output.redraws() and not args.json else None
@@ -233,6 +234,17 @@ class _Live:
         while True:
             await asyncio.sleep(_TICK_S)
             self._monitor.tick(time_ns() - _LATE_NS)
+            self._look_at_port()
+
+    def _look_at_port(self) -> None:
+        """Tell octets that the port has lost since the last look."""
+        if self._listening is None:
+            return
+        before, self._port_damage = self._port_damage, self._listening.damage()
+        lost = sum(self._port_damage.get(cause, 0) - before.get(cause, 0) for cause in PORT_LOSSES)
+        if lost > 0:
+            text = f"this computer read the port too late: {lost} octets were lost within the last {_TICK_S:g} s"
+            self._monitor.gap(time_ns(), text)
 
     async def _listen(self) -> None:
         """Listen to the port; where a program that held it ends, wait until one is there again."""
@@ -249,14 +261,15 @@ class _Live:
                 if self._line is None or self._line.program is None:
                     raise
                 if self._listening is not None:
-                    self._monitor.gap(time_ns(), f"{error}; waiting until a program holds the port again")
+                    self._listening = None
+                    self._monitor.lost(time_ns(), f"{error}; waiting until a program holds the port again")
             await asyncio.sleep(_AGAIN_S)
 
     def _begin(self, line: Line) -> None:
         again, self._line = self._line is not None, line
         self._monitor.timing = line.timing
         if again:
-            self._monitor.gap(time_ns(), f"the {line.program} on {line.port} is back")
+            self._monitor.back(time_ns(), f"the {line.program} on {line.port} is back")
             return
         if self._json:
             now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
@@ -279,8 +292,12 @@ class _Live:
             return
         t_ns = event.t_ns + self._clock_ns
         match event:
-            case OctetsLost() | PortLost():
+            case OctetsLost():
                 self._monitor.gap(t_ns, event.text)
+            case PortLost():
+                self._monitor.lost(t_ns, event.text)
+            case PortBack():
+                self._monitor.back(t_ns, event.text)
             case _:
                 if self._listening is not None:
                     self._monitor.timing = self._listening.line.timing  # the rate is known now

@@ -54,12 +54,17 @@ def show_summary(heard: Heard, summary: Mapping[str, Any]) -> None:
     for address, station in stations.items():
         for reason in station["reasons"]:
             if station["verdict"] in (WARNING, CRITICAL):
-                output.line(f"station {_titled(address, station)}: {reason}", STYLES[station["verdict"]])
+                text = f"{_role(station)} {_titled(address, station)}: {reason}"
+                output.line(text, STYLES[station["verdict"]])
     output.line(f"verdict: {summary['verdict']}", STYLES[summary["verdict"]])
     for reason in summary["reasons"]:
-        if not reason.startswith("station "):
+        if not reason.startswith(("station ", "master ")):
             output.line(f"  {reason}", STYLES[summary["verdict"]])
     output.line(f"listening cannot see: {'; '.join(UNSEEN)}")
+
+
+def _role(station: Mapping[str, Any]) -> str:
+    return "master" if station["role"] == "master" else "station"
 
 
 def _titled(address: str, station: Mapping[str, Any]) -> str:
