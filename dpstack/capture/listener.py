@@ -12,8 +12,8 @@ from dpstack.capture.cutter import Cutter
 from dpstack.capture.transmission import Transmission
 from dpstack.errors import UsageError
 from dpstack.fdl.baud_search import AutoBaud, BaudFound
-from dpstack.fdl.codec import encode
-from dpstack.fdl.telegram import Telegram
+from dpstack.fdl.codec import EMPTY_LE, encode, fcs
+from dpstack.fdl.telegram import ED, Kind, Telegram
 from dpstack.machine import HeldUp, LineDown, LineUp, RateRefused
 from dpstack.params import T_SYN
 from dpstack.trace import Event
@@ -92,7 +92,7 @@ class Listener:
             self._search.telegram(telegram, now)
             self._end_search()
         elif self._cutter is not None:
-            self._deliver([*self._cutter.give_up(), *self._cutter.feed(encode(telegram), now)], now)
+            self._deliver([*self._cutter.give_up(), *self._cutter.feed(_octets(telegram), now)], now)
 
     def activity(self, now: int) -> None:
         """Ignored: the time of a transmission follows from the end of its octets."""
@@ -167,3 +167,14 @@ class Listener:
             for one in self._cutter.give_up():
                 self._on_transmission(one)
             self._begin_search(now)
+
+
+def _octets(telegram: Telegram) -> bytes:
+    """The octets of ``telegram``, also of the two kinds that this project accepts and never sends."""
+    if telegram.kind is Kind.SD3:
+        body = encode(telegram._replace(kind=Kind.SD2))[4:]
+        return bytes((Kind.SD3,)) + body  # without LE; the FCS is the same
+    if telegram.empty_le3:
+        body = bytes(telegram[1:4])
+        return bytes((Kind.SD2, EMPTY_LE, EMPTY_LE, Kind.SD2)) + body + bytes((fcs(body), ED))
+    return encode(telegram)

@@ -91,3 +91,23 @@ def test_a_lost_port_and_refused_rates() -> None:
     assert searching.baud < first
     with pytest.raises(UsageError, match="only listens"):
         fixed.command(object(), 0)
+
+
+@pytest.mark.parametrize(
+    "octets",
+    [
+        "68 03 03 68 02 05 08 0F 16",  # LE = 3
+        "A2 05 02 6D 01 02 03 04 05 06 07 08 98 16",  # SD3
+        "68 06 06 68 85 82 6D 3C 3E 01 EF 16",
+        "10 05 02 49 50 16",
+        "DC 02 02",
+        "E5",
+    ],
+)
+def test_every_kind_of_telegram_is_delivered_as_it_was_sent(octets: str) -> None:
+    world = World(referee=False)
+    heard: list[Transmission] = []
+    world.add(Listener(0, heard.append, baud=500_000), name="listener")
+    world.inject(bytes.fromhex(octets))
+    world.run_for(10 * MS)
+    assert [(one.octets, one.damage) for one in heard] == [(bytes.fromhex(octets), 0)]
