@@ -7,7 +7,7 @@ from typing import Final
 
 from dpstack.capture.pcapng import USER0, Writable, Writer
 from dpstack.capture.timing import timing_of
-from dpstack.capture.transmission import Damage, Transmission
+from dpstack.capture.transmission import Transmission, damage_text
 from dpstack.units import baud_text
 
 #: causes of a gap that are kept until the next transmission
@@ -95,7 +95,7 @@ class Recording:
         if gap:
             self._statistics(interface, t_ns, gap)
         self._written[interface] += 1
-        cause = cause_text(one.damage) if one.damage else ""
+        cause = f"damaged: {damage_text(one.damage)}" if one.damage else ""
         text = "; ".join(part for part in (gap, remark, cause, one.note) if part)
         self._writer.packet(interface, t_ns, one.octets, one.damage, text)
 
@@ -120,17 +120,3 @@ class Recording:
             comment = f"{comment}; {so_far}" if comment else so_far
         chunks = gaps.chunks - self._chunks_before
         self._writer.statistics(interface, self._begun_ns, now_ns, self._written[interface], chunks, comment)
-
-
-_CAUSES: Final = {
-    Damage.FCS: "wrong check sequence or end octet",
-    Damage.TOO_LONG: "too long",
-    Damage.TOO_SHORT: "cut short",
-    Damage.START_DELIMITER: "no valid start",
-    Damage.PARITY_OR_FRAMING: "parity or framing error",
-}
-
-
-def cause_text(damage: int) -> str:
-    """The causes of ``damage``, a sum of :class:`Damage`, in words."""
-    return "damaged: " + ", ".join(text for bit, text in _CAUSES.items() if damage & bit)

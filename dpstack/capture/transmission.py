@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import IntFlag
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 
 class Damage(IntFlag):
@@ -14,6 +14,21 @@ class Damage(IntFlag):
     TOO_SHORT = 1 << 26
     START_DELIMITER = 1 << 29
     PARITY_OR_FRAMING = 1 << 31
+
+
+#: kinds of damage in words
+DAMAGE_TEXTS: Final = {
+    Damage.FCS: "check sequence",
+    Damage.TOO_LONG: "too long",
+    Damage.TOO_SHORT: "too short",
+    Damage.START_DELIMITER: "start octet",
+    Damage.PARITY_OR_FRAMING: "parity or framing",
+}
+
+
+def damage_text(damage: int) -> str:
+    """The causes in a sum of :class:`Damage` in words."""
+    return ", ".join(text for bit, text in DAMAGE_TEXTS.items() if damage & bit)
 
 
 class Transmission(NamedTuple):

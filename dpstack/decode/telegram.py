@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.capture.transmission import Damage, Transmission
+from dpstack.capture.transmission import DAMAGE_TEXTS, Damage, Transmission, damage_text
 from dpstack.decode.course import Course, Step
 from dpstack.decode.fields import Fields
 from dpstack.decode.names import NO_NAMES, Names
@@ -26,14 +26,6 @@ _RESPONSE: Final = {number.value: number.name for number in Resp}
 _KINDS: Final = {kind: kind.name for kind in Kind}
 _KIND_SC: Final = Kind.SC
 _KIND_SD4: Final = Kind.SD4
-#: the causes of damage in words
-DAMAGE_TEXTS: Final = {
-    Damage.FCS: "check sequence",
-    Damage.TOO_LONG: "too long",
-    Damage.TOO_SHORT: "too short",
-    Damage.START_DELIMITER: "start octet",
-    Damage.PARITY_OR_FRAMING: "parity or framing",
-}
 _DAMAGED: Final = int(sum(Damage))
 #: damage that the octets themselves do not show
 _UNSEEN: Final = int(Damage.PARITY_OR_FRAMING | Damage.TOO_LONG)
@@ -144,11 +136,6 @@ def _course(step: Step) -> dict[str, object]:
         "probably_answers": step.probably_answers,
         "remarks": list(step.remarks),
     }
-
-
-def damage_text(damage: int) -> str:
-    """The causes in a sum of :class:`Damage` in words."""
-    return ", ".join(text for bit, text in DAMAGE_TEXTS.items() if damage & bit)
 
 
 class Explainer:

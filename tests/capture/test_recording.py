@@ -73,7 +73,7 @@ def test_damage_with_its_cause() -> None:
     (packet,) = file.packets()
     assert packet.octets == TOKEN[:2]
     assert packet.flags == 1 << 26 | 1 << 31
-    assert packet.comments == ("damaged: cut short, parity or framing error; octet 2 of them",)
+    assert packet.comments == ("damaged: too short, parity or framing; octet 2 of them",)
 
 
 def test_a_gap_is_in_the_next_packet_and_in_statistics() -> None:

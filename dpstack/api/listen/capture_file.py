@@ -272,6 +272,8 @@ def _check_new(path: Path, found: os.stat_result, otherwise: str) -> None:
 
 
 def _write_error(name: str, error: OSError) -> CaptureFileError:
+    if error.errno == errno.EPIPE:
+        return CaptureFileError(f"{name}: its reader has gone")
     full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     todo = "make room there, or name a file elsewhere" if full else "what was heard up to here is kept"
     return CaptureFileError(f"{name}: cannot be written ({error.strerror or error}); {todo}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import io
 import os
@@ -10,19 +11,25 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from cli_kit import Cli
 from far_ends import HANG_S, PtyFarEnd
 
+from dpstack.api.listen.listening import Line, OctetsLost
 from dpstack.capture.pcapng import PROFIBUS_DL, Packet, Reader
+from dpstack.capture.transmission import Damage, Transmission
+from dpstack.cli.listening import capture
 from dpstack.cli.main import main
+from dpstack.fdl.baud_search import BaudFound, Confidence
+from dpstack.trace import Event
 
 TOKEN = bytes.fromhex("DC 02 02")
 REQUEST = bytes.fromhex("68 05 05 68 83 82 6D 3C 3E EC 16")
 ANSWER = bytes.fromhex("68 0B 0B 68 82 83 08 3E 3C 02 05 00 FF 12 34 D3 16")
+T = 1_790_000_000_000_000_000
 ROUND = TOKEN + REQUEST + ANSWER
 
 
@@ -243,3 +250,62 @@ def test_signals_end_it_in_order(bus: Bus, tmp_path: Path, alone: None) -> None:
     os.kill(program.pid, signal.SIGTERM)
     assert program.end() == 0
     assert f"{len(packets(path))} transmissions kept in {path}" in program.out
+
+
+class ScriptedLine:
+    """Stands for a line on which things happen that no pty can do."""
+
+    line = Line("/dev/ttyUSB0", "adapter", None, 500_000, paced=True, damaged="octets are marked")
+
+    def __init__(
+        self,
+        _port: str,
+        _baud: int | None,
+        on_transmission: Callable[[Transmission], None],
+        on_event: Callable[[Event], None],
+        *,
+        own: bool,
+    ) -> None:
+        assert own
+        self._heard, self._event = on_transmission, on_event
+        self._damage: dict[str, int] = {}
+
+    async def __aenter__(self) -> ScriptedLine:
+        return self
+
+    async def __aexit__(self, *_: object) -> None: ...
+
+    def damage(self) -> dict[str, int]:
+        return self._damage
+
+    async def ended(self) -> None:
+        self._heard(Transmission(TOKEN, T, 500_000))
+        self._event(OctetsLost(t_ns=0, count=3, port="p"))
+        self._heard(Transmission(REQUEST, T + 1, 500_000))
+        self._event(
+            BaudFound(t_ns=0, baud=1_500_000, listened_ns=1, confidence=Confidence.CHECKED, telegrams=2, tried=1)
+        )
+        self._heard(Transmission(ANSWER[:5], T + 2, 1_500_000, "octet 2", Damage.TOO_SHORT))
+        self._damage = {"overrun": 7, "marked": 2}
+        await asyncio.Event().wait()
+
+
+def test_gaps_rates_and_damage_are_in_the_file(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capture, "Listening", ScriptedLine)
+    path = tmp_path / "a.pcapng"
+    lines = cli.jsons("capture", "--port", "x", "--write", str(path), "--seconds", "0.05")
+    token, request, answer = packets(path)
+    assert (token.comments, token.flags, token.interface.bits_per_s) == ((), 0, 500_000)
+    assert "8 data bits, even parity; times by adapter, resolution 1000 us; octets are marked" in (
+        token.interface.description
+    )
+    assert request.comments == (f"gap: {OctetsLost(t_ns=0, count=3, port='p').text}",)
+    assert (answer.flags, answer.interface.bits_per_s) == (1 << 26, 1_500_000)
+    assert answer.comments == (
+        "gap: the bus runs at 1.5 Mbit/s, recognised by telegrams with check sum; what was sent during the search for "
+        "the rate is missing; damaged: too short; octet 2",
+    )
+    summary = lines[-1]
+    assert (summary["gaps"], summary["lost_chunks"], summary["kept"]) == (3, 3, 3)
+    assert summary["port_damage"] == {"overrun": 7, "marked": 2}
+    assert b"7 octets were lost within the last 1 s" in path.read_bytes()[-500:]
