@@ -17,10 +17,10 @@ from dpstack.api.listen.tap_cutter import TapCutter
 from dpstack.capture.listener import OnTransmission
 from dpstack.errors import DpError, PortError
 from dpstack.trace import Event, Notice, Severity
+from dpstack.units import baud_text
 
 #: 64 bits, and room for the sum of two
 _TimeNs = Annotated[int, Meta(gt=-(2**62), lt=2**62)]
-_Hex = Annotated[str, Meta(pattern="^([0-9a-f]{2})*$")]
 
 
 class _TapItem(TypedDict, total=False):
@@ -31,7 +31,7 @@ class _TapItem(TypedDict, total=False):
     baud: int | None
     paced: bool
     exact: bool
-    octets: list[tuple[_TimeNs, int, _Hex, bool]]
+    octets: list[tuple[_TimeNs, int, str, bool]]
     lost: Annotated[int, Meta(ge=0, lt=2**62)]
 
 
@@ -108,22 +108,30 @@ class ProgramTap:
         raise PortError(f"{self.port}: the program ended")
 
     def _describe(self, item: _TapItem) -> None:
-        self.baud = item.get("baud")
+        before, self.baud = self.baud, item.get("baud")
+        if self.baud is None:
+            self._remark(f"the {self.program} searches for the baud rate of the bus", Severity.INFO)
+        elif before is None and self._cutter.program:
+            self._remark(f"the {self.program} has found the bus at {baud_text(self.baud)}", Severity.INFO)
         self._cutter.begin(item["epoch_ns"], self.program)
         self.paced = item.get("paced", False)
         self.exact = item.get("exact", False)
 
     def _read_portion(self, item: _TapItem) -> None:
         cutter = self._cutter
+        try:
+            entries = [(end_ns, baud, bytes.fromhex(octets), sent) for end_ns, baud, octets, sent in item["octets"]]
+        except ValueError as error:
+            raise _strange(self.port, error) from None
         cutter.lose(item.get("lost", 0))
-        for end_ns, baud, octets, sent in item["octets"]:
-            cutter.add(end_ns, baud, bytes.fromhex(octets), sent)
-        if not item["octets"]:
+        for entry in entries:
+            cutter.add(*entry)
+        if not entries:
             cutter.give_up()
         self.baud = cutter.baud or self.baud
 
-    def _remark(self, text: str) -> None:
-        self._on_event(Notice(t_ns=monotonic_ns(), source=self.port, message=text, severity=Severity.WARNING))
+    def _remark(self, text: str, severity: Severity = Severity.WARNING) -> None:
+        self._on_event(Notice(t_ns=monotonic_ns(), source=self.port, message=text, severity=severity))
 
 
 async def _items(client: ControlClient) -> AsyncGenerator[_TapItem | None]:
@@ -170,4 +178,8 @@ def _refuse(client: ControlClient, line: bytes, error: Exception) -> None:
     if answer.get("ok") is False:
         raise failure(answer)
     if answer.get("ok") is not True:
-        raise PortError(f"{client.port}: its tap is not as dpstack writes it ({error}): is it another version?")
+        raise _strange(client.port, error)
+
+
+def _strange(port: str, error: Exception) -> PortError:
+    return PortError(f"{port}: its tap is not as dpstack writes it ({error}): is it another version?")

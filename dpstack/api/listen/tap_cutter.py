@@ -38,8 +38,9 @@ class TapCutter:
     def __init__(self, port: str, on_transmission: OnTransmission, on_event: Callable[[Event], None]) -> None:
         #: rate of the last entry in bit/s, 0 before the first
         self.baud = 0
+        #: the kind of program that holds the port; empty before :meth:`begin`
+        self.program = ""
         self._port = port
-        self._program = ""
         self._on_transmission = on_transmission
         self._on_event = on_event
         self._epoch_ns = 0
@@ -50,7 +51,7 @@ class TapCutter:
         port."""
         self.give_up()
         self._epoch_ns = epoch_ns
-        self._program = program
+        self.program = program
 
     def lose(self, count: int) -> None:
         """``count`` entries (0: none) are missing here."""
@@ -90,7 +91,7 @@ class TapCutter:
         if there:
             self._on_event(PortBack(t_ns=now, port=self._port))
         else:
-            self._on_event(PortLost(t_ns=now, port=self._port, reason=f"for the {self._program} that holds it"))
+            self._on_event(PortLost(t_ns=now, port=self._port, reason=f"for the {self.program} that holds it"))
 
     def _deliver(self, transmissions: list[Transmission]) -> None:
         for one in transmissions:
