@@ -672,8 +672,8 @@ class Counters:
                 if master.in_ring:
                     self._drop_out(master, now, "is silent")
         for station in self.stations.values():
-            if station.is_master and not self.masters[station.address].is_silent:
-                station.state = State.UNKNOWN  # it sends by itself
+            if station.is_master:  # it sends by itself
+                station.state = State.OFFLINE if self.masters[station.address].is_silent else State.UNKNOWN
                 continue
             if station.state == State.OFFLINE or not station.answers:
                 continue

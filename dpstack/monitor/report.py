@@ -67,12 +67,13 @@ _STATION_KEYS: Final = frozenset(
     }
 )  # fmt: skip
 _MASTER_KEYS: Final = frozenset(
-    {"mode", "token_us", "rotation_us", "hold_us", "gap_polls", "drops", "slaves", "verdict", "reasons"}
+    {"mode", "token_us", "rotation_us", "hold_us", "gap_polls", "drops", "in_ring", "silent", "slaves"}
+    | {"verdict", "reasons"}
 )
 _TOP_KEYS: Final = frozenset(
     {
-        "event", "time", "baud", "seconds", "telegrams", "load", "damaged", "unattributed", "timing", "masters",
-        "stations", "verdict", "reasons", "telegrams_per_s", "profibus", "thresholds",
+        "event", "time", "baud", "seconds", "telegrams", "load", "damaged", "unattributed", "strays", "timing",
+        "masters", "stations", "verdict", "reasons", "telegrams_per_s", "profibus", "thresholds",
     }
 )  # fmt: skip
 
@@ -179,6 +180,7 @@ class Report:
             "Load": _share(s.get("load")),
             "Damaged transmissions": _causes(s.get("damaged") or {}),
             "Not attributed to a station": s.get("unattributed"),
+            "Answers that nobody asked for": s.get("strays"),
             **_further(s, _TOP_KEYS),
         }
         remarks = "".join(f'<p class="remark">{text(one)}</p>' for one in self.remarks)

@@ -33,6 +33,7 @@ def summary(heard: Heard) -> dict[str, object]:
         "load": round(min(1.0, counters.busy_ns / NS_PER_S / seconds), 4) if seconds else 0.0,
         "damaged": dict(sorted(counters.damaged.items())),
         "unattributed": counters.unattributed,
+        "strays": counters.strays,
         "timing": heard.timing.as_dict(),
         "profibus": heard.is_profibus,
         "masters": {str(address): _master(one, heard) for address, one in sorted(counters.masters.items())},
@@ -65,6 +66,8 @@ def _master(master: Master, heard: Heard) -> dict[str, object]:
         "hold_us": timing.neighbours(master.hold_ns),
         "gap_polls": master.gap_polls,
         "drops": master.drops,
+        "in_ring": master.in_ring,
+        "silent": master.is_silent,
         "slaves": sorted(master.slaves),
     }
 
@@ -78,7 +81,8 @@ def _station(station: Station, verdict: Verdict, heard: Heard) -> dict[str, obje
         "model": device.model or None,
         "state": station.state,
         "master": station.master,
-        "requests": station.requests,
+        # the one whose answer may still come is counted with its end
+        "requests": station.requests - (heard.counters.asked is station),
         "answers": station.answers,
         "damaged": station.damaged,
         "no_answer": station.no_answer,

@@ -285,7 +285,7 @@ def test_a_bus_that_falls_silent_shows_nobody_alive() -> None:
     counters.look(w.world.now + 3 * S)
     master = counters.masters[2]
     assert (master.in_ring, master.is_silent, master.mode) == (False, True, "unknown")
-    assert [counters.stations[address].state for address in (5, 6)] == [State.UNKNOWN] * 2
+    assert [counters.stations[address].state for address in (2, 5, 6)] == [State.OFFLINE] + [State.UNKNOWN] * 2
     assert ("left", 2) in [(c.kind, c.address) for c in w.changes]
 
 

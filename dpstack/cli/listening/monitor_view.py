@@ -77,7 +77,10 @@ def _rows(stations: Mapping[str, Mapping[str, Any]]) -> list[tuple[object, ...]]
 
 def _row(address: str, station: Mapping[str, Any]) -> tuple[object, ...]:
     name = station["name"] or station["model"] or station["ident"] or ""
-    state = "master" if station["role"] == "master" else station["state"].replace("_", " ")
+    if station["role"] == "master":
+        state = "master, silent" if station["state"] == State.OFFLINE else "master"
+    else:
+        state = station["state"].replace("_", " ")
     if state == State.UNKNOWN:
         state = "no master"
     tsdr = station["tsdr_us"]
@@ -93,7 +96,8 @@ def _narrow_row(address: str, station: Mapping[str, Any]) -> tuple[object, ...]:
 def _master_row(address: str, master: Mapping[str, Any]) -> tuple[object, ...]:
     slaves = ", ".join(map(str, master["slaves"])) or "none"
     times = [_mean(master["token_us"]), _mean(master["rotation_us"]), _hold(master["hold_us"])]
-    return (address, master["mode"], *times, master["gap_polls"], master["drops"], slaves)
+    mode = "silent" if master["silent"] else master["mode"]
+    return (address, mode, *times, master["gap_polls"], master["drops"], slaves)
 
 
 def _mean(figures: Mapping[str, float] | None) -> str:
