@@ -191,7 +191,7 @@ def _output(words: Sequence[str]) -> str:
 
 
 #: commands whose CPU time is a figure
-COMMANDS: Final = ("--version", "ctl --help")
+COMMANDS: Final = ("--version", "ctl --help", "decode E5", "monitor --help", "capture --help")
 _API: Final = ("dpstack:open_bus", "dpstack:run_virtual")
 _CODEC: Final = tuple(f"dpstack.fdl.codec:{name}" for name in ("request_octets", "encode_token", "decode"))
 _MAIN: Final = ("dpstack.cli.main:main",)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping, Sequence
 from time import time_ns
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from dpstack.cli.terminal import output
 from dpstack.monitor.counters import State
@@ -13,6 +12,9 @@ from dpstack.monitor.monitor import Happening, Monitor
 from dpstack.monitor.summary import UNSEEN
 from dpstack.monitor.verdicts import CRITICAL, GOOD, UNKNOWN, WARNING, Heard
 from dpstack.units import NS_PER_S, baud_text
+
+if TYPE_CHECKING:
+    from dpstack.api.listen.report_file import ReportFile
 
 STYLES: Final = {GOOD: "green", UNKNOWN: "", WARNING: "yellow", CRITICAL: "bold red"}
 #: of events
@@ -145,6 +147,8 @@ class LiveView:
 
     async def watch(self) -> None:
         """Redraw the list until cancelled; then the terminal has its text of before again."""
+        import asyncio  # a capture file needs none
+
         from rich.live import Live
 
         with output.guarded(), Live(self.picture(time_ns()), auto_refresh=False, screen=True) as live:
@@ -205,3 +209,14 @@ def _fitting(stations: Mapping[str, Mapping[str, Any]], console: Any, room: int)
         for address in leaving[out : out + max(1, over // 2)]:
             if len(shown) > 1:
                 del shown[address]
+
+
+def write_report(report: ReportFile | None, summary: dict[str, object], line: dict[str, object], *, json: bool) -> None:
+    """Write the report, if there is to be one; a failure is a warning."""
+    if report is None:
+        return
+    why = report.write(summary, line)
+    if why is not None:
+        output.warn(why)
+    elif not json:
+        output.line(f"report: {report.name}")

@@ -7,12 +7,11 @@ import functools
 import sys
 from collections.abc import Callable, Iterator, Mapping
 
-from dpstack.api.config.config import load_config
-from dpstack.api.listen.names import decode_names
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
+from dpstack.decode.fields import Fields
 from dpstack.decode.filter import Match, parse_filter
-from dpstack.decode.names import Names
+from dpstack.decode.names import DriveWords, Names, SlaveNames
 from dpstack.decode.telegram import Explained
 from dpstack.errors import UsageError
 from dpstack.text import json_text
@@ -27,9 +26,29 @@ def add_names(parser: Parser) -> None:
 
 
 def names_of(args: argparse.Namespace) -> Names:
-    """The names that the options of :func:`add_names` say. Raises ConfigError."""
-    config = None if args.config is None else load_config(args.config)
-    return decode_names(config, args.gsd)
+    """The names that the options of :func:`add_names` say; else those of drives that are known here, read when a
+    station tells its ident number. Raises ConfigError."""
+    if args.config is None and not args.gsd:
+        return Names({}, _recognise, _record)
+    from dpstack.api.config.config import load_config
+    from dpstack.api.listen.names import decode_names
+
+    return decode_names(None if args.config is None else load_config(args.config), args.gsd)
+
+
+def _recognise(ident: int, config: bytes) -> SlaveNames | None:
+    return _known_names().recognise(ident, config)
+
+
+def _record(octets: bytes, request: bool, drive: DriveWords | None) -> Fields:
+    return _known_names().record(octets, request, drive)
+
+
+@functools.cache
+def _known_names() -> Names:
+    from dpstack.api.listen.names import decode_names  # with all that it knows about drives
+
+    return decode_names()
 
 
 def filter_argument(text: str) -> Match:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from dpstack.capture.pcapng import Writer
 from dpstack.cli.main import _COMMANDS, _LISTENING
 
 _PROGRAM = """
@@ -41,6 +43,19 @@ def test_the_control_client_is_all_that_ctl_loads() -> None:
     assert len(ours) <= 32
     assert heavy == set()
     assert {name for name in ours if name.startswith("dpstack.api.bus")} == set()
+
+
+def test_what_is_heard_is_explained_and_judged_without_ports_drives_and_an_event_loop(tmp_path: Path) -> None:
+    path = tmp_path / "bus.pcapng"
+    with path.open("wb") as file:
+        writer = Writer(file, "a test")
+        writer.packet(writer.interface("p", 500_000, ""), 1_790_000_000_000_000_000, b"\xdc\2\2")
+    for args, most in ((["decode", "DC", "02", "02"], 70), (["decode", str(path)], 70), (["monitor", str(path)], 65)):
+        ours, heavy = loaded(_PROGRAM, *args)
+        assert len(ours) <= most
+        assert heavy == {"construct"}
+        rooms = {".".join(name.split(".")[:2]) for name in ours}
+        assert rooms.isdisjoint({"dpstack.drivers", "dpstack.ports", "dpstack.sim", "dpstack.profile"})
 
 
 def test_the_package_loads_nothing_of_itself() -> None:
