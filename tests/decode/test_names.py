@@ -212,6 +212,31 @@ def test_the_parameter_channel_is_explained_at_both_ends() -> None:
     assert {(one["service"], one["name"][:2]) for one in own} >= {("read", "oP"), ("read", "sy")}
 
 
+@pytest.mark.parametrize(
+    ("octets", "order", "text"),
+    [
+        ("619C 0100 00000000 000F 1000", True, "read array 412 (Local/Remote), control word 000F (switch_on enable_v"),
+        ("819C 0100 00000001 0000 0000", True, "write array long 412 (Local/Remote) = 1, control word 0000 (no bit"),
+        ("719C 0100 00000002 0240 0000", False, "error 412 (Local/Remote): error 2, "),
+        ("819C 0100 00000000 0240 0000", False, "no control 412 (Local/Remote)"),
+        (
+            "F3FF 0000 00000005 0240 F000",
+            False,
+            "reply 15 1023[0] = 0x5, status word 0240: switch_on_inhibited, speed -25.0%",
+        ),
+        ("0000 0000 00000000 0008 0000", False, "status word 0008: fault, speed 0.0%, fault not yet named"),
+        ("0000 0000 00000000 0008", False, ""),  # another length: no words
+    ],
+)
+def test_words_of_a_drive_literally(octets: str, order: bool, text: str) -> None:
+    data = bytes.fromhex(octets)
+    sent = encode_sd2(3, 2, 0x5D, data) if order else encode_sd2(2, 3, DL, data)
+    (one,) = explain([Transmission(sent)], _names())
+    words: Any = one.fields.get("drive", {"text": ""})
+    assert words["text"].startswith(text)
+    assert bool(words["text"]) is bool(text)
+
+
 # --- record 47 -------------------------------------------------------------------------------------------------------
 
 

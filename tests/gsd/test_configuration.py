@@ -6,7 +6,7 @@ import pytest
 from gsd_kit import device, made
 
 from dpstack.errors import GsdError
-from dpstack.gsd.configuration import configure, default_modules, find_module
+from dpstack.gsd.configuration import configure, default_modules, find_module, modules_of_config
 
 
 def test_identifier_octets_lengths_and_parameters() -> None:
@@ -93,3 +93,31 @@ def test_slot_numbers_begin_with_modul_offset() -> None:
         'Module = "a" 0x10\nExt_Module_Prm_Data_Len = 1\nExt_User_Prm_Data_Ref(0) = 1\nEndModule\n'
     ).device
     assert [f.key for f in configure(d, ["a", "a"]).user_prm().fields] == ["0/p@0", "1/p@0"]
+
+
+@pytest.mark.parametrize(
+    ("name", "octets", "modules"),
+    [
+        ("whole", "20 10 43 43 01 02 03 00", ["8 DO", "8 DI", "4 AI", None]),
+        ("whole", "", []),
+        ("whole", "10 10", ["8 DI", "8 DI"]),
+        ("whole", "10 11", None),  # 11 is of no module
+        ("whole", "43 43 01 02", None),  # the last octet is missing
+    ],
+)
+def test_modules_are_found_by_their_identifier_octets(name: str, octets: str, modules: list[str | None] | None) -> None:
+    found = modules_of_config(device(name), bytes.fromhex(octets))
+    assert (None if found is None else [None if one is None else one.name for one in found]) == modules
+
+
+def test_octets_of_one_module_may_begin_with_those_of_another() -> None:
+    """The longer one counts where the rest belongs to whole modules, else the shorter one."""
+    file = made(
+        'Module = "a" 0x10\n1\nEndModule\nModule = "ab" 0x10,0x20\n2\nEndModule\n'
+        'Module = "bb" 0x20,0x20\n3\nEndModule\n'
+    )
+    for octets, names in (("10 20", ["ab"]), ("10 20 20", ["a", "bb"]), ("10 20 20 20", ["ab", "bb"])):
+        found = modules_of_config(file.device, bytes.fromhex(octets))
+        assert found is not None
+        assert [one.name for one in found if one is not None] == names
+    assert modules_of_config(file.device, b"\x10" * 244) is not None
