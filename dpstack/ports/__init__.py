@@ -58,7 +58,7 @@ def open_port(
         return name
     scheme, separator, _rest = name.partition("://")
     if separator:
-        return _by_url(scheme, name, baud, paced)
+        return _by_url(scheme, name, baud, paced, listen)
     if not name:
         raise PortError("no port given: write a device (/dev/ttyUSB0), socket://host:port, rfc2217://host:port or pty")
     if sys.platform == "linux":
@@ -80,7 +80,7 @@ def open_port(
     return PySerialPort(name, baud, paced=paced is not False, listen=listen)
 
 
-def _by_url(scheme: str, name: str, baud: int, paced: bool | None) -> Port:
+def _by_url(scheme: str, name: str, baud: int, paced: bool | None, listen: bool) -> Port:
     if scheme == "socket":
         from dpstack.ports.tcp import SocketPort
 
@@ -89,5 +89,5 @@ def _by_url(scheme: str, name: str, baud: int, paced: bool | None) -> Port:
         with importing_pyserial(name):
             from dpstack.ports.rfc2217 import Rfc2217Port
 
-        return Rfc2217Port(name, baud, paced=paced is not False)
+        return Rfc2217Port(name, baud, paced=paced is not False, listen=listen)
     raise PortError(f"{name}: ports are /dev/..., socket://host:port, rfc2217://host:port, pty (not {scheme}://)")

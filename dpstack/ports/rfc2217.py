@@ -59,8 +59,9 @@ class Rfc2217Port(Port):
     delivery = Delivery.ADAPTER
     _failures = (OSError, ValueError)
 
-    def __init__(self, name: str, baud: int, *, paced: bool = True) -> None:
+    def __init__(self, name: str, baud: int, *, paced: bool = True, listen: bool = False) -> None:
         super().__init__(name, baud, paced=paced)
+        self._listen = listen
         host_and_port(name, "rfc2217")
         self._serial: Any = None
         self._lock = threading.Lock()
@@ -90,7 +91,7 @@ class Rfc2217Port(Port):
     def _send(self, octets: bytes) -> int:
         port = self._serial
         # pyserial has no time-out for writing here: ask before. A socket that is ready takes a telegram whole.
-        if port is None or not select.select((), (port._socket,), (), 0)[1]:
+        if port is None or self._listen or not select.select((), (port._socket,), (), 0)[1]:
             return 0
         port.write(octets)
         return len(octets)
@@ -106,7 +107,12 @@ class Rfc2217Port(Port):
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", DeprecationWarning)  # pyserial 3.5 starts its thread the old way
-                return _Client(self.name, baudrate=self.baud, parity=serial.PARITY_EVEN, timeout=_READ_S)
+                client = _Client(None, baudrate=self.baud, parity=serial.PARITY_EVEN, timeout=_READ_S)
+                if self._listen:
+                    client.rts = False  # a converter that RTS switches must not drive the bus
+                client.port = self.name
+                client.open()
+                return client
         except (OSError, ValueError) as exc:
             text = str(exc)
             if "parameter change" in text or "baudrate" in text:

@@ -10,12 +10,13 @@ from typing import Any
 
 import pytest
 from fake_adapter import FakeDriver, plug_in
-from far_ends import PtyFarEnd
+from far_ends import PtyFarEnd, Rfc2217FarEnd
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dpstack.phy.marked import MarkedOctets
 from dpstack.ports import open_port
+from dpstack.ports.pyserial import PySerialPort
 from dpstack.ports.tty import TtyPort, Unmarker
 
 
@@ -63,6 +64,30 @@ def test_a_port_whose_rts_cannot_be_dropped_says_so(
     port.open_now()
     port.close()
     assert any("RTS line cannot be dropped" in notice for notice in port.notices)
+
+
+async def test_a_port_of_pyserial_writes_nothing(far: PtyFarEnd) -> None:
+    port = PySerialPort(far.path, 9_600, listen=True)
+    await port.open()
+    try:
+        assert port._serial.rts is False
+        assert not port.write(b"\xe5")
+        assert far.take() == b""
+    finally:
+        port.close()
+
+
+async def test_a_server_is_asked_to_drop_rts() -> None:
+    far = Rfc2217FarEnd()
+    port = open_port(far.path, 9_600, listen=True)
+    try:
+        await port.open()
+        assert far.line.rts is False
+        assert not port.write(b"\xe5")
+        assert far.take() == b""
+    finally:
+        port.close()
+        far.shut()
 
 
 @given(st.lists(st.tuples(st.integers(0, 255), st.booleans()), max_size=20), st.data())
