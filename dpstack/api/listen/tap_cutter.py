@@ -50,6 +50,7 @@ class TapCutter:
         """``epoch_ns`` plus the time of a later entry is the time since 1970. ``program``: the kind that holds the
         port."""
         self.give_up()
+        self._cutter = None
         self._epoch_ns = epoch_ns
         self.program = program
 
@@ -68,7 +69,7 @@ class TapCutter:
         cutter = self._cutter
         if cutter is None or cutter.baud != baud:
             cutter = self._new_cutter(baud)
-        elif sent or cutter.stall_at() <= end_ns:
+        elif sent:  # a telegram of the program's own begins; after a silence the cutter gives up by itself
             self._deliver(cutter.give_up())
         self._deliver(cutter.feed(octets, end_ns))
 
@@ -82,7 +83,7 @@ class TapCutter:
             raise PortError(f"{self._port}: its tap speaks of {baud} bit/s, which is no PROFIBUS rate: is it dpstack?")
         self.give_up()
         self.baud = baud
-        cutter = self._cutter = Cutter(baud, _STALL_NS)
+        cutter = self._cutter = Cutter(baud, _STALL_NS, self._epoch_ns)
         return cutter
 
     def _port_changed(self, *, there: bool) -> None:
@@ -95,4 +96,4 @@ class TapCutter:
 
     def _deliver(self, transmissions: list[Transmission]) -> None:
         for one in transmissions:
-            self._on_transmission(one._replace(t_ns=(one.t_ns or 0) + self._epoch_ns))
+            self._on_transmission(one)
