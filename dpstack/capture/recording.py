@@ -34,6 +34,10 @@ class PortAbout:
         return f"{self.name}, {baud_text(baud)}, 8 data bits, even parity; {timing}{pace}{more}"
 
 
+#: begin of the comment of a packet before which octets are missing
+GAP: Final = "gap: "
+
+
 class Gaps:
     """Places where octets are missing. ``count``: their number; ``chunks``: of octets, lost in this computer or in the
     program that holds the port."""
@@ -59,7 +63,7 @@ class Gaps:
         more, self._more = self._more, 0
         if not causes:
             return ""
-        return "gap: " + "; ".join([*causes, *([f"{more} more gaps"] if more else [])])
+        return GAP + "; ".join([*causes, *([f"{more} more gaps"] if more else [])])
 
 
 class Recording:

@@ -105,10 +105,12 @@ class Monitor:
         """When listening began, in ns since 1970; 0 before the first transmission."""
         return (self.counters.begun_ns or 0) if self._begun_ns is None else self._begun_ns
 
-    def gap(self, t_ns: int, text: str) -> None:
+    def gap(self, t_ns: int, text: str, *, since_ns: int = 0) -> None:
         """Octets are missing before ``t_ns``: put it on the time line. No duration is counted across it, and no station
-        is silent because of it."""
+        is silent because of it. ``since_ns``: the time between is none of listening; 0: there was hardly any."""
         self.counters.gap(t_ns)
+        if since_ns:
+            self._deaf_ns += max(0, t_ns - since_ns)
         self._tell(Happening(t_ns, "gap", None, "", text))
 
     def lost(self, t_ns: int, text: str) -> None:

@@ -25,7 +25,7 @@ def summary(heard: Heard) -> dict[str, object]:
     seconds = heard.seconds
     return {
         "event": "summary",
-        "time": _time(heard.now_ns),
+        "time": time_text(heard.now_ns),
         "baud": counters.baud or None,
         "seconds": round(seconds, 3),
         "telegrams": counters.telegrams,
@@ -46,7 +46,8 @@ def summary(heard: Heard) -> dict[str, object]:
     }
 
 
-def _time(ns: int) -> str | None:
+def time_text(ns: int) -> str | None:
+    """``ns`` since 1970 as JSON lines have it, in ms; None for 0 and for times that no calendar has."""
     if not ns:
         return None
     millis = ns // NS_PER_MS

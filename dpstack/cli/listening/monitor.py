@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 from dpstack.api.config.bus import AUTO
 from dpstack.capture.pcapng import Interface
+from dpstack.capture.recording import GAP
 from dpstack.capture.timing import FILE, LineTiming
+from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
 from dpstack.cli.listening.monitor_view import event_line, show_summary, write_report
 from dpstack.cli.listening.source_file import transmissions_of
@@ -18,8 +20,9 @@ from dpstack.cli.terminal import output
 from dpstack.errors import CaptureFileError, UsageError
 from dpstack.monitor.devices import Devices
 from dpstack.monitor.monitor import Happening, Monitor
+from dpstack.monitor.summary import time_text
 from dpstack.monitor.verdicts import CRITICAL
-from dpstack.units import NS_PER_S
+from dpstack.units import NS_PER_S, baud_text
 
 if TYPE_CHECKING:
     from dpstack.api.listen.report_file import ReportFile
@@ -91,6 +94,7 @@ class _FromFile:
         self._baud = 0 if args.baud == AUTO else args.baud
         self._limit_ns = None if args.seconds is None else int(args.seconds * NS_PER_S)
         self._monitor = monitor
+        self._started = False
         self._port: str | None = None
         self._other_port = False
         self._left_out: set[str] = set()
@@ -123,14 +127,36 @@ class _FromFile:
                 continue
             if not one.baud:
                 one = one._replace(baud=self._baud or self._without_rate())
-            if one.note and not one.damage:
-                monitor.gap(one.t_ns or 0, one.note)
+            if not self._started:
+                self._start(one)
+            if one.note:
+                self._remark(one)
             add(one)
             if self._limit_ns is not None:
                 if end is None:
                     end = (one.t_ns or 0) + self._limit_ns
                 elif (one.t_ns or 0) >= end:
                     return
+
+    def _start(self, first: Transmission) -> None:
+        """The start line, with the time of the first transmission."""
+        self._started = True
+        time, source = time_text(first.t_ns or 0), self._monitor.timing.source
+        if self._json:
+            start = {"event": "start", "time": time, "file": self._name, "port": self._port, "baud": first.baud}
+            output.json_line({**start, "source": source})
+        else:
+            port = f", port {self._port}" if self._port else ""
+            output.line(f"{self._name}{port}, {baud_text(first.baud)}, from {time or 'an unknown time'}", "bold")
+
+    def _remark(self, one: Transmission) -> None:
+        """The comment of a transmission: a gap before it, as ``dpstack capture`` writes it, or a remark."""
+        monitor, t_ns = self._monitor, one.t_ns or 0
+        _, gap, cause = f"; {one.note}".partition(f"; {GAP}")
+        if gap:
+            monitor.gap(t_ns, cause.partition("; damaged: ")[0], since_ns=monitor.counters.ended_ns)
+        elif not one.damage:
+            monitor.remark(t_ns, one.note)
 
     def _without_rate(self) -> int:
         raise UsageError(

@@ -17,7 +17,7 @@ from support import MS, S
 
 from dpstack.capture.listener import Listener
 from dpstack.capture.pcapng import Writer
-from dpstack.capture.recording import PortAbout, Recording
+from dpstack.capture.recording import Gaps, PortAbout, Recording
 from dpstack.capture.timing import ADAPTER, TAP, timing_of
 from dpstack.capture.transmission import Transmission
 from dpstack.cli.listening.monitor_view import LiveView
@@ -222,3 +222,25 @@ def test_a_file_of_two_ports_is_judged_by_the_first(cli: Cli, tmp_path: Path) ->
     assert err == f"dpstack: {path}: only the port 'left' is judged; left out: 'right'\n"
     summary = json.loads(out.splitlines()[-1])
     assert (summary["telegrams"], list(summary["masters"])) == (3, ["0"])
+
+
+def test_gaps_and_remarks_of_a_capture(cli: Cli, tmp_path: Path) -> None:
+    path = tmp_path / "gap.pcapng"
+    with path.open("wb") as file:
+        gaps = Gaps()
+        recording = Recording(file, "a test", PortAbout("seg", TAP, True, True), gaps)
+        for number in range(4):
+            recording.add(Transmission(b"\xdc\x02\x02", EPOCH + number * MS, 93_750))
+        gaps.add("the port was lost", 3)
+        recording.add(Transmission(b"\xdc\x02\x02", EPOCH + 100 * S, 93_750), gap=gaps.take())
+        recording.add(Transmission(b"\xdc\x02\x02", EPOCH + 100 * S + MS, 93_750), remark="the pump started")
+        recording.close(EPOCH + 101 * S)
+    lines = cli.jsons("monitor", str(path))
+    start = {"event": "start", "time": "2027-01-15T08:00:00.000Z", "file": str(path), "port": "seg", "baud": 93_750}
+    assert lines[0] == {**start, "source": "tap"}
+    told = [(line["event"], line["t"], line["text"]) for line in lines if line["event"] in ("gap", "notice")]
+    assert told == [("gap", 100.0, "the port was lost"), ("notice", 100.001, "the pump started")]
+    # 100 s without an octet are no time of listening, and no drop-out of the master
+    assert lines[-1]["seconds"] < 0.01
+    assert lines[-1]["masters"]["2"]["drops"] == 0
+    assert lines[-1]["masters"]["2"]["token_us"]["max"] == 1000
