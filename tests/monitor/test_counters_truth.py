@@ -34,6 +34,7 @@ from dpstack.params import BusParams
 from dpstack.sim.faults import Which
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
+from dpstack.stats import Histogram
 
 PARAMS = BusParams.preset(500_000, address=2, gap=2, hsa=12)
 
@@ -166,16 +167,35 @@ def test_a_ring_of_masters_with_their_slaves() -> None:
 
 def test_every_rotation_of_the_token_is_one_sample() -> None:
     w = Watched()
-    ring = FireRing(w.world, PARAMS.replace(hsa=5, gap=5), (2, 3))
+    ring = FireRing(w.world, PARAMS.replace(hsa=4, gap=2), (2, 3))
     assert w.world.run(10 * S, lambda: ring.whole)
-    w.run(10 * MS)
+    w.run(5 * MS)
     before = {address: one.token_ns.count for address, one in w.counters.masters.items()}
     tokens = {address: station.stats.tokens for address, station in ring.masters.items()}
-    w.run(100 * MS)
+    w.run(20 * MS)
     for address, station in ring.masters.items():
         got = w.counters.masters[address].token_ns.count - before[address]
         # the token of this moment may be on the wire, or just received
         assert abs(got - (station.stats.tokens - tokens[address])) <= 1
+
+
+def test_durations_are_those_of_the_world() -> None:
+    """T_SDR, the DP cycle and the token rotation, against slave, master and station."""
+    w = Watched()
+    bus = SimBus(w.world, PARAMS.replace(gap=0), [5, 6], t_sdr=30)
+    bus.until_exchanging()
+    w.run(5 * MS)
+    master = w.counters.masters[2]
+    master.rotation_ns = Histogram()
+    bus.master.rotation = Histogram()
+    w.run(30 * MS)
+    for address in (5, 6):
+        times = w.counters.stations[address].answer_ns
+        assert times.min_ns == times.max_ns == PARAMS.ns(30)
+    mine, own = master.rotation_ns, bus.master.rotation
+    assert (mine.min_ns, mine.max_ns) == (own.min_ns, own.max_ns)
+    assert abs(mine.count - own.count) <= 1
+    assert abs(master.token_ns.quantile_ns(0.5) - bus.station.token_rotation.quantile_ns(0.5)) <= PARAMS.ns(33)
 
 
 def test_class_2_services_and_modes() -> None:
@@ -504,7 +524,7 @@ TELEGRAMS = st.one_of(
 )
 
 
-@examples(150)
+@examples(60)
 @given(
     st.lists(
         st.tuples(

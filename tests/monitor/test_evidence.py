@@ -61,7 +61,7 @@ def test_another_protocol_is_never_named_profibus(name: str, baud: int, together
     assert "M-Bus and IEC 60870-5-101 have too" in naming.text
 
 
-@examples(30)
+@examples(20)
 @given(
     links=st.lists(st.integers(0, 255), min_size=1, max_size=6),
     wide=st.booleans(),
