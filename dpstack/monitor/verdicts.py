@@ -59,7 +59,8 @@ _Finding = tuple[str, str]
 
 
 def judge(heard: Heard) -> tuple[Verdict, dict[int, Verdict]]:
-    """The verdict on the bus, and on each station that was heard or is used, by address."""
+    """The verdict on the bus, and on each station that was heard or is used, by address. Unknown where there is no
+    evidence that this is PROFIBUS: stations of other protocols are not judged by its rules."""
     counters = heard.counters
     used = [station for _, station in sorted(counters.stations.items()) if heard.is_user(station)]
     stations = {one.address: _verdict(list(_findings(one, used, heard)), _doubt(one, heard)) for one in used}
@@ -113,6 +114,8 @@ def _doubt(station: Station, heard: Heard) -> str:
 
 # --- one station ---
 def _findings(station: Station, used: list[Station], heard: Heard) -> Iterator[_Finding]:
+    if not heard.is_profibus:
+        return
     past = heard.history.of(station.address)
     device = heard.devices.find(station.address, station.ident)
     master = heard.counters.masters.get(station.address)
@@ -281,11 +284,13 @@ def _tsdr(station: Station, past: Past, device: KnownDevice, heard: Heard) -> It
 
 # --- the bus ---
 def _of_bus(used: list[Station], heard: Heard) -> Iterator[_Finding]:
+    if not heard.is_profibus:
+        return
     counters, limits = heard.counters, heard.thresholds
     damaged = sum(counters.damaged.values())
     whole = counters.telegrams + damaged
     level = _level(damaged / whole, limits.damaged_warning, limits.damaged_critical) if whole else ""
-    if level and heard.is_profibus:
+    if level:
         causes = ", ".join(f"{count} {cause}" for cause, count in sorted(counters.damaged.items()))
         yield level, f"{_percent(damaged / whole)} of all transmissions are damaged ({causes}): look at {_SEGMENT}"
     many = {count: seconds for count, seconds in heard.history.at_once.items() if count >= limits.many_stations}

@@ -15,10 +15,12 @@ from support import MS, S
 
 from dpstack.capture.cutter import Cutter
 from dpstack.capture.listener import Listener
+from dpstack.capture.timing import LineTiming
 from dpstack.capture.transmission import Transmission
 from dpstack.fdl.baud_search import BaudFound
 from dpstack.fdl.codec import encode_sd1, encode_sd2, encode_token
 from dpstack.monitor.evidence import ENOUGH, Naming
+from dpstack.monitor.monitor import Monitor
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.trace import Event
@@ -201,3 +203,13 @@ def test_evidence_is_weighed_against_what_does_not_fit() -> None:
     assert not heard([asks, answers, SC] * 100).is_profibus
     assert not heard([encode_sd2(5, 2, 0x6D, b"\1"), SC] * 100).is_profibus  # the frame count bit never turns
     assert heard([encode_sd2(5, 2, 0x5D, b"\1"), SC, encode_sd2(5, 2, 0x7D, b"\1"), SC] * ENOUGH).is_profibus
+
+
+@pytest.mark.parametrize("name", CONVERSATIONS)
+def test_the_monitor_judges_no_bus_that_it_cannot_name(name: str) -> None:
+    monitor = Monitor(LineTiming("file", None))
+    for number, octets in enumerate(repeated(CONVERSATIONS[name], 4_000)):
+        monitor.add(Transmission(octets, 1_000 * S + number * 10 * MS, 9600))
+    summary = monitor.summary()
+    assert (summary["profibus"], summary["verdict"]) == (False, "unknown")
+    assert "M-Bus and IEC 60870-5-101 have too" in str(summary["reasons"])
