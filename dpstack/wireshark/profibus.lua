@@ -270,6 +270,8 @@ local BY_SAP = {
 }
 -- polls of the GAP: as a rule nobody has that address
 local FDL_STATUS = 9
+-- answers without a complaint: OK, DL, DH
+local GOOD = set(0, 8, 10)
 -- requests with a frame count, and those that nobody answers
 local COUNTED = set(3, 5, 7, 12, 13)
 local UNANSWERED = set(0, 4, 6)
@@ -1600,51 +1602,70 @@ local function add_course(tree, step, number)
     if answers[number] then
         tree:add(fields.response_in, answers[number]):set_generated()
     elseif given_up[number] then
-        local item = tree:add(fields.given_up_in, given_up[number]):set_generated()
-        if not step.poll then
-            item:add_proto_expert_info(experts.lost, "Nobody answered")
+        tree:add(fields.given_up_in, given_up[number]):set_generated()
+    end
+    for _, key in ipairs({ "retry_of", "repeated_poll_of", "unanswered", "probably_answers", "late" }) do
+        if step[key] then
+            tree:add(fields[key], step[key]):set_generated()
         end
-    end
-    if step.retry_of then
-        local item = tree:add(fields.retry_of, step.retry_of):set_generated()
-        item:add_proto_expert_info(experts.retry, "Retry of telegram " .. step.retry_of)
-    end
-    if step.unanswered then
-        local item = tree:add(fields.unanswered, step.unanswered):set_generated()
-        local request = steps[step.unanswered]
-        if not step.retry_of and not (request and request.poll) then
-            item:add_proto_expert_info(experts.lost, "Telegram " .. step.unanswered .. " was not answered")
-        end
-    end
-    if step.answer_to then
-        tree:add(fields.response_to, step.answer_to):set_generated()
-        if step.response_ns then
-            local ns = step.response_ns
-            local seconds = math.floor(ns / 1000000000)
-            if ns < 0 then
-                seconds = -math.floor(-ns / 1000000000)
-            end
-            tree:add(fields.response_time, NSTime.new(seconds, ns - seconds * 1000000000)):set_generated()
-        end
-        if step.late then
-            tree:add(fields.late, true):set_generated()
-        end
-    end
-    if step.repeated_poll_of then
-        tree:add(fields.repeated_poll_of, step.repeated_poll_of):set_generated()
-    end
-    if step.probably_answers then
-        tree:add(fields.probably_answers, step.probably_answers):set_generated()
     end
     if step.fcb_turned ~= nil then
         tree:add(fields.fcb_turned, step.fcb_turned):set_generated()
     end
+    if step.answer_to then
+        tree:add(fields.response_to, step.answer_to):set_generated()
+    end
+    if step.response_ns then
+        local ns = step.response_ns
+        local seconds = math.floor(math.abs(ns) / 1000000000) * (ns < 0 and -1 or 1)
+        tree:add(fields.response_time, NSTime.new(seconds, ns - seconds * 1000000000)):set_generated()
+    end
     for _, remark in ipairs(step.remarks) do
-        local item = tree:add(fields.remark, remark):set_generated()
-        if not step.damaged then
-            item:add_proto_expert_info(step.late and experts.late or experts.remark, remark)
+        tree:add(fields.remark, remark):set_generated()
+    end
+end
+
+-- Expert infos: what a reader should look at.
+local function findings(telegram, flaw, unit_error, step, number, told, comments)
+    local found = {}
+    local function tell(kind, text)
+        found[#found + 1] = { experts[kind], text }
+    end
+    if flaw then
+        tell("damaged", flaw)
+    elseif told then
+        tell("damaged", told)
+    end
+    if unit_error then
+        tell("unreadable", unit_error)
+    end
+    if telegram and not telegram.request and telegram.fc and not GOOD[telegram.func] then
+        tell("refused", "Answered " .. (RESPONSES[telegram.func] or "by a reserved status"))
+    end
+    if step.retry_of then
+        tell("retry", "Retry of telegram " .. step.retry_of)
+    elseif step.unanswered and not (steps[step.unanswered] or NOTHING).poll then
+        tell("lost", "Telegram " .. step.unanswered .. " was not answered")
+    end
+    if given_up[number] and not answers[number] and not step.poll then
+        tell("lost", "Nobody answered")
+    end
+    if not step.damaged then
+        for _, remark in ipairs(step.remarks) do
+            tell(step.late and "late" or "remark", remark)
         end
     end
+    for _, comment in ipairs(comments) do
+        if string.find(comment, "lost") or string.find(comment, "gap") then
+            tell("gap", comment)
+        end
+    end
+    return found
+end
+
+-- whether somebody looks at the fields of this packet: a tree on the screen, a filter, a tap
+local function is_looked_at(tree)
+    return tree.visible or tree:referenced(Dissector.get("profibus"))
 end
 
 -- the line that `dpstack decode` prints
@@ -1684,12 +1705,14 @@ function profibus.dissector(tvb, pinfo, tree)
     end
 
     local marks, unseen = marks_of_frame()
-    local notes = {}
+    local notes, comments = {}, {}
     local told = telegram and marks or unseen
     if #told > 0 then
-        notes[1] = "marked by the port: " .. table.concat(told, ", ")
+        told = "marked by the port: " .. table.concat(told, ", ")
+        notes[1] = told
+    else
+        told = nil
     end
-    local comments = {}
     for at, comment in ipairs({ frame_comment() }) do
         comments[at] = tostring(comment.value)
         notes[#notes + 1] = comments[at]
@@ -1707,7 +1730,15 @@ function profibus.dissector(tvb, pinfo, tree)
     end
 
     local all = size > 0 and tvb() or nil
+    local found = findings(telegram, flaw, unit_error, step, number, told, comments)
+    local known, looked_at = pcall(is_looked_at, tree)
+    if known and not looked_at and #found == 0 then
+        return size
+    end
     local root = all and tree:add(profibus, all, "PROFIBUS: " .. text) or tree:add(profibus, "PROFIBUS: " .. text)
+    for _, one in ipairs(found) do
+        root:add_proto_expert_info(one[1], one[2])
+    end
     root:add(fields.text, text):set_generated()
     if telegram then
         add_link_layer(root:add(all, "Link layer (FDL)"), tvb, telegram)
@@ -1725,28 +1756,17 @@ function profibus.dissector(tvb, pinfo, tree)
             unit:add(fields.data, range)
             add_nodes(unit, tvb, telegram.data_at, nodes)
             if unit_error then
-                unit:add(fields.error, range, unit_error):add_proto_expert_info(experts.unreadable, unit_error)
+                unit:add(fields.error, range, unit_error)
             end
-        end
-        if not telegram.request and telegram.fc and not (telegram.func == 0 or telegram.func == 8 or telegram.func == 10) then
-            root:add_proto_expert_info(experts.refused, "Answered " .. (RESPONSES[telegram.func] or "by a reserved status"))
         end
     else
         if all then
             root:add(fields.octets, all)
         end
-        root:add(fields.error, flaw):add_proto_expert_info(experts.damaged, flaw)
+        root:add(fields.error, flaw)
     end
     for _, mark in ipairs(marks) do
         root:add(fields.damage, mark)
-    end
-    if telegram and #marks > 0 then
-        root:add_proto_expert_info(experts.damaged, notes[1])
-    end
-    for _, comment in ipairs(comments) do
-        if string.find(comment, "lost") or string.find(comment, "gap") then
-            root:add_proto_expert_info(experts.gap, comment)
-        end
     end
     add_course(root:add(profibus, "Course of the bus"), step, number)
     return size
@@ -1840,7 +1860,7 @@ end
 
 local function tap(show)
     local counts = new_table()
-    local listener = Listener.new("frame", "profibus")
+    local listener = Listener.new("frame")
     function listener.packet(pinfo)
         count(counts, pinfo.number)
     end
