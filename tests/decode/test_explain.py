@@ -5,15 +5,20 @@ from __future__ import annotations
 import json
 
 import pytest
+from bus_kit import SimBus
 from hypothesis import given
 from hypothesis import strategies as st
 from recordings import IM151_PLC, WHOLE
+from support import MS
 
 import dpstack
+from dpstack.capture.listener import Listener
 from dpstack.capture.transmission import Transmission
 from dpstack.decode.filter import parse_filter
 from dpstack.decode.telegram import Explained, explain
 from dpstack.errors import UsageError
+from dpstack.params import BusParams
+from dpstack.sim.world import World
 
 POLL = bytes.fromhex("68 04 04 68 03 02 5D 07 69 16")  # Data_Exchange 2 -> 3, FCV=1 FCB=0
 TURNED = bytes.fromhex("68 04 04 68 03 02 7D 07 89 16")  # FCB=1
@@ -167,6 +172,25 @@ def test_a_simulated_bus_is_in_order_and_its_times_are_those_of_the_wire() -> No
         request = wire[(one.step.answer_to or 0) - 1]
         assert one.step.response_us == (wire[one.number - 1].start_ns - request.end_ns) / 1000
     assert any(one.step.unanswered is not None for one in log)  # GAP polls
+
+
+def test_nobody_is_accused_on_a_noisy_bus_whose_masters_keep_the_rules() -> None:
+    """Two masters in a ring; the listener hears damaged octets, and says only what these probably were."""
+    world = World(seed=1, referee=False)
+    heard: list[Transmission] = []
+    world.add(Listener(world.now, heard.append, baud=BAUD), name="listener")
+    for address, slave in ((2, 20), (4, 21)):
+        SimBus(world, BusParams.preset(BAUD, address=address, hsa=10), [slave], watchdog_ms=2000)
+    world.run_for(200 * MS)
+    world.faults.noise(1e-3)
+    world.run_for(300 * MS)
+    log = list(explain(heard))
+    damaged = [one for one in log if one.telegram is None]
+    assert len(damaged) > 20
+    assert any(one.step.probably_answers is not None for one in damaged)
+    assert any(one.step.retry_of is not None for one in log)
+    remarks = {remark for one in log for remark in one.step.remarks}
+    assert all(remark.startswith("probably ") for remark in remarks)
 
 
 # --- filters ---------------------------------------------------------------------------------------------------------
