@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -83,20 +81,19 @@ def test_a_skipped_test_counts_as_failed() -> None:
     assert strangers.counted("<none/>") == ([], 0)
 
 
-def test_the_last_lines_name_what_is_missing_and_the_exit_code_is_1(tmp_path: Path) -> None:
-    (tmp_path / "test_nothing.py").write_text(
-        "import pytest\n@pytest.mark.strangers\ndef test_one(): pass\n", encoding="utf-8"
-    )
-    (tmp_path / "bin").mkdir()
-    done = subprocess.run(
-        [sys.executable, "-m", "tools.strangers", str(tmp_path), "-p", "no:cacheprovider"],
-        cwd=strangers.ROOT,
-        env={**os.environ, "PATH": str(tmp_path / "bin")},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 1
-    lines = done.stdout.splitlines()
+def test_the_last_lines_name_what_is_missing_and_the_exit_code_is_1(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(strangers, "missing_python", list)
+    results = iter([(0, [], 3), (0, [], 3), (1, ["a::two"], 3), (5, [], 0)])
+    monkeypatch.setattr(strangers, "run_tests", lambda arguments: next(results))
+    assert strangers.main([]) == 1
+    lines = capsys.readouterr().out.splitlines()
     assert "missing: chromium: install it with: sudo apt-get install chromium" in lines
-    assert lines[-1].startswith("strangers: 1 ran, 0 failed, ")
+    assert lines[-1] == f"strangers: 3 ran, 0 failed, {len(strangers.PROGRAMS)} missing"
+    for name in strangers.PROGRAMS:
+        _program(path, name)
+    assert strangers.main([]) == 0
+    assert strangers.main([]) == 1
+    assert capsys.readouterr().out.splitlines()[-2:] == ["failed: a::two", "strangers: 3 ran, 1 failed, 0 missing"]
+    assert strangers.main([]) == 1  # no test ran

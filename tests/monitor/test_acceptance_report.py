@@ -133,7 +133,7 @@ def _with_texts(name: str, reason: str, line: str) -> Page:
 
 
 @given(_HOSTILE, _HOSTILE, _HOSTILE)
-@settings(max_examples=15)
+@settings(max_examples=8)
 def test_foreign_text_is_text_and_nothing_else(name: str, reason: str, line: str) -> None:
     page, plain = (
         _with_texts(*texts)
@@ -167,7 +167,7 @@ def test_a_report_of_nothing(heard: Heard) -> None:
 
 def test_a_full_bus_gives_a_bounded_report() -> None:
     heard = Heard(addresses=range(3, 60))
-    heard.world.run_for(S // 5)
+    heard.world.run_for(S // 10)
     changes = [Happened(heard.counters.begun_ns or 0, "diagnosis", n % 126, f"change {n}") for n in range(5000)]
     html = heard.report(changes=changes, changes_left_out=7).html()
     page = Page.of(html)

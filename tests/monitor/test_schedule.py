@@ -30,7 +30,7 @@ def test_a_rotation_is_that_of_the_wire() -> None:
 
 def test_a_bus_without_data_exchange_shows_the_rotation_of_its_token() -> None:
     heard = Heard(addresses=(3,), silent=(3,))
-    heard.world.run_for(3 * S // 2)
+    heard.world.run_for(6 * S // 5)
     rotation = heard.recorder.typical()
     assert rotation is not None
     assert rotation.by_token

@@ -124,7 +124,7 @@ def test_a_full_disk_is_one_line(capture: str, cli: Cli, tmp_path: Path) -> None
 @pytest.mark.usefixtures("full_disk")
 def test_a_full_disk_does_not_change_the_end_of_a_run(cli: Cli, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
-    out, err = cli("run", str(plant_of(tmp_path)), "--seconds", "0.2", "--json", "--report", str(path))
+    out, err = cli("run", str(plant_of(tmp_path)), "--seconds", "0.05", "--json", "--report", str(path))
     assert json.loads(out.splitlines()[-1])["event"] == "summary"
     assert "the report cannot be written (No space left on device)" in err
     assert not path.exists()
@@ -132,7 +132,7 @@ def test_a_full_disk_does_not_change_the_end_of_a_run(cli: Cli, tmp_path: Path) 
 
 def test_the_report_of_a_run_counts_what_the_master_counts(cli: Cli, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
-    summary = cli.json("run", str(plant_of(tmp_path)), "--seconds", "0.4", "--report", str(path))
+    summary = cli.json("run", str(plant_of(tmp_path)), "--seconds", "0.2", "--report", str(path))
     page = Page.of(path.read_text(encoding="utf-8"))
     assert page.faults == []
     counted = _rows(page, "Requests and answers")
