@@ -170,9 +170,11 @@ class Monitor:
         self._looked_ns = now
         self._is_profibus()
         for station in self.history.look(self.counters, now):
-            if station.state == State.UNKNOWN or self._told.get(station.address) == station.state:
+            if station.is_master or station.state == State.UNKNOWN or self._told.get(station.address) == station.state:
                 continue
-            self._state(now, "state", station.address, f"is in {station.state.replace('_', ' ')}")
+            state = station.state.replace("_", " ")
+            text = "does not answer" if station.state == State.OFFLINE else f"is in {state}"
+            self._state(now, "state", station.address, text)
 
     def _state(self, t_ns: int, kind: str, address: int, text: str) -> None:
         state = self.counters.stations[address].state

@@ -141,6 +141,11 @@ def _of_master(master: Master, heard: Heard) -> Iterator[_Finding]:
             f"dropped out of the token ring {_times(drops)}: look at its connector, its load, and its bus "
             "parameters (T_SL, T_TR, HSA the same in all masters)",
         )
+    if master.is_silent and heard.silent_s < limits.silence_s:
+        yield (
+            CRITICAL if master.slaves else WARNING,
+            "sends nothing any more, while others do: look whether it was switched off, else at its connector",
+        )
     if master.mode == "clear" and master.slaves:
         yield WARNING, "is in Clear, the outputs of its slaves are zero: look at its mode switch and its slaves"
 

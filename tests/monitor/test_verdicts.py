@@ -228,6 +228,16 @@ def test_masters() -> None:
     assert "dropped out of the token ring 3 times: look at its connector" in bus.verdict(2).reasons[0]
 
 
+def test_a_master_that_is_silent() -> None:
+    bus = Bus()
+    bus.counters.masters[2].is_silent = True
+    assert bus.verdict(2).level == "critical"
+    assert "sends nothing any more, while others do" in bus.verdict(2).reasons[0]
+    bus.counters.masters[2].slaves.clear()  # a class 2 master comes and goes
+    assert bus.verdict(2).level == "warning"
+    assert bus.verdict(2, NOW + 3 * S).level == "unknown"  # all are silent
+
+
 def test_damaged_octets_on_the_bus() -> None:
     bus = Bus()
     bus.counters.damaged = {"fcs": 400, "short": 206}

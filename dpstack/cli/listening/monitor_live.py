@@ -151,7 +151,7 @@ class LiveMonitor:
             through = f" through the {line.program} that holds it" if line.program else ""
             rate = "its rate is searched" if line.baud is None else baud_text(line.baud)
             output.line(f"listening on {line.port}{through}, {rate}; Ctrl-C ends", "bold")
-        if line.program is None and line.source == ADAPTER and not self._json:
+        if line.program is None and line.source == ADAPTER:
             output.warn(_CONVERTER)
         self._begun.set()
         early, self._early = self._early, []

@@ -172,15 +172,15 @@ def speaking() -> Iterator[SpeakingPty]:
 
 
 def test_a_port_is_listened_to_and_never_written(cli: Cli, speaking: SpeakingPty, alone: None) -> None:
-    lines = cli.jsons("monitor", "--port", speaking.path, "--baud", "500000", "--seconds", "0.2")
+    lines = cli.jsons("monitor", "--port", speaking.path, "--baud", "500000", "--seconds", "0.12")
     start = lines[0]
     assert [start[key] for key in ("event", "baud", "source", "program")] == ["start", 500_000, "host", None]
     summary = lines[-1]
-    assert summary["stations"]["3"]["answers"] > 5
+    assert summary["stations"]["3"]["answers"] > 2
     assert summary["timing"]["resolution_us"] >= 1000  # more where this computer reads late
     assert summary["stations"]["3"]["tsdr_us"] is None
     assert summary["verdict"] == "unknown"
-    out = cli.out("monitor", "--port", speaking.path, "--baud", "500000", "--seconds", "0.1")
+    out = cli.out("monitor", "--port", speaking.path, "--baud", "500000", "--seconds", "0.05")
     assert out.startswith(f"listening on {speaking.path}, 500 kbit/s; Ctrl-C ends\n")
     assert "too little was heard" in out
     assert speaking.heard == b""
