@@ -1,5 +1,6 @@
 """The tap of a running program: its CPU time per exchange with a client and without one, in turn, and what the client
-gets.
+gets. Then a full bus at 12 Mbit/s, which no program of ours could make: telegrams of ten slaves with 12 octets each way
+without a pause are put into a tap as they would end on the wire, and the client keeps up with them or not.
 
 The wire of the other benchmarks: at 500 kbit/s it takes its time, at 12 Mbit/s its octets take none. The client is a
 program of its own on the wire's processor, which makes transmissions of what it gets, as ``dpstack capture`` does.
@@ -12,18 +13,25 @@ import asyncio
 import contextlib
 import json
 import sys
+import tempfile
 import time
+from time import monotonic_ns
 from typing import Final
 
-from bench.masters import DRIVERS
+from bench.masters import DRIVERS, FIRST, OCTETS, sd2
 from bench.paired import interval
 from bench.report import Report
 from bench.rig import Process, Processors, available, bench, note_disturbance, pinned
+from dpstack.api.control.commands import KINDS
+from dpstack.api.control.server import ControlServer
+from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.listen.listening import Listening, OctetsLost
 from dpstack.capture.transmission import Transmission
+from dpstack.drivers.tap import Tap
 from dpstack.errors import PortError
+from dpstack.params import BusParams
 from dpstack.trace import Event
-from dpstack.units import baud_text
+from dpstack.units import NS_PER_S, baud_text, chars_to_ns
 
 _BAUDS: Final = (500_000, 12_000_000)
 #: up to this rate the wire takes its time
@@ -32,6 +40,11 @@ _PACED: Final = 3_000_000
 _GOAL: Final = 1.05
 #: after a client has come or gone
 _SETTLE_S: Final = 0.05
+_OWN: Final = 2
+_FULL_BAUD: Final = 12_000_000
+_FULL_STEP_S: Final = 0.004
+#: until the client has read everything
+_FULL_REST_S: Final = 1.0
 
 
 def run(argv: list[str]) -> Report:
@@ -41,6 +54,7 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--slaves", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=0.2, help="of one slice")
     parser.add_argument("--rounds", type=int, default=60, help="slices with and without a client in turn")
+    parser.add_argument("--full-bus", type=float, default=5.0, metavar="SECONDS", help="of the full bus")
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     args = parser.parse_args(argv)
     report = Report("tap")
@@ -49,7 +63,47 @@ def run(argv: list[str]) -> Report:
         for baud in args.bauds:
             for kind in available(args.kinds, report.notes):
                 _at(report, kind, baud, args, where)
+        asyncio.run(_full_bus(report, where, args.full_bus))
     return report
+
+
+async def _full_bus(report: Report, where: Processors, seconds: float) -> None:
+    """A control server whose line is made of telegrams by the clock."""
+    params = BusParams.preset(_FULL_BAUD)
+    exchanges = [
+        (sd2(address, 0x5D, bytes(OCTETS)), sd2(_OWN, 0x08, bytes(OCTETS))) for address in range(FIRST, FIRST + 10)
+    ]
+    on_wire = chars_to_ns(len(exchanges[0][0]), _FULL_BAUD)
+    attached: asyncio.Future[Tap] = asyncio.get_running_loop().create_future()
+
+    def attach(tap: Tap | None) -> None:
+        if tap is not None:
+            attached.set_result(tap)
+
+    feed = TapFeed(attach, monotonic_ns, lambda: {"baud": _FULL_BAUD, "paced": True})
+    with tempfile.TemporaryDirectory() as folder:
+        async with ControlServer("segment", folder, KINDS["segment"], {"tap": feed.handler}):
+            client = Process([sys.executable, "-m", "bench.tap", folder], where.wire)
+            client.order("on")
+            tap = await attached
+            free, put = monotonic_ns(), 0
+            until = free + round(seconds * NS_PER_S)
+            while free < until:
+                await asyncio.sleep(_FULL_STEP_S)
+                now = monotonic_ns()
+                while free < now:
+                    request, answer = exchanges[put // 2 % len(exchanges)]
+                    end = free + on_wire
+                    over = end + params.ns(params.min_tsdr) + on_wire
+                    tap.add((end, _FULL_BAUD, request, True))
+                    tap.add((over, _FULL_BAUD, answer, False))
+                    free, put = over + params.ns(params.t_id1), put + 2
+            await asyncio.sleep(_FULL_REST_S)
+            told = await asyncio.to_thread(client.end)
+    title = f"{baud_text(_FULL_BAUD)}, full bus"
+    report.add(f"{title}: telegrams per second", put / seconds, "1/s", more=True)
+    report.add(f"{title}: share that the client got", float(str(told[-1]["heard"])) / put, "ratio", 1, more=True)
+    report.add(f"{title}: chunks that the client lost", float(str(told[-1]["lost"])), "")
 
 
 def _at(report: Report, kind: str, baud: int, args: argparse.Namespace, where: Processors) -> None:

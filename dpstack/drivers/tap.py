@@ -17,8 +17,8 @@ from dpstack.machine import Machine
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_MS
 
-#: entries: a full bus at 12 Mbit/s has some 20 000 telegrams a second, and a reader comes every 0.1 s
-CAPACITY: Final = 8_192
+#: entries: a full bus at 12 Mbit/s has some 47 000 telegrams of 21 octets a second, and a reader comes every 0.1 s
+CAPACITY: Final = 16_384
 #: A reader takes at most this many entries at once, so that it delays no cycle (it needs some 50 us for them) ...
 TAP_PORTION: Final = 256
 #: ... and comes back after this time, as each wake-up costs more than the entries ...
