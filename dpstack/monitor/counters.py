@@ -708,8 +708,8 @@ def _fits(answer: Telegram, request: Telegram) -> bool:
     function = request.fc & FC_FUNCTION
     if da != request.sa and not (da == BROADCAST and function == Req.MSRD):
         return False
-    if dsap is None and ssap is None and (not data or (request.dsap is None and function != Req.FDL_STATUS)):
-        return True
+    if dsap is None and ssap is None:
+        return not data or (request.dsap is None and function != Req.FDL_STATUS)
     return dsap == request.ssap and ssap == request.dsap
 
 
