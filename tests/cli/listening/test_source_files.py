@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
@@ -12,8 +13,12 @@ from pathlib import Path
 import pytest
 from cli_kit import Cli
 from far_ends import HANG_S
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from property_kit import examples
 
 from dpstack.capture.pcapng import Writer
+from dpstack.cli.main import main
 
 TOKEN = bytes.fromhex("DC 02 02")
 
@@ -94,3 +99,39 @@ def test_a_pipe_is_decoded_as_it_comes(tmp_path: Path) -> None:
         program.kill()
         program.stdout.close()
     assert [one["number"] for one in lines] == [1, 2, 3]
+
+
+_TELEGRAMS = ("DC0202", "68050568 83826D3C3E EC16", "680B0B68 8283083E3C 0205 00FF 1234 D316", "E5")
+
+
+def _octets() -> bytes:
+    file = io.BytesIO()
+    writer = Writer(file, "a test")
+    port = writer.interface("p", 500_000, "a port")
+    for number, telegram in enumerate(_TELEGRAMS * 2):
+        writer.packet(port, 1_790_000_000_000_000_000 + number * 1_000_000, bytes.fromhex(telegram), number << 24, "c")
+    return file.getvalue()
+
+
+OCTETS = _octets()
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, len(OCTETS) // 4 - 1), st.binary(min_size=4, max_size=4) | st.just(b"\xff" * 4)),
+        min_size=1,
+        max_size=4,
+    )
+)
+@settings(examples(20, soak=2_000), suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_no_damage_of_a_file_is_a_defect(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: list[tuple[int, bytes]]
+) -> None:
+    octets = bytearray(OCTETS)
+    for word, changed in damage:
+        octets[4 * word : 4 * word + 4] = changed
+    path = tmp_path / "a.pcapng"
+    path.write_bytes(octets)
+    for command in ("decode", "monitor"):
+        assert main([command, str(path), "--json"]) in (0, 1, 2)
+    assert "Traceback" not in capsys.readouterr().err
