@@ -8,6 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Final
 
 from dpstack import __version__
 from dpstack.api.bus.bus import Bus
@@ -22,7 +23,11 @@ from dpstack.monitor.monitor import Monitor
 from dpstack.monitor.report import Report
 from dpstack.monitor.schedule import ScheduleRecorder
 from dpstack.ports.adapters import list_adapters
+from dpstack.ports.base import VIRTUAL
 from dpstack.trace import Event
+
+#: a remark of a report
+SIMULATED: Final = "this bus was simulated by dpstack: there was no cable and no device"
 
 
 class ReportFile:
@@ -134,7 +139,7 @@ class RunReport:
             "Listened": f"through the dpstack run that is master {bus.params.address} of this bus",
             "Driver": bus.driver,
         }
-        remarks = []
+        remarks = [SIMULATED] if bus.config.port == VIRTUAL else []
         if tap.lost:
             remarks.append(
                 f"{tap.lost} pieces of octets were lost, as this computer could not keep up: counts are too low"

@@ -145,6 +145,7 @@ def test_the_report_of_a_run_counts_what_the_master_counts(cli: Cli, tmp_path: P
     assert parameters is not None
     assert int(parameters[1]) >= 100
     assert "Set_Prm heard" in page.text
+    assert "this bus was simulated by dpstack" in page.text
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.soak)])
