@@ -43,14 +43,6 @@ local function set(...)
     return found
 end
 
-local function hex(octets)
-    local found = {}
-    for at = 1, #octets do
-        found[at] = string.format("%02x", octet(octets, at))
-    end
-    return table.concat(found, " ")
-end
-
 -- raised for the octets of a data unit that cannot be read
 local function refuse(...)
     error({ pdu = string.format(...) }, 0)
@@ -848,7 +840,7 @@ local function negative_text(decoding, code_1, code_2)
         decoding)
 end
 
-local function address(nodes, name, at, kind, size)
+local function address(name, at, kind, size)
     if not ((kind == 0 and size == 2) or (kind == 1 and size >= 8)) then
         refuse("Initiate: %s of type %d with %d octets; type 0 has 2, type 1 at least 8", name, kind, size)
     end
@@ -873,8 +865,8 @@ local function initiate(nodes, data, request)
     if s_len + d_len ~= #data - first then
         refuse("Initiate: %d and %d octets of addresses are announced, %d came", s_len, d_len, #data - first)
     end
-    local source = address(nodes, "S_Addr", first, s_type, s_len)
-    local destination = address(nodes, "D_Addr", first + s_len, d_type, d_len)
+    local source = address("S_Addr", first, s_type, s_len)
+    local destination = address("D_Addr", first + s_len, d_type, d_len)
     if request then
         node(nodes, "send_timeout_s", word(data, 5) / 100, 4, 2)
     else

@@ -25,6 +25,7 @@ from dpstack.decode.telegram import Explained, explain
 from dpstack.units import baud_text
 
 LUA: Final = Path(dpstack.__file__).parent / "wireshark" / "profibus.lua"
+_STUB: Final = Path(__file__).parent / "wireshark_stub.lua"
 #: fields of the dissector beside those of the decoder
 _MORE: Final = frozenset(
     "profibus." + name
@@ -123,6 +124,20 @@ def dissected(path: Path) -> list[Found]:
         {name: text.split(_AGGREGATOR) for name, text in zip(names, line.split("\t"), strict=True) if text}
         for line in lines[:-1]
     ]
+
+
+def dissected_by_lua(sent: Sequence[Transmission]) -> list[Found]:
+    """The fields of each transmission, by a plain Lua 5.4 that has what the dissector uses of Wireshark."""
+    begun = sent[0].t_ns or 0
+    lines = "".join(f"{(one.t_ns or 0) - begun} {one.octets.hex()}\n" for one in sent)
+    command = [program("lua5.4"), str(_STUB), str(LUA), f"bus, {baud_text(sent[0].baud)}, 8 data bits, even parity"]
+    done = subprocess.run(command, input=lines, capture_output=True, text=True, timeout=HANGS_S, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    found: list[Found] = [{} for _ in sent]
+    for line in done.stdout.splitlines():
+        number, name, value = line.split("\t")
+        found[int(number) - 1].setdefault(name, []).append(value)
+    return found
 
 
 def differences(found: Sequence[Found], ours: Sequence[Explained]) -> list[str]:

@@ -13,11 +13,12 @@ import pytest
 from bus_kit import IDENT, PPO1, SimBus, setup
 from recordings import ASM754, LOGO_TD, WHOLE, completed
 from support import MS, S
-from wireshark_kit import differences, dissected, explained, field_names, tshark, write_capture
+from wireshark_kit import differences, dissected, dissected_by_lua, explained, field_names, tshark, write_capture
 
 from dpstack.capture.listener import Listener
 from dpstack.capture.pcapng import PROFIBUS_DL
 from dpstack.capture.transmission import Damage, Transmission
+from dpstack.decode.telegram import explain
 from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Status, module_status
 from dpstack.dp.pdu.dpv1_status import ALARMS, Dpv1
 from dpstack.dpv1.master.orders import (
@@ -236,6 +237,15 @@ def test_all_fields_are_those_of_our_own_decoder(traffic: Callable[[], Iterator[
     assert len(ours) > 40
     wrong = differences(dissected(path), ours)
     assert not wrong, f"{len(wrong)} of {len(ours)} packets, at first:\n" + "\n".join(wrong[:20])
+
+
+@pytest.mark.parametrize(
+    "traffic", [_bring_up, _class_2, _noise, _any_units, _any_octets], ids=lambda make: make.__name__.strip("_")
+)
+def test_the_dissector_in_the_lua_of_newer_versions(traffic: Callable[[], Iterator[Transmission]]) -> None:
+    sent = [one._replace(note="", damage=0) for one in traffic()]
+    wrong = differences(dissected_by_lua(sent), list(explain(sent)))
+    assert not wrong, f"{len(wrong)}, at first:\n" + "\n".join(wrong[:20])
 
 
 def test_every_field_of_a_data_unit_was_compared(tmp_path: Path) -> None:
