@@ -11,6 +11,7 @@ from typing import Final
 
 from dpstack.errors import PduError
 from dpstack.profile.drive_profile import DriveProfile
+from dpstack.profile.master.core import NOT_NAMED
 from dpstack.profile.master.mapped_core import MappedCore
 from dpstack.profile.model import process_data_map
 from dpstack.profile.model.drive_type import CHANNEL_LEN, CHECK_SETTINGS
@@ -87,9 +88,10 @@ class HeardDrive:
                 texts.append(f"{name} {value:.1%}")
         if status.frequency_hz is not None:
             found["frequency_hz"] = round(status.frequency_hz, 3)
-        if status.faults:
-            found["faults"] = list(status.faults)
-            texts.append(f"fault {', '.join(status.faults)}")
+        faults = [fault for fault in status.faults if fault != NOT_NAMED]  # nobody asks for the name here
+        if faults:
+            found["faults"] = faults
+            texts.append(f"fault {', '.join(faults)}")
         if status.warnings:
             found["warnings"] = list(status.warnings)
             texts.append(f"warning {', '.join(status.warnings)}")

@@ -48,6 +48,8 @@ _CLOSE: Final = 0.01
 #: More than the rounding of any drive; a wrong scale or source of the set point is off by more at most set points
 _BELIEVED: Final = 0.02
 
+#: a fault whose name the plugin is asking for
+NOT_NAMED: Final = "not yet named"
 _LEAST_NS: Final = 20 * NS_PER_MS
 T = TypeVar("T")
 
@@ -293,7 +295,7 @@ class DriveCore:
         if self.raw_state not in FAULTED:
             return ()
         texts = self.fault_texts()
-        return ("not yet named",) if texts is None else texts
+        return (NOT_NAMED,) if texts is None else texts
 
     # -- for jobs and plugins -------------------------------------------------------------------------------------
 

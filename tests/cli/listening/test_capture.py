@@ -92,12 +92,16 @@ def test_a_file(cli: Cli, bus: Bus, tmp_path: Path, alone: None) -> None:
     assert bus.heard == b""
 
 
-def test_the_screen_with_a_filter(cli: Cli, bus: Bus, alone: None) -> None:
-    out = cli.out(
-        "capture", "--port", bus.path, "--baud", "500000", "--seconds", "0.1", "--filter", "service==slave_diag"
+def test_the_screen_with_a_filter_and_names(cli: Cli, bus: Bus, tmp_path: Path, alone: None) -> None:
+    plant = tmp_path / "plant.toml"
+    plant.write_text(
+        '[bus]\n[[slave]]\nname = "valves"\naddress = 3\nident = 0x1234\nconfig = "20 10"\n', encoding="utf-8"
     )
+    listen = ("capture", "--port", bus.path, "--baud", "500000", "--seconds", "0.1")
+    out = cli.out(*listen, "--filter", "service==slave_diag", "--config", str(plant))
     shown = [line for line in out.splitlines() if "Slave_Diag" in line]
     assert shown
+    assert all("3 [valves]" in line for line in shown)
     assert "token" not in out
     assert "telegrams in 0." in out.splitlines()[-1]
 
