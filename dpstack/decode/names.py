@@ -41,7 +41,7 @@ class SlaveNames:
     """Names of one slave. ``source``: where they come from, for people. ``ident`` None: any.
 
     ``inputs``, ``outputs``: names of process data; ``modules`` in slot order from ``first_slot`` on; ``prm``: its user
-    parameters; ``texts``: of a diagnosis; ``drive``: where it is a drive with a plugin.
+    parameters; ``texts``: of a diagnosis; ``drive`` makes the reader of its words, None where it is no drive.
     """
 
     name: str = ""
@@ -53,7 +53,7 @@ class SlaveNames:
     first_slot: int = FIRST_SLOT
     prm: UserPrm | None = None
     texts: DiagTexts | None = None
-    drive: DriveWords | None = None
+    drive: Callable[[], DriveWords | None] = lambda: None
 
     @property
     def config(self) -> bytes:

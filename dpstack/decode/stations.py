@@ -48,12 +48,13 @@ class _Piece(NamedTuple):
 
 
 class Station:
-    """One station. ``names`` are those that count now."""
+    """One station. ``names`` are those that count now, ``drive`` reads its words where it is one."""
 
     def __init__(self, address: int, names: Names) -> None:
         self._all = names
         self._own = names.slaves.get(address)
         self.names = self._own or _NAMELESS
+        self.drive = self.names.drive()
         self._ident: int | None = None
         self._config = b"" if self._own is None else self._own.config
         self._dpv1 = False
@@ -82,6 +83,7 @@ class Station:
         else:
             found = None if ident is None else self._all.recognise(ident, self._config)
             self.names = found or _NAMELESS
+        self.drive = self.names.drive()
         self._lay_out()
 
     def _lay_out(self) -> None:
@@ -136,7 +138,7 @@ class Station:
         fields = names.inputs if inputs else names.outputs
         if fields and len(data) == fields.length:
             found["inputs" if inputs else "outputs"] = as_json(fields.values(data))
-        drive = names.drive
+        drive = self.drive
         if drive is not None and (words := drive.inputs(data) if inputs else drive.outputs(data)):
             found["drive"] = words
             return found
@@ -235,7 +237,7 @@ class Stations:
             return station.process_data(data, inputs=sap == SAP_RD_INP)
         if is_dpv1(telegram):
             found = dpv1_fields(data, request=request)
-            self._add_record(found, data, request, station.names.drive)
+            self._add_record(found, data, request, station.drive)
             return found
         found = fields_of(telegram)
         if sap == SAP_SET_PRM and request:

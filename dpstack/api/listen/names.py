@@ -6,9 +6,8 @@ those that come with dpstack.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Final
 
@@ -45,9 +44,6 @@ def _configured(slave: SlaveConfig) -> SlaveNames:
     params = slave.params
     texts = params.texts
     modules: Sequence[Module | None] = () if texts is None else texts.modules
-    drive = None
-    if slave.profile is not None and not slave.raw:
-        drive = HeardDrive(slave.profile, slave.name, slave.telegram, dict(slave.options))
     return SlaveNames(
         name=slave.name,
         source="the configuration",
@@ -58,8 +54,14 @@ def _configured(slave: SlaveConfig) -> SlaveNames:
         first_slot=FIRST_SLOT if texts is None else texts.first_slot,
         prm=None if slave.device is None else _user_prm(slave.device, modules),
         texts=texts,
-        drive=drive,
+        drive=partial(_configured_drive, slave),
     )
+
+
+def _configured_drive(slave: SlaveConfig) -> DriveWords | None:
+    if slave.profile is None or slave.raw:
+        return None
+    return HeardDrive(slave.profile, slave.name, slave.telegram, dict(slave.options))
 
 
 def _module_names(modules: Iterable[Module | None]) -> tuple[ModuleName, ...]:
@@ -104,20 +106,17 @@ class _Recogniser:
     def __init__(self, devices: Mapping[int, tuple[str, Device]]) -> None:
         self._devices = devices
         self._bundled: dict[int, str] | None = None
-        self._by_gsd = lru_cache(_KEPT)(self._names_by_gsd)
+        self._kept = lru_cache(_KEPT)(self._find)
 
     def names(self, ident: int, config: bytes) -> SlaveNames | None:
-        """Names for an ident number and identifier octets (empty while unknown); the words of a drive are its own."""
-        found = self._by_gsd(ident, config)
-        drive = _drive(ident, config)
-        if drive is None:
-            return found
-        return dataclasses.replace(found or SlaveNames(ident=ident, source="a drive of its ident number"), drive=drive)
+        """Names for an ident number and identifier octets (empty while unknown)."""
+        return self._kept(ident, config)
 
-    def _names_by_gsd(self, ident: int, config: bytes) -> SlaveNames | None:
+    def _find(self, ident: int, config: bytes) -> SlaveNames | None:
+        drive = partial(_drive, ident, config)
         known = self._devices.get(ident) or self._bundled_device(ident)
         if known is None:
-            return None
+            return SlaveNames(ident=ident, source="a drive of its ident number", drive=drive) if drive() else None
         source, device = known
         modules = modules_of_config(device, config) or ()
         return SlaveNames(
@@ -127,6 +126,7 @@ class _Recogniser:
             first_slot=device.first_slot,
             prm=_user_prm(device, modules) if modules else None,
             texts=DiagTexts(device, modules),
+            drive=drive,
         )
 
     def _bundled_device(self, ident: int) -> tuple[str, Device] | None:
