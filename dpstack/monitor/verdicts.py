@@ -63,6 +63,9 @@ def judge(heard: Heard) -> tuple[Verdict, dict[int, Verdict]]:
     evidence that this is PROFIBUS: stations of other protocols are not judged by its rules."""
     counters = heard.counters
     used = [station for _, station in sorted(counters.stations.items()) if heard.is_user(station)]
+    if not heard.is_profibus:  # of what another protocol means, nothing here is a finding
+        unknown = Verdict(UNKNOWN, (_bus_doubt(heard),))
+        return unknown, {station.address: unknown for station in used}
     stations = {one.address: _verdict(list(_findings(one, used, heard)), _doubt(one, heard)) for one in used}
     found = list(_of_bus(used, heard))
     levels = {verdict.level for verdict in stations.values()}

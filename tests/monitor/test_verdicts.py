@@ -361,7 +361,9 @@ def test_a_slave_that_nobody_parameterises() -> None:
 def test_too_little_evidence_for_profibus() -> None:
     bus = Bus()
     bus.counters.passed_tokens = bus.counters.fitting_answers = 0
-    assert bus.bus.level == "unknown"
+    bus[3].lost = 5
+    bus.counters.damaged = {"fcs": 60_000}
+    assert bus.bus.level == bus.verdict(3).level == "unknown"
     assert "M-Bus" in bus.bus.reasons[0]
 
 

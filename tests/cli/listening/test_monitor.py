@@ -62,6 +62,24 @@ def captures(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
     return {name: str(folder / f"{name}.pcapng") for name in names}
 
 
+#: the keys of the interface; others may be added, none renamed
+SUMMARY = "event time baud seconds telegrams load damaged unattributed timing masters stations verdict reasons"
+MASTER = "mode token_us rotation_us hold_us gap_polls drops slaves"
+STATION = """role name ident model state master requests answers damaged no_answer repetitions retry_depth
+repeated_polls late rs rr diagnoses diagnosis syncs lost max_tsdr tsdr_us verdict reasons"""
+
+
+def test_the_keys_of_the_summary(captures: Mapping[str, str], cli: Cli) -> None:
+    summary = cli.json("monitor", captures["exact"])
+    assert set(SUMMARY.split()) <= summary.keys()
+    assert set(summary["timing"]) == {"source", "resolution_us", "batched"}
+    assert set(MASTER.split()) <= summary["masters"]["2"].keys()
+    for station in summary["stations"].values():
+        assert set(STATION.split()) <= station.keys()
+        assert station["requests"] == station["answers"] + station["damaged"] + station["no_answer"]
+        assert len(station["retry_depth"]) >= 2
+
+
 def test_a_bus_in_order(captures: Mapping[str, str], cli: Cli) -> None:
     lines = cli.jsons("monitor", captures["exact"])
     summary = lines[-1]
