@@ -11,7 +11,7 @@ from typing import Final
 from dpstack.api.bus.events_json import PortBack, PortLost
 from dpstack.api.config.bus import AUTO
 from dpstack.api.listen.listening import PORT_LOSSES, Line, Listening, OctetsLost
-from dpstack.api.listen.report_file import ReportFile, port_lines
+from dpstack.api.listen.report_file import SIMULATED, ReportFile, port_lines
 from dpstack.capture.timing import ADAPTER
 from dpstack.cli.listening.monitor_view import LiveView, event_line, show_summary, write_report
 from dpstack.cli.terminal import output
@@ -79,7 +79,8 @@ class LiveMonitor:
     def _about(self, line: Line) -> dict[str, object]:
         """The line for the report."""
         if line.program is not None:
-            return {"Port": line.port, "Listened": f"through the dpstack {line.program} that holds the port"}
+            about = {"Port": line.port, "Listened": f"through the dpstack {line.program} that holds the port"}
+            return {**about, "Simulated": SIMULATED} if line.exact or line.program == "segment" else {**about}
         return {**port_lines(line.port), "Listened": f"on the port itself, which wrote nothing; {_CONVERTER}"}
 
     async def _work(self) -> None:
