@@ -237,7 +237,7 @@ class Counters:
         self.passed_tokens = 0
         self.reserved = 0
         self.broken_tokens = 0
-        self._strays_before = 0  # at other rates
+        self._strays_before = self._telegrams_before = 0  # at other rates
         self._on_change = on_change
         self._on_look = on_look
         self._asked: _Exchange | None = None
@@ -259,6 +259,11 @@ class Counters:
     def open_pieces(self) -> int:
         """Damaged transmissions since the request that waits for its answer: they count with its end."""
         return 0 if self._asked is None else self._asked.pieces
+
+    @property
+    def telegrams_at_rate(self) -> int:
+        """Telegrams at the present rate."""
+        return self.telegrams - self._telegrams_before
 
     @property
     def contradictions(self) -> int:
@@ -633,7 +638,7 @@ class Counters:
         if before:
             self.gap()
             self.fitting_answers = self.passed_tokens = self.reserved = self.broken_tokens = 0
-            self._strays_before = self.strays
+            self._strays_before, self._telegrams_before = self.strays, self.telegrams
             self._on_change(Change(one.t_ns or 0, "rate", -1, f"the bus runs at {one.baud} bit/s now"))
 
     def _set_rate(self, baud: int) -> None:
