@@ -28,6 +28,7 @@ from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.process.messages import (
     FROM_TERMINALS,
     Answer,
+    CloseBus,
     Frames,
     Hello,
     News,
@@ -326,6 +327,9 @@ class Channel:
             return
         if answer.error is None and sent.on_done is not None:
             sent.on_done(sent.order)
+        if answer.error is None and isinstance(sent.order, CloseBus):
+            # the process may be gone before the task that awaits this answer runs again
+            self._gone = self._gone or UsageError("the bus is closed")
         if sent.answer is None:
             if answer.error is not None and not sent.order.ends:
                 self._on_refused(sent.order, error_of(answer.error))

@@ -32,6 +32,8 @@ from support_responder import Responder
 
 import dpstack
 from dpstack.dp.master.events import MasterStopped
+from dpstack.drivers.process.channel import Channel
+from dpstack.drivers.process.messages import Answer, CloseBus
 from dpstack.errors import BusError, ConfigError, PortError, UsageError
 from dpstack.ports import open_port
 from dpstack.trace import Event, Notice, Severity
@@ -181,6 +183,22 @@ async def test_a_bus_process_that_hangs_at_the_end_is_killed_and_reported(monkey
         "bus process: it did not answer at the end of the bus and was killed: the end was not in order. The slaves' "
         "watchdogs make their outputs safe within 500 ms"
     )
+
+
+async def test_a_bus_process_that_is_gone_before_its_last_answer_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    on_answer = Channel._on_answer
+
+    def late(channel: Channel, answer: Answer) -> None:
+        sent = channel._sent.get(answer.number)
+        on_answer(channel, answer)
+        if sent is not None and isinstance(sent.order, CloseBus) and channel._process is not None:
+            channel._process.wait(60)
+
+    monkeypatch.setattr(Channel, "_on_answer", late)
+    events: list[Event] = []
+    async with ready_bus(VALVES, on_event=events.append):
+        pass
+    assert not [event.text for event in events if isinstance(event, Notice) and event.severity is Severity.ERROR]
 
 
 async def test_it_finds_modules_where_the_application_does(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
