@@ -90,9 +90,10 @@ class LiveMonitor:
         if self._view is not None:
             watching.append(asyncio.ensure_future(self._watch(self._view)))
         try:
-            await asyncio.wait([listening], timeout=self._args.seconds)
-            if listening.done():
-                listening.result()
+            tasks = [listening, *watching]
+            done, _ = await asyncio.wait(tasks, timeout=self._args.seconds, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
         finally:
             for task in (listening, *watching):
                 task.cancel()
