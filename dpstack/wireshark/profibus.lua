@@ -1523,6 +1523,20 @@ local function baud_of_frame()
     return rates[about]
 end
 
+-- UTF-8: controls, marks without width, signs that turn the direction of a text
+local NEVER = {
+    "%c", "\194[\128-\159]", "\226\128[\139-\143\168-\174]", "\226\129[\160-\175]", "\216\156", "\239\187\191",
+    "\243\160[\128-\131][\128-\191]",
+}
+
+-- a text of the file without what a terminal would obey: tshark prints columns as they are
+local function printable(text)
+    for _, pattern in ipairs(NEVER) do
+        text = string.gsub(text, pattern, "?")
+    end
+    return text
+end
+
 -- the names of all marks, and of those that the octets themselves do not show
 local function marks_of_frame()
     local all, unseen = {}, {}
@@ -1706,7 +1720,7 @@ function profibus.dissector(tvb, pinfo, tree)
         told = nil
     end
     for at, comment in ipairs({ frame_comment() }) do
-        comments[at] = tostring(comment.value)
+        comments[at] = printable(tostring(comment.value))
         notes[#notes + 1] = comments[at]
     end
 

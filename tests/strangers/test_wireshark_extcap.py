@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import unicodedata
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -148,6 +149,14 @@ def test_the_table_by_master_and_slave(tmp_path: Path) -> None:
     assert row.split() == ["2", "3", "4", "2", "1", "2", "1", "30.5", "30.5", "30.5"]
     assert sums == "12 telegrams, 3 of them tokens, 1 damaged, 0 answers without a request"
     assert polls == "1 requests FDL_Status (GAP), 0 of them answered"
+
+
+def test_comments_in_a_file_never_reach_a_terminal_raw(tmp_path: Path) -> None:
+    evil = "\x1b]0;owned\x07\x9b31m\x7f\x85\u202eevil\u2066\u200b\ufeff\u2028\u061c\U000e0001 lost\nx"
+    path = write_capture(tmp_path / "a.pcapng", [Transmission(b"\xe5", 1_000, 500_000, evil)])
+    for shown in (tshark("-r", path), tshark("-r", path, "-T", "fields", "-e", "profibus.text")):
+        assert "lost?x" in shown
+        assert not [sign for sign in shown.rstrip("\n") if unicodedata.category(sign) in ("Cc", "Cf", "Zl")]
 
 
 def test_the_rate_may_come_from_the_user(tmp_path: Path) -> None:
