@@ -24,8 +24,8 @@ ENOUGH: Final = 6
 #: They must be more than so many times what stands against it (our choice).
 OUTWEIGHS: Final = 4
 #: They must be at least one in so many telegrams (our choice): chance makes some in weeks. A master without tokens that
-#: polls twenty absent slaves twice, and one that is there, is just above.
-ONE_IN: Final = 50
+#: polls 45 absent slaves twice, and one that is there, is just above.
+ONE_IN: Final = 100
 
 
 class Finding(NamedTuple):

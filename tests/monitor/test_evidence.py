@@ -202,8 +202,8 @@ def test_evidence_is_weighed_against_what_does_not_fit() -> None:
     assert heard([asks, answers] * ENOUGH).is_profibus
     assert not heard([asks, answers, SC] * 100).is_profibus
     # chance in a long time: one answer that fits among many polls that nobody answers
-    assert not heard(([asks] * 60 + [answers]) * ENOUGH * 2).is_profibus
-    assert heard(([asks] * 40 + [answers]) * ENOUGH * 2).is_profibus
+    assert not heard(([asks] * 120 + [answers]) * ENOUGH * 2).is_profibus
+    assert heard(([asks] * 80 + [answers]) * ENOUGH * 2).is_profibus
     assert not heard([encode_sd2(5, 2, 0x6D, b"\1"), SC] * 100).is_profibus  # the frame count bit never turns
     assert heard([encode_sd2(5, 2, 0x5D, b"\1"), SC, encode_sd2(5, 2, 0x7D, b"\1"), SC] * ENOUGH).is_profibus
 
