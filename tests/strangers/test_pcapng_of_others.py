@@ -279,19 +279,25 @@ def test_a_recorded_bus_at_two_rates(tmp_path: Path, linktype: int) -> None:
 
 def test_a_capture_by_the_command_of_a_live_bus(tmp_path: Path, start: Starter) -> None:
     bus = tmp_path / "bus"
-    start.segment(bus, 3)
+    start.segment(bus, 4)
     station = ("--gsd", "io-station", "--modules", "8 DI", "8 DO", "--address", "8")
     start("sim", *station, "--port", str(bus / "0"), "--baud", "500000")
     wait_for_socket(bus / "0")
     path = tmp_path / "live.pcapng"
     capture = start("capture", "--port", str(bus / "1"), "--baud", "500000", "--write", str(path), "--json")
-    capture.wait_for('"event":"start"')
+    ring = ("--ring", "2", "--size", "1", "--write", str(tmp_path / "ring.pcapng"))
+    captures = [capture, start("capture", "--port", str(bus / "3"), "--baud", "500000", *ring, "--json")]
+    for each in captures:
+        each.wait_for('"event":"start"')
     scan = start("scan", "--port", str(bus / "2"), "--baud", "500000", "--json")
     assert scan.end() in (0, 1)
-    assert capture.end(2) == 0
+    assert [each.end(2) for each in captures] == [0, 0]
     expected = by_us(path)
     assert sum(seen.octets[0] == 0x10 for seen in expected) > 10
     all_agree(path, expected)
+    (file,) = tmp_path.glob("ring_*.pcapng")
+    all_agree(file, by_us(file))
+    assert [seen.octets for seen in by_us(file)] == [seen.octets for seen in expected]
 
 
 # --- files of theirs --------------------------------------------------------------------------------------------------
