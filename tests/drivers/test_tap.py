@@ -213,6 +213,22 @@ async def test_a_lost_port_and_its_return_are_entries_without_octets() -> None:
 
 
 @pytest.mark.usefixtures("each_driver")
+async def test_an_entry_has_the_rate_of_its_time() -> None:
+    async with Rig() as rig:
+        tap = Tap()
+        rig.driver.tap(tap)
+        for rate in (19_200, 1_500_000):
+            rig.machine.baud = rate
+            rig.driver.command(TOKEN)  # the driver follows after this step
+            rig.driver.command(TOKEN)
+            rig.far.write(REQUEST)
+            await rig.settle()
+    assert [(baud, octets) for _, baud, octets, _ in tap.ring] == [
+        (500_000, TOKEN), (19_200, TOKEN), (19_200, REQUEST), (19_200, TOKEN), (1_500_000, TOKEN), (1_500_000, REQUEST)
+    ]  # fmt: skip
+
+
+@pytest.mark.usefixtures("each_driver")
 async def test_octets_thrown_away_unread_are_a_loss_each_time() -> None:
     async with Rig() as rig:
         tap = Tap()
