@@ -172,6 +172,8 @@ class Course:
                 request=missed.telegram,
                 remarks=(late,),
             )
+        if self._holder is None and not self._damages:
+            return NOTHING  # listening began between a request and its answer
         return Step(remarks=("an answer that no request before it asked for",))
 
 

@@ -1314,6 +1314,9 @@ local function follow_answer(line, telegram, number)
         }
         return step
     end
+    if line.holder == nil and line.damages == 0 then
+        return { remarks = {} } -- the capture begins between a request and its answer
+    end
     return { remarks = { "an answer that no request before it asked for" } }
 end
 
