@@ -57,7 +57,7 @@ class Happening:
         """The JSON line: its ``event`` is named as in ``dpstack run --json``, ``t`` in seconds since ``begun_ns``."""
         line: dict[str, object] = {
             "event": _EVENTS.get(self.kind, self.kind),
-            "t": round((self.t_ns - begun_ns) / NS_PER_S, 6),
+            "t": round(max(0, self.t_ns - begun_ns) / NS_PER_S, 6),
         }
         if self.address is not None:
             line |= {"address": self.address, "name": self.name or None}
@@ -104,6 +104,10 @@ class Monitor:
     def begun_ns(self) -> int:
         """When listening began, in ns since 1970; 0 before the first transmission."""
         return (self.counters.begun_ns or 0) if self._begun_ns is None else self._begun_ns
+
+    def begin(self, now_ns: int) -> None:
+        """Listening begins at ``now_ns``, in ns since 1970: opening the port took its time."""
+        self._begun_ns = now_ns
 
     def gap(self, t_ns: int, text: str, *, since_ns: int = 0) -> None:
         """Octets are missing before ``t_ns``: put it on the time line. No duration is counted across it, and no station

@@ -42,7 +42,7 @@ class Bus(Monitor):
         counters = self.counters
         counters.add(Transmission(bytes.fromhex("DC 02 02"), NOW, BAUD))
         counters.telegrams = 60_000
-        counters.passed_tokens = 1_000
+        counters.passed_tokens = counters.fitting_answers = 15_000
         counters.stations.setdefault(2, Station(2)).is_master = True
         counters.masters.setdefault(2, Master(2, mode="operate", slaves={3, 4, 5}))
         for address in (3, 4, 5):

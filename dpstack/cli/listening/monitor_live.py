@@ -145,6 +145,7 @@ class LiveMonitor:
         if again:
             self._monitor.back(time_ns(), f"the {line.program} on {line.port} is back")
             return
+        self._monitor.begin(time_ns())
         if self._json:
             now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
             start = {"event": "start", "time": now, "port": line.port, "baud": line.baud, "source": line.source}

@@ -39,7 +39,7 @@ def event_line(happening: Happening, begun_ns: int) -> None:
 
 
 def _event(happening: Happening, begun_ns: int) -> str:
-    return f"{(happening.t_ns - begun_ns) / NS_PER_S:9.3f} s  {happening.text}"
+    return f"{max(0, happening.t_ns - begun_ns) / NS_PER_S:9.3f} s  {happening.text}"
 
 
 def show_summary(heard: Heard, summary: Mapping[str, Any]) -> None:
