@@ -111,7 +111,7 @@ def test_answers_that_get_lost_are_counted_by_depth(max_retry: int) -> None:
     w.run(20 * MS)
     for number in range(1, max_retry + 1):
         w.world.faults.drop(of("5"), times=number)
-        w.run(20 * MS)
+        w.run(10 * MS)
     w.check()
     station = w.counters.stations[5]
     assert station.retry_depth == [int(number < max_retry) for number in range(MAX_DEPTH)]
@@ -122,7 +122,7 @@ def test_answers_that_get_lost_are_counted_by_depth(max_retry: int) -> None:
     assert station.requests == slave.requests + slave.repeats + slave.status
     # one more: the master's exchange is lost, and begins anew
     w.world.faults.drop(of("5"), times=max_retry + 1)
-    w.run(200 * MS)
+    w.run(150 * MS)
     w.check()
     assert (station.lost, station.syncs, station.state) == (1, 2, State.DATA_EXCHANGE)
 
@@ -429,7 +429,7 @@ def test_a_slave_that_answers_fdl_status_only() -> None:
     ],
 )
 def test_under_noise_totals_are_exact_and_each_station_lies_within_bounds(rate: float, baud: int, seed: int) -> None:
-    hold_against_noise(rate, baud, seed, 100_000)
+    hold_against_noise(rate, baud, seed, 50_000)
 
 
 @pytest.mark.soak
