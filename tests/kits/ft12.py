@@ -1,8 +1,9 @@
 """Telegrams of two protocols that share frames and check sum with PROFIBUS (IEC 60870-5-1, FT1.2): M-Bus and IEC 101.
 
-Octets as published. M-Bus: "The M-Bus: A Documentation", rev. 4.8 (M-Bus Usergroup), whose examples EN 13757-2 and -3
-took over; section in each comment. IEC: IEC 60870-5-101 with the link layer of IEC 60870-5-2; the octets follow from
-the layouts there (C and A of each service, ASDU of each type), for link address 1 and common address 1.
+M-Bus: examples of "The M-Bus: A Documentation", rev. 4.8 (M-Bus Usergroup), which EN 13757-2 and -3 took over. They are
+written down from memory, and so were the chapters named; a test holds lengths and check sums. IEC: IEC 60870-5-101 with
+the link layer of IEC 60870-5-2; made after the layouts there (C and A of each service, ASDU of each type), for link
+address 1 and common address 1. None of these is a recording.
 """
 
 from __future__ import annotations
