@@ -1,9 +1,10 @@
 """Telegrams of two protocols that share frames and check sum with PROFIBUS (IEC 60870-5-1, FT1.2): M-Bus and IEC 101.
 
-M-Bus: examples of "The M-Bus: A Documentation", rev. 4.8 (M-Bus Usergroup), which EN 13757-2 and -3 took over. They are
-written down from memory, and so were the chapters named; a test holds lengths and check sums. IEC: IEC 60870-5-101 with
-the link layer of IEC 60870-5-2; made after the layouts there (C and A of each service, ASDU of each type), for link
-address 1 and common address 1. None of these is a recording.
+M-Bus: examples of "The M-Bus: A Documentation", rev. 4.8 (M-Bus Usergroup), which EN 13757-2 and -3 took over; the two
+RSP_UD stand in its chapter 6 (m-bus.com, documentation wired, 06 application layer). The others and their chapters were
+written down from memory; a test holds lengths and check sums. IEC: IEC 60870-5-101 with the link layer of IEC
+60870-5-2; made after the layouts there (C and A of each service, ASDU of each type), for link address 1 and common
+address 1. Two conversations are recordings, as their comments say.
 """
 
 from __future__ import annotations
@@ -113,7 +114,30 @@ IEC101_BALANCED: Final = _octets(
     "E5",
 )
 
+#: recorded at a gas meter (hottis.de, "M-Bus Master, Part 4 (Gas)", 2013): it gets address 40h, is reset and read
+MBUS_RECORDED: Final = _octets(
+    "68 06 06 68 53 FE 51 01 7A 40 5D 16",
+    "E5",
+    "10 40 40 80 16",
+    "E5",
+    "10 5B 40 9B 16",
+    "68 56 56 68 08 40 72 43 60 52 00 77 04 14 03 CA 10 00 00 0C 78 76 03 01 10 0D 7C 08 44 49 "
+    "20 2E 74 73 75 63 0A 30 30 30 30 30 30 30 30 30 30 04 6D 38 15 AA 19 02 7C 09 65 6D 69 74 "
+    "20 2E 74 61 62 22 0C 04 13 C1 0E 00 00 04 93 7F 4E 01 00 00 44 13 5D 08 00 00 0F 01 00 1F "
+    "DE 16",
+)
+#: recorded at a gateway (communication log in the user manual of leandc): reset of the link, clock, interrogation
+IEC101_RECORDED: Final = _octets(
+    "10 40 01 41 16",
+    "10 00 01 01 16",
+    "68 0F 0F 68 73 01 67 01 06 01 00 00 42 86 0E 11 CB 05 0D A7 16",
+    "10 20 01 21 16",
+    "68 09 09 68 53 01 64 01 06 01 00 00 14 D4 16",
+)
+
 CONVERSATIONS: Final = {
+    "M-Bus recording": MBUS_RECORDED,
+    "IEC 101 recording": IEC101_RECORDED,
     "M-Bus reading": MBUS_READING,
     "M-Bus writing": MBUS_WRITING,
     "M-Bus reading and writing": MBUS_READING + MBUS_WRITING,
