@@ -183,6 +183,12 @@ def _modules() -> Figures:
     return {"dpstack --version: modules of ours": {"count": modules()}}
 
 
+def _needs(words: str) -> tuple[str, ...]:
+    """The names without which a commit cannot run ``dpstack WORDS``."""
+    command = words.partition(" ")[0]
+    return (*_MAIN, f"dpstack.cli.listening.{command}:add_to") if command in _LISTENING else _MAIN
+
+
 def _output(words: Sequence[str]) -> str:
     ended = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True)
     if ended.returncode:
@@ -192,6 +198,8 @@ def _output(words: Sequence[str]) -> str:
 
 #: commands whose CPU time is a figure
 COMMANDS: Final = ("--version", "ctl --help", "decode E5", "monitor --help", "capture --help")
+#: those of them that older commits do not have stand in this room
+_LISTENING: Final = ("decode", "monitor", "capture")
 _API: Final = ("dpstack:open_bus", "dpstack:run_virtual")
 _CODEC: Final = tuple(f"dpstack.fdl.codec:{name}" for name in ("request_octets", "encode_token", "decode"))
 _MAIN: Final = ("dpstack.cli.main:main",)
@@ -203,7 +211,7 @@ ADAPTERS: Final[dict[str, tuple[tuple[Adapter, ...], ...]]] = {
     ),
     "codec": ((Adapter(_CODEC, _codec),),),
     "startup": (
-        *((Adapter(_MAIN, partial(_command, words)),) for words in COMMANDS),
+        *((Adapter(_needs(words), partial(_command, words)),) for words in COMMANDS),
         (Adapter(_MAIN, _modules),),
         (Adapter(_API, _program),),
     ),

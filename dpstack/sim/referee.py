@@ -13,7 +13,6 @@ from enum import Enum
 from functools import lru_cache
 from typing import Final, NamedTuple
 
-from dpstack.decode.wire_log import render
 from dpstack.errors import DpError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, UNANSWERED, Kind, Telegram
@@ -246,6 +245,8 @@ class Referee:
         missing = self._expect - {violation.rule for violation in self.allowed}
         if not self.violations and not missing:
             return
+        from dpstack.decode.wire_log import render  # here, because only a failing run needs the decoder
+
         lines = [f"{len(self.violations)} violations on the wire:"] if self.violations else []
         lines += [f"  {violation}" for violation in self.violations[:_SHOWN_VIOLATIONS]]
         if len(self.violations) > _SHOWN_VIOLATIONS:

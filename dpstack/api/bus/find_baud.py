@@ -8,11 +8,9 @@ from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from time import monotonic_ns
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.api.config.config import Config
-from dpstack.capture.listener import Listener
-from dpstack.capture.transmission import Transmission
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import patience_of
@@ -21,12 +19,14 @@ from dpstack.drivers.runtime import PortLost, Runtime
 from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.errors import BusError, ConfigError, PortError
 from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound
-from dpstack.monitor.evidence import Naming
 from dpstack.ports import Port, open_port
 from dpstack.ports.base import VIRTUAL
 from dpstack.sim.world import World
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s, s_to_ns
+
+if TYPE_CHECKING:
+    from dpstack.capture.transmission import Transmission
 
 #: time of silence (s) that ends the search
 SILENCE_S: Final = 5.0
@@ -83,6 +83,9 @@ async def find_baud(
     limit_ns, silence_ns = _limit(timeout), _limit(silence)
     if not naming:
         return _report(await search_baud(line, limit_ns=limit_ns, silence_ns=silence_ns))
+    from dpstack.capture.listener import Listener  # here, because a bus with a given rate needs none of them
+    from dpstack.monitor.evidence import Naming
+
     evidence, named = Naming(), asyncio.Event()
 
     def add(one: Transmission) -> None:
