@@ -87,7 +87,7 @@ class Station:
         self._lay_out()
 
     def _lay_out(self) -> None:
-        """Which module has which octets."""
+        """Assign the octets of the process data to the modules."""
         pieces: tuple[list[_Piece], list[_Piece]] = ([], [])
         ends = [0, 0]
         try:

@@ -173,7 +173,7 @@ def flaw_text(octets: bytes) -> str:
 
 
 def _place(flaw: Flaw, octets: bytes) -> str:
-    """Which octet shows the flaw."""
+    """The octet that shows the flaw."""
     size = claimed(octets, 0, len(octets))
     match flaw:
         case Flaw.LE_MISMATCH:

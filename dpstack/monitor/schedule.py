@@ -31,7 +31,7 @@ _NO_EXCHANGE_NS: Final = NS_PER_S
 
 
 class Use(Enum):
-    """What the wire is used for."""
+    """Use of the wire."""
 
     TOKEN = "token"
     REQUEST = "request"

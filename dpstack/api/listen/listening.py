@@ -28,6 +28,8 @@ from dpstack.units import BAUD_RATES
 
 __all__ = ["PORT_LOSSES", "BaudFound", "Line", "Listening", "OctetsLost"]
 
+#: pause in s before the next attempt to find the program that held the port
+_AGAIN_S: Final = 0.5
 #: causes in :meth:`Listening.damage` of octets that are missing: overruns of UART and driver, and thrown away unread
 PORT_LOSSES: Final = ("overrun", "buf_overrun", "discarded")
 
@@ -183,6 +185,33 @@ class Listening:
             self._fail(error)
         except Exception as error:
             self._on_failure(error)
+
+
+async def keep_listening(
+    make: Callable[[bool], Listening], begin: Callable[[Listening], None], interrupt: Callable[[str], None]
+) -> None:
+    """Listen for ever: where the program that held the port ends, wait until one holds it again.
+
+    ``make``: a new :class:`Listening`; its argument is ``own``. ``begin`` is called with each one that is entered,
+    ``interrupt`` with the reason when it has ended. Raises PortError for an own port, and where the first one cannot be
+    entered; UsageError.
+    """
+    program: str | None = None
+    first = True
+    while True:
+        listening = make(first)
+        entered = False
+        try:
+            async with listening:
+                program, first, entered = listening.line.program, False, True
+                begin(listening)
+                await listening.ended()
+        except PortError as error:
+            if program is None:
+                raise
+            if entered:
+                interrupt(str(error))
+        await asyncio.sleep(_AGAIN_S)
 
 
 def _program_on(port: str) -> ControlClient | None:

@@ -14,7 +14,7 @@ from dpstack import __version__
 from dpstack.api.bus.events_json import PortLost, event_json
 from dpstack.api.config.bus import AUTO
 from dpstack.api.listen.capture_file import STDOUT, CaptureFile, Ring
-from dpstack.api.listen.listening import PORT_LOSSES, BaudFound, Line, Listening, OctetsLost
+from dpstack.api.listen.listening import PORT_LOSSES, BaudFound, Line, Listening, OctetsLost, keep_listening
 from dpstack.capture.pcapng import PROFIBUS_DL, USER0
 from dpstack.capture.recording import Gaps, PortAbout, Recording
 from dpstack.capture.transmission import Transmission
@@ -26,7 +26,7 @@ from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.decode.filter import Match
 from dpstack.decode.telegram import Explained, Explainer
-from dpstack.errors import CaptureFileError, DpError, PortError, UsageError
+from dpstack.errors import CaptureFileError, DpError, UsageError
 from dpstack.monitor.evidence import finding
 from dpstack.monitor.triggers import Trigger, Triggers, Window, parse_trigger
 from dpstack.text import decimal
@@ -46,8 +46,6 @@ _OCTETS_ONLY: Final = (
 _WATCH_S: Final = 1.0
 #: memory of an explained telegram in octets, about
 _EXPLAINED: Final = 2_000
-#: pause before the next look for a program that holds the port, in s
-_AGAIN_S: Final = 0.5
 _files = options.number(decimal, 2, 100_000, "number of files from 2 on")
 _megabytes = options.number(float, 0.001, 1e6, "size in MB, 0.001 at least")
 _period = options.number(float, 0, 3600, "number of seconds, below 3600")
@@ -180,22 +178,16 @@ class _Capture:
     async def _listen(self) -> None:
         """Listen to the port; where a program that held it ends, wait until one is there again."""
         baud = None if self._args.baud == AUTO else self._args.baud
-        while True:
-            own = self._line is None
-            self._listening = None
-            listening = Listening(self._args.port, baud, self._on_transmission, self._on_event, own=own)
-            try:
-                async with listening:
-                    self._listening = listening
-                    self._start(listening.line)
-                    await listening.ended()
-            except PortError as error:
-                if self._line is None or self._line.program is None:
-                    raise
-                if self._listening is not None:
-                    self._gap(monotonic_ns(), str(error))
-                    self._say(monotonic_ns(), "notice", "waiting until a program holds the port again")
-            await asyncio.sleep(_AGAIN_S)
+        await keep_listening(
+            lambda own: Listening(self._args.port, baud, self._on_transmission, self._on_event, own=own),
+            self._start,
+            self._interrupt,
+        )
+
+    def _interrupt(self, reason: str) -> None:
+        self._listening = None
+        self._gap(monotonic_ns(), reason)
+        self._say(monotonic_ns(), "notice", "waiting until a program holds the port again")
 
     async def _watch_port(self) -> None:
         """Octets that the port has lost are a gap. It counts them, and does not say where they were."""
@@ -221,7 +213,8 @@ class _Capture:
                 self._gap(monotonic_ns(), f"the disk was too slow: {count} transmissions were not written", count)
 
     # --- what is heard ---
-    def _start(self, line: Line) -> None:
+    def _start(self, listening: Listening) -> None:
+        self._listening, line = listening, listening.line
         again = self._line is not None
         self._line = line
         if again:

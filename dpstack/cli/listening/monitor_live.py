@@ -10,7 +10,7 @@ from typing import Final
 
 from dpstack.api.bus.events_json import PortBack, PortLost
 from dpstack.api.config.bus import AUTO
-from dpstack.api.listen.listening import PORT_LOSSES, Line, Listening, OctetsLost
+from dpstack.api.listen.listening import PORT_LOSSES, Line, Listening, OctetsLost, keep_listening
 from dpstack.api.listen.report_file import SIMULATED, ReportFile, port_lines
 from dpstack.capture.timing import ADAPTER
 from dpstack.cli.listening.monitor_view import LiveView, event_line, show_summary, write_report
@@ -22,8 +22,6 @@ from dpstack.monitor.verdicts import CRITICAL
 from dpstack.trace import Event
 from dpstack.units import NS_PER_S, baud_text
 
-#: pause before the next look for a program that holds the port, in s
-_AGAIN_S: Final = 0.5
 _TICK_S: Final = 0.5
 #: octets of a tap or an adapter are no later
 _LATE_NS: Final = NS_PER_S
@@ -123,23 +121,18 @@ class LiveMonitor:
     async def _listen(self) -> None:
         """Listen to the port; where a program that held it ends, wait until one is there again."""
         baud = None if self._args.baud == AUTO else self._args.baud
-        while True:
-            self._listening = None
-            listening = Listening(self._args.port, baud, self._add, self._on_event, own=self._line is None)
-            try:
-                async with listening:
-                    self._listening = listening
-                    self._begin(listening.line)
-                    await listening.ended()
-            except PortError as error:
-                if self._line is None or self._line.program is None:
-                    raise
-                if self._listening is not None:
-                    self._listening = None
-                    self._monitor.lost(time_ns(), f"{error}; waiting until a program holds the port again")
-            await asyncio.sleep(_AGAIN_S)
+        await keep_listening(
+            lambda own: Listening(self._args.port, baud, self._add, self._on_event, own=own),
+            self._begin,
+            self._interrupt,
+        )
 
-    def _begin(self, line: Line) -> None:
+    def _interrupt(self, reason: str) -> None:
+        self._listening = None
+        self._monitor.lost(time_ns(), f"{reason}; waiting until a program holds the port again")
+
+    def _begin(self, listening: Listening) -> None:
+        self._listening, line = listening, listening.line
         again, self._line = self._line is not None, line
         self._monitor.timing = line.timing
         if again:
