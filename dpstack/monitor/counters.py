@@ -57,6 +57,7 @@ PASSED_OVER: Final = 2
 TOGETHER_BITS: Final = 10
 #: Global_Control: bit of Clear_Data
 _CLEAR_DATA: Final = 2
+_TOKENS_OF_NOBODY: Final = 2  # so many tokens of one sender may be damaged ones of others
 _LONGEST: Final = 256
 #: where the source does not say the rate
 _ANY_BAUD: Final = 9600
@@ -615,12 +616,15 @@ class Counters:
         self._on_change(Change(start, "left", master.address, f"master {master.address} {why}"))
 
     def _sender_of_token(self, sa: int, end: int) -> Master | None:
-        """The master that sent a token, if it is the second one of this sender: damage makes tokens of nobody."""
-        doubtful = self._doubtful.pop(sa, None)
+        """The master that sent a token, if it is the third one of this sender: damage makes tokens of nobody."""
+        doubtful = self._doubtful.get(sa)
         if doubtful is None or end - doubtful.heard_at > self._silent_ns:
-            self._doubtful[sa] = Master(sa, tokens=1, heard_at=end)
-            return None
-        return self._new_master(sa, doubtful)
+            doubtful = self._doubtful[sa] = Master(sa)
+        elif doubtful.tokens == _TOKENS_OF_NOBODY:
+            return self._new_master(sa, self._doubtful.pop(sa))
+        doubtful.tokens += 1
+        doubtful.heard_at = end
+        return None
 
     def _new_station(self, address: int) -> Station:
         station = self.stations[address] = Station(address)
