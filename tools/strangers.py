@@ -28,6 +28,7 @@ PROGRAMS: Final[Mapping[str, str]] = {
     "editcap": "wireshark-common",
     "mergecap": "wireshark-common",
     "chromium": "chromium",
+    "chromedriver": "chromium-driver",
     "lua5.4": "lua5.4",
     "pdfinfo": "poppler-utils",
     "pdftotext": "poppler-utils",
