@@ -1,17 +1,21 @@
 """Named fields in the process data of a slave, declared as short texts.
 
 ``bool@0.3`` is bit 3 of octet 0, ``i16@2`` two octets from octet 2 on as a signed number, most significant octet first
-as PROFIBUS has it; ``i16le@2`` the other way round. ``bytes@4:3`` are three octets as they are.
+as PROFIBUS has it; ``i16le@2`` the other way round. ``bytes@4:3`` are three octets as they are. A number may have a
+scale: its value is then the number in the octets (raw) * scale + offset, in a unit.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import math
 import re
 import struct
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from decimal import Decimal
+from fractions import Fraction
 from typing import Final
 
 from dpstack.errors import ConfigError
@@ -41,13 +45,19 @@ _SPEC: Final = re.compile(r"(?P<type>[^@]*)@(?P<octet>[0-9]+)(?:\.(?P<bit>[0-9]+
 _DIGITS: Final = 4
 #: characters of a text that a message shows
 _SHOWN: Final = 40
+#: decimal places that a float with some places before the point can have
+_MOST_PLACES: Final = 15
 _NAME: Final = re.compile(r"[^\W\d][\w -]*(?<! )")
 _SWITCH: Final = {"on": True, "true": True, "1": True, "off": False, "false": False, "0": False}
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One named value. ``octet`` counts from 0; ``bit`` 0..7 of a bool, else None; ``length`` in octets."""
+    """One named value. ``octet`` counts from 0; ``bit`` 0..7 of a bool, else None; ``length`` in octets.
+
+    The value of a number is the number in the octets (raw) * ``scale`` + ``offset``, in ``unit``. ``dead_band``: a
+    recording on change leaves out changes up to so much, in the same unit.
+    """
 
     name: str
     type: str
@@ -55,6 +65,17 @@ class Field:
     length: int
     bit: int | None = None
     little: bool = False
+    scale: float = 1
+    offset: float = 0
+    unit: str = ""
+    dead_band: float = 0
+    #: decimal places of a scaled whole number, None where rounding to them changes nothing
+    _places: int | None = field(default=None, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.is_scaled and not self.type.startswith("f"):
+            places = max(_places(self.scale), _places(self.offset))
+            object.__setattr__(self, "_places", places if places <= _MOST_PLACES else None)
 
     @classmethod
     def parse(cls, name: str, text: str) -> Field:
@@ -90,7 +111,17 @@ class Field:
         return cls(name, base, octet, length, None, base != kind)
 
     @property
+    def is_number(self) -> bool:
+        """Whether it may have a scale and a unit."""
+        return self.type in _NUMBERS
+
+    @property
+    def is_scaled(self) -> bool:
+        return self.scale != 1 or self.offset != 0
+
+    @property
     def spec(self) -> str:
+        """Type and place as in the configuration, without scale and unit."""
         tail = "" if self.bit is None else f".{self.bit}"
         tail += f":{self.length}" if self.type == "bytes" else ""
         return f"{self.type}{_LITTLE if self.little else ''}@{self.octet}{tail}"
@@ -113,7 +144,12 @@ class Field:
         if self.type == "bytes":
             return octets[self.octet : self.octet + self.length]
         value: int | float = struct.unpack_from(self._format, octets, self.octet)[0]
-        return value
+        return self._scaled(value) if self.is_scaled else value
+
+    def _scaled(self, raw: float) -> float:
+        value = raw * self.scale + self.offset
+        # 3 * 0.1 is 0.30000000000000004: as many decimal places as scale and offset have are exact
+        return value if self._places is None else round(value, self._places)
 
     def put(self, octets: bytes, value: object) -> bytes:
         """``octets`` with ``value`` in this field. Raises ValueError that names the possible values."""
@@ -132,33 +168,70 @@ class Field:
             return bytes(value)
         if self.type.startswith("f"):
             return self._float_octets(value)
-        if isinstance(value, bool) or not isinstance(value, int):
+        if self.is_scaled:
+            raw = self._nearest_raw(value)
+        elif isinstance(value, bool) or not isinstance(value, int):
             raise ValueError(f"{self.name} is {self.type}, a whole number: {value!r} is none")
-        bits = 8 * self.length
-        low, high = (0, (1 << bits) - 1) if self.type.startswith("u") else (-1 << (bits - 1), (1 << (bits - 1)) - 1)
-        if not low <= value <= high:
-            raise ValueError(f"{self.name} = {value} is outside {low}..{high} ({self.type})")
-        return struct.pack(self._format, value)
+        else:
+            raw = value
+        low, high = self._raw_limits
+        if not low <= raw <= high:
+            raise ValueError(f"{self.name} = {value} is outside {self._range(low, high)}")
+        return struct.pack(self._format, raw)
 
-    def _float_octets(self, value: object) -> bytes:
+    @property
+    def _raw_limits(self) -> tuple[int, int]:
+        bits = 8 * self.length
+        return (0, (1 << bits) - 1) if self.type.startswith("u") else (-1 << (bits - 1), (1 << (bits - 1)) - 1)
+
+    def _range(self, low: int, high: int) -> str:
+        if not self.is_scaled:
+            return f"{low}..{high}{self.unit and ' '}{self.unit} ({self.type})"
+        first, last = sorted((self._scaled(low), self._scaled(high)))
+        return f"{first}..{last}{self.unit and ' '}{self.unit} ({self.type}, scale {self.scale}, offset {self.offset})"
+
+    def _nearest_raw(self, value: object) -> int:
+        """The number for the octets that comes nearest to the scaled ``value``."""
+        number = self._number(value)
+        if not math.isfinite(number):
+            raise ValueError(f"{self.name} = {value!r} is outside {self._range(*self._raw_limits)}")
+        # exact: what a person writes as 0.1 is a tenth
+        return round((_exact(number) - _exact(self.offset)) / _exact(self.scale))
+
+    def _number(self, value: object) -> int | float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ValueError(f"{self.name} is {self.type}, a number: {value!r} is none")
+        return value
+
+    def _float_octets(self, value: object) -> bytes:
+        raw = self._number(value)
         try:
-            if math.isfinite(value):
-                return struct.pack(self._format, value)
+            if self.is_scaled:
+                raw = (raw - self.offset) / self.scale
+            if math.isfinite(raw):
+                return struct.pack(self._format, raw)
         except OverflowError:
             pass
-        raise ValueError(f"{self.name} = {value!r} is no number that {self.type} can hold")
+        raise ValueError(f"{self.name} = {value!r} is no number that {self.type} can hold{self._scale_text}")
+
+    @property
+    def _scale_text(self) -> str:
+        return f" with scale {self.scale} and offset {self.offset}" if self.is_scaled else ""
 
     def read(self, text: str) -> Value:
-        """The value in ``text`` as a person writes it. Raises ValueError that says how to write it."""
+        """The value in ``text`` as a person writes it, with its unit behind it or without.
+
+        Raises ValueError that says how to write it.
+        """
         text = text.strip()
+        if self.unit:
+            text = text.removesuffix(f" {self.unit}").rstrip()
         try:
             if self.bit is not None:
                 return _SWITCH[text.lower()]
             if self.type == "bytes":
                 return bytes.fromhex(text)
-            return float(text) if self.type.startswith("f") else int(text, 0)
+            return float(text) if self.type.startswith("f") or self.is_scaled else int(text, 0)
         except (KeyError, ValueError):
             how = {"bool": "on or off", "bytes": "hex digits"}.get(self.type, "a number, for instance 12")
             raise ValueError(f"{self.name} = {shortened(text, _SHOWN)!r} is no {self.type}: write {how}") from None
@@ -184,7 +257,14 @@ class FieldMap(Collection[str]):
         """The same fields for an image of another length, called ``what``. Raises ConfigError if one lies outside."""
         if length == self.length:
             return self
-        return FieldMap({name: field_of(name, f.spec, length, what) for name, f in self.fields.items()}, length)
+        for found in self.fields.values():
+            _check_inside(found, found.spec, length, what)
+        return FieldMap(self.fields, length)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The units of the fields that have one, by name."""
+        return {name: found.unit for name, found in self.fields.items() if found.unit}
 
     def values(self, octets: bytes) -> dict[str, Value]:
         """The values of all fields; empty if ``octets`` are too short for them."""
@@ -200,10 +280,40 @@ def field_of(name: str, text: str, length: int, what: str) -> Field:
             f"{shortened(name, _SHOWN)!r} is no name for a field; use letters, digits, _ and -, a letter first"
         )
     found = Field.parse(name, text)
+    _check_inside(found, text, length, what)
+    return found
+
+
+def _check_inside(found: Field, text: str, length: int, what: str) -> None:
     if found.octet + found.length > length:
         has = f"its configuration has octets 0..{length - 1} of {what}" if length else f"it has no {what}"
-        raise ConfigError(f'{name} = "{text}" ends in octet {found.octet + found.length - 1}; {has}')
-    return found
+        raise ConfigError(f'{found.name} = "{text}" ends in octet {found.octet + found.length - 1}; {has}')
+
+
+def with_scale(found: Field, given: Mapping[str, float | str]) -> Field:
+    """``found`` with ``scale``, ``offset``, ``unit`` and ``dead_band`` as ``given``. Raises ConfigError."""
+    if given and not found.is_number:
+        key = next(iter(given))
+        raise ConfigError(f"{found.name}: {found.type} has no {key}; only numbers have one: leave it out")
+    if not given.get("scale", 1):
+        raise ConfigError(
+            f"{found.name}: scale = 0 makes all values equal; give the value of one step, for instance 0.1"
+        )
+    changes: dict[str, object] = {
+        key: int(value) if isinstance(value, float) and value.is_integer() else value for key, value in given.items()
+    }
+    return dataclasses.replace(found, **changes)  # type: ignore[arg-type]
+
+
+def _exact(number: float) -> Fraction:
+    """The decimal number that a person reads for ``number``."""
+    return Fraction(repr(number))
+
+
+def _places(number: float) -> int:
+    """The decimal places of ``number`` as a person reads it."""
+    exponent = Decimal(repr(number)).normalize().as_tuple().exponent
+    return max(0, -exponent) if isinstance(exponent, int) else 0
 
 
 def overlap(fields: Mapping[str, Field]) -> tuple[Field, Field] | None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from decimal import Decimal
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.process_data import Field, FieldMap, Value, as_json, field_of, overlap
+from dpstack.dp.process_data import Field, FieldMap, Value, as_json, field_of, overlap, with_scale
 from dpstack.errors import ConfigError
 
 OCTETS = bytes.fromhex("80 01 FF FE 7F FF FF FF 3F C0 00 00 00 00 00 05")
@@ -178,3 +179,103 @@ def test_an_image_that_is_too_short_has_no_values() -> None:
 def test_json() -> None:
     values: dict[str, Value] = {"a": b"\x00\xff", "b": math.inf, "c": 1.5, "d": True}
     assert as_json(values) == {"a": "00ff", "b": None, "c": 1.5, "d": True}
+
+
+def scaled(text: str, **keys: float | str) -> Field:
+    return with_scale(Field.parse("x", text), keys)
+
+
+@pytest.mark.parametrize(
+    ("text", "scale", "offset", "octets", "value"),
+    [
+        ("i16@0", 0.1, 0, "0003", 0.3),  # 3 * 0.1 is 0.30000000000000004 for a float
+        ("i16@0", 0.1, 0, "ffff", -0.1),
+        ("u16@0", 0.01, -50, "1c84", 23.0),
+        ("u8@0", 10, 0, "0c", 120),
+        ("i8@0", -0.5, 1, "04", -1.0),
+        ("u16le@0", 0.001, 0, "3930", 12.345),
+        ("f32@0", 2, 1, "3fc00000", 4.0),
+    ],
+)
+def test_scaled_values_of_literal_octets(text: str, scale: float, offset: float, octets: str, value: float) -> None:
+    found = scaled(text, scale=scale, offset=offset, unit="bar")
+    assert found.get(bytes.fromhex(octets)) == value
+    assert found.put(bytes(len(octets) // 2), value).hex() == octets
+    assert found.read(f" {value} bar") == found.read(str(value)) == value
+
+
+def test_a_scale_of_a_whole_number_gives_whole_numbers() -> None:
+    assert type(scaled("u8@0", scale=10.0).get(b"\1")) is int
+    assert type(scaled("u8@0", unit="bar").get(b"\1")) is int
+    assert type(scaled("u8@0", scale=0.5).get(b"\2")) is float
+
+
+@pytest.mark.parametrize(
+    ("text", "keys", "value", "line"),
+    [
+        ("i16@0", {"scale": 0.1, "unit": "bar"}, 3276.76, "x = 3276.76 is outside -3276.8..3276.7 bar (i16, scale 0.1"),
+        ("u8@0", {"scale": -2, "offset": 1}, 3, "x = 3 is outside -509..1 (u8, scale -2, offset 1)"),
+        ("u8@0", {"unit": "V"}, 256, "x = 256 is outside 0..255 V (u8)"),
+        ("u8@0", {"scale": 0.5}, math.nan, "x = nan is outside 0.0..127.5 (u8, scale 0.5, offset 0)"),
+        ("u8@0", {"scale": 0.5}, "1", "x is u8, a number: '1' is none"),
+        ("u8@0", {"scale": 0.5}, True, "x is u8, a number: True is none"),
+        ("u8@0", {"unit": "V"}, 1.0, "x is u8, a whole number: 1.0 is none"),
+        ("f32@0", {"scale": 1e-9}, 1e38, "x = 1e+38 is no number that f32 can hold with scale 1e-09 and offset 0"),
+    ],
+)
+def test_scaled_values_that_do_not_fit(text: str, keys: dict[str, float], value: object, line: str) -> None:
+    with pytest.raises(ValueError) as caught:
+        scaled(text, **keys).put(bytes(8), value)
+    assert str(caught.value).startswith(line)
+
+
+@pytest.mark.parametrize(
+    ("text", "keys", "line"),
+    [
+        ("bool@0.0", {"scale": 2}, "x: bool has no scale; only numbers have one: leave it out"),
+        ("bytes@0:2", {"unit": "bar"}, "x: bytes has no unit; only numbers have one"),
+        ("u8@0", {"scale": 0.0}, "x: scale = 0 makes all values equal; give the value of one step"),
+    ],
+)
+def test_scales_that_cannot_be(text: str, keys: dict[str, float], line: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        scaled(text, **keys)
+    assert str(caught.value).startswith(line)
+
+
+_WHOLE = st.sampled_from(("u8", "i8", "u16", "i16", "i16le", "u32", "i32", "u32le"))
+_SCALES = st.builds(
+    lambda m, e, sign: sign * m * 10.0**e, st.integers(1, 99), st.integers(-4, 3), st.sampled_from((1, -1))
+)
+_OFFSETS = st.builds(lambda m, e: m * 10.0**e, st.integers(-999, 999), st.integers(-3, 3))
+
+
+@given(_WHOLE, _SCALES, _OFFSETS, st.binary(min_size=4, max_size=4))
+def test_every_raw_number_comes_back_through_its_value(kind: str, scale: float, offset: float, octets: bytes) -> None:
+    scale, offset = float(f"{scale:.6g}"), float(f"{offset:.6g}")
+    found = scaled(f"{kind}@0", scale=scale, offset=offset)
+    raw = Field.parse("x", f"{kind}@0").get(octets)
+    assert isinstance(raw, int)
+    value = found.get(octets)
+    assert isinstance(value, (int, float))
+    assert float(value) == float(raw * Decimal(str(scale)) + Decimal(str(offset)))  # as a person reckons it
+    assert found.put(octets, value) == octets
+
+
+@given(_WHOLE, _SCALES.filter(lambda scale: scale != 1), st.floats(0, 1))
+def test_writing_takes_the_nearest_raw_number(kind: str, scale: float, place: float) -> None:
+    found, plain = scaled(f"{kind}@0", scale=scale, unit="bar"), Field.parse("x", f"{kind}@0")
+    bits = 8 * plain.length
+    low = 0 if kind.startswith("u") else -1 << (bits - 1)
+    value = scale * (low + place * ((1 << bits) - 1))
+    raw = plain.get(found.put(bytes(4), value))
+    assert isinstance(raw, int)
+    assert abs(raw * Decimal(repr(scale)) - Decimal(repr(value))) <= abs(Decimal(repr(scale))) * Decimal("0.500001")
+
+
+def test_another_length_of_the_image_keeps_the_scale() -> None:
+    fields = FieldMap({"x": scaled("i16@2", scale=0.1, unit="bar")}, 4)
+    assert fields.fitted(6, "inputs").values(bytes.fromhex("0000 007b 0000")) == {"x": 12.3}
+    assert fields.units == {"x": "bar"}
+    with pytest.raises(ConfigError, match='x = "i16@2" ends in octet 3; its configuration has octets 0'):
+        fields.fitted(3, "inputs")

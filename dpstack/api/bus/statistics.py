@@ -28,7 +28,7 @@ class SlaveStats:
 
     ``inputs_valid``, ``inputs_age`` (seconds, None: there never were any): see :class:`~dpstack.api.slave.slave.Slave`.
     ``master``: address of its master on a read-only bus, None: not known. ``fields``: its named inputs and outputs,
-    octets as hex.
+    octets as hex; ``units``: the units of those that have one.
     """
 
     address: int
@@ -48,6 +48,7 @@ class SlaveStats:
     link: StationStats
     master: int | None = None
     fields: Mapping[str, object] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
     #: counters of its alarms, None for a slave without DP-V1
     alarms: AlarmCounts | None = None
     #: flags and texts of its last diagnosis; empty before the first
@@ -70,6 +71,7 @@ class SlaveStats:
             "outputs": self.outputs.hex(),
             "watchdog_ms": self.watchdog_ms,
             **({"fields": dict(self.fields)} if self.fields else {}),
+            **({"units": dict(self.units)} if self.units else {}),
             **_link_dict(self.link),
             **({} if self.master is None else {"master": self.master}),
             **({} if self.alarms is None else {"alarms": dataclasses.asdict(self.alarms)}),
@@ -238,6 +240,7 @@ def collect(bus: BusBase) -> BusStats:
                 link=link.station(slave.address),
                 master=slave.found.master if slave.found is not None else None,
                 fields=as_json(slave.input_values | slave.output_values),
+                units=slave.config.input_fields.units | slave.config.output_fields.units,
                 alarms=slave.alarm_counts,
                 diagnosis=diagnosis_dict(slave),
                 conspicuous=slave.conspicuous,

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Final, Literal, TypedDict
 from dpstack.api.config.dpv1 import read_dpv1
 from dpstack.api.config.slave_source import Who, basis_of, modules_of, remarks
 from dpstack.api.config.table import Gsd, Key, Octets, Source, Table, as_given, keys_of
-from dpstack.dp.process_data import Field, FieldMap, field_of, overlap
+from dpstack.dp.process_data import Field, FieldMap, field_of, overlap, with_scale
 from dpstack.dp.slave_params import INTERVAL_UNIT, SLAVE_LIMITS, SlaveParams
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.errors import ConfigError, UsageError
@@ -24,6 +24,11 @@ from dpstack.gsd.model import Device, DpV1
 from dpstack.params import MAX_STATION, UNADDRESSED
 from dpstack.profile import DriveProfile
 from dpstack.units import ms_text
+
+#: the largest scale and offset
+_MOST: Final = 1e9
+#: characters of a unit
+_UNIT_LENGTH: Final = 20
 
 
 def read_fields(table: Table, input_len: int, output_len: int) -> tuple[FieldMap, FieldMap]:
@@ -48,15 +53,49 @@ def read_fields(table: Table, input_len: int, output_len: int) -> tuple[FieldMap
     return FieldMap(inputs, input_len), FieldMap(outputs, output_len)
 
 
+class FieldKeys(TypedDict, total=False):
+    """The keys of one named value, as docs/configuration.md has them.
+
+    at: type and place, for instance `"i16@2"`. Left out: required
+    scale: the value of one step; not 0. A field that is no number (bool, bytes) has none of these keys. Left out: 1
+    offset: the value for the number 0 in the octets. Left out: 0
+    unit: the unit of the value, for people, up to 20 characters. Left out: none
+    dead_band: a recording on change leaves out changes up to so much. Left out: 0, every change counts
+    """
+
+    at: str
+    scale: Annotated[float, Key(-_MOST, _MOST)]
+    offset: Annotated[float, Key(-_MOST, _MOST)]
+    unit: str
+    dead_band: Annotated[float, Key(0, _MOST)]
+
+
 def _fields(table: Table, key: str, length: int) -> dict[str, Field]:
     found: dict[str, Field] = {}
     if table.raw(key) is not None:
         inside = table.table(key)
         for name in inside:
+            if isinstance(inside.raw(name), Mapping):
+                found[name] = _scaled_field(inside, name, length, key)
+                continue
             text = inside.text(name)
             with inside.blaming(name):
                 found[name] = field_of(name, text, length, key)
     return found
+
+
+def _scaled_field(table: Table, name: str, length: int, what: str) -> Field:
+    keys = table.table(name)
+    given = keys.read(keys_of(FieldKeys))
+    if "at" not in given:
+        keys.fail(None, "no at", 'add type and place, for instance at = "i16@2"')
+    if len(given.get("unit", "")) > _UNIT_LENGTH:
+        keys.fail("unit", f"unit has {len(given['unit'])} characters", f"at most {_UNIT_LENGTH} fit into a table")
+    keys.title = table.title  # messages about a field begin with its name
+    with keys.blaming("at"):
+        found = field_of(name, given.pop("at"), length, what)
+    with keys.blaming(next(iter(given), None)):
+        return with_scale(found, given)
 
 
 #: commands take a name or an address: a name that is a number could mean another slave

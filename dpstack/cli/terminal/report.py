@@ -262,7 +262,11 @@ def _process_data(slaves: Iterable[SlaveStats]) -> None:
         outputs = _marked(s.outputs, "" if s.outputs_sent == s.outputs else " (not sent)")
         octets.append((s.address, s.name, inputs, outputs))
     output.table("Process data", ("address", "name", "inputs", "outputs"), octets)
-    named = [(s.address, s.name, key, value) for s in slaves for key, value in s.fields.items()]
+    named = [
+        (s.address, s.name, key, f"{value} {s.units[key]}" if key in s.units else value)
+        for s in slaves
+        for key, value in s.fields.items()
+    ]
     if named:
         output.table("Named inputs and outputs", ("address", "name", "field", "value"), named)
 

@@ -73,6 +73,27 @@ def test_a_configuration() -> None:
             "plant.toml:11: [[slave]] raw: 'a' is an input and an output; give one of them another name",
         ),
         ('inputs = { "a.b" = "u8@0" }\n', "plant.toml:10: [[slave]] raw: inputs: 'a.b' is no name for a field; use"),
+        (
+            'inputs = { level = { at = "i16@2", scael = 0.1 } }\n',
+            "plant.toml:10: [[slave]] raw: inputs: level: unknown key 'scael'; did you mean 'scale'?",
+        ),
+        (
+            '[slave.inputs.level]\nat = "i16@2"\nscale = "0.1"\n',
+            "plant.toml:12: [[slave]] raw: inputs: level: scale = '0.1' is a text; it must be a number",
+        ),
+        ("inputs = { level = { scale = 0.1 } }\n", "plant.toml:10: [[slave]] raw: inputs: level: no at; add type"),
+        (
+            '[slave.inputs.level]\nscale = 2\nat = "i16@3"\n',
+            'plant.toml:12: [[slave]] raw: inputs: level = "i16@3" ends in octet 4; its configuration has octets 0..3',
+        ),
+        (
+            'inputs = { level = { at = "bool@0.0", unit = "bar" } }\n',
+            "plant.toml:10: [[slave]] raw: inputs: level: bool has no unit; only numbers have one: leave it out",
+        ),
+        (
+            f'inputs = {{ level = {{ at = "i16@2", unit = "{"x" * 21}" }} }}\n',
+            "plant.toml:10: [[slave]] raw: inputs: level: unit has 21 characters; at most 20 fit into a table",
+        ),
         ('inputs = { a = "" }\n', "plant.toml:10: [[slave]] raw: inputs: a is empty; give it a value or leave it out"),
     ],
 )
@@ -122,6 +143,34 @@ async def test_an_update_changes_all_outputs_or_none(values: dict[str, object], 
         assert valves.outputs == bytes(4)
         with pytest.raises(dpstack.UsageError, match=r"no field is called 'lvel'; did you mean level\?"):
             _ = valves["lvel"]
+
+
+SCALED: dict[str, object] = {
+    **VALVES,
+    "inputs": {"level": {"at": "i16@2", "scale": 0.1, "unit": "bar"}},
+    "outputs": {"target": {"at": "i16@2", "scale": 0.1, "unit": "bar"}},
+}
+
+
+@in_virtual_time
+async def test_scaled_values_in_a_program() -> None:
+    async with bus_of(SCALED) as bus:
+        await bus.ready()
+        await bus.operate()
+        valves = bus.slave("valves")
+        valves["target"] = 12.34
+        assert valves.outputs == bytes.fromhex("0000 007b")  # 123, the nearest to 123.4
+        await asyncio.sleep(0.05)
+        assert (valves["level"], valves["target"]) == (12.3, 12.3)
+        assert valves.input_values == {"level": 12.3}
+        async for cycle in bus.cycles():
+            assert cycle["valves"] == {"level": 12.3}
+            break
+        stats = bus.stats.slaves[8].as_dict()
+        assert (stats["fields"], stats["units"]) == ({"level": 12.3, "target": 12.3}, {"level": "bar", "target": "bar"})
+        with pytest.raises(dpstack.UsageError, match=r"target = 4000 is outside -3276\.8\.\.3276\.7 bar \(i16, scale"):
+            valves["target"] = 4000
+        assert valves["target"] == 12.3
 
 
 @in_virtual_time
