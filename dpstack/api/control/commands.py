@@ -72,7 +72,9 @@ SLAVES: Final = (
     Spec(
         "parameter-error", "SLAVE ERROR [TIMES]", "the next accesses to its parameters end with this error", "4 104 3"
     ),
-    Spec("input", "SLAVE SLOT HEX", "inputs of a module of the simulated I/O station", "io 1 01"),
+    Spec("input", "SLAVE [SLOT] HEX", "inputs of a simulated slave, or of a module of the I/O station", "8 01FF"),
+    Spec("set", "SLAVE.FIELD=VALUE...", "named inputs of simulated slaves, and no other bits", "8.level=1200"),
+    Spec("mirror", "SLAVE", "its inputs are its outputs again", "8"),
     Spec("wire-break", "SLAVE SLOT CHANNEL on|off", "the wire of an analogue input of it", "io 3 0 on"),
     Spec("pull", "SLAVE SLOT", "takes a module out of it", "io 2"),
     Spec("plug", "SLAVE SLOT [MODULE]", "puts it in again, or another one", "io 2"),

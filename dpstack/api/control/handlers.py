@@ -53,8 +53,8 @@ def control_run(bus: Bus, port: str, feed: TapFeed | None = None) -> ControlServ
         "tap": (feed or run_feed(bus)).handler,
     }
     if not bus.searching and bus.bench is not None:
-        specs = (*specs, *SLAVES)
-        handlers |= slave_handlers(bus.bench, bus)
+        specs = (*specs, *(spec for spec in SLAVES if spec.name not in handlers))
+        handlers = slave_handlers(bus.bench, bus) | handlers
     # there may be several runs with a pty
     own, also = (f"{PTY}:{os.getpid()}", PTY) if port == PTY else (port, None)
     return ControlServer("run", own, specs, handlers, also=also, config=bus.config.file)
@@ -201,17 +201,24 @@ async def _outputs(bus: Bus, args: list[str]) -> None:
 
 
 async def _set(bus: Bus, args: list[str]) -> None:
-    """Set named outputs. Parses all arguments before the first one takes effect."""
+    """Set named outputs, and named inputs of simulated slaves. Parses all arguments before the first takes effect."""
     wanted: dict[Slave, bytes] = {}
+    inputs: list[str] = []
     for text in args:
         where, name, value = arguments.field_value(text)
         slave = _slave_of(bus, where)
+        if bus.bench is not None and name in slave.config.input_fields:
+            inputs.append(text)
+            continue
         found = slave.output_field(name)
         try:
             wanted[slave] = found.put(wanted.get(slave, slave.outputs_held), found.read(value))
         except ValueError as error:
             raise UsageError(f"{slave.who}: {error}") from None
-    await _put_out(bus, wanted)
+    if bus.bench is not None and inputs:
+        _set_inputs(bus.bench, bus, inputs)
+    if wanted:
+        await _put_out(bus, wanted)
 
 
 async def _put_out(bus: Bus, wanted: dict[Slave, bytes]) -> None:
@@ -258,14 +265,50 @@ def slave_handlers(bench: Bench, program: Bus | Simulation | None = None) -> dic
         def carry_out(args: list[str]) -> object:
             address = address_of(args[0], bench.names())
             result = act(bench, address, args[1:])
-            if program is not None:
-                now, name = program.runtime.now(), bench.names()[address]
-                program.publish(Injected(t_ns=now, command=command, args=tuple(args), address=address, name=name))
+            _publish(bench, program, command, address, tuple(args))
             return result
 
         return carry_out
 
-    return {command: handler(command, act) for command, act in _ACTS.items()}
+    handlers = {command: handler(command, act) for command, act in _ACTS.items()}
+    return handlers | {"set": lambda args: _set_inputs(bench, program, args)}
+
+
+def _set_inputs(bench: Bench, program: Bus | Simulation | None, args: list[str]) -> object:
+    """Set named inputs of simulated slaves. Parses all arguments before the first one takes effect."""
+    wanted: dict[int, bytes] = {}
+    said: list[tuple[int, str, str]] = []
+    for text in args:
+        where, name, value = arguments.field_value(text)
+        address = address_of(where, bench.names())
+        unit = bench.units[address]
+        found = unit.input_field(name)
+        try:
+            wanted[address] = found.put(wanted.get(address, unit.inputs), found.read(value))
+        except ValueError as error:
+            raise UsageError(f"{unit.who}: {error}") from None
+        said.append((address, where, f"{name}={value}"))
+    remarks = [bench.units[address].set_inputs(octets) for address, octets in wanted.items()]
+    for address, where, text in said:
+        _publish(bench, program, "set", address, (where, text))
+    return next((f"done, without an alarm: {remark}" for remark in remarks if remark), None)
+
+
+def _publish(bench: Bench, program: Bus | Simulation | None, command: str, address: int, args: tuple[str, ...]) -> None:
+    if program is not None:
+        now, name = program.runtime.now(), bench.names()[address]
+        program.publish(Injected(t_ns=now, command=command, args=args, address=address, name=name))
+
+
+def _input(bench: Bench, address: int, args: list[str]) -> object:
+    """Set all inputs of a slave, or those of a module of the I/O station."""
+    if len(args) > 1:
+        if not isinstance(bench.device(address), IoStation):
+            raise UsageError(f"{bench.units[address].who}: a slot without an I/O station; write `input SLAVE HEX`")
+        return _OF_SLOT(bench, address, args)
+    octets = arguments.hex_octets(args[0], "write for instance 01FF")
+    remark = bench.units[address].set_inputs(octets)
+    return None if remark is None else f"done, without an alarm: {remark}"
 
 
 def _of_drive(act: Callable[..., None]) -> _Act:
@@ -301,6 +344,11 @@ def _refuse(drive: DriveDevice, error: str, times: str = "1") -> None:
     drive.refuse(error, count)
 
 
+#: the inputs of a module of the I/O station
+_OF_SLOT: Final = _of_station(
+    lambda io, slot, args: io.set_input(slot, arguments.hex_octets(args[0], "write for instance 01"))
+)
+
 _ACTS: Final[dict[str, _Act]] = {
     "trip": _of_drive(lambda drive, code: drive.trip(code)),
     "warn": _of_drive(lambda drive, text: drive.warn(arguments.mask(text))),
@@ -310,9 +358,8 @@ _ACTS: Final[dict[str, _Act]] = {
     "mains": _of_drive(lambda drive, text: drive.mains(arguments.switch(text))),
     "link": _of_drive(lambda drive, text: drive.link(arguments.switch(text))),
     "parameter-error": _of_drive(_refuse),
-    "input": _of_station(
-        lambda io, slot, args: io.set_input(slot, arguments.hex_octets(args[0], "write for instance 01"))
-    ),
+    "input": _input,
+    "mirror": lambda bench, address, args: bench.units[address].set_inputs(None),
     "wire-break": _of_station(
         lambda io, slot, args: io.wire_break(slot, arguments.whole_number(args[0]), arguments.switch(args[1]))
     ),

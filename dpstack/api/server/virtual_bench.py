@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 
 from dpstack.api.config.slave import SlaveConfig
+from dpstack.dp.process_data import Field
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.auto_baud import SearchingSlave
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.device import Device
-from dpstack.dpv1.slave.loopback_device import MirrorDevice, mirror_of
+from dpstack.dpv1.slave.loopback_device import HeldInputs, MirrorDevice, mirror_of
+from dpstack.errors import UsageError
 from dpstack.fdl.interface import BusStation
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.machine import LineDown
@@ -20,6 +23,7 @@ from dpstack.phy.patience import EXACT, Patience
 from dpstack.profile import DriveDevice
 from dpstack.sim.io_station import IDENT, NAME, IoStation
 from dpstack.sim.world import World
+from dpstack.text import octets_text
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
@@ -48,9 +52,10 @@ class Injected(Event):
         return {**line, "command": self.command, "args": list(self.args), "text": self.text}
 
 
-def device_of(slave: SlaveConfig) -> Device:
+def device_of(slave: SlaveConfig, held: HeldInputs | None = None) -> Device:
     """The device that simulates ``slave``: its drive, the I/O station (by the ident number), or a loop-back device
-    (mirror) of outputs to inputs, with the lengths, limits and services of the GSD file if it has one.
+    (mirror) of outputs to inputs, with the lengths, limits and services of the GSD file if it has one. ``held``: the
+    inputs of a mirror from outside.
     """
     if slave.profile is not None:
         device = slave.profile.device(slave.telegram, {**slave.profile.shared(slave.options), **slave.simulated})
@@ -63,8 +68,8 @@ def device_of(slave: SlaveConfig) -> Device:
         described = None if slave.description is None else _own(slave, slave.description)
         return IoStation(params.config, described, name=slave.name)
     if slave.description is not None:
-        return mirror_of(_own(slave, slave.description))
-    return MirrorDevice(params.ident or 0, params.config, params.name, fail_safe=params.fail_safe)
+        return mirror_of(_own(slave, slave.description), held)
+    return MirrorDevice(params.ident or 0, params.config, params.name, fail_safe=params.fail_safe, held=held)
 
 
 def _own(slave: SlaveConfig, description: SlaveDescription) -> SlaveDescription:
@@ -106,7 +111,8 @@ class SimulatedSlave:
         self._address_fixed = False
         self._patience = patience
         self._searching = searching
-        self.device: Device = device_of(config)
+        self._held = HeldInputs(config.params.input_len)
+        self.device: Device = device_of(config, self._held)
         self._create_station(params)
 
     @property
@@ -128,6 +134,52 @@ class SimulatedSlave:
         """Its station address, which Set_Slave_Add may have changed."""
         return self.station.address
 
+    @property
+    def who(self) -> str:
+        return f"slave {self.address} ({self.name})"
+
+    @property
+    def inputs(self) -> bytes:
+        """The inputs as set from outside, else those of the last exchange, else zeros."""
+        if isinstance(self.device, IoStation):
+            return self.device.process_inputs
+        held = self._held.octets
+        if held is not None:
+            return held
+        return self.app.inputs or bytes(self._held.length)
+
+    def set_inputs(self, octets: bytes | None) -> str | None:
+        """Set the inputs that the master reads; they stay over :meth:`renew`. None: mirror the outputs again.
+
+        Returns a remark for people, or None. Raises UsageError for a drive, and for octets of another length.
+        """
+        device, length = self.device, self._held.length
+        if isinstance(device, DriveDevice):
+            raise UsageError(f"{self.who}: the simulated drive makes its inputs; trip, warn and load change them")
+        if octets is not None and len(octets) != length:
+            raise UsageError(f"{self.who} has {octets_text(length)} of inputs, {octets_text(len(octets))} given")
+        if not isinstance(device, IoStation):
+            self._held.octets = octets
+            return None
+        if octets is None:
+            raise UsageError(f"{self.who}: the I/O station mirrors nothing; give the octets of its inputs")
+        return device.set_inputs(octets)
+
+    def input_field(self, name: str) -> Field:
+        """The declaration of a named input. Raises UsageError with the known ones."""
+        fields = self.config.input_fields
+        found = fields.fields.get(name)
+        if found is not None:
+            return found
+        if name in self.config.output_fields:
+            raise UsageError(f"{self.who}: {name} is an output, which its master sets")
+        near = difflib.get_close_matches(name, fields, n=1, cutoff=0.5)
+        known = ", ".join(fields) or 'none; name them by its key inputs: { level = "i16@0" }'
+        raise UsageError(
+            f"{self.who}: no input is called {name!r}; "
+            + (f"did you mean {near[0]}?" if near else f"there are: {known}")
+        )
+
     def as_dict(self) -> dict[str, object]:
         """State and counters since it was switched on. ``watchdogs``: expiries of its watchdog. ``too_late``: answers
         that it did not send because the next telegram had already begun.
@@ -142,7 +194,7 @@ class SimulatedSlave:
         }
 
     def renew(self, params: BusParams) -> None:
-        before, self.device = self.device, device_of(self.config)
+        before, self.device = self.device, device_of(self.config, self._held)
         kept, self._address_fixed = self.app.kept_address
         self._address = self._address if kept is None else kept
         if isinstance(before, DriveDevice) and isinstance(self.device, DriveDevice):

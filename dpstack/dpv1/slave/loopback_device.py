@@ -1,4 +1,7 @@
-"""Devices that mirror their outputs to their inputs, the simulation of a ``[[slave]]`` table without a drive."""
+"""Devices that mirror their outputs to their inputs, the simulation of a ``[[slave]]`` table without a drive.
+
+Inputs that were set from outside replace the mirrored ones.
+"""
 
 from __future__ import annotations
 
@@ -8,33 +11,53 @@ from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.gsd.identifiers import io_lengths
 
 
+class HeldInputs:
+    """The inputs of a mirror as set from outside, in the ``length`` of its inputs. ``octets`` None: it mirrors."""
+
+    def __init__(self, length: int) -> None:
+        self.length = length
+        self.octets: bytes | None = None
+
+    def cycle(self, outputs: bytes, _now: int) -> bytes:
+        """The inputs: as set, or the outputs in the length of the inputs."""
+        held = self.octets
+        if held is not None:
+            return held
+        length = self.length
+        return outputs if len(outputs) == length else outputs[:length].ljust(length, b"\0")
+
+
 class MirrorDevice(Device):
     """Inputs are the outputs, cut or filled up with zeros where the lengths differ. Any user parameters are accepted,
     and any address by Set_Slave_Add.
 
-    ``config``: the identifier octets it accepts. Raises ConfigError where they are none.
+    ``config``: the identifier octets it accepts; ``held``: its inputs from outside. Raises ConfigError where they are
+    none.
     """
 
     set_slave_add = True
 
-    def __init__(self, ident: int, config: bytes, name: str = "mirror", *, fail_safe: bool = False) -> None:
+    def __init__(
+        self,
+        ident: int,
+        config: bytes,
+        name: str = "mirror",
+        *,
+        fail_safe: bool = False,
+        held: HeldInputs | None = None,
+    ) -> None:
         self.ident = ident
         self.configs = (config,)
         self.name = name
         self.fail_safe = fail_safe
-        self._input_len = io_lengths(config)[0]
+        self._inputs = HeldInputs(io_lengths(config)[0]) if held is None else held
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
-        """The outputs in the length of the inputs."""
-        return fitted(outputs, self._input_len)
+        """The inputs as set, or the outputs in the length of the inputs."""
+        return self._inputs.cycle(outputs, now)
 
 
-def mirror_of(description: SlaveDescription) -> DpSlave:
+def mirror_of(description: SlaveDescription, held: HeldInputs | None = None) -> DpSlave:
     """A slave of that type, with its one configuration, that mirrors its outputs as :class:`MirrorDevice` does."""
-    inputs = io_lengths(description.configs[0])[0]
-    return DpSlave(description, lambda outputs, elapsed: fitted(outputs, inputs))
-
-
-def fitted(outputs: bytes, length: int) -> bytes:
-    """``outputs`` in another length: cut, or filled up with zeros."""
-    return outputs if len(outputs) == length else outputs[:length].ljust(length, b"\0")
+    inputs = HeldInputs(io_lengths(description.configs[0])[0]) if held is None else held
+    return DpSlave(description, inputs.cycle)

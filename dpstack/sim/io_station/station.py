@@ -223,6 +223,28 @@ class IoStation(DpSlave):
                 return self._alarm(AlarmType.PROCESS, place, Specifier.NONE, changed + place.inputs)
         return None
 
+    @property
+    def process_inputs(self) -> bytes:
+        """The inputs of the process at all modules, in slot order, whether modules and wires are there or not."""
+        return b"".join(place.process for place in self._configured)
+
+    def set_inputs(self, inputs: bytes) -> str | None:
+        """Change the inputs of all modules, octets in slot order; those of a module that stay the same change nothing.
+
+        Returns the first reason why an alarm was left out.
+        """
+        length = len(self.process_inputs)
+        if len(inputs) != length:
+            raise ValueError(f"{self.name} has {length} octets of inputs, {len(inputs)} were given")
+        left_out = None
+        at = 0
+        for place in self._configured:
+            part = inputs[at : at + place.module.inputs]
+            at += place.module.inputs
+            if part != place.process:
+                left_out = self.set_input(place.number, part) or left_out
+        return left_out
+
     def wire_break(self, slot: int, channel: int, broken: bool) -> str | None:
         """Break the wire of an analogue input channel, 0 or 1, or repair it."""
         place = self._slot(slot)
