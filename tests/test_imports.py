@@ -45,6 +45,7 @@ MAY: dict[str, set[str]] = {
     "drivers": DP | {"ports", "machine", "sim"},
     "api": DP | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor"},
     "wireshark": {"api", "capture"} | PURE_BASE,
+    "web": {"api", "live", "ports"} | PURE_BASE,
     "cli": {"api", "capture", "decode", "monitor", "wireshark", "gsd", "profile", "trace"} | PURE_BASE,
     "__init__": {"api", "errors", "profile", "dp", "dpv1", "trace"},
 }
@@ -89,7 +90,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("api/bus",),
     ("api/control",),
     ("api/listen",),
-    ("wireshark",),
+    ("wireshark", "web"),
     ("cli/terminal",),
     ("cli",),
     ("cli/commands", "cli/listening"),

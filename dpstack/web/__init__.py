@@ -1,0 +1,15 @@
+"""The page in the browser: a web server beside the run that drives the bus (``dpstack web``).
+
+It joins the run through its control socket, and never opens a port itself. docs/web.md has the protocol of the
+WebSocket and the rights.
+
+- ``address``: ``--listen HOST:PORT``, its sockets, and the ``Host`` and ``Origin`` that a request may have
+- ``asks``: Asks of a page (reads), and the table of their handlers
+- ``fan_out``: The stream of items for any number of pages; merges snapshots for a page that does not read
+- ``messages``: Messages of a page, checked: ``hello``, ``ask``, ``order``; answers to it
+- ``orders``: Orders of a page, and the commands of the run that carry them out
+- ``page_files``: The files of the page, and the headers of every response
+- ``rights``: Tokens, the secret of a start, TLS
+- ``server``: The web server: ``serve``
+- ``source``: Sources of items and answers: their base, and given items
+"""

@@ -1,0 +1,64 @@
+"""Orders of a page: the table of those that there are, and how the run carries each out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from dpstack.errors import DpError, UsageError
+from dpstack.web.messages import Order
+from dpstack.web.rights import Visitor
+from dpstack.web.source import Source
+
+
+class Tell(Protocol):
+    """Tells all pages and the log."""
+
+    def __call__(self, text: str, severity: str = "info", **more: object) -> None: ...
+
+
+def _same(command: str) -> Callable[[tuple[str, ...]], tuple[str, ...]]:
+    return lambda args: (command, *args)
+
+
+def _write(args: tuple[str, ...]) -> tuple[str, ...]:
+    if len(args) != 4:
+        raise UsageError("write takes SLAVE SLOT INDEX HEX, for instance: write 8 1 47 00FF")
+    return ("acyclic", args[0], "write", *args[1:])
+
+
+#: for each order the command of the control socket, with its arguments
+_COMMANDS: Final[dict[str, Callable[[tuple[str, ...]], tuple[str, ...]]]] = {
+    **{one: _same(one) for one in ("operate", "clear", "stop", "set", "outputs", "drive")},
+    "write": _write,
+}
+#: starts the run where there is none
+START: Final = "start"
+ORDERS: Final = (*_COMMANDS, START)
+
+
+async def carry_out(source: Source, visitor: Visitor, order: Order, tell: Tell) -> object:
+    """Carry ``order`` out for ``visitor``, and return the answer of the run. Tells all pages of each order that may be
+    given, with the name of who gave it. Raises DpError.
+    """
+    if not visitor.control:
+        raise UsageError("this page may look only: orders need --control, and the address or token for them")
+    if order.command not in ORDERS:
+        raise UsageError(f"there is no order {order.command!r}; there are {', '.join(ORDERS)}")
+    if not order.confirmed:
+        raise UsageError(f"{order.command}: the order was not confirmed on the page, so it was not carried out")
+    about = {"by": visitor.who, "command": order.command, "args": list(order.args)}
+    text = f"order of {visitor.who}: {order.text}"
+    try:
+        if order.command == START:
+            if order.args:
+                raise UsageError("start takes no arguments")
+            result = await source.start()
+        else:
+            result = await source.call(*_COMMANDS[order.command](order.args))
+    except BaseException as error:
+        why = str(error) if isinstance(error, (DpError, ValueError)) else "given up"
+        tell(f"{text}: failed: {why}", "warning", **about, ok=False)
+        raise
+    tell(f"{text}: done", "info", **about, ok=True)
+    return result

@@ -1,0 +1,252 @@
+"""Rights of a page: named tokens, the secret of this start, TLS; each is checked before anything listens.
+
+- On this computer alone, without ``--control``: everybody on it may look.
+- On this computer with ``--control``: everybody on it may look; orders need the secret of this start, which stands in
+  the printed address behind ``#``, where a browser never sends it, or a token.
+- With ``--token FILE``: nobody does anything without a token of that file.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import hmac
+import os
+import secrets
+import ssl
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from dpstack.errors import ConfigError, UsageError
+from dpstack.ports.runtime_dir import user_name
+from dpstack.text import printable
+
+SHORTEST_TOKEN: Final = 16
+_LONGEST_FILE: Final = 1 << 20
+_MOST_NAME: Final = 64
+#: name in the log for pages with the secret of this start
+THIS_COMPUTER: Final = "this computer"
+_HOW: Final = (
+    'one line for each person, "NAME TOKEN"; a token for instance of '
+    "`python3 -c 'import secrets; print(secrets.token_urlsafe())'`"
+)
+#: seconds before the next token of an address is looked at, by the number of wrong ones before it
+_PAUSES_S: Final = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
+#: addresses whose wrong tokens are remembered
+_MOST_ADDRESSES: Final = 1_024
+#: verify codes of OpenSSL (X509_V_ERR_...)
+_NOT_YET_VALID: Final = 9
+_EXPIRED: Final = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Visitor:
+    """A page that was let in. ``name``: of its token; None without one. ``control``: it may give orders."""
+
+    name: str | None
+    control: bool
+
+    @property
+    def who(self) -> str:
+        return self.name or THIS_COMPUTER
+
+
+@dataclass(frozen=True)
+class Rights:
+    """The rights of one start. ``tokens``: name by token; None where none is needed. ``secret``: that of this start."""
+
+    control: bool = False
+    tokens: Mapping[str, str] | None = None
+    secret: str | None = None
+    pauses: Pauses = field(default_factory=lambda: Pauses())
+
+    def visitor(self, token: str | None) -> Visitor | None:
+        """The page with ``token``; None where it is wrong. Takes the same time whatever token it is."""
+        if self.tokens is None and not self.control:
+            return Visitor(None, False)
+        known = dict(self.tokens or {})
+        if self.secret is not None:
+            known[self.secret] = ""
+        given = _digest(token or "")
+        found = [name for one, name in known.items() if hmac.compare_digest(_digest(one), given)]
+        if token is None:
+            return None if self.tokens is not None else Visitor(None, False)
+        return Visitor(found[0] or None, self.control) if found else None
+
+
+def _digest(token: str) -> bytes:
+    return hashlib.sha256(token.encode("utf-8", "surrogatepass")).digest()
+
+
+class Pauses:
+    """Slows down those who try tokens: one token of an address at a time, and the later the more wrong ones it sent."""
+
+    def __init__(self) -> None:
+        self._wrong: dict[str, int] = {}
+        self._locks: dict[str, asyncio.Lock] = {}
+
+    async def wait(self, address: str) -> None:
+        """Wait before looking at a token from ``address``."""
+        wrong = self._wrong.get(address, 0)
+        if wrong:
+            async with self._locks.setdefault(address, asyncio.Lock()):
+                await asyncio.sleep(_PAUSES_S[min(wrong, len(_PAUSES_S) - 1)])
+
+    def judge(self, address: str, right: bool) -> None:
+        if right:
+            self._wrong.pop(address, None)
+            self._locks.pop(address, None)
+            return
+        self._wrong[address] = self._wrong.pop(address, 0) + 1
+        while len(self._wrong) > _MOST_ADDRESSES:
+            oldest = next(iter(self._wrong))
+            del self._wrong[oldest]
+            self._locks.pop(oldest, None)
+
+
+def make_rights(*, local: bool, control: bool, token_file: Path | None, tls: bool) -> Rights:
+    """The rights of a start. ``local``: it listens on this computer only. Raises UsageError, ConfigError."""
+    if not local and token_file is None:
+        raise UsageError(
+            "other computers reach this address: give --token FILE with a token for each person "
+            f"({_HOW}, mode 0600), or listen on 127.0.0.1"
+        )
+    if not local and control and not tls:
+        raise UsageError(
+            "--control on an address that other computers reach needs --tls CERT KEY: without it everybody on the "
+            "network can read the tokens"
+        )
+    tokens = None if token_file is None else read_tokens(token_file)
+    secret = secrets.token_urlsafe(24) if control and tokens is None else None
+    return Rights(control, tokens, secret)
+
+
+def read_tokens(path: Path) -> dict[str, str]:
+    """The tokens of a file with lines ``NAME TOKEN``: name by token. Empty lines and those with ``#`` count as none.
+
+    Raises ConfigError where the file can be read by others or does not belong to this user, where a token is shorter
+    than 16 characters, or stands there twice. No message holds a token.
+    """
+    try:
+        with path.open("rb") as file:
+            _check_private(path, os.fstat(file.fileno()))
+            octets = file.read(_LONGEST_FILE + 1)
+    except OSError as exc:
+        raise ConfigError(f"{path}: cannot be read: {exc.strerror or exc}") from None
+    if len(octets) > _LONGEST_FILE:
+        raise ConfigError(f"{path}: more than {_LONGEST_FILE} octets: is it the file with the tokens?")
+    try:
+        lines = octets.decode().splitlines()
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: is no text in UTF-8; write {_HOW}") from None
+    tokens: dict[str, str] = {}
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        name, *rest = line.split()
+        where = f"{path}:{number}"
+        if len(rest) != 1:
+            raise ConfigError(f"{where}: is not NAME TOKEN; a name has no spaces")
+        token = rest[0]
+        if len(name) > _MOST_NAME or name != printable(name):
+            raise ConfigError(f"{where}: the name has more than {_MOST_NAME} characters, or some that cannot be shown")
+        if len(token) < SHORTEST_TOKEN:
+            raise ConfigError(
+                f"{where}: the token of {name} has {len(token)} characters, a token at least {SHORTEST_TOKEN}"
+            )
+        if name in tokens.values():
+            raise ConfigError(f"{where}: {name} has a token already")
+        if token in tokens:
+            raise ConfigError(f"{where}: {name} has the same token as {tokens[token]}")
+        tokens[token] = name
+    if not tokens:
+        raise ConfigError(f"{path}: has no token; write {_HOW}")
+    return tokens
+
+
+def _check_private(path: Path, info: os.stat_result) -> None:
+    if not stat.S_ISREG(info.st_mode):
+        raise ConfigError(f"{path}: is no file")
+    if not hasattr(os, "geteuid"):
+        return
+    if info.st_uid not in (0, os.geteuid()):
+        raise ConfigError(f"{path}: belongs to {user_name(info.st_uid)}, who knows its tokens and may change them")
+    mode = stat.S_IMODE(info.st_mode)
+    if mode & 0o077:
+        raise ConfigError(f"{path}: others can read or change it (mode {mode:04o}): `chmod 600 {path}`, and new tokens")
+
+
+# --- TLS ----------------------------------------------------------------------------------------------------------
+
+
+def tls_context(cert: Path, key: Path) -> tuple[ssl.SSLContext, frozenset[str]]:
+    """The TLS context of the server with ``cert`` (its chain too) and ``key``, PEM files; and the names in ``cert``.
+
+    Raises ConfigError where a file cannot be read, is none of PEM, they do not belong together, the key has a password,
+    or ``cert`` is not valid today.
+    """
+    for path, kind in ((cert, "certificate"), (key, "key")):
+        try:
+            with path.open("rb") as file:
+                mode = os.fstat(file.fileno()).st_mode
+                text = file.read(_LONGEST_FILE)
+        except OSError as exc:
+            raise ConfigError(f"--tls: the {kind} {path} cannot be read: {exc.strerror or exc}") from None
+        if b"-----BEGIN " not in text:
+            raise ConfigError(f"--tls: {path} is no PEM file; the {kind} begins with -----BEGIN")
+        if kind == "key" and os.name == "posix" and stat.S_IMODE(mode) & 0o007:
+            raise ConfigError(f"--tls: the key {path} can be read by every user: `chmod o= {path}`")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    asked: list[bool] = []
+
+    def password() -> str:  # else OpenSSL asks on the terminal
+        asked.append(True)
+        return ""
+
+    try:
+        context.load_cert_chain(cert, key, password)
+    except ssl.SSLError as error:
+        if asked:
+            why = f"the key {key} has a password; take it away: `openssl pkey -in {key} -out KEY`"
+        elif error.reason == "KEY_VALUES_MISMATCH":
+            why = f"the key {key} does not belong to the certificate {cert}"
+        else:
+            why = f"{cert} and {key} cannot be used ({error.reason or error}): give --tls CERT KEY, in this order"
+        raise ConfigError(f"--tls: {why}") from None
+    return context, _check_valid(context, cert)
+
+
+def _check_valid(context: ssl.SSLContext, cert: Path) -> frozenset[str]:
+    """Shake hands with ourselves in memory, ``cert`` the only one that is trusted: OpenSSL judges its dates.
+
+    Returns its names.
+    """
+    client = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    client.check_hostname = False
+    client.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
+    client.load_verify_locations(cert)
+    to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
+    ends = [
+        client.wrap_bio(to_client, to_server, server_hostname="localhost"),
+        context.wrap_bio(to_server, to_client, server_side=True),
+    ]
+    try:
+        for end in ends * 3:
+            try:
+                end.do_handshake()
+            except ssl.SSLWantReadError:
+                continue
+    except ssl.SSLCertVerificationError as error:
+        why = {_EXPIRED: "has expired", _NOT_YET_VALID: "is not valid yet: is the clock of this computer right?"}
+        raise ConfigError(
+            f"--tls: the certificate {cert} {why.get(error.verify_code, f'is refused: {error.verify_message}')}"
+        ) from None
+    except ssl.SSLError as error:
+        raise ConfigError(f"--tls: the certificate {cert} cannot be used ({error.reason or error})") from None
+    found = ends[0].getpeercert() or {}
+    names = found.get("subjectAltName", ())
+    return frozenset(str(name[1]).lower() for name in names if name[0] in ("DNS", "IP Address"))

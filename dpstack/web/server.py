@@ -1,0 +1,389 @@
+"""The web server: the files of the page, and a WebSocket for each page that is open.
+
+It neither opens a port nor drives a bus: a :class:`~dpstack.web.source.Source` gives it items, and carries out orders.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import ssl
+from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from aiohttp import WSMsgType, web
+
+from dpstack import __version__
+from dpstack.errors import DpError
+from dpstack.text import printable
+from dpstack.web.address import Listen, Origins, is_local, join
+from dpstack.web.asks import Asks
+from dpstack.web.fan_out import FanOut, Reader
+from dpstack.web.messages import MOST_OCTETS, Ask, Hello, MessageError, Order, answer, encode, parse
+from dpstack.web.orders import carry_out
+from dpstack.web.page_files import FOLDER, HEADERS, read_page
+from dpstack.web.rights import Rights, Visitor
+from dpstack.web.source import Source
+
+#: writes a line of the log
+Log = Callable[[str], None]
+
+#: pages at the same time, and connections that have not said hello
+_MOST_PAGES: Final = 64
+_MOST_STRANGERS: Final = 32
+#: seconds for the first message
+_HELLO_S: Final = 10.0
+#: asks and orders of one page under way, and messages a second of it, after a burst
+_MOST_UNDER_WAY: Final = 4
+_RATE: Final = 10.0
+_BURST: Final = 30.0
+#: messages of a page that are none before it is disconnected
+_MOST_NONSENSE: Final = 20
+_PING_S: Final = 20.0
+#: seconds at the end for pages that do not answer
+_GOODBYE_S: Final = 1.0
+
+
+class WebServer:
+    """The server of ``source``. :func:`serve` starts and ends it.
+
+    ``patience_s``: a page that does not take what it is sent for so long is disconnected.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        sockets: Sequence[socket.socket],
+        rights: Rights,
+        log: Log,
+        *,
+        names: Collection[str] = (),
+        tls: ssl.SSLContext | None = None,
+        folder: Path = FOLDER,
+        asks: Asks | None = None,
+    ) -> None:
+        self.source = source
+        self.rights = rights
+        self.fan_out = FanOut()
+        self.patience_s = 30.0
+        self.log = log
+        self.asks = asks or Asks(source)
+        self._sockets = sockets
+        self._tls = tls
+        host, port = sockets[0].getsockname()[:2]
+        self._origins = Origins(names, port, secure=tls is not None)
+        self._base = f"{'http' if tls is None else 'https'}://{join(host, port)}/"
+        self._files = read_page(folder)
+        self._pages: set[_Page] = set()
+        self._strangers = 0
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._runner: web.AppRunner | None = None
+
+    @property
+    def url(self) -> str:
+        """The address of the page, with the secret of this start behind ``#`` where orders need it."""
+        return self._base + (f"#{self.rights.secret}" if self.rights.secret else "")
+
+    @property
+    def pages(self) -> int:
+        """The number of open pages."""
+        return len(self._pages)
+
+    async def open(self) -> None:
+        app = web.Application(client_max_size=1024)
+        app.router.add_route("*", "/{path:.*}", self._respond)
+        self._runner = web.AppRunner(
+            app, access_log=None, handle_signals=False, shutdown_timeout=_GOODBYE_S, max_line_size=4096
+        )
+        await self._runner.setup()
+        for one in self._sockets:
+            await web.SockSite(self._runner, one, ssl_context=self._tls).start()
+        self.spawn(self._follow_source())
+        self.spawn(self.fan_out.run())
+
+    async def close(self) -> None:
+        """End in order: the pages are told, then disconnected."""
+        self.fan_out.put({"end": {"text": "the web server ends"}})
+        self.fan_out.hand_out()
+        for page in list(self._pages):
+            page.finish()
+        if self._pages:
+            await asyncio.wait([page.over for page in self._pages], timeout=_GOODBYE_S)
+        tasks = list(self._tasks)
+        for task in tasks:
+            task.cancel()
+        if tasks:
+            await asyncio.wait(tasks)
+        if self._runner is not None:
+            await self._runner.cleanup()
+
+    def spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        """Run ``work`` beside everything else, until the end of the server at most."""
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def tell(self, text: str, severity: str = "info", **more: object) -> None:
+        """An event of the server itself, on all pages and in the log."""
+        time = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        text = printable(text)
+        self.log(f"{time} {text}")
+        self.fan_out.put({"event": {"event": "web", "time": time, "severity": severity, "text": text, **more}})
+
+    # --- the source -----------------------------------------------------------------------------------------------
+
+    async def _follow_source(self) -> None:
+        try:
+            async for item in self.source.items():
+                if "source" in item:
+                    self._source_changed()
+                elif "note" in item:
+                    self.tell(item["note"]["text"], item["note"].get("severity", "info"))
+                else:
+                    self.fan_out.put(item)
+        except DpError as error:
+            self.tell(str(error), "error")
+
+    def _source_changed(self) -> None:
+        self.fan_out.hand_out()
+        if self.source.kind == "none":
+            self.fan_out.forget()
+        for page in self._pages:
+            page.welcome()
+
+    # --- requests -------------------------------------------------------------------------------------------------
+
+    async def _respond(self, request: web.Request) -> web.StreamResponse:
+        host = request.headers.get("Host")
+        if not self._origins.is_own_host(host):
+            return _refusal(421, "this server is not the one of that name: open the address that it has printed")
+        if request.path == "/ws":
+            if not self._origins.is_own_origin(request.headers.get("Origin"), host):
+                return _refusal(403, "a WebSocket is opened by a page of this server only")
+            return await self._talk(request)
+        if request.method not in ("GET", "HEAD"):
+            return _refusal(405, "only GET")
+        file = self._files.get(request.path)
+        if file is None:
+            return _refusal(404, "there is no such page")
+        return web.Response(body=file.octets, headers={**HEADERS, "Content-Type": file.content_type})
+
+    async def _talk(self, request: web.Request) -> web.StreamResponse:
+        if self._strangers >= _MOST_STRANGERS:
+            return _refusal(503, "too many connections have not said hello")
+        if len(self._pages) >= _MOST_PAGES:
+            return _refusal(503, f"{_MOST_PAGES} pages are open: close one")
+        ws = web.WebSocketResponse(timeout=_GOODBYE_S, heartbeat=_PING_S, compress=False, max_msg_size=MOST_OCTETS + 1)
+        ws.headers.update(HEADERS)
+        if not ws.can_prepare(request).ok:
+            return _refusal(426, "this address is for a WebSocket")
+        await ws.prepare(request)
+        with contextlib.suppress(ConnectionError):  # the page has gone
+            self._strangers += 1
+            try:
+                visitor = await self._let_in(ws, request.remote or "")
+            finally:
+                self._strangers -= 1
+            if visitor is not None:
+                page = _Page(self, ws, request, visitor)
+                self._pages.add(page)
+                try:
+                    await page.run()
+                finally:
+                    self._pages.discard(page)
+        return ws
+
+    async def _let_in(self, ws: web.WebSocketResponse, remote: str) -> Visitor | None:
+        """The rights of a page by its first message. None where it has none and was disconnected."""
+        why = f"the first message did not come within {_HELLO_S:g} s"
+        try:
+            async with asyncio.timeout(_HELLO_S):
+                message = await ws.receive()
+            if message.type is not WSMsgType.TEXT:
+                raise MessageError("the first message is hello, a text")
+            hello = parse(message.data)
+            if not isinstance(hello, Hello):
+                raise MessageError("the first message is hello")
+        except (MessageError, TimeoutError) as error:
+            await _refuse(ws, str(error) or why)
+            return None
+        if hello.token is not None:
+            await self.rights.pauses.wait(remote)
+        visitor = self.rights.visitor(hello.token)
+        if hello.token is not None:
+            self.rights.pauses.judge(remote, visitor is not None)
+        if visitor is None:
+            if hello.token is None:
+                await _refuse(ws, "a token is needed")
+                return None
+            self.log(f"{_now()} a wrong token from {printable(remote)}")
+            if self.rights.tokens is None:
+                await _refuse(ws, "this address is of an earlier start: open the one that was printed last")
+            else:
+                await _refuse(ws, "the token is wrong")
+        return visitor
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _refusal(status: int, text: str) -> web.Response:
+    return web.Response(
+        status=status, text=f"dpstack: {text}\n", headers={**HEADERS, "Content-Type": "text/plain; charset=utf-8"}
+    )
+
+
+async def _refuse(ws: web.WebSocketResponse, text: str) -> None:
+    with contextlib.suppress(ConnectionError):
+        await ws.send_str(encode({"refused": text}))
+        await ws.close()
+
+
+class _Page:
+    """One open page."""
+
+    def __init__(self, server: WebServer, ws: web.WebSocketResponse, request: web.Request, visitor: Visitor) -> None:
+        self._server = server
+        self._ws = ws
+        self._request = request
+        self._visitor = visitor
+        self._reader: Reader = server.fan_out.join()
+        self._under_way: set[asyncio.Task[None]] = set()
+        self._credit = _BURST
+        self._credit_at = asyncio.get_running_loop().time()
+        self._nonsense = 0
+        self._is_ending = False
+        #: done when the page has gone
+        self.over: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def welcome(self) -> None:
+        """Tell the page its rights and the kind of the source; again when the kind changes."""
+        visitor = self._visitor
+        welcome = {"control": visitor.control, "name": visitor.name, "source": self._server.source.kind}
+        self._say(encode({"welcome": {**welcome, "version": __version__}}))
+
+    def finish(self) -> None:
+        """Disconnect the page as soon as it has got what waits for it."""
+        self._is_ending = True
+        self._reader.wake()
+
+    async def run(self) -> None:
+        self.welcome()
+        writing = asyncio.ensure_future(self._write())
+        try:
+            await self._read()
+        finally:
+            self._server.fan_out.leave(self._reader)
+            tasks = [writing, *self._under_way]
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            self.over.set_result(None)
+
+    async def _write(self) -> None:
+        ws = self._ws
+        try:
+            while not (self._is_ending and self._reader.is_empty):
+                for text in await self._reader.take():
+                    async with asyncio.timeout(self._server.patience_s):
+                        await ws.send_str(text)
+            await ws.close()
+        except TimeoutError:
+            self._hang_up()
+        except ConnectionError:
+            pass  # it has gone
+
+    def _hang_up(self) -> None:
+        """Disconnect a page that does not read, at once."""
+        if self._request.transport is not None:
+            self._request.transport.abort()
+
+    def _say(self, text: str) -> None:
+        if not self._reader.say(text):
+            self._hang_up()
+
+    async def _read(self) -> None:
+        async for message in self._ws:
+            if self._is_ending:
+                continue
+            id = None
+            try:
+                if message.type is not WSMsgType.TEXT:
+                    raise MessageError("a message is a text")
+                parsed = parse(message.data)
+                if isinstance(parsed, Hello):
+                    raise MessageError("hello comes once")
+                id = parsed.id
+                self._check_rate()
+                self._begin(parsed)
+            except MessageError as error:
+                self._say(answer(error.id if id is None else id, error=str(error)))
+                self._nonsense += id is None
+                if self._nonsense >= _MOST_NONSENSE:
+                    self._say(encode({"refused": "too many messages that are none"}))
+                    self.finish()
+
+    def _check_rate(self) -> None:
+        now = asyncio.get_running_loop().time()
+        self._credit = min(_BURST, self._credit + (now - self._credit_at) * _RATE)
+        self._credit_at = now
+        if self._credit < 1:
+            raise MessageError(f"more than {_RATE:g} messages a second: this one was left out")
+        self._credit -= 1
+        if len(self._under_way) >= _MOST_UNDER_WAY:
+            raise MessageError(f"{_MOST_UNDER_WAY} of your requests are under way: wait for an answer")
+
+    def _begin(self, message: Ask | Order) -> None:
+        task = asyncio.ensure_future(self._answer(message))
+        self._under_way.add(task)
+        task.add_done_callback(self._under_way.discard)
+
+    async def _answer(self, message: Ask | Order) -> None:
+        try:
+            if isinstance(message, Order):
+                result = await carry_out(self._server.source, self._visitor, message, self._server.tell)
+            else:
+                result = await self._server.asks.answer(message)
+            text = answer(message.id, result)
+        except (DpError, ValueError) as error:
+            text = answer(message.id, error=printable(str(error)))
+        except Exception as error:  # a defect must not end the page
+            self._server.log(f"{_now()} a defect, please report it: {type(error).__name__}: {printable(str(error))}")
+            text = answer(message.id, error=f"failed by a defect, please report it: {type(error).__name__}")
+        self._say(text)
+
+
+@contextlib.asynccontextmanager
+async def serve(
+    source: Source,
+    listen: Listen | None = None,
+    *,
+    rights: Rights | None = None,
+    log: Log = lambda _: None,
+    tls: ssl.SSLContext | None = None,
+    names: Collection[str] = (),
+    folder: Path = FOLDER,
+    sockets: Sequence[socket.socket] | None = None,
+) -> AsyncIterator[WebServer]:
+    """Serve the page of ``source`` within the context, on a free port of this computer unless ``listen`` says another.
+
+    ``sockets``: listening ones instead of ``listen``; ``names``: names of this server in a URL; ``log`` gets a line for
+    each order and each event of the server. Raises PortError.
+    """
+    listen = listen or Listen("127.0.0.1", 0)
+    opened = listen.sockets() if sockets is None else sockets
+    own = () if is_local(opened) else (socket.gethostname(), listen.host)
+    server = WebServer(source, opened, rights or Rights(), log, names=(*names, *own), tls=tls, folder=folder)
+    try:
+        await server.open()
+        yield server
+    finally:
+        await server.close()
+        await source.close()
+        for one in opened:
+            one.close()

@@ -1,0 +1,56 @@
+"""A source of items and answers for the server: a run, a recording, or given items."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterable
+from typing import Literal
+
+from dpstack.errors import UsageError
+from dpstack.web.fan_out import Item
+
+#: kinds of sources, as the page shows them; none: no run is there
+Kind = Literal["run", "read-only", "demo", "replay", "none"]
+
+
+class Source:
+    """The base of all sources. An item ``{"source": KIND}`` among the others says that the kind has changed."""
+
+    kind: Kind = "none"
+
+    def items(self) -> AsyncIterator[Item]:
+        """The items, until the source has no more."""
+        raise NotImplementedError
+
+    async def call(self, command: str, *args: str) -> object:
+        """The answer of the run to a command of its control socket. Raises DpError."""
+        raise UsageError(f"{command}: there is no run here")
+
+    async def start(self) -> object:
+        """Start the run, in Clear. Raises DpError."""
+        raise UsageError("start: there is nothing to start here")
+
+    async def close(self) -> None:
+        """End all that it has started, in order."""
+
+
+class GivenItems(Source):
+    """Items from a list, ``interval`` seconds apart (0: all at once), then those that :meth:`put` gives."""
+
+    def __init__(self, items: Iterable[Item] = (), *, kind: Kind = "run", interval: float = 0.0) -> None:
+        self.kind = kind
+        self._first = items
+        self._interval = interval
+        self._more: asyncio.Queue[Item] = asyncio.Queue()
+
+    def put(self, item: Item) -> None:
+        """Another item. Call it in the event loop of the server."""
+        self._more.put_nowait(item)
+
+    async def items(self) -> AsyncIterator[Item]:
+        for item in self._first:
+            yield item
+            if self._interval:
+                await asyncio.sleep(self._interval)
+        while True:
+            yield await self._more.get()

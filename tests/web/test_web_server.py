@@ -1,0 +1,87 @@
+"""The web server over literal items: its files and headers, who may connect, and what a page gets."""
+
+from __future__ import annotations
+
+import asyncio
+
+import aiohttp
+import pytest
+from web_kit import PLANT, WHOLE, delta, event, page_of, stranger
+
+from dpstack.web.server import serve
+from dpstack.web.source import GivenItems
+
+
+async def test_a_page_gets_plant_whole_snapshot_events_and_then_deltas() -> None:
+    source = GivenItems([PLANT, WHOLE, event("hello"), delta(0.2, "set_prm")])
+    async with serve(source) as server:
+        async with page_of(server) as page:
+            welcome = await page.until("welcome")
+            assert welcome["control"] is False
+            assert (welcome["name"], welcome["source"]) == (None, "run")
+            while (await page.until("snapshot"))["slaves"]["3"]["state"] != "set_prm":
+                pass
+            source.put(delta(0.3, "data_exchange"))
+            assert await page.until("snapshot") == delta(0.3, "data_exchange")["snapshot"]
+        async with page_of(server) as late:
+            items = [await late.item() for _ in range(4)]
+            assert items[1] == PLANT
+            assert items[2]["snapshot"] == {
+                "t": 0.3,
+                "whole": True,
+                "bus": {"mode": "clear", "rotations": 10},
+                "slaves": {"3": {"state": "data_exchange", "exchanges": 0}},
+            }
+            assert items[3] == event("hello")
+
+
+async def test_files_have_strict_headers_and_nothing_else_is_served() -> None:
+    async with serve(GivenItems()) as server, aiohttp.ClientSession() as session:
+        async with session.get(server.url) as found:
+            assert found.status == 200
+            assert found.content_type == "text/html"
+            assert "<html" in await found.text()
+            policy = found.headers["Content-Security-Policy"].split("; ")
+            assert {"default-src 'none'", "script-src 'self'", "frame-ancestors 'none'"} <= set(policy)
+            assert "unsafe" not in found.headers["Content-Security-Policy"]
+            assert found.headers["X-Content-Type-Options"] == "nosniff"
+            assert found.headers["X-Frame-Options"] == "DENY"
+            assert found.headers["Cache-Control"] == "no-store"
+        for path in ("server.py", "..%2fserver.py", "%2e%2e/rights.py", "index.html/", "page/index.html", "ws/x"):
+            async with session.get(server.url + path) as found:
+                assert found.status == 404, path
+                assert found.headers["X-Content-Type-Options"] == "nosniff"
+        async with session.post(server.url, data=b"x") as found:
+            assert found.status == 405
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1:1", "127.0.0.1", "a b", "[::1"])
+async def test_a_request_for_another_host_is_refused(host: str) -> None:
+    async with serve(GivenItems()) as server, aiohttp.ClientSession() as session:
+        port = server.url.rstrip("/").rpartition(":")[2]
+        async with session.get(server.url, headers={"Host": host.format(port=port)}) as found:
+            assert found.status == 421
+        with pytest.raises(aiohttp.WSServerHandshakeError):
+            async with stranger(server, headers={"Host": host.format(port=port)}):
+                pass
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "https://127.0.0.1:{port}", "http://127.0.0.1:1", "null", ""]
+)
+async def test_a_websocket_of_another_page_is_refused(origin: str) -> None:
+    async with serve(GivenItems()) as server:
+        port = server.url.rstrip("/").rpartition(":")[2]
+        with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+            async with stranger(server, origin=origin.format(port=port)):
+                pass
+        assert refused.value.status == 403
+
+
+async def test_the_end_of_the_server_is_told_to_its_pages() -> None:
+    async with serve(GivenItems([PLANT])) as server, page_of(server) as page:
+        await page.until("plant")
+        ending = asyncio.ensure_future(server.close())
+        assert (await page.until("end"))["text"] == "the web server ends"
+        assert (await page.ws.receive(timeout=5)).type is aiohttp.WSMsgType.CLOSE
+        await ending
