@@ -37,6 +37,9 @@ Drivers, ports, programs:
 Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``, ``fuji_kit``, ``keb_kit``, ``imo_kit``,
 ``ls_kit``; ``acyclic_kit`` (record 47).
 
+Plants with faults: ``fault_table`` (25 faults, healthy plants, pairs, each with seeds) on ``fault_plants`` (a plant and
+``bring``, which runs it) and ``fault_devices``; ``fault_proofs``: the facts that prove each trouble.
+
 Others: ``gsd_kit`` (GSD files), ``fc_octets`` (FC octets by hand), ``fault_steps`` (random trouble on a bus),
 ``linear_kit`` (linear time and memory), ``property_kit`` (number of examples of hypothesis).
 """
