@@ -49,7 +49,22 @@ class DpError(Exception):
 
 
 class ConfigError(DpError, ValueError):
-    """A configuration that cannot work. The text says where (file and line when there is a file) and what to do."""
+    """A configuration that cannot work. The text says where (file and line when there is a file) and what to do.
+
+    ``line``: the line in the file, None where there is none; ``what`` and ``todo``: problem and remedy without the
+    place, empty where the error has no such parts.
+    """
+
+    line: int | None = None
+    what: str = ""
+    todo: str = ""
+
+    @classmethod
+    def at(cls, place: str, line: int | None, what: str, todo: str) -> ConfigError:
+        """The error ``place:line: what; todo``."""
+        error = cls(f"{place}{'' if line is None else f':{line}'}: {what}; {todo}")
+        error.line, error.what, error.todo = line, what, todo
+        return error
 
 
 class ParamError(ConfigError):

@@ -88,6 +88,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("api/server",),
     ("api/slave",),
     ("api/bus",),
+    ("api/commissioning",),
     ("api/control",),
     ("api/listen",),
     ("wireshark", "web"),

@@ -1,6 +1,7 @@
 """The interface for applications: configuration, bus, slaves, drives.
 
 - ``bus/``: The ``Bus`` of the public API: opening, plan, cycles, events, statistics, end
+- ``commissioning/``: Commissioning: from the stations of a scan to the text of a configuration
 - ``config/``: Configurations: a TOML file or a dict, checked key by key
 - ``control/``: Orders to running programs over a Unix socket with JSON lines
 - ``listen/``: Listening to a bus without sending: on an own port, or through the program that holds it
@@ -9,6 +10,7 @@
 - ``slave/``: ``Slave`` and ``Drive`` of the public API
 - ``doctor``: Checks of this computer: adapters, permissions, latency, rates, real-time rights, and advice
 - ``files``: Files: read up to a size limit, written atomically, never over somebody else's file
+- ``gsd_folder``: The GSD files of a folder: found with limits, listed by ident number, read when they are needed
 - ``gsd_info``: GSD files from disk, and their contents as plain data
 - ``streams``: Event streams, waiters and ``on_event``: a slow reader never holds up the bus
 """

@@ -84,12 +84,12 @@ def check_gsd(path: str | Path) -> tuple[Diagnostic, ...]:
 
 
 #: file endings of GSD files in all languages: .gsd, .gse, .gsg, .gsf, .gsi, .gsp, .gss
-_ENDINGS: Final = frozenset(f".gs{language}" for language in "degfips")
+ENDINGS: Final = frozenset(f".gs{language}" for language in "degfips")
 
 
 def gsd_files(folder: Path) -> list[Path]:
     """The GSD files in ``folder`` and the folders in it, by name. Raises ConfigError where there are none."""
-    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _ENDINGS and path.is_file())
+    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file())
     if not found:
         raise ConfigError(f"{folder}: no GSD file (.gsd, .gse, .gsg ...) is in this directory; give another one")
     return found

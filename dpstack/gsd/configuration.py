@@ -11,6 +11,7 @@ from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.identifiers import MAX_IO, io_lengths
 from dpstack.gsd.model import Device, Module, folded, in_ranges, ranges_text
+from dpstack.gsd.module_readings import read_modules
 from dpstack.gsd.prm import Reading, UserPrm, near_names
 
 #: Max_Module and the slot numbers of DP-V1 are one octet; more identifiers do not fit a Chk_Cfg anyway
@@ -197,27 +198,10 @@ def modules_of_config(device: Device, config: bytes) -> tuple[Module | None, ...
     """The modules whose identifier octets are ``config``, in slot order, None for an empty slot. Modules with the same
     octets cannot be told apart: the first one in the file counts. None where some octets are those of no module.
     """
-    by_config: dict[bytes, Module] = {}
-    for module in reversed(device.modules):
-        if module.complete and module.config:
-            by_config[module.config] = module
-    sizes = sorted({len(octets) for octets in by_config}, reverse=True)
-    # by octet: the end of a module that begins there and is followed by whole modules; from the end backwards
-    nexts: list[int | None] = [None] * len(config) + [len(config)]
-    for at in range(len(config) - 1, -1, -1):
-        ends = (at + size for size in sizes if config[at : at + size] in by_config and at + size <= len(config))
-        nexts[at] = next((end for end in ends if nexts[end] is not None), None)
-        if nexts[at] is None and config[at : at + 1] == _EMPTY and nexts[at + 1] is not None:
-            nexts[at] = at + 1
-    found: list[Module | None] = []
-    at = 0
-    while at < len(config):
-        end = nexts[at]
-        if end is None:
-            return None
-        found.append(by_config.get(config[at:end]))
-        at = end
-    return tuple(found)
+    best = read_modules(device, config, most=1)[0][0]
+    if best.unknown:
+        return None
+    return tuple(place.modules[0] if place.modules else None for place in best.places)
 
 
 def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:

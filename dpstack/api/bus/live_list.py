@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import AsyncIterator, Callable, Collection, Iterable, Iterator
+from collections.abc import AsyncIterator, Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
 from dpstack.api.bus.bus import Bus
-from dpstack.api.config.toml import quoted
+from dpstack.api.config.toml import comment, table_lines
 from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.telegram import MAX_DATA, StationType
@@ -77,7 +77,7 @@ async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: b
     async with joined(make_bus, address) as bus:
         own = bus.params.address
         stations = await bus.scan(configs=configs)
-    notes = list(_notes(stations, bus.unreadable))
+    notes = list(answer_notes(stations, bus.unreadable))
     if bus.snapshot.claimed:  # no other master has polled this address
         taken = {own, *(found.address for found in stations)}
         other = next(free for free in range(MAX_STATION + 1) if free not in taken)
@@ -95,7 +95,8 @@ async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: b
     )
 
 
-def _notes(stations: tuple[Found, ...], unreadable: Iterable[int]) -> Iterator[str]:
+def answer_notes(stations: Iterable[Found], unreadable: Iterable[int]) -> Iterator[str]:
+    """Remarks about stations that answer, but not as a DP slave does, and about answers that nobody can read."""
     for address in sorted(unreadable):
         yield f"address {address} answers, but not readably: two stations with one address, or a bad line"
     for found in stations:
@@ -108,25 +109,23 @@ def drive_of(found: Found) -> DriveProfile | None:
     return next((p for p in registry.known().values() if p.ident == found.ident), None)
 
 
-def config_skeleton(result: LiveListResult, port: str) -> str:
+def config_skeleton(result: LiveListResult, port: str, chosen: Mapping[int, Mapping[str, object]] | None = None) -> str:
     """The text of a configuration file with every slave found.
 
-    Stations that cannot be configured (no identifier octets, address 126) are comments with the reason.
+    ``chosen``: keys of [[slave]] by address that go before those made of ident number and identifier octets. Stations
+    that cannot be configured (no identifier octets, address 126) are comments with the reason.
     """
     lines = [
         "# Made by dpstack scan from what was found on the bus. Compare it with the GSD files of the devices:",
         "# user parameters (user_prm) and names are not to be had by asking.",
-        "[bus]",
-        f"port = {quoted(port)}",
-        f"baud = {result.baud}",
-        f"address = {_free_address(result)}",
+        *table_lines("[bus]", {"port": port, "baud": result.baud, "address": _free_address(result)}),
     ]
     masters = [found for found in result.stations if found.kind is not StationType.SLAVE]
     if masters:
         lines.append(f"# other masters on this bus: {', '.join(str(found.address) for found in masters)}")
     for found in result.stations:
         if found.kind is StationType.SLAVE:
-            lines += ["", *_slave(found)]
+            lines += ["", *_slave(found, (chosen or {}).get(found.address))]
     return "\n".join(lines) + "\n"
 
 
@@ -136,12 +135,12 @@ def _free_address(result: LiveListResult) -> int:
     return next(address for address in candidates if address not in taken)
 
 
-def _slave(found: Found) -> list[str]:
+def _slave(found: Found, chosen: Mapping[str, object] | None) -> list[str]:
     why = _why_unusable(found)
-    table = list(_table(found))
+    table = list(_table(found, chosen))
     if why is None:
         return table
-    return [f"# {why}", *(f"# {line}" for line in table)]
+    return [comment(why), *(f"# {line}" for line in table)]
 
 
 def _why_unusable(found: Found) -> str | None:
@@ -159,24 +158,23 @@ def _why_unusable(found: Found) -> str | None:
     return None
 
 
-def _table(found: Found) -> Iterator[str]:
+def _table(found: Found, chosen: Mapping[str, object] | None) -> Iterator[str]:
     drive = drive_of(found)
     telegrams = [] if drive is None else [t.name for t in drive.telegrams_of(found.config or b"")]
     if found.master is not None and found.state is SlaveView.DATA_EXCHANGE:
         yield f"# in data exchange with master {found.master}, which keeps it until it is stopped or gives it free"
-    yield "[[slave]]"
-    yield f'name = "{"slave" if drive is None else drive.name.partition("-")[0]}{found.address}"'
-    yield f"address = {found.address}"
-    ident = None if found.ident is None else f"ident = 0x{found.ident:04X}"
-    if drive is not None and telegrams:
-        yield f'drive = "{drive.name}"'
-        yield f'telegram = "{telegrams[0]}"' + (f"  # or {', '.join(telegrams[1:])}" if telegrams[1:] else "")
-        if drive.ident_made_up and ident is not None:
-            yield ident
-        return
-    if drive is not None:
-        yield f"# by its ident number {drive.title}, but with none of its telegrams"
-    if ident is not None:
-        yield ident
-    if found.config is not None:
-        yield f'config = "{found.config.hex(" ").upper()}"'
+    name = f"{'slave' if drive is None else drive.name.partition('-')[0]}{found.address}"
+    keys: dict[str, object] = {"name": name, "address": found.address}
+    remarks = {}
+    if chosen is not None:
+        keys |= chosen
+    elif drive is not None and telegrams:
+        keys |= {"drive": drive.name, "telegram": telegrams[0], "ident": found.ident if drive.ident_made_up else None}
+        remarks = {"telegram": f"or {', '.join(telegrams[1:])}"} if telegrams[1:] else {}
+    else:
+        octets = None if found.config is None else found.config.hex(" ").upper()
+        keys |= {"ident": found.ident, "config": octets}
+    lines = table_lines("[[slave]]", keys, remarks)
+    if drive is not None and chosen is None and not telegrams:
+        lines.insert(3, f"# by its ident number {drive.title}, but with none of its telegrams")
+    yield from lines

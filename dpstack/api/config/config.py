@@ -8,6 +8,7 @@ comes from the drive registry.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -158,26 +159,56 @@ def load_config(path: str | Path) -> Config:
 
 def parse_config(text: str, name: str = "config", *, file: Path | None = None) -> Config:
     """Read a configuration from ``text``; ``name``: its name in messages, ``file``: the file that has the text."""
+    config, errors = check_config(text, name, file=file)
+    if config is None or errors:
+        raise errors[0]
+    return config
+
+
+def check_config(
+    text: str, name: str = "config", *, file: Path | None = None, most: int = 1
+) -> tuple[Config | None, list[ConfigError]]:
+    """Read ``text`` as :func:`parse_config`, and collect up to ``most`` errors, at most one of each table.
+
+    The configuration is None where a table cannot be read.
+    """
+    errors: list[ConfigError] = []
     try:
         data, lines = read_toml(text)
     except TomlError as error:
         place = "" if error.column is None else f" at column {error.column}"
-        raise ConfigError(f"{name}:{error.line}: not valid TOML{place}: {error.what}; correct that line") from None
+        return None, [ConfigError.at(name, error.line, f"not valid TOML{place}: {error.what}", "correct that line")]
     source = Source(name, lines, file=file)
-    top = Table(source, (), data, name)
-    for key in data:
-        if key not in ("bus", "slave"):
-            raise source.error((key,), f"unknown table or key {key!r}", "a configuration has [bus] and [[slave]]")
-    if "bus" not in top:
-        raise source.error((), "no [bus] table", "add [bus] with port and baud")
-    bus = read_bus(source, data["bus"])
-    entries = data.get("slave", [])
-    if not isinstance(entries, list):
-        raise source.error(("slave",), "[slave] must be [[slave]]", "write two brackets: there may be several slaves")
-    slaves = tuple(
-        read_slave(Table(source, ("slave", n), entry, f"[[slave]] {n + 1}")) for n, entry in enumerate(entries)
-    )
-    return _checked(Config(bus=bus, slaves=slaves, source=source))
+    bus: BusConfig | None = None
+    slaves: list[SlaveConfig] = []
+    entries: object = []
+    try:
+        top = Table(source, (), data, name)
+        for key in data:
+            if key not in ("bus", "slave"):
+                raise source.error((key,), f"unknown table or key {key!r}", "a configuration has [bus] and [[slave]]")
+        if "bus" not in top:
+            raise source.error((), "no [bus] table", "add [bus] with port and baud")
+        bus = read_bus(source, data["bus"])
+        entries = data.get("slave", [])
+        if not isinstance(entries, list):
+            todo = "write two brackets: there may be several slaves"
+            raise source.error(("slave",), "[slave] must be [[slave]]", todo)
+    except ConfigError as error:
+        errors.append(error)
+        entries = data.get("slave", [])
+    for n, entry in enumerate(entries if isinstance(entries, list) else []):
+        if len(errors) >= most:
+            return None, errors
+        try:
+            slaves.append(read_slave(Table(source, ("slave", n), entry, f"[[slave]] {n + 1}")))
+        except ConfigError as error:
+            errors.append(error)
+    if bus is None or errors:
+        return None, errors
+    config = Config(bus=bus, slaves=tuple(slaves), source=source)
+    errors += [source.error(*conflict) for conflict in itertools.islice(_conflicts(config), most)]
+    return config, errors
 
 
 def make_config(

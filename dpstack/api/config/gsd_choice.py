@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
 from dataclasses import dataclass, field
 
-from dpstack.api.config.toml import quoted
+from dpstack.api.config.toml import comment, table_lines
 from dpstack.errors import GsdError
-from dpstack.gsd.configuration import Configuration, find_module, plug
+from dpstack.gsd.configuration import find_module, plug
+from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Module
 
 
@@ -49,35 +50,26 @@ def as_toml(device: Device, choice: Choice) -> str:
     prm = configuration.user_prm()
     for name, value in choice.parameters.items():
         prm.set(name, value)
-    keys: list[tuple[str, str]] = [
-        ("name", quoted(choice.name)),
-        ("address", str(choice.address)),
-        ("gsd", quoted(choice.gsd)),
-        ("modules", _list([module_key(device, module) for module in configuration.modules])),
-    ]
-    if device.ident is None:
-        keys.append(("ident", quoted("ask")))
-    if choice.parameters:
-        keys.append(("parameters", _inline(choice.parameters)))
-    lines = ["[[slave]]", *(f"{key} = {value}" for key, value in keys), *_remarks(configuration, prm.octets())]
-    return "\n".join(lines) + "\n"
+    keys: dict[str, object] = {
+        "name": choice.name,
+        "address": choice.address,
+        "gsd": choice.gsd,
+        "modules": [module_key(device, module) for module in configuration.modules],
+        "ident": "ask" if device.ident is None else None,
+        "parameters": choice.parameters or None,
+    }
+    return "\n".join([*table_lines("[[slave]]", keys), *octet_remarks(configuration.config, prm.octets())]) + "\n"
 
 
-def _remarks(configuration: Configuration, user_prm: bytes) -> list[str]:
+def octet_remarks(config: bytes, user_prm: bytes) -> list[str]:
+    """Comments with the octets of Chk_Cfg and Set_Prm. Raises ConfigError where ``config`` contradicts itself."""
+    inputs, outputs = io_lengths(config)
     return [
-        f"# identifier octets {configuration.config.hex(' ').upper()}: {configuration.inputs} octets of inputs, "
-        f"{configuration.outputs} of outputs",
-        f"# user parameters {user_prm.hex(' ').upper() or 'none'}",
+        comment(f"identifier octets {config.hex(' ').upper()}: {inputs} octets of inputs, {outputs} of outputs"),
+        comment(f"user parameters {user_prm.hex(' ').upper() or 'none'}"),
     ]
 
 
-def _value(value: int | str) -> str:
-    return quoted(value) if isinstance(value, str) else str(value)
-
-
-def _list(values: Sequence[int | str]) -> str:
-    return "[" + ", ".join(_value(value) for value in values) + "]"
-
-
-def _inline(values: Mapping[str, int | str]) -> str:
-    return "{ " + ", ".join(f"{quoted(key)} = {_value(value)}" for key, value in values.items()) + " }"
+def base_name(model: str) -> str:
+    """A name for a slave of that model, in front of its address: the words of the model in lower case."""
+    return "-".join(re.findall(r"\w+", model.lower())) or "slave"

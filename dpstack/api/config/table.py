@@ -75,10 +75,7 @@ class Source:
 
     def error(self, path: KeyPath, what: str, todo: str) -> ConfigError:
         """The ConfigError ``file:line: what; todo``; without lines the name alone stands in front."""
-        place = self.name
-        if self.lines is not None:
-            place += f":{self.line(path)}"
-        return ConfigError(f"{place}: {what}; {todo}")
+        return ConfigError.at(self.name, None if self.lines is None else self.line(path), what, todo)
 
     def line(self, path: KeyPath) -> int:
         """The line of ``path``, or of the nearest table around it."""

@@ -1,8 +1,7 @@
-"""TOML reader with limits and the line of every key (which tomllib does not tell), and TOML texts.
+"""TOML reader with limits and the line of every key (which tomllib does not tell), and the writer of tables.
 
 tomllib takes quadratic time for a key of many parts, recurses with every bracket and lets Python's refusal of very long
-numbers through. One pass over the tokens refuses such texts before tomllib sees them. Writing is the little that
-skeletons and tables need.
+numbers through. One pass over the tokens refuses such texts before tomllib sees them.
 """
 
 from __future__ import annotations
@@ -10,10 +9,11 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from dpstack.errors import ConfigError
-from dpstack.text import is_plain, long_escape
+from dpstack.text import is_plain, long_escape, printable
 
 #: ("bus", "port") or ("slave", 0, "address"); a table itself is ("bus",) or ("slave", 0)
 Path = tuple[str | int, ...]
@@ -36,6 +36,7 @@ _TOKEN: Final = re.compile(
     |(?P<mark>.)''',
     re.VERBOSE | re.DOTALL,
 )
+_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
 _PLACE: Final = re.compile(r"^(.*?)\s*\(at (?:line (\d+), column (\d+)|end of document)\)$", re.DOTALL)
 
 
@@ -171,3 +172,48 @@ def quoted(text: str) -> str:
         raise ConfigError(f"{text!r} is no Unicode text, as a TOML file must be; rename it")
     written = json.dumps(text, ensure_ascii=False)
     return "".join(letter if is_plain(letter) else long_escape(letter) for letter in written)
+
+
+def toml_value(value: object, depth: int = 1) -> str:
+    """``value`` as TOML: a text, a number, true or false, octets as a text of hex, a list, a mapping as inline table.
+
+    Raises ConfigError for anything else, and for brackets deeper than the reader takes; ``depth``: those around it.
+    """
+    if depth > MAX_DEPTH:
+        raise ConfigError(f"brackets in each other, more than {MAX_DEPTH} deep; a configuration needs three")
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return quoted(value)
+        case int() | float():
+            return repr(value)
+        case bytes():
+            return quoted(value.hex(" ").upper())
+        case Mapping():
+            inside = ", ".join(f"{quoted(str(key))} = {toml_value(one, depth + 1)}" for key, one in value.items())
+            return f"{{ {inside} }}" if inside else "{}"
+        case Sequence():
+            return "[" + ", ".join(toml_value(one, depth + 1) for one in value) + "]"
+    raise ConfigError(f"{value!r} cannot stand in a TOML file; give a text, a number, true or false, a list or a table")
+
+
+def table_lines(header: str, keys: Mapping[str, object], remarks: Mapping[str, str] | None = None) -> list[str]:
+    """The lines of a table: ``header`` ("[bus]"), then one key a line; None is left out, ``ident`` stands in hex.
+
+    ``remarks``: by key, the comment behind it. Raises ConfigError as :func:`toml_value`.
+    """
+    lines = [header]
+    for key, value in keys.items():
+        if value is None:
+            continue
+        name = key if _BARE_KEY.fullmatch(key) else quoted(key)
+        text = f"0x{value:04X}" if key == "ident" and type(value) is int and value >= 0 else toml_value(value)
+        remark = (remarks or {}).get(key)
+        lines.append(f"{name} = {text}" + (f"  {comment(remark)}" if remark else ""))
+    return lines
+
+
+def comment(text: str) -> str:
+    """``text`` as a comment on one line, whatever it holds."""
+    return f"# {printable(text)}"

@@ -99,6 +99,7 @@ RUN: Final = (
     Spec("acyclic", "SLAVE ORDER [ARG]...", "records of a slave, as `dpstack acyclic` does", "8 read 1 47"),
     Spec("class2", "SLAVE ORDER [ARG]...", "the same over a class 2 connection (MS2)", "8 read 1 47"),
     Spec("stats", "", "counters and rotation times up to now", ""),
+    Spec("scan", "", "the live list 0..126 beside data exchange, with the identifier octets of each slave", ""),
 )
 
 #: commands by kind of program; a ``run`` on the port "virtual" also has SLAVES

@@ -6,25 +6,28 @@ import dataclasses
 import os
 from collections.abc import Callable, Mapping
 from time import monotonic_ns
-from typing import Final
+from typing import Any, Final
 
 from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.live_list import answer_notes
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.bus.statistics import diagnosis_dict, drive_dict, inputs_dict
 from dpstack.api.control import arguments
 from dpstack.api.control.commands import KINDS, SLAVES
 from dpstack.api.control.drive_orders import drive_order
 from dpstack.api.control.record_orders import acyclic_order
-from dpstack.api.control.server import ControlServer, Handler
+from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send, kept_alive
 from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.api.server.virtual_bench import Bench, Injected, silence_text
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import OnEvent, call_on_event
+from dpstack.dp.master.scanner import Found
 from dpstack.dp.process_data import as_json
 from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.virtual.runtime import VirtualRuntime
-from dpstack.errors import UsageError
+from dpstack.errors import BusError, UsageError
+from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.sim.io_station import IoStation
 from dpstack.text import octets_text
@@ -32,6 +35,8 @@ from dpstack.units import ns_to_s
 
 #: a pty that the program makes itself
 PTY: Final = "pty"
+#: addresses that a scan asks in one go; its progress counts them
+_SCAN_PART: Final = 16
 #: carries out a command: bench, address of the simulated slave, further arguments
 _Act = Callable[[Bench, int, list[str]], object]
 
@@ -50,6 +55,7 @@ def control_run(bus: Bus, port: str, feed: TapFeed | None = None) -> ControlServ
         "acyclic": lambda args: acyclic_order(bus, args),
         "class2": lambda args: acyclic_order(bus, args, class2=True),
         "stats": lambda _: bus.stats.summary(),
+        "scan": ScanOrder(bus),
         "tap": (feed or run_feed(bus)).handler,
     }
     if not bus.searching and bus.bench is not None:
@@ -253,6 +259,60 @@ def address_of(text: str, names: Mapping[int, str]) -> int:
             return address
     known = ", ".join(f"{address} ({name})" for address, name in sorted(names.items())) or "none"
     raise UsageError(f"no slave {text!r} here; there are: {known}")
+
+
+# --- the live list of a run ------------------------------------------------------------------------------------------
+
+
+class ScanOrder:
+    """The handler of ``scan``; one scan at a time, as each takes bus time that another one would wait for."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._under_way = False
+
+    def __call__(self, _args: list[str]) -> LongCommand:
+        """Items have ``progress``: ["addresses", number asked, 127]. The result is that of ``scan --json``, and each
+        station also has ``config`` (identifier octets in hex, or null) and ``name`` (in the configuration, or null).
+
+        Slaves do not change, and data exchange goes on: the master asks in the time that a token hold leaves.
+        """
+        if self._bus.searching:
+            raise BusError(f"{SEARCHING}: a scan is possible once it is found")
+        return self._carry_out
+
+    async def _carry_out(self, send: Send) -> dict[str, Any]:
+        if self._under_way:
+            raise UsageError("a scan is under way already; ask again when it is over")
+        self._under_way = True
+        progress = ["addresses", 0, len(ALL_ADDRESSES)]
+        try:
+            return await kept_alive(self._scan(progress), lambda: {"progress": progress}, send)
+        finally:
+            self._under_way = False
+
+    async def _scan(self, progress: list[Any]) -> dict[str, Any]:
+        bus = self._bus
+        found: list[Found] = []
+        unreadable: set[int] = set()
+        for at in range(0, len(ALL_ADDRESSES), _SCAN_PART):
+            part = ALL_ADDRESSES[at : at + _SCAN_PART]
+            found += await bus.scan(configs=True, addresses=part)
+            unreadable |= bus.unreadable
+            progress[1] = at + len(part)
+        names = {slave.address: slave.name for slave in bus.slaves}
+        return {
+            "baud": bus.params.baud,
+            "address": bus.params.address,
+            "stations": [_found_dict(one, names.get(one.address)) for one in found],
+            "unreadable": sorted(unreadable),
+            "notes": list(answer_notes(found, unreadable)),
+        }
+
+
+def _found_dict(found: Found, name: str | None) -> dict[str, object]:
+    config = None if found.config is None else found.config.hex(" ").upper()
+    return {**found.as_dict(), "config": config, "name": name}
 
 
 # --- commands to simulated slaves of a sim, or of a run on "virtual" ----------------------------------------

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final, TypeVar
 
 from dpstack.api.config.config import Config, load_config
-from dpstack.api.config.gsd_choice import Choice, as_toml, module_key
+from dpstack.api.config.gsd_choice import Choice, as_toml, base_name, module_key
 from dpstack.cli import options
 from dpstack.cli.terminal import output
 from dpstack.errors import GsdError, UsageError
@@ -55,7 +54,7 @@ class _Dialogue:
     def run(self) -> int:
         device = self._device
         say(f"{device.vendor} {device.model}".strip() or self._path)
-        base = "-".join(re.findall(r"\w+", device.model.lower())) or "slave"
+        base = base_name(device.model)
         name = self._ask(f"name [{base}-ADDRESS]: ", self._name, "")
         address = self._ask("address, 0..125: ", self._address)
         if not name:

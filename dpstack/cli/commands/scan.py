@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+from collections.abc import Mapping
 
 from dpstack.api.bus.events_json import Found
 from dpstack.api.bus.live_list import LiveListResult, config_skeleton, drive_of, scan_port
+from dpstack.api.commissioning.candidates import chosen_keys
+from dpstack.api.gsd_folder import GsdFolder
 from dpstack.cli.commands import on_bus
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.signals import run_to_result
+from dpstack.errors import UsageError
 from dpstack.units import baud_text
 
 
@@ -17,14 +22,20 @@ def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack scan --port /dev/ttyUSB0 --baud 500000 --config > plant.toml"
     on_bus.add_port(parser)
     parser.flag("--config", "print a configuration file of what was found")
+    parser.value("--gsd", "DIR", "with --config: take modules from the GSD files of this folder, by ident number")
     parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 when no station answers."""
     on_bus.check_port(args)
+    if args.gsd is not None and not args.config:
+        raise UsageError("scan: --gsd finds modules for a configuration file: add --config, or leave --gsd out")
+    # a folder that is none is told before the bus is asked
+    folder = None if args.gsd is None else GsdFolder(args.gsd, beside=".")
     result = run_to_result(_scan(args), "the live list was complete")
-    _show(result, args)
+    chosen, notes = ({}, []) if folder is None else chosen_keys(folder, result.stations)
+    _show(dataclasses.replace(result, notes=(*result.notes, *notes)), args, chosen)
     if result.stations:
         return 0
     output.warn(on_bus.nobody_text(result.baud))
@@ -36,13 +47,15 @@ async def _scan(args: argparse.Namespace) -> LiveListResult:
     return await scan_port(make_bus, address=args.address, configs=args.config)
 
 
-def _show(result: LiveListResult, args: argparse.Namespace) -> None:
+def _show(
+    result: LiveListResult, args: argparse.Namespace, chosen: Mapping[int, Mapping[str, object]] | None = None
+) -> None:
     if args.json:
-        more: dict[str, object] = {"config": config_skeleton(result, args.port)} if args.config else {}
+        more: dict[str, object] = {"config": config_skeleton(result, args.port, chosen)} if args.config else {}
         output.json_line({**result.as_dict(), **more})
         return
     if args.config:
-        output.toml(config_skeleton(result, args.port))
+        output.toml(config_skeleton(result, args.port, chosen))
     else:
         title = f"{len(result.stations)} stations at {baud_text(result.baud)}, asked by {result.address}"
         columns = ("address", "type", "ident", "state", "master", "device")

@@ -112,6 +112,34 @@ def test_a_silent_bus(tmp_path: Path, capsys: pytest.CaptureFixture[str], cli: C
 
 
 @pytest.mark.usefixtures("world")
+def test_the_configuration_takes_modules_from_gsd_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    head = "#Profibus_DP\nGSD_Revision = 3\nIdent_Number = 0x1234\n500_supp = 1\nModular_Station = 1\nMax_Module = 4\n"
+    modules = 'Module = "8 DO" 0x20\n1\nEndModule\nModule = "8 DI" 0x10\n2\nEndModule\n'
+    (tmp_path / "files").mkdir()
+    (tmp_path / "files" / "raw slave.gsd").write_text(
+        head + "Max_Input_Len = 4\nMax_Output_Len = 4\nMax_Data_Len = 8\n" + modules
+    )
+    (tmp_path / "files" / "no.gsd").write_text("nothing\n")
+    code, out, err = scan(capsys, PORT, "--config", "--gsd", "files")
+    assert code == 0
+    assert 'gsd = "files/raw slave.gsd"\nmodules = ["8 DO", "8 DI"]\n' in out
+    assert "no.gsd: 1: " in err
+    assert "slave 3" not in err  # a known drive needs no file
+    (tmp_path / "found.toml").write_text(out, encoding="utf-8")
+    assert [slave.params.config.hex() for slave in load_config("found.toml").slaves][-1] == "2010"
+    code, _, err = scan(capsys, PORT, "--gsd", "files")
+    assert (code, err) == (
+        2,
+        "dpstack: scan: --gsd finds modules for a configuration file: add --config, or leave --gsd out\n",
+    )
+    code, _, err = scan(capsys, PORT, "--config", "--gsd", "nowhere")
+    assert (code, err) == (2, "dpstack: nowhere: this is no folder; give the folder of the plant's GSD files\n")
+
+
+@pytest.mark.usefixtures("world")
 def test_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = scan(capsys, PORT, "--address", "7")
     assert (code, err) == (0, "")
