@@ -1,0 +1,233 @@
+"""The columns of a recording: named values, states, drive quantities; and their names in files."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Final
+
+from dpstack.dp.process_data import Field, FieldMap, Value
+
+#: the value of a cell; None: not valid, or not known
+Cell = Value | str | None
+
+VERSION: Final = 1
+TIME: Final = "time"
+T: Final = "t"
+NOTE: Final = "note"
+#: the quantities of a drive, in the order of their cells: name, type, unit
+DRIVE_QUANTITIES: Final = (
+    ("drive_state", "text", ""),
+    ("setpoint", "number", ""),
+    ("speed", "number", ""),
+    ("frequency_hz", "number", "Hz"),
+    ("current", "number", ""),
+    ("torque", "number", ""),
+    ("fault", "text", ""),
+    ("warning", "text", ""),
+)
+STATE: Final = "state"
+#: decimal places of a drive's quantities: as many as explained telegrams have
+_DIGITS: Final = 6
+#: 10.3 - 10.1 is 0.20000000000000107 for a float: a step as large as the dead band lies in it
+_EDGE: Final = 1 + 1e-9
+#: SLAVE.FIELD [UNIT]: the slave may have any letters, the field and the unit neither a point nor a bracket
+_TITLE: Final = re.compile(r"(?:(?P<slave>.*)\.)?(?P<field>[^.\[\]]+?)(?: \[(?P<unit>[^\[\]]*)\])?", re.DOTALL)
+
+
+class Kind(StrEnum):
+    """The source of a column."""
+
+    STATE = "state"
+    INPUT = "input"
+    OUTPUT = "output"
+    DRIVE = "drive"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One quantity. ``type``: bool, number, text or bytes; ``at``: type and place in the octets, empty for others."""
+
+    slave: str
+    field: str
+    kind: Kind | None = None
+    type: str = ""
+    unit: str = ""
+    address: int | None = None
+    at: str = ""
+    scale: float = 1
+    offset: float = 0
+    dead_band: float = 0
+
+    @property
+    def name(self) -> str:
+        """``SLAVE.FIELD``, unique in a recording."""
+        return f"{self.slave}.{self.field}" if self.slave else self.field
+
+    @property
+    def title(self) -> str:
+        """The name with its unit, as a CSV file has it."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @classmethod
+    def of_title(cls, title: str) -> Column:
+        """The column of a file that says no more about it than its title."""
+        found = _TITLE.fullmatch(title)
+        if found is None:
+            return cls("", title)
+        return cls(found["slave"] or "", found["field"], unit=found["unit"] or "")
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain JSON data, without what has its default."""
+        given = dataclasses.asdict(self)
+        return {"name": self.name} | {key: value for key, value in given.items() if value != _DEFAULTS.get(key, _NONE)}
+
+    @classmethod
+    def of_dict(cls, given: Mapping[str, object]) -> Column:
+        """The reverse of :meth:`as_dict`. Raises ValueError for anything else."""
+        known = {key: given[key] for key in (*_KINDS_OF_KEYS,) if key in given}
+        for key, value in known.items():
+            kinds = _KINDS_OF_KEYS[key]
+            if not isinstance(value, kinds) or isinstance(value, bool):
+                raise ValueError(f"{key} = {value!r}")
+        if "slave" not in known or "field" not in known:
+            raise ValueError("a column without a name")
+        kind = known.pop("kind", None)
+        return cls(**known, kind=None if kind is None else Kind(str(kind)))  # type: ignore[arg-type]
+
+
+_NONE: Final = object()
+_DEFAULTS: Final[Mapping[str, object]] = {
+    one.name: one.default for one in dataclasses.fields(Column) if one.default is not dataclasses.MISSING
+}
+_KINDS_OF_KEYS: Final[Mapping[str, type | tuple[type, ...]]] = {
+    "slave": str,
+    "field": str,
+    "kind": str,
+    "type": str,
+    "unit": str,
+    "address": int,
+    "at": str,
+    "scale": (int, float),
+    "offset": (int, float),
+    "dead_band": (int, float),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Columns of one slave that come from the same octets (or from one state, or from one drive)."""
+
+    kind: Kind
+    columns: tuple[Column, ...]
+    fields: tuple[Field, ...] = ()
+    length: int = 0
+
+    def cells(self, source: object) -> tuple[Cell, ...]:
+        """The values of the columns; ``source``: octets, the text of a state, the quantities of a drive, or None."""
+        if isinstance(source, bytes):
+            if len(source) >= self.length:
+                return tuple(found.get(source) for found in self.fields)
+        elif isinstance(source, str):
+            return (source,)
+        elif isinstance(source, tuple):
+            return tuple(round(value, _DIGITS) if isinstance(value, float) else value for value in source)
+        return (None,) * len(self.columns)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedSlave:
+    """One slave of a recording, with the names of its process data."""
+
+    address: int
+    name: str
+    inputs: FieldMap = field(default_factory=FieldMap)
+    outputs: FieldMap = field(default_factory=FieldMap)
+    is_drive: bool = False
+
+    def blocks(self) -> Iterator[Block]:
+        """Its state, its named inputs and outputs, and the quantities of a drive."""
+        taken = {*self.inputs, *self.outputs}
+        yield Block(Kind.STATE, (self._column(STATE, taken, Kind.STATE, "text"),))
+        for kind, fields in ((Kind.INPUT, self.inputs), (Kind.OUTPUT, self.outputs)):
+            if fields:
+                found = tuple(fields.fields.values())
+                columns = tuple(_column_of(self, one, kind) for one in found)
+                yield Block(kind, columns, found, fields.length)
+        if self.is_drive:
+            columns = tuple(self._column(name, taken, Kind.DRIVE, kind, unit) for name, kind, unit in DRIVE_QUANTITIES)
+            yield Block(Kind.DRIVE, columns)
+
+    def _column(self, name: str, taken: set[str], kind: Kind, type_: str, unit: str = "") -> Column:
+        """A column that is no field; where a field has its name, ``slave`` or ``drive`` stands in front."""
+        while name in taken:
+            name = f"{'slave' if kind is Kind.STATE else 'drive'} {name}"
+        taken.add(name)
+        return Column(self.name, name, kind, type_, unit, self.address)
+
+
+def _column_of(slave: RecordedSlave, found: Field, kind: Kind) -> Column:
+    return Column(
+        slave.name,
+        found.name,
+        kind,
+        "number" if found.is_number else found.type,
+        found.unit,
+        slave.address,
+        found.spec,
+        found.scale,
+        found.offset,
+        found.dead_band,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """The columns of one file. ``started``: s since 1970 at ``t`` = 0; ``config``: the configuration file, or None."""
+
+    slaves: tuple[RecordedSlave, ...]
+    started: float = 0.0
+    config: str | None = None
+    on_change: bool = False
+    blocks: tuple[Block, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "blocks", tuple(block for slave in self.slaves for block in slave.blocks()))
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        return tuple(column for block in self.blocks for column in block.columns)
+
+    def as_dict(self) -> dict[str, object]:
+        """The description that stands in the file."""
+        return {
+            "recording": {
+                "version": VERSION,
+                "started": self.started,
+                "config": self.config,
+                "on_change": self.on_change,
+                "columns": [column.as_dict() for column in self.columns],
+            }
+        }
+
+
+def differs(column: Column, before: Cell, now: Cell, dead_band: float) -> bool:
+    """Whether ``now`` is another value: of numbers, one outside the dead band around ``before``."""
+    if before == now:
+        return False
+    band = max(column.dead_band, dead_band)
+    if band and isinstance(before, (int, float)) and isinstance(now, (int, float)) and column.type == "number":
+        return not abs(now - before) <= band * _EDGE and not (math.isnan(now) and math.isnan(before))
+    return not (isinstance(before, float) and isinstance(now, float) and math.isnan(before) and math.isnan(now))
+
+
+def unique(columns: Sequence[Column]) -> dict[str, Column]:
+    """``columns`` by name, the first of each."""
+    found: dict[str, Column] = {}
+    for column in columns:
+        found.setdefault(column.name, column)
+    return found

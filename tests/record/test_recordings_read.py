@@ -1,0 +1,292 @@
+"""Recordings: their lines against literal ones, reading them again, cut and damaged files, replay."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from property_kit import examples
+
+from dpstack.dp.process_data import Field, FieldMap, with_scale
+from dpstack.errors import UsageError
+from dpstack.record.columns import Column, Layout, RecordedSlave
+from dpstack.record.reader import Recording
+from dpstack.record.replay import Item, replay_items
+from dpstack.record.rows import Rows, Sample
+
+SECOND = 1_000_000_000
+WALL = 1_769_860_800 * SECOND  # 2026-01-31T12:00:00Z
+
+
+def boiler(name: str = "boiler", **keys: float | str) -> RecordedSlave:
+    level = with_scale(Field.parse("level", "i16@0"), {"scale": 0.1, "unit": "bar", **keys})
+    fields = {"level": level, "burner": Field.parse("burner", "bool@3.0")}
+    return RecordedSlave(12, name, FieldMap(fields, 4))
+
+
+def layout(*slaves: RecordedSlave, on_change: bool = False) -> Layout:
+    return Layout(slaves or (boiler(),), started=1_769_860_800.0, config="plant.toml", on_change=on_change)
+
+
+def sample(of: Layout, at_ms: int, *sources: object) -> Sample:
+    return Sample(of, at_ms * 1_000_000, WALL + at_ms * 1_000_000, sources)
+
+
+def test_the_lines_of_a_csv_file() -> None:
+    plant = layout()
+    rows = Rows(plant, "csv")
+    assert rows.head() == b"time,t,boiler.state,boiler.level [bar],boiler.burner,note\n"
+    first = rows.row(sample(plant, 5, "data_exchange", bytes.fromhex("007b 0001")), "joined, late")
+    assert first is not None
+    *cells, note = next(csv.reader(io.StringIO(first.decode())))
+    assert cells == ["2026-01-31T12:00:00.005Z", "0.005000", "data_exchange", "12.3", "true"]
+    described = json.loads(note)
+    assert described["note"] == "joined, late"
+    assert described["recording"]["columns"][1] == {
+        "name": "boiler.level",
+        "slave": "boiler",
+        "field": "level",
+        "kind": "input",
+        "type": "number",
+        "unit": "bar",
+        "address": 12,
+        "at": "i16@0",
+        "scale": 0.1,
+    }
+    second = rows.row(sample(plant, 10, "offline", None), 'a "note"')
+    assert second == b'2026-01-31T12:00:00.010Z,0.010000,offline,,,"a ""note"""\n'
+    assert rows.end(0, WALL, "end") == b"2026-01-31T12:00:00.000Z,0.000000,,,,end\n"
+
+
+def test_the_lines_of_a_json_file() -> None:
+    plant = layout()
+    rows = Rows(plant, "jsonl")
+    assert json.loads(rows.head())["recording"]["config"] == "plant.toml"
+    line = rows.row(sample(plant, 5, "data_exchange", bytes.fromhex("fff6 0000")))
+    assert line == (
+        b'{"time":"2026-01-31T12:00:00.005Z","t":0.005000,"boiler.state":"data_exchange","boiler.level":-1.0,'
+        b'"boiler.burner":false}\n'
+    )
+    line = rows.row(sample(plant, 6, "offline", None), "lost")
+    assert line is not None
+    assert json.loads(line)["boiler.level"] is None
+    assert json.loads(line)["note"] == "lost"
+
+
+def test_a_drive_and_fields_called_like_its_quantities() -> None:
+    named = FieldMap({"speed": Field.parse("speed", "u8@0"), "state": Field.parse("state", "u8@1")}, 2)
+    plant = layout(RecordedSlave(3, "hoist", named, is_drive=True))
+    assert [column.name for column in plant.columns][:6] == [
+        *("hoist.slave state", "hoist.speed", "hoist.state", "hoist.drive_state", "hoist.setpoint"),
+        "hoist.drive speed",
+    ]
+    rows = Rows(plant, "csv")
+    status = ("running", 0.5, 0.1 + 0.2, None, None, None, "F1, F2", None)
+    line = rows.row(sample(plant, 0, "data_exchange", b"\1\2", status))
+    assert line is not None
+    assert b',data_exchange,1,2,running,0.5,0.3,,,,"F1, F2",,' in line
+
+
+def test_on_change_a_value_has_to_leave_its_dead_band() -> None:
+    plant = layout(boiler(dead_band=0.2), on_change=True)
+    rows = Rows(plant, "jsonl")
+
+    def level(raw: int, burner: int = 0) -> object:
+        line = rows.row(sample(plant, 0, "data_exchange", raw.to_bytes(2, "big") + bytes((0, burner))))
+        return None if line is None else json.loads(line)["boiler.level"]
+
+    assert level(100) == 10.0
+    assert level(102) is None  # at the edge
+    assert level(103) == 10.3
+    assert level(101) is None
+    assert level(102, burner=1) == 10.2  # a row has all values of its moment
+    assert level(104, burner=1) is None
+    assert level(105, burner=1) == 10.5  # a slow drift is seen: the last row counts, not the last sample
+    assert rows.row(sample(plant, 0, "offline", None)) is not None
+    assert rows.row(sample(plant, 0, "offline", None)) is None
+
+
+def write(path: Path, of: Layout, values: list[tuple[int, int | None]]) -> bytes:
+    """A recording with the raw level (None: not valid) at each time in ms."""
+    rows = Rows(of, path.suffix[1:])
+    made = rows.head()
+    for at_ms, raw in values:
+        octets = None if raw is None else raw.to_bytes(2, "big", signed=True) + b"\0\1"
+        made += rows.row(sample(of, at_ms, "offline" if raw is None else "data_exchange", octets)) or b""
+    path.write_bytes(made)
+    return made
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".jsonl"])
+@examples(25)
+@given(
+    name=st.text(st.characters(exclude_categories=("Cs", "Cc", "Cf", "Zl", "Zp", "Co", "Cn")), min_size=1, max_size=30),
+    values=st.lists(st.none() | st.integers(-32768, 32767), min_size=1, max_size=8),
+    cut=st.floats(0, 1),
+)
+def test_a_file_cut_anywhere_gives_its_whole_rows(
+    suffix: str, name: str, values: list[int | None], cut: float, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"cut{suffix}"
+    made = write(path, layout(boiler(name.strip() or "x")), [(10 * n, raw) for n, raw in enumerate(values)])
+    left = made[: round(cut * len(made))]
+    path.write_bytes(left)
+    whole = left.count(b"\n")
+    if not whole:
+        with pytest.raises(UsageError, match="is empty, or its first line is cut"):
+            Recording(path)
+        return
+    recording = Recording(path)
+    rows = list(recording.rows())
+    column = f"{name.strip() or 'x'}.level"
+    wanted = [None if raw is None else raw / 10 for raw in values[: whole - 1]]
+    if whole > 1 or suffix == ".jsonl":
+        assert [row.values[column] for row in rows] == wanted
+    assert [row.at for row in rows] == pytest.approx([0.01 * n for n in range(whole - 1)])
+    assert bool(recording.remarks) == (not left.endswith(b"\n"))
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".jsonl"])
+@examples(25)
+@given(octets=st.binary(max_size=60), place=st.integers(1, 4))
+def test_a_damaged_line_costs_no_other(
+    suffix: str, octets: bytes, place: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"damaged{suffix}"
+    made = write(path, layout(), [(10 * n, n) for n in range(5)]).splitlines(keepends=True)
+    made.insert(place + 1, octets.replace(b"\n", b"") + b"\n")
+    path.write_bytes(b"".join(made))
+    recording = Recording(path)
+    levels = [row.values["boiler.level"] for row in recording.rows()]
+    assert levels == [0.0, 0.1, 0.2, 0.3, 0.4]
+    assert len(recording.remarks) == 1
+    assert recording.remarks[0].endswith(f"1 line cannot be read and is left out, the first is line {place + 2}")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "line"),
+    [
+        ("a.txt", b"x", "a recording ends in .csv, .jsonl, .parquet; give a file that run --record wrote"),
+        ("a.csv", None, "there is no such file, and no part of it (a_00001_TIME.csv)"),
+        ("a.csv", b"", "is empty, or its first line is cut"),
+        ("a.csv", b"a,b\n1,2\n", 'is no recording (its first columns are not time and t: "a,b"); give a file'),
+        ("a.csv", b"\xff\x1b[31m\n", "is no recording (its first columns are not time and t"),
+        ("a.jsonl", b'{"time":1}\n', "is no recording (its first line describes no columns"),
+        ("a.jsonl", b"[" * 100_000 + b"\n", "is no recording (its first line describes no columns"),
+        (
+            "a.jsonl",
+            b'{"recording":{"columns":[{"slave":1}]}}\n',
+            "the description of its columns cannot be read: slave",
+        ),
+        ("a.jsonl", b'{"recording":{}}\n', "the description of its columns cannot be read; give"),
+    ],
+)
+def test_files_that_are_no_recordings(name: str, content: bytes | None, line: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(UsageError) as caught:
+        Recording(path)
+    assert str(caught.value).startswith(f"{path}: {line}")
+    assert str(caught.value).isprintable()
+
+
+def test_a_table_of_somebody_else(tmp_path: Path) -> None:
+    path = tmp_path / "other.csv"
+    path.write_bytes(b"\xef\xbb\xbftime,t,pump.flow [m3/h],on,who\r\n2026-01-31T12:00:00+01:00,0,1.5,TRUE,me\r\n")
+    recording = Recording(path)
+    assert [*recording.columns.values()] == [
+        Column("pump", "flow", unit="m3/h"),
+        Column("", "on"),
+        Column("", "who"),
+    ]
+    (row,) = recording.rows()
+    assert row.values == {"pump.flow": 1.5, "on": True, "who": "me"}
+    assert row.time == 1_769_857_200.0
+
+
+def test_a_rotated_set_with_other_columns_and_a_clock_that_was_set_back(tmp_path: Path) -> None:
+    write(tmp_path / "p_00001_20260131T120000Z.csv", layout(), [(0, 1), (1000, 2)])
+    write(tmp_path / "p_00010_20260131T130000Z.csv", layout(boiler(), boiler("b")), [])
+    with (tmp_path / "p_00002_20260131T110000Z.csv").open("wb") as file:
+        rows = Rows(layout(), "csv")
+        late = Sample(layout(), 2 * SECOND, WALL - 3600 * SECOND, ("data_exchange", bytes(4)))
+        file.write(rows.head() + (rows.row(late) or b""))
+    (tmp_path / "p_1_x.csv").write_bytes(b"something else")
+    recording = Recording(tmp_path / "p.csv")
+    assert len(recording.parts) == 3
+    assert {"boiler.level", "b.level"} < recording.columns.keys()
+    rows_read = list(recording.rows())
+    assert [row.values["boiler.level"] for row in rows_read] == [0.1, 0.2, 0.0]
+    assert [row.at for row in rows_read] == [0.0, 1.0, 1.0]
+
+
+async def _items(path: Path, start: float = 0.0) -> tuple[list[Item], list[float]]:
+    waits: list[float] = []
+
+    async def sleep(seconds: float) -> None:
+        waits.append(seconds)
+
+    return [item async for item in replay_items(path, 1.0, start, sleep=sleep)], waits
+
+
+def _of(items: list[Item], kind: str) -> list[dict[str, Any]]:
+    return [item[kind] for item in items if kind in item]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".jsonl"])
+async def test_replay(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"plant{suffix}"
+    values: list[tuple[int, int | None]] = [(10 * n, n) for n in range(50)]
+    write(path, layout(), [*values, (500, None), (9000, 7)])
+    items, waits = await _items(path)
+    (plant,) = _of(items, "plant")
+    assert "plant" in items[0]
+    assert plant["slaves"]["12"]["inputs"][0] == {
+        "name": "level",
+        "type": "i16",
+        "at": "i16@0",
+        "scale": 0.1,
+        "offset": 0,
+        "unit": "bar",
+    }
+    snapshots = _of(items, "snapshot")
+    assert snapshots[0]["whole"]
+    assert not any(snapshot["whole"] for snapshot in snapshots[1:])
+    seen = [(one["t"], one["slaves"]["12"]["fields"]["level"], one["slaves"]["12"]["state"]) for one in snapshots]
+    assert seen == [
+        *((n / 10, float(n), "data_exchange") for n in range(5)),
+        (0.5, None, "offline"),
+        (0.5, None, None),  # nothing is known about the time up to the next row
+        (9.0, 0.7, "data_exchange"),
+    ]
+    texts = [(event["t"], event["text"]) for event in _of(items, "event")]
+    assert texts == [
+        (0.0, f"replay of plant{suffix}"),
+        (0.5, "boiler: state offline"),
+        (9.0, "boiler: state data_exchange"),
+    ]
+    assert "end" in items[-1]
+    assert max(waits) == pytest.approx(9.0, abs=0.5)
+
+
+async def test_replay_from_the_middle(tmp_path: Path) -> None:
+    path = tmp_path / "plant.csv"
+    write(path, layout(), [(1000 * n, n) for n in range(5)])
+    items, _ = await _items(path, start=2.5)
+    assert [one["t"] for one in _of(items, "snapshot")] == [3.0, 4.0]
+    assert _of(items, "snapshot")[0]["slaves"]["12"]["fields"]["level"] == 0.2  # the values that held at 2.5 s
+    with pytest.raises(UsageError, match=r"is 4\.0 s long; start before that"):
+        await _items(path, start=5)
+    with pytest.raises(UsageError, match="give a number above 0"):
+        async for _ in replay_items(path, 0):
+            pass
+    path.write_bytes(Rows(layout(), "csv").head())
+    with pytest.raises(UsageError, match="has no rows"):
+        await _items(path)
