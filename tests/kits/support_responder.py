@@ -9,7 +9,8 @@ SPEC is ``ADDRESS:IDENT:IDENTIFIERS:INPUTS:OUTPUTS[,key=value...]``: ident and i
 octets. Inputs mirror the outputs. Keys: ``refuse=prm`` or ``refuse=cfg`` (the fault shows in the diagnosis),
 ``owner=N`` (locked to master N from the start), ``answer=N`` (Data_Exchange answers have N octets), ``dies=N`` (silent
 after N data exchanges), ``fixed=HEX`` (these inputs instead of the mirror), ``locked=1`` (keeps its address),
-``records=1`` (Read and Write of DP-V1 at SAP 51: acknowledged, answered when polled, with zeros).
+``records=1`` (Read and Write of DP-V1 at SAP 51: acknowledged, answered when polled, with zeros), ``watchdog=1`` (it
+keeps the watchdog of Set_Prm; when it expires, outputs are zeros and it wants parameters).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import select
 import sys
 import termios
 import threading
+import time
 import tty
 from collections.abc import Iterable
 
@@ -47,6 +49,9 @@ class Slave:
         self.cfg_fault = False
         self.watchdog = False
         self.watchdog_factors = b""
+        self.keeps_watchdog = "watchdog" in keys
+        self.asked_at = 0.0
+        self.expired = 0
         self.exchanges = 0
         self.repeats = 0
         self.control = b""
@@ -62,6 +67,8 @@ class Slave:
         """The answer to one request; empty when there is none."""
         if self.dies and self.exchanges >= self.dies:
             return b""
+        if self.keeps_watchdog:
+            self.look_at_watchdog(sa)
         function = fc & 0x0F
         if function == 0x09:
             return short(sa, self.address, 0x00)
@@ -78,6 +85,17 @@ class Slave:
         self.kept_sa, self.kept_fcb = sa, bit
         self.kept_answer = self.serve(sa, saps, data)
         return self.kept_answer
+
+    def look_at_watchdog(self, sa: int) -> None:
+        """A request of master ``sa``: whether it comes too late, by the factors of Set_Prm (10 ms each)."""
+        now = time.monotonic()
+        watched = self.prm_ok and self.watchdog
+        if watched and now - self.asked_at > self.watchdog_factors[0] * self.watchdog_factors[1] * 0.01:
+            self.prm_ok = self.cfg_ok = False
+            self.owner, self.outputs, self.kept_fcb = 255, bytes(self.output_count), -1
+            self.expired += 1
+        if sa == self.owner or not self.prm_ok:
+            self.asked_at = now
 
     def serve(self, sa: int, saps: bytes, data: bytes) -> bytes:
         """One service, executed."""

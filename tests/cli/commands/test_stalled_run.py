@@ -29,10 +29,13 @@ config = "21 11"
 watchdog_ms = 1000
 """
 OUT = bytes.fromhex("1122")
+#: A process may be stopped between its last look at the clock and the write. That telegram goes out after SIGCONT, to a
+#: slave whose watchdog has run out: it must refuse it.
+WATCHED = SPEC + ",watchdog=1"
 
 
 def recording(there: Responder) -> list[bytes]:
-    """The outputs that slave 4 is given from now on."""
+    """The outputs that slave 4 accepts from now on."""
     heard: list[bytes] = []
     request = there.request
 
@@ -66,7 +69,7 @@ def ctl(cli: Cli, *args: str) -> Any:
 @pytest.mark.parametrize("driver", ["asyncio", "process"])
 def test_stopped_and_continued(tmp_path: Path, start: Starter, cli: Cli, driver: str) -> None:
     config = tmp_path / "plant.toml"
-    with octet_slaves(SPEC) as (path, there):
+    with octet_slaves(WATCHED) as (path, there):
         config.write_text(PLANT.format(port=path, keys='after_stall = "safe"'), encoding="utf-8")
         run = start("run", str(config), "--outputs", "4=1122", "--json", "--driver", driver)
         eventually(lambda: there.slaves[4].outputs == OUT, "its outputs")
@@ -82,6 +85,7 @@ def test_stopped_and_continued(tmp_path: Path, start: Starter, cli: Cli, driver:
         assert stalled["gap_ms"] > 1000
         eventually(lambda: len(heard) > 20, "data exchange in Clear")
         assert set(heard) == {bytes(2)}
+        assert there.slaves[4].expired
         status = ctl(cli, path, "status")
         assert status["mode"] == "clear"
         assert "slave 4 (valves) was not asked for" in status["clear"]["because"]
