@@ -34,6 +34,7 @@ MAY: dict[str, set[str]] = {
     "phy": PARAMS,
     "fdl": PHY | {"machine", "stats"},
     "gsd": PURE_BASE,
+    "live": set(),
     "capture": PHY | {"fdl", "machine"},
     "decode": DP | {"capture"},
     "monitor": DP | {"capture", "decode"},
@@ -44,7 +45,7 @@ MAY: dict[str, set[str]] = {
     "sim": DP | {"machine", "decode"},
     "ports": PURE_BASE | {"phy"},
     "drivers": DP | {"ports", "machine", "sim"},
-    "api": DP | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor", "record"},
+    "api": DP | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor", "record", "live"},
     "wireshark": {"api", "capture"} | PURE_BASE,
     "web": {"api", "live", "ports", "record"} | PURE_BASE,
     "cli": {"api", "capture", "decode", "monitor", "record", "wireshark", "gsd", "profile", "trace"} | PURE_BASE,
@@ -52,6 +53,7 @@ MAY: dict[str, set[str]] = {
 }
 #: Rooms from the ground up: each imports from lower floors only; rooms of one floor not from one another.
 FLOORS: tuple[tuple[str, ...], ...] = (
+    ("live",),
     ("phy",),
     ("gsd",),
     ("fdl",),

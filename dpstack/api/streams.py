@@ -166,6 +166,8 @@ class Events:
 
     def __init__(self, on_event: OnEvent | None) -> None:
         self._on_event = on_event
+        #: called for each event, beside streams and ``on_event``
+        self.listener: OnEvent | None = None
         self._history: deque[Event] = deque(maxlen=DEPTH)
         self._streams: set[EventStream] = set()
         self._ended = False
@@ -185,7 +187,14 @@ class Events:
         self._history.append(event)
         for stream in self._streams:
             stream.put(event)
+        if self.listener is not None:
+            self.listener(event)
         call_on_event(self._on_event, event)
+
+    @property
+    def past(self) -> tuple[Event, ...]:
+        """The last events, oldest first."""
+        return tuple(self._history)
 
     def stream(self) -> EventStream:
         stream = EventStream(self._history, self._streams.discard)

@@ -6,6 +6,7 @@
 - ``driver_choice``: The choice of the driver: asyncio, process or virtual
 - ``events_json``: Events of a bus for applications, their severity and their JSON
 - ``find_baud``: Search for the baud rate of a bus: listens at one rate after the other and never sends
+- ``live``: ``bus.live()``: plant, snapshots and events of a bus as one stream
 - ``live_list``: The live list of a port, read by a temporary master, and a configuration skeleton made from it
 - ``parts``: Base class of ``Bus``: the objects behind a bus (created once the baud rate is known), slaves, commands,
   waiting

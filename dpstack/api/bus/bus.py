@@ -13,11 +13,12 @@ from typing import Literal
 from dpstack.api.bus.compose import compose
 from dpstack.api.bus.cycles import Cycle, Cycles
 from dpstack.api.bus.find_baud import rate_of, require_wire
+from dpstack.api.bus.live import LiveFeed, LiveStream, checked_interval
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.bus.plan_checks import new_plan_texts
 from dpstack.api.bus.ring_entry import OtherMasterNotices, join, listening_report
 from dpstack.api.bus.shutdown import OrderedEnd
-from dpstack.api.bus.statistics import BusStats, collect
+from dpstack.api.bus.statistics import BusStats, bus_figures
 from dpstack.api.bus.sync_freeze import Group, Groups, send_control
 from dpstack.api.config.config import Config, load_config, make_config, slave_config
 from dpstack.api.config.slave import SlaveConfig
@@ -76,6 +77,7 @@ class Bus(Sealed, BusBase):
         self._ordered_end = OrderedEnd(self, self.close, self.hurry)
         self._joined_ns = 0  # machine time of the first token
         self._cycles = Cycles(self)
+        self._live = LiveFeed(self)
         #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
         self.class2 = Class2(self, self._slaves, self.slave)
         if not self.searching:
@@ -341,6 +343,14 @@ class Bus(Sealed, BusBase):
         """Hand ``event`` to all readers of :meth:`events`, and to ``on_event``."""
         self._events.publish(event)
 
+    def live(self, interval: float = 0.1) -> LiveStream:
+        """Plant, snapshots and events of the bus as one stream of plain data (docs/live.md), an async iterator.
+
+        A snapshot comes every ``interval`` seconds (0.02 or more), an event at once. A slow reader gets the latest
+        snapshot and up to 1000 events; the bus never waits. It ends with the bus, or by ``close()``.
+        """
+        return self._live.join(checked_interval(interval))
+
     def cycles(self) -> AsyncIterator[Cycle]:
         """A :class:`~dpstack.api.bus.cycles.Cycle` for each round of data exchange, with or without a fixed cycle.
 
@@ -352,7 +362,7 @@ class Bus(Sealed, BusBase):
     @property
     def stats(self) -> BusStats:
         """Counters and rotation times up to now."""
-        return collect(self)
+        return bus_figures(self, self.slaves)
 
     @property
     def seconds_in_ring(self) -> float:
@@ -430,6 +440,7 @@ class Bus(Sealed, BusBase):
         self._cycles.end()
         self.services.end(self._over)
         self._events.end()
+        self._live.end(str(self._over))
         self._waiters.check()
 
 

@@ -28,7 +28,7 @@ from dpstack.drivers.snapshots import BusSnapshot, View
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.params import BusParams
 from dpstack.sim.world import World
-from dpstack.trace import Notice, Severity
+from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
 
 SEARCHING: Final = "searching for the baud rate"
@@ -155,6 +155,10 @@ class BusBase:
     def drives(self) -> tuple[Drive, ...]:
         return tuple(self._drives[address] for address in sorted(self._drives))
 
+    def find_drive(self, address: int) -> Drive | None:
+        """The drive at ``address``; None where there is none."""
+        return self._drives.get(address)
+
     def slave(self, which: str | int) -> Slave:
         """A slave by name or address. Raises UsageError, which lists the slaves."""
         for slave in self._slaves.values():
@@ -172,6 +176,11 @@ class BusBase:
         raise UsageError(f"no drive {which!r} on this bus; there are: {known}")
 
     # --- commands and waiting ------------------------------------------------------------------------------------
+
+    @property
+    def was_opened(self) -> bool:
+        """True from the opening on, also after the end: before, ``started_ns`` and ``seconds`` mean nothing."""
+        return self._open or self._ending is not None or self._over is not None
 
     @property
     def is_open(self) -> bool:
@@ -234,6 +243,14 @@ class BusBase:
     def notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None:
         """Publish ``message`` as an event."""
         self._events.publish(Notice(t_ns=self.runtime.now(), source=source, message=message, severity=severity))
+
+    def past_events(self) -> tuple[Event, ...]:
+        """The last 1000 events, oldest first."""
+        return self._events.past
+
+    def listen_to_events(self, listener: OnEvent | None) -> None:
+        """Call ``listener`` for each event from now on; None: no longer. There is one listener at a time."""
+        self._events.listener = listener
 
     # --- the end ------------------------------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
@@ -205,13 +205,21 @@ class BusStats:
         }
 
 
-def collect(bus: BusBase) -> BusStats:
-    """A copy of the counters of this moment. Never waits for a bus process."""
+def clear_since(bus: BusBase) -> dict[str, object]:
+    """``since`` (in s after the start) and ``because`` of a Clear that the master went to by itself; else empty."""
+    event = bus.forced_clear
+    if event is None:
+        return {}
+    return {"since": round(ns_to_s(event.t_ns - bus.started_ns), 3), "because": event.why}
+
+
+def bus_figures(bus: BusBase, slaves: Iterable[Slave] = ()) -> BusStats:
+    """A copy of the counters of this moment, with those of ``slaves``. Never waits for a bus process."""
     view, now = bus.view, bus.runtime.now()
     counters = view.counters()
     age_ns = max(0, now - counters.t_ns) if counters.t_ns else 0
     link = counters.link
-    drives = {drive.address: drive_dict(bus, drive) for drive in bus.drives}
+    drives = {drive.address: drive_dict(bus, drive) for drive in bus.drives} if slaves else {}
     bad = counters.decoder.by_cause()
     bad |= {f"uart_{cause}": count for cause, count in counters.damage.items() if count}
     return BusStats(
@@ -246,7 +254,7 @@ def collect(bus: BusBase) -> BusStats:
                 conspicuous=slave.conspicuous,
                 drive=drives.get(slave.address, {}),
             )
-            for slave in bus.slaves
+            for slave in slaves
         },
         tokens=link.tokens,
         tokens_lost=link.tokens_lost,

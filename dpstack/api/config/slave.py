@@ -20,7 +20,7 @@ from dpstack.dp.slave_params import INTERVAL_UNIT, SLAVE_LIMITS, SlaveParams
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.errors import ConfigError, UsageError
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import Device, DpV1
+from dpstack.gsd.model import Device, DpV1, Module
 from dpstack.params import MAX_STATION, UNADDRESSED
 from dpstack.profile import DriveProfile
 from dpstack.units import ms_text
@@ -225,6 +225,9 @@ class SlaveConfig:
     description: SlaveDescription | None = field(default=None, compare=False, repr=False)
     #: the device of its GSD file
     device: Device | None = field(default=None, compare=False, repr=False)
+    #: the key ``gsd``, and the modules of that file in slot order (None: an empty slot); None without a GSD file
+    gsd: str | None = None
+    modules: tuple[Module | None, ...] | None = field(default=None, compare=False, repr=False)
     #: names for the process data
     input_fields: FieldMap = field(default_factory=FieldMap)
     output_fields: FieldMap = field(default_factory=FieldMap)

@@ -211,7 +211,8 @@ def read_gsd_slave(
     if device.ident is None and "ident" not in given:
         table.fail("gsd", f"{given['gsd']} has no Ident_Number", 'add ident = 0x1234, or ident = "ask"')
     rates = frozenset(speed.baud for speed in device.speeds)
-    return configuration, (params, {"device": device, "notes": tuple(notes), "baud_rates": rates})
+    rest = {"device": device, "gsd": given["gsd"], "modules": configuration.modules}
+    return configuration, (params, rest | {"notes": tuple(notes), "baud_rates": rates})
 
 
 def _contradictions_note(reading: Reading, octets: bytes, others: bytes) -> str:

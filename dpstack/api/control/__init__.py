@@ -12,6 +12,7 @@ the requests of one connection one after the other.
 - ``drive_orders``: Orders to a drive (``speed``, ``stop``, ``read`` ...): words, parser, execution, answers in JSON
 - ``errors``: Errors over the control socket: an error in the program raises the same error in its client
 - ``handlers``: The control servers of run, sim and segment, and the handlers of their commands
+- ``live_items``: The command ``live`` of a running master: its live stream for a client of the control socket
 - ``record_orders``: Orders to the records of a slave (``read``, ``write`` ...): words, parser, execution, answers
 - ``remote``: Orders to the ``run`` that holds the port: to a drive, or to the records of a slave
 - ``server``: The server's end of the control socket of a run, sim or segment

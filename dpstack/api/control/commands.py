@@ -61,6 +61,8 @@ COMMON: Final = (
 )
 #: a stream of items without end, which `dpstack ctl` refuses
 TAP: Final = Spec("tap", "", "the octets on its line, for `dpstack capture` and `dpstack monitor`", "")
+#: likewise, for the live screen and the page
+LIVE: Final = Spec("live", "[SECONDS]", "plant, snapshots every so many seconds (0.1), events", "0.5")
 SLAVES: Final = (
     Spec("trip", "SLAVE CODE", "a fault of the simulated drive, by its code or name", "3 F2100"),
     Spec("warn", "SLAVE MASK", "its warning word in hex, 0 clears it", "3 0080"),
@@ -103,7 +105,7 @@ RUN: Final = (
 )
 
 #: commands by kind of program; a ``run`` on the port "virtual" also has SLAVES
-KINDS: Final = {"run": (*COMMON, TAP, *RUN), "sim": (*COMMON, TAP, *SLAVES), "segment": (*COMMON, TAP, *SEGMENT)}
+KINDS: Final = {"run": (*COMMON, TAP, LIVE, *RUN), "sim": (*COMMON, TAP, *SLAVES), "segment": (*COMMON, TAP, *SEGMENT)}
 
 
 def find_word(word: str, known: Sequence[Spec], who: str = "a drive") -> Spec:

@@ -11,10 +11,11 @@ from typing import Any, Final
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.live_list import answer_notes
 from dpstack.api.bus.parts import SEARCHING
-from dpstack.api.bus.statistics import diagnosis_dict, drive_dict, inputs_dict
+from dpstack.api.bus.statistics import clear_since, diagnosis_dict, drive_dict, inputs_dict
 from dpstack.api.control import arguments
 from dpstack.api.control.commands import KINDS, SLAVES
 from dpstack.api.control.drive_orders import drive_order
+from dpstack.api.control.live_items import live_items
 from dpstack.api.control.record_orders import acyclic_order
 from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send, kept_alive
 from dpstack.api.control.tap_feed import TapFeed
@@ -31,7 +32,6 @@ from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.sim.io_station import IoStation
 from dpstack.text import octets_text
-from dpstack.units import ns_to_s
 
 #: a pty that the program makes itself
 PTY: Final = "pty"
@@ -57,6 +57,7 @@ def control_run(bus: Bus, port: str, feed: TapFeed | None = None) -> ControlServ
         "stats": lambda _: bus.stats.summary(),
         "scan": ScanOrder(bus),
         "tap": (feed or run_feed(bus)).handler,
+        "live": lambda args: live_items(bus, args),
     }
     if not bus.searching and bus.bench is not None:
         specs = (*specs, *(spec for spec in SLAVES if spec.name not in handlers))
@@ -132,17 +133,9 @@ def segment_status(segment: Segment) -> dict[str, object]:
     return status | ({"injected": injected} if injected else {})
 
 
-def clear_since(bus: Bus) -> dict[str, object]:
-    """``since`` (in s after the start) and ``because`` of a Clear that the master went to by itself; else empty."""
-    event = bus.forced_clear
-    if event is None:
-        return {}
-    return {"since": round(ns_to_s(event.t_ns - bus.started_ns), 3), "because": event.why}
-
-
 def run_status(bus: Bus) -> dict[str, object]:
     """State of the master: ``seconds``, ``mode``, ``baud``, ``in_ring``, ``masters``, ``slaves``; ``clear``
-    (:func:`clear_since`) after it went to Clear by itself.
+    (:func:`~dpstack.api.bus.statistics.clear_since`) after it went to Clear by itself.
 
     While it searches its baud rate: only ``baud`` None and a ``text``.
     """

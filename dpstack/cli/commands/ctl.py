@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from dpstack.api.control.client import Help, connect
-from dpstack.api.control.commands import TAP
+from dpstack.api.control.commands import LIVE, TAP
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import UsageError
@@ -33,6 +33,8 @@ def execute(args: argparse.Namespace) -> int:
         raise UsageError(
             f"tap goes on without end and is for programs; to see the telegrams: dpstack capture --port {args.port}"
         )
+    if args.order == LIVE.name:
+        raise UsageError("live goes on without end and is for programs; to see the plant: dpstack web CONFIG")
     with connect(args.port) as client:
         result = client.call(args.order, *args.args, kind=Help if args.order == "help" else None)
     if args.json:

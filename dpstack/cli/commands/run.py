@@ -6,9 +6,10 @@ import argparse
 import contextlib
 
 from dpstack.api.bus.bus import Bus, open_bus
+from dpstack.api.bus.statistics import clear_since
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.control import arguments
-from dpstack.api.control.handlers import PTY, address_of, clear_since, control_run, run_feed
+from dpstack.api.control.handlers import PTY, address_of, control_run, run_feed
 from dpstack.api.control.server import ControlServer
 from dpstack.api.listen.report_file import RunReport
 from dpstack.cli import options

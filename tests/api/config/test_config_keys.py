@@ -152,6 +152,7 @@ LISTS = {
     "slave_source.read_gsd_slave": "from what a GSD file says to the parameters",
     "slave_source._basis_of_drive": "from what a drive plugin says to the parameters",
     "drive_profile.DriveProfile": "what a drive plugin says",
+    "live._slave_plant": "a slave as the live stream describes it, some of its parameters in JSON",
     "drive_profile.DriveProfile.described": "a drive plugin as a GSD file has it",
 }
 

@@ -1,0 +1,421 @@
+"""``bus.live()``: plant, snapshots and events of a bus as one stream (:mod:`dpstack.live.state`).
+
+Nothing is added to the work of the bus a telegram or a cycle: while there are readers, a task reads the snapshots that
+the bus has anyway, a few slaves at a time, with pauses in which the bus goes on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import math
+from collections.abc import AsyncIterator, Iterable, Mapping
+from datetime import UTC, datetime
+from time import time
+from typing import Any, Final, Self
+
+from dpstack.api.bus.events_json import event_json, severity_of
+from dpstack.api.bus.parts import BusBase
+from dpstack.api.bus.statistics import bus_figures, clear_since, diagnosis_dict, drive_dict, inputs_dict
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.slave.slave import Slave
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.process_data import Field, as_json
+from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
+from dpstack.errors import UsageError
+from dpstack.gsd.identifiers import io_lengths
+from dpstack.live.pending import Pending
+from dpstack.live.state import Item, difference
+from dpstack.stats import Histogram
+from dpstack.trace import Event
+from dpstack.units import NS_PER_US, ns_to_s
+
+#: slaves in one step of a snapshot, about 0.2 ms, and the pause between two steps
+_STEP: Final = 4
+_PAUSE_S: Final = 0.002
+#: counters and rotation times of the bus are read no more often
+_FIGURES_S: Final = 0.5
+#: shortest interval of snapshots in s
+_SHORTEST_S: Final = 0.02
+#: classes of the rotation times in a snapshot, at most
+_CLASSES: Final = 40
+
+
+class LiveStream(AsyncIterator[Item]):
+    """The items for one reader, an async iterator. Ends after the item ``end``.
+
+    A reader that is late gets snapshots merged into one, and the last 1000 events; ``lost`` counts the others.
+    """
+
+    def __init__(self, feed: LiveFeed, interval: float) -> None:
+        self.interval = interval
+        self._feed = feed
+        self._pending = Pending()
+        self._more = asyncio.Event()
+        self._due = False
+        self._ended = False
+
+    def put(self, item: Item) -> None:
+        self._pending.put(item)
+        if "snapshot" not in item:
+            self._more.set()
+
+    def wake(self) -> None:
+        """The snapshot of this moment is complete: hand it over."""
+        if self._pending.waiting:
+            self._due = True
+            self._more.set()
+
+    def take(self) -> Item | None:
+        """The next item; None where there is none at this moment."""
+        item = self._pending.take(snapshots=self._due)
+        if item is not None and "snapshot" in item:
+            self._due = False
+        self._ended = self._ended or (item is not None and "end" in item)
+        return item
+
+    async def wait(self) -> None:
+        """Wait until :meth:`take` has an item, or the stream was closed."""
+        while not self._ended and not (self._pending.urgent or (self._due and self._pending.waiting)):
+            self._more.clear()
+            await self._more.wait()
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Item:
+        while not self._ended:
+            item = self.take()
+            if item is not None:
+                return item
+            await self.wait()
+        raise StopAsyncIteration
+
+    def close(self) -> None:
+        """Stop receiving items. May be repeated."""
+        self._ended = True
+        self._more.set()
+        self._feed.leave(self)
+
+
+class LiveFeed:
+    """The stream of ``bus`` for all its readers. Without readers it costs nothing."""
+
+    def __init__(self, bus: BusBase) -> None:
+        self._bus = bus
+        self._readers: dict[LiveStream, float] = {}  # with the time of its next snapshot
+        self._task: asyncio.Task[None] | None = None
+        self._end: Item | None = None
+        #: time of the start of the bus in s since 1970, by the clock at the first reader: it never jumps afterwards
+        self._started = 0.0
+        self._plant: Item | None = None
+        self._known: tuple[object, ...] = ()
+        self._now: dict[str, Any] = {"bus": {}, "slaves": {}}
+        self._figures: dict[str, object] = {}
+        self._figures_at = 0.0
+
+    def join(self, interval: float) -> LiveStream:
+        """A new reader. Call it in the event loop of the bus."""
+        stream = LiveStream(self, interval)
+        self._describe()  # a bus that has ended does not do this any more
+        if self._plant is not None:
+            stream.put(self._plant)
+            stream.put(self._snapshot(self._now, whole=True))
+            stream.wake()
+        for event in self._bus.past_events():
+            self._put_event(event, [stream])
+        if self._end is not None:
+            stream.put(self._end)
+            return stream
+        self._readers[stream] = 0.0
+        if self._task is None:
+            self._bus.listen_to_events(self._on_event)
+            self._task = asyncio.get_running_loop().create_task(self._run())
+        return stream
+
+    def leave(self, stream: LiveStream) -> None:
+        self._readers.pop(stream, None)
+        if not self._readers:
+            self._stop()
+            # a later reader must not get an old snapshot
+            self._plant, self._now, self._figures = None, {"bus": {}, "slaves": {}}, {}
+
+    def end(self, why: str) -> None:
+        """The bus has ended: hand out its last snapshot, and the end."""
+        if self._end is not None:
+            return
+        self._end = {"end": {"text": why}}
+        if self._readers and self._plant is not None:
+            for slave in list(self._bus.slaves):
+                self._hand_out(self._slave_changes(slave))
+            self._figures = {}
+            self._hand_out(self._bus_changes())
+        for stream in list(self._readers):
+            stream.put(self._end)
+        self._readers.clear()
+        self._stop()
+
+    def _stop(self) -> None:
+        task, self._task = self._task, None
+        if task is not None:
+            self._bus.listen_to_events(None)
+            task.cancel()
+
+    # --- items ----------------------------------------------------------------------------------------------------
+
+    async def _run(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            begun = loop.time()
+            with contextlib.suppress(UsageError):  # the bus was closed, or a slave removed, during the pauses
+                await self._round()
+            now = loop.time()
+            for stream, due in list(self._readers.items()):
+                if now >= due:
+                    self._readers[stream] = max(now, due + stream.interval)
+                    stream.wake()
+            shortest = min((stream.interval for stream in self._readers), default=_SHORTEST_S)
+            await asyncio.sleep(max(_PAUSE_S, begun + shortest - loop.time()))
+
+    async def _round(self) -> None:
+        """One snapshot, a few slaves at a time."""
+        self._describe()
+        if self._bus.searching:
+            self._hand_out({"bus": {}, "slaves": {}})  # a sign of life
+            return
+        for count, slave in enumerate(self._bus.slaves, 1):
+            self._hand_out(self._slave_changes(slave))
+            if not count % _STEP:
+                await asyncio.sleep(_PAUSE_S)
+        self._hand_out(self._bus_changes())
+
+    def _describe(self) -> None:
+        """Hand out the plant where it is new, with an empty whole snapshot, which the rest of this round fills."""
+        bus = self._bus
+        # a bus that searches its rate has neither slaves nor a time yet, one that is not open no time
+        known = (bus.searching, bus.was_opened, tuple((slave.address, id(slave.config)) for slave in bus.slaves))
+        if known == self._known and self._plant is not None:
+            return
+        if known[:2] != self._known[:2]:
+            self._started = time() - self._t
+        self._known = known
+        self._plant = {"plant": plant_of(bus, self._started)}
+        self._now = {"bus": {}, "slaves": {}}
+        whole = self._snapshot(self._now, whole=True)
+        for stream in self._readers:
+            stream.put(self._plant)
+            stream.put(whole)
+
+    def _slave_changes(self, slave: Slave) -> dict[str, Any]:
+        key, values = str(slave.address), slave_values(self._bus, slave)
+        if self._end is not None:  # nothing of an ended bus is alive
+            values |= {"state": SlaveState.OFFLINE.value, "inputs_valid": False}
+        changes = difference(self._now["slaves"].get(key, {}), values)
+        self._now["slaves"][key] = values
+        return {"bus": {}, "slaves": {key: changes} if changes else {}}
+
+    def _bus_changes(self) -> dict[str, Any]:
+        bus, at = self._bus, asyncio.get_running_loop().time()
+        if not self._figures or at - self._figures_at >= _FIGURES_S:
+            self._figures_at = at
+            self._figures = bus_figures(bus).summary() | {"histogram": histogram(bus.view.counters().rotation)}
+            del self._figures["slaves"]
+        values = self._figures | {
+            "mode": bus.mode.name.lower(),
+            "in_ring": bus.snapshot.in_ring,
+            "masters": sorted(bus.snapshot.las),
+            "clear": clear_since(bus) or None,
+        }
+        changes = difference(self._now["bus"], values)
+        self._now["bus"] = values
+        return {"bus": changes, "slaves": {}}
+
+    def _hand_out(self, changes: dict[str, Any]) -> None:
+        item = self._snapshot(changes, whole=False)
+        for stream in self._readers:
+            stream.put(item)
+
+    def _snapshot(self, values: Mapping[str, Any], *, whole: bool) -> Item:
+        return {"snapshot": {"t": self._t, "whole": whole, "bus": values["bus"], "slaves": values["slaves"]}}
+
+    @property
+    def _t(self) -> float:
+        return round(self._bus.seconds, 6) if self._bus.was_opened else 0.0
+
+    def _on_event(self, event: Event) -> None:
+        self._put_event(event, self._readers)
+
+    def _put_event(self, event: Event, readers: Iterable[LiveStream]) -> None:
+        t = ns_to_s(event.t_ns - self._bus.started_ns)
+        line = event_json(event, t)
+        if line is None:
+            return
+        more = {"time": wall_time(self._started + t), "severity": severity_of(event).value, "text": event.text}
+        item = {"event": line | more}
+        for stream in readers:
+            stream.put(item)
+
+
+def wall_time(seconds: float) -> str:
+    """ISO 8601 in UTC with ms; ``seconds`` since 1970."""
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def checked_interval(interval: float) -> float:
+    """Raises UsageError for an interval that is no number of seconds from 0.02 on."""
+    if not isinstance(interval, (int, float)) or not _SHORTEST_S <= interval < math.inf:
+        raise UsageError(f"interval = {interval!r}: give the seconds between two snapshots, {_SHORTEST_S:g} or more")
+    return interval
+
+
+# --- plant and values as plain data -------------------------------------------------------------------------------
+
+
+def plant_of(bus: BusBase, started: float) -> dict[str, object]:
+    """``bus`` as configured; ``started``: its start in s since 1970.
+
+    While it searches its rate: ``baud`` None, no slaves.
+    """
+    config = bus.config
+    plant: dict[str, object] = {
+        "version": 1,
+        "started": round(started, 3),
+        "port": config.port if bus.searching else bus.runtime.port_name,
+        "baud": None,
+        "driver": None,
+        "address": config.bus.address,
+        "read_only": config.bus.read_only,
+        "virtual": config.virtual,
+        "paced": None,
+        "config": None if config.file is None else str(config.file),
+        "parameters": {},
+        "plan": None,
+        "slaves": {},
+    }
+    if bus.searching:
+        return plant
+    plan = bus.plan.as_dict()
+    return plant | {
+        "baud": bus.params.baud,
+        "driver": bus.driver,
+        "address": bus.params.address,
+        "paced": bus.runtime.paced,
+        "parameters": plan["parameters"],
+        "plan": {"rotation_us": plan["rotation_us"], "cycle_us": _cycle_us(config.bus.cycle_ns)},
+        "slaves": {str(slave.address): _slave_plant(slave) for slave in bus.slaves},
+    }
+
+
+def _cycle_us(cycle_ns: int | None) -> float | None:
+    return cycle_ns / NS_PER_US if cycle_ns else None
+
+
+def _slave_plant(slave: Slave) -> dict[str, object]:
+    config, params = slave.config, slave.setup
+    device, profile = config.device, config.profile
+    drive = None
+    if profile is not None:
+        options = config.options
+        drive = {
+            "profile": profile.name,
+            "telegram": config.telegram,
+            "reference_hz": options.get("reference_hz"),
+            "reference_rpm": options.get("reference_rpm"),
+        }
+    return {
+        "name": slave.name,
+        "address": slave.address,
+        "ident": None if params.ident is None else f"0x{params.ident:04X}",
+        "vendor": "" if device is None else device.vendor,
+        "model": device.model if device is not None else profile.title if profile is not None else "",
+        "gsd": config.gsd,
+        "modules": _modules(config),
+        "input_len": params.input_len,
+        "output_len": params.output_len,
+        "safe": params.safe_outputs.hex(),
+        "watchdog_ms": slave.watchdog_ms,
+        "groups": list(params.groups),
+        "dpv1": params.dpv1 is not None,
+        "every": params.every,
+        "inputs": [_field(field) for field in config.input_fields.fields.values()],
+        "outputs": [_field(field) for field in config.output_fields.fields.values()],
+        "drive": drive,
+    }
+
+
+def _modules(config: SlaveConfig) -> list[dict[str, object]]:
+    """The modules in slot order; a slave without a GSD file has one, with the name of its telegram."""
+    if config.modules is None:
+        modules = [(config.telegram or "", config.params.config)]
+    else:
+        modules = [("", b"") if module is None else (module.name, module.config) for module in config.modules]
+    found: list[dict[str, object]] = []
+    for name, octets in modules:
+        inputs, outputs = io_lengths(octets) if octets else (0, 0)
+        found.append({"name": name, "config": octets.hex(), "inputs": inputs, "outputs": outputs})
+    return found
+
+
+def _field(field: Field) -> dict[str, object]:
+    return {
+        "name": field.name,
+        "type": field.type,
+        "at": field.spec,
+        "scale": field.scale,
+        "offset": field.offset,
+        "unit": field.unit,
+    }
+
+
+def slave_values(bus: BusBase, slave: Slave) -> dict[str, Any]:
+    """State and values of ``slave`` at this moment. Every key is always there; None stands for nothing."""
+    image, seen, link = bus.view.image(slave.setup), slave.snapshot, bus.view.link.station(slave.address)
+    ready, config = slave.ready_now, slave.config
+    age_ns = max(0, bus.runtime.now() - image.input_time) if image.input_time else None
+    limit_ns = inputs_limit_ns(seen.watchdog_ns, bus.poll_interval_ns(slave.setup))
+    valid = inputs_are_valid(exchanging=image.valid and ready, age_ns=age_ns, limit_ns=limit_ns)
+    held, sent = image.outputs, slave.outputs_sent
+    held_fields = as_json(config.output_fields.values(held))
+    sent_fields: dict[str, object] = held_fields
+    if sent != held:
+        fits = len(sent) == len(held)
+        sent_fields = as_json(config.output_fields.values(sent)) if fits else dict.fromkeys(held_fields)
+    fault, found, drive = slave.fault, slave.found, bus.find_drive(slave.address)
+    return {
+        "state": slave.state.value,
+        "inputs": image.inputs.hex(),
+        **inputs_dict(valid, None if age_ns is None else ns_to_s(age_ns)),
+        "outputs": sent.hex(),
+        "held": held.hex() if sent != held else None,
+        "fields": as_json(config.input_fields.values(image.inputs)) | sent_fields,
+        "held_fields": held_fields if sent != held and held_fields else None,
+        "fault": None if fault is None else {"kind": fault.kind.value, "text": fault.text},
+        "diagnosis": diagnosis_dict(slave).get("diagnosis"),
+        "conspicuous": slave.conspicuous,
+        "alarms": None if seen.alarms is None else dataclasses.asdict(seen.alarms),
+        "drive": None if drive is None else drive_dict(bus, drive),
+        "exchanges": image.exchanges,
+        "retries": link.retries,
+        "timeouts": link.timeouts,
+        "telegrams": link.telegrams,
+        "late": link.late,
+        "wrong": link.wrong,
+        "bad": dict(link.bad),
+        "watchdog_ms": slave.watchdog_ms,
+        "master": None if found is None else found.master,
+        "injected": [] if bus.bench is None else bus.bench.status_of(slave.address).get("injected", []),
+    }
+
+
+def histogram(rotation: Histogram) -> list[tuple[float, int]]:
+    """Rotation times in at most 40 classes of equal width: the upper limit of each in us, and its count."""
+    values = rotation.values()
+    if not values:
+        return []
+    low, high = values[0][0], values[-1][0]
+    width = max(1, -(-(high - low + 1) // _CLASSES))
+    counts: dict[int, int] = {}
+    for ns, count in values:
+        counts[(ns - low) // width] = counts.get((ns - low) // width, 0) + count
+    return [(round((low + (index + 1) * width) / NS_PER_US, 3), counts[index]) for index in sorted(counts)]

@@ -1,0 +1,97 @@
+"""The plant as the items so far describe it, for a face that shows it.
+
+Items of the stream, each a dict with one key (docs/live.md):
+
+- ``plant``: the bus and its slaves as configured; first, and again when the configuration of the running bus changes
+- ``snapshot``: state and values; whole after ``plant``, later only the keys that have changed
+- ``event``: an event as a line of ``dpstack run --json``, with wall clock, severity and text
+- ``lost``: the number of events that this reader missed
+- ``end``: the bus has ended; the last item
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, Final
+
+#: an item of the stream: a dict with one key
+Item = dict[str, Any]
+#: events that a :class:`LiveState` keeps
+DEPTH: Final = 1000
+#: all keys of an item
+KEYS: Final = frozenset({"plant", "snapshot", "event", "lost", "end"})
+
+
+def difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of ``new`` whose values are not those of ``old``."""
+    return {key: value for key, value in new.items() if key not in old or old[key] != value}
+
+
+def merge(into: dict[str, Any], snapshot: Mapping[str, Any]) -> None:
+    """Merge the later ``snapshot`` into ``into``: for each key of ``bus`` and of each slave the later value counts.
+    ``whole`` stays true once it is."""
+    whole = snapshot["whole"]
+    into["t"], into["whole"] = snapshot["t"], whole or into["whole"]
+    if whole:
+        into["bus"], into["slaves"] = {}, {}
+    into["bus"].update(snapshot["bus"])
+    for address, values in snapshot["slaves"].items():
+        into["slaves"].setdefault(address, {}).update(values)
+
+
+class LiveState:
+    """``plant``: None before the first one. ``bus`` and ``slaves`` (by address as text): the merged snapshots, ``t``
+    their time in s since the start, -1 before the first. ``events``: the last ones, oldest first. ``lost``: events that
+    did not arrive. ``end``: its text; None while the bus runs.
+    """
+
+    def __init__(self) -> None:
+        self.plant: dict[str, Any] | None = None
+        self.t = -1.0
+        self.bus: dict[str, Any] = {}
+        self.slaves: dict[str, dict[str, Any]] = {}
+        self.events: deque[dict[str, Any]] = deque(maxlen=DEPTH)
+        self.lost = 0
+        self.end: str | None = None
+
+    def apply(self, item: Mapping[str, Any]) -> None:
+        """Take the next item. Raises ValueError for something else than an item; unknown keys are left out."""
+        try:
+            self._apply(item)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise ValueError(
+                f"this is no item of the stream: {error!r}; is the other program another version?"
+            ) from None
+
+    def _apply(self, item: Mapping[str, Any]) -> None:
+        if "plant" in item:
+            plant = dict(item["plant"])
+            if not isinstance(plant["slaves"], dict):
+                raise TypeError("slaves")
+            self.plant, self.end = plant, None
+            self.t, self.bus, self.slaves = -1.0, {}, {}
+        elif "snapshot" in item:
+            snapshot = item["snapshot"]
+            now: dict[str, Any] = {"t": self.t, "whole": False, "bus": self.bus, "slaves": self.slaves}
+            merge(now, snapshot)
+            self.t, self.bus, self.slaves = float(now["t"]), now["bus"], now["slaves"]
+        elif "event" in item:
+            self.events.append(dict(item["event"]))
+        elif "lost" in item:
+            self.lost += int(item["lost"])
+        elif "end" in item:
+            self.end = str(item["end"]["text"])
+
+    def whole(self) -> list[Item]:
+        """The items that bring a new reader here: plant, whole snapshot, events, ``end``."""
+        if self.plant is None:
+            return []
+        items: list[Item] = [{"plant": self.plant}]
+        if self.t >= 0:
+            slaves = {address: dict(values) for address, values in self.slaves.items()}
+            items.append({"snapshot": {"t": self.t, "whole": True, "bus": dict(self.bus), "slaves": slaves}})
+        items += ({"event": event} for event in self.events)
+        if self.end is not None:
+            items.append({"end": {"text": self.end}})
+        return items
