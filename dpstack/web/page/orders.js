@@ -1,0 +1,106 @@
+// Orders to the bus: each is described in a dialog, and sent only after the user has confirmed it there.
+
+import { el } from "./dom.js";
+import { modeText } from "./format.js";
+
+/** What an order will do, in sentences for its dialog. */
+export function describe(live, command, args) {
+  const count = live.slaves.size;
+  const all = count === 1 ? "the slave" : `all ${count} slaves`;
+  switch (command) {
+    case "start":
+      return {
+        title: "Start the bus",
+        lines: [
+          "A master of the configuration starts on this bus. It parameterises the slaves.",
+          `It starts in Clear: ${all} ${count === 1 ? "gets" : "get"} safe values until you order Operate.`,
+        ],
+        danger: true,
+      };
+    case "operate":
+      return { title: "Operate", lines: [`The master sends the outputs of the application to ${all}.`, "Machines can move."], danger: true };
+    case "clear":
+      return { title: "Clear", lines: [`The master sends safe values to ${all} and goes on reading their inputs.`, "Drives stop."] };
+    case "stop":
+      return { title: "Stop", lines: [`The master sends safe values and Clear to ${all}.`, "Then it ends the cyclic exchange."] };
+    case "set":
+      return { title: "Set named outputs", lines: args.map((one) => `Set ${one}.`), danger: true, mode: true };
+    case "outputs":
+      return { title: "Set output octets", lines: args.map((one) => `All outputs of the slave: ${one}.`), danger: true, mode: true };
+    case "drive": {
+      const [name, order, ...rest] = args;
+      return { title: `Drive ${name}: ${order.replaceAll("_", " ")}`, lines: [driveLine(name, order, rest)], danger: order === "start" || order === "speed" };
+    }
+    case "write": {
+      const [name, slot, index, hex] = args;
+      return { title: "Write a record", lines: [`Write ${hex.length / 2} octets (${hex}) to slot ${slot}, index ${index} of ${name}.`, "The slave can keep them after power-off."], danger: true };
+    }
+    default:
+      return { title: command, lines: [`${command} ${args.join(" ")}`] };
+  }
+}
+
+function driveLine(name, order, rest) {
+  switch (order) {
+    case "start": return `The drive ${name} is switched on and the motor turns with the present set point.`;
+    case "stop": return `The drive ${name} ramps down, then it is switched off.`;
+    case "quick_stop": return `The drive ${name} stops by its quick stop ramp.`;
+    case "coast": return `The drive ${name} is switched off at once, the motor runs out.`;
+    case "acknowledge": return `The fault of ${name} is acknowledged.`;
+    case "speed": return `The set point of ${name} becomes ${rest[0]} of the reference. A running motor follows at once.`;
+    case "write": return `The parameter ${rest[0]} of ${name} becomes ${rest.slice(1).join(" ")}.`;
+    default: return `${order} ${rest.join(" ")}`;
+  }
+}
+
+export class Orders {
+  constructor(app) {
+    this.app = app;
+    this.dialog = document.getElementById("confirm");
+  }
+
+  get allowed() {
+    return this.app.welcome?.control === true && this.app.welcome.source !== "replay" && !this.app.dead;
+  }
+
+  /** Show the dialog; the order is sent when the user confirms. Resolves to the result, or null when it is not sent. */
+  async give(command, args = []) {
+    if (!this.allowed) return null;
+    const { live, welcome } = this.app;
+    const about = describe(live, command, args);
+    if (!(await this.confirmed(about, live, welcome))) return null;
+    if (!this.allowed) {
+      this.app.say("The order was not sent: the connection was lost.", "bad");
+      return null;
+    }
+    try {
+      const result = await this.app.link.order(command, args);
+      this.app.say(`${about.title}: done.`, "good");
+      return result ?? {};
+    } catch (error) {
+      this.app.say(`${about.title}: ${error.message}`, "bad");
+      return null;
+    }
+  }
+
+  confirmed(about, live, welcome) {
+    const { dialog } = this;
+    return new Promise((resolve) => {
+      const cancel = el("button", { type: "button", text: "Cancel", on: { click: () => dialog.close("no") } });
+      const confirm = el("button", {
+        type: "button", id: "confirm-yes", class: about.danger ? "danger" : "primary", text: `Yes: ${about.title}`,
+        on: { click: () => dialog.close("yes") },
+      });
+      const mode = about.mode ? el("p", { class: "faint", text: `Mode of the master now: ${modeText(live.bus.mode)}.` }) : null;
+      dialog.replaceChildren(
+        el("h2", { id: "confirm-title", text: about.title }),
+        ...about.lines.map((text) => el("p", { text })), ...(mode ? [mode] : []),
+        el("p", { class: "faint", text: `The server logs this order with the time${welcome?.name ? ` and the name ${welcome.name}` : ""}.` }),
+        el("div", { class: "buttons" }, cancel, confirm));
+      dialog.returnValue = "no";
+      dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true });
+      dialog.showModal();
+      cancel.focus();
+    });
+  }
+}

@@ -1,0 +1,307 @@
+// One slave: identity, values, diagnosis and its history, counters, alarms, records, I&M, and why it does not run.
+
+import { cell, el, pairs, refill, setAttr, setText, table } from "./dom.js";
+import { clock, count, duration, millis, number, octets, percent, stateKind, stateText, value, words } from "./format.js";
+import { inputsAlive } from "./live.js";
+import { StateMark, mark } from "./marks.js";
+import { DriveCard, Values, eventItem } from "./page_plant.js";
+
+const HISTORY = new Set(["diagnosis", "fault", "slave", "alarm", "status_message", "remark", "flapping", "drive", "connection_over", "injected"]);
+const COUNTERS = ["exchanges", "telegrams", "retries", "timeouts", "late", "wrong"];
+
+export class SlavePage {
+  constructor(app, address) {
+    this.app = app;
+    this.address = address;
+    this.there = app.live.slaves.has(address);
+    this.title = this.there ? `${address} ${app.live.name(address)}` : `${address}`;
+  }
+
+  build(root, kept) {
+    const { app, address } = this;
+    const { live } = app;
+    if (!this.there) {
+      root.append(el("h1", { text: `There is no slave ${address}` }), el("p", {}, el("a", { href: "#/plant", text: "Back to the plant" })));
+      return;
+    }
+    const about = live.about(address);
+    this.state = new StateMark();
+    this.fault = el("p", { class: "fault" });
+    this.inputs = about.inputs?.length ? new Values(about.inputs, false) : null;
+    this.outputs = about.outputs?.length ? new Values(about.outputs, true) : null;
+    this.rawIn = el("code", { class: "octets" });
+    this.rawOut = el("code", { class: "octets" });
+    this.rawHeld = el("p", { class: "warn" });
+    this.valid = el("p", { class: "age" });
+    this.drive = about.drive ? new DriveCard(app, address, "h2", true) : null;
+    this.flags = el("div");
+    this.history = el("ol", { class: "events" });
+    this.counters = el("div");
+    this.notices = el("ul", { class: "plain" });
+    this.alarms = el("div");
+    this.why = el("div", { class: "answer", "aria-live": "polite" }, kept?.why ?? []);
+    this.records = el("div", { class: "answer", "aria-live": "polite" }, kept?.records ?? []);
+    this.im = el("div", { class: "answer", "aria-live": "polite" }, kept?.im ?? []);
+    const others = live.addresses;
+    const at = others.indexOf(address);
+    const to = (one, text) => (one === undefined ? null : el("a", { href: `#/slave/${one}`, text }));
+    const section = (id, title, ...inside) => el("section", { class: "card", "aria-labelledby": id }, el("h2", { id, text: title }), ...inside);
+    root.append(
+      el("div", { class: "heading" },
+        el("h1", {}, el("span", { class: "address", text: address }), el("bdi", { text: live.name(address) })), this.state.node,
+        el("span", { class: "turn" }, to(others[at - 1], "‹ previous"), to(others[at + 1], "next ›"))),
+      this.fault,
+      el("div", { class: "columns" }, el("div", { class: "side" },
+        section("h-values", "Process data", this.valid,
+          el("h3", { text: "Inputs" }), this.inputs?.node, this.rawIn,
+          el("h3", { text: "Outputs" }), this.outputs?.node, this.rawOut, this.rawHeld, this.outputOrders(about)),
+        this.drive ? this.drive.node : null,
+        section("h-why", this.whyTitle, el("p", { class: "faint", text: "The last bring-up step by step, and the likely causes in order. Nothing is parameterised by asking." }), this.button("Ask why", () => this.askWhy()), this.why),
+        section("h-records", "Records and I&M", this.recordForm(about), this.records, this.button("Read I&M", () => this.askIm()), this.im)),
+      el("div", { class: "side" },
+        section("h-diagnosis", "Diagnosis", this.flags, this.notices),
+        section("h-history", "History", this.history),
+        section("h-identity", "Identity", this.identity(about), this.modules(about)),
+        section("h-counters", "Counters", this.counters),
+        section("h-alarms", "Alarms", this.alarms))));
+  }
+
+  get whyTitle() {
+    return "Why is it not in data exchange?";
+  }
+
+  keep() {
+    return { why: [...(this.why?.childNodes ?? [])], records: [...(this.records?.childNodes ?? [])], im: [...(this.im?.childNodes ?? [])] };
+  }
+
+  key(event) {
+    const { addresses } = this.app.live;
+    const at = addresses.indexOf(this.address);
+    const next = event.key === "j" ? addresses[at + 1] : event.key === "k" ? addresses[at - 1] : undefined;
+    if (next === undefined || at < 0) return false;
+    location.hash = `#/slave/${next}`;
+    return true;
+  }
+
+  button(text, act) {
+    const button = el("button", { type: "button", text, on: { click: async () => {
+      button.disabled = true;
+      try {
+        await act();
+      } finally {
+        button.disabled = false;
+      }
+    } } });
+    return el("div", { class: "buttons" }, button);
+  }
+
+  identity(about) {
+    return pairs([
+      ["Vendor", about.vendor], ["Model", about.model], ["Ident number", about.ident], ["GSD file", about.gsd],
+      ["Inputs, outputs", `${about.input_len ?? 0} and ${about.output_len ?? 0} octets`],
+      ["Safe outputs", about.output_len ? octets(about.safe, 32) : null],
+      ["Watchdog", about.watchdog_ms ? `${about.watchdog_ms} ms` : "off"],
+      ["Groups", about.groups?.length ? about.groups.join(", ") : null], ["DP-V1", about.dpv1 ? "yes" : "no"],
+      ["Asked", about.every > 1 ? `every ${about.every} cycles` : "every cycle"],
+      ["Drive profile", about.drive ? [about.drive.profile, about.drive.telegram].filter(Boolean).join(", ") : null],
+      ["Reference", about.drive ? [about.drive.reference_hz ? `${about.drive.reference_hz} Hz` : "", about.drive.reference_rpm ? `${about.drive.reference_rpm} rpm` : ""].filter(Boolean).join(", ") : null],
+    ]);
+  }
+
+  modules(about) {
+    if (!about.modules?.length) return null;
+    return table("Modules", [["Slot", "n"], ["Module"], ["Identifier"], ["In", "n"], ["Out", "n"]],
+      about.modules.map((one, slot) => el("tr", {}, cell(String(slot + 1), "n"), cell(one.name || "(empty)"), cell(el("code", { text: octets(one.config) })), cell(String(one.inputs ?? 0), "n"), cell(String(one.outputs ?? 0), "n"))));
+  }
+
+  outputOrders(about) {
+    const { app, address } = this;
+    const name = String(address);
+    this.orderBox = el("div", { class: "orders-box" });
+    this.orderMake = () => {
+      if (!app.welcome?.control || app.welcome.source === "replay" || app.live.plant?.read_only || about.drive) return [];
+      const disabled = !app.orders.allowed;
+      const boxes = [];
+      for (const field of about.outputs ?? []) {
+        const id = `set-${address}-${field.name}`;
+        const input = field.type === "bool"
+          ? el("select", { id, disabled, "data-key": id }, el("option", { value: "on", text: "on" }), el("option", { value: "off", text: "off" }))
+          : el("input", { id, disabled, "data-key": id, size: 10, autocomplete: "off" });
+        const set = (event) => {
+          event.preventDefault();
+          if (input.value.trim()) app.orders.give("set", [`${name}.${field.name}=${input.value.trim()}`]);
+        };
+        boxes.push(el("form", { class: "inline", on: { submit: set } }, el("label", { for: id }, el("bdi", { text: field.name }), field.unit ? ` (${field.unit})` : ""), input, el("button", { disabled, text: "Set …" })));
+      }
+      if (about.output_len) {
+        const input = el("input", { id: "raw-outputs", disabled, "data-key": "raw", size: 24, autocomplete: "off", spellcheck: "false", placeholder: "00 FF" });
+        const set = (event) => {
+          event.preventDefault();
+          const hex = input.value.replaceAll(/\s/g, "");
+          if (!/^([0-9a-f]{2})+$/i.test(hex) || hex.length !== about.output_len * 2) app.say(`Give ${about.output_len} octets as hex, such as 00 FF`, "bad");
+          else app.orders.give("outputs", [`${name}=${hex}`]);
+        };
+        boxes.push(el("form", { class: "inline", on: { submit: set } }, el("label", { for: "raw-outputs", text: "All output octets" }), input, el("button", { disabled, text: "Set …" })));
+      }
+      return boxes;
+    };
+    return this.orderBox;
+  }
+
+  recordForm(about) {
+    const slot = el("input", { id: "record-slot", size: 4, inputmode: "numeric", value: "0" });
+    const index = el("input", { id: "record-index", size: 4, inputmode: "numeric", value: "255" });
+    const valid = () => [slot, index].every((one) => /^\d+$/.test(one.value.trim()) && Number(one.value) < 256);
+    const read = async (event) => {
+      event.preventDefault();
+      if (!valid()) {
+        this.app.say("Slot and index are numbers from 0 to 255.", "bad");
+        return;
+      }
+      await this.answer(this.records, async () => {
+        const result = await this.app.link.ask("records", String(this.address), slot.value.trim(), index.value.trim());
+        return this.recordView(result);
+      });
+    };
+    const data = el("input", { id: "record-data", size: 16, autocomplete: "off", spellcheck: "false", placeholder: "00FF" });
+    const write = () => {
+      const hex = data.value.replaceAll(/\s/g, "");
+      if (!valid() || !/^([0-9a-f]{2})+$/i.test(hex)) this.app.say("Give slot, index, and octets as hex, such as 00FF", "bad");
+      else this.app.orders.give("write", [String(this.address), slot.value.trim(), index.value.trim(), hex]);
+    };
+    const control = this.app.welcome?.control && this.app.welcome.source !== "replay" && !this.app.live.plant?.read_only;
+    return [
+      about.dpv1 ? null : el("p", { class: "faint", text: "This slave is configured without DP-V1: a record can only be read over a class 2 connection, where the slave has one." }),
+      el("form", { class: "inline", on: { submit: read } },
+        el("label", { for: "record-slot", text: "Slot" }), slot, el("label", { for: "record-index", text: "Index" }), index, el("button", { text: "Read record" })),
+      control ? el("div", { class: "inline" }, el("label", { for: "record-data", text: "Octets" }), data, el("button", { type: "button", text: "Write …", on: { click: write } })) : null,
+    ];
+  }
+
+  recordView(result) {
+    const hex = result.data ?? "";
+    const lines = [];
+    for (let at = 0; at < hex.length; at += 32) {
+      const part = hex.slice(at, at + 32);
+      const text = part.replace(/../g, (one) => {
+        const code = parseInt(one, 16);
+        return code >= 32 && code < 127 ? String.fromCharCode(code) : "·";
+      });
+      lines.push(`${(at / 2).toString(16).padStart(4, "0")}  ${octets(part).padEnd(47)}  ${text}`);
+    }
+    return [
+      el("p", { text: `Slot ${result.slot}, index ${result.index}: ${result.length ?? hex.length / 2} octets, read ${clock(Date.now() / 1000)}` }),
+      el("pre", { class: "dump", tabindex: "0", "aria-label": "Octets of the record", text: lines.join("\n") || "(empty)" }),
+    ];
+  }
+
+  /** Fill `box` with what `ask` makes, or with the error. */
+  async answer(box, ask) {
+    box.replaceChildren(el("p", { class: "faint", text: "Asking …" }));
+    try {
+      box.replaceChildren(...[await ask()].flat().filter(Boolean));
+    } catch (error) {
+      box.replaceChildren(el("p", { class: "bad" }, mark("bad"), error.message));
+    }
+  }
+
+  askWhy() {
+    return this.answer(this.why, async () => whyStory(await this.app.link.ask("why", String(this.address))));
+  }
+
+  askIm() {
+    return this.answer(this.im, async () => {
+      const { im } = await this.app.link.ask("im", String(this.address));
+      return Object.entries(im ?? {}).map(([which, fields]) => [
+        el("h3", { text: `I&M${which}` }),
+        pairs(Object.entries(fields).map(([name, one]) => [words(name), typeof one === "object" && one !== null ? JSON.stringify(one) : value(one)])),
+      ]).flat();
+    });
+  }
+
+  update(changed) {
+    if (!this.there) return;
+    const { app, address } = this;
+    const { live } = app;
+    refill(this.orderBox, [app.orders.allowed, app.welcome?.control === true, live.plant?.read_only], this.orderMake);
+    this.paintHistory(live);
+    if (!changed.has(address)) return;
+    const slave = live.slaves.get(address);
+    if (!slave) return;
+    this.state.update(stateKind(slave.state), stateText(slave.state));
+    setText(this.fault, slave.fault ? `${words(slave.fault.kind ?? "fault")}: ${slave.fault.text}` : "");
+    setAttr(this.fault, "class", slave.fault ? "fault bad" : "gone");
+    this.inputs?.update(slave);
+    this.outputs?.update(slave);
+    const alive = inputsAlive(slave);
+    setText(this.rawIn, octets(slave.inputs));
+    setAttr(this.rawIn, "class", alive ? "octets" : "octets old");
+    setText(this.rawOut, octets(slave.outputs));
+    setText(this.rawHeld, slave.held ? `Held by the application, not sent: ${octets(slave.held, 32)}` : "");
+    setAttr(this.rawHeld, "class", slave.held ? "warn" : "gone");
+    const age = slave.inputs_age_ms;
+    setText(this.valid, alive ? "Inputs are valid." : typeof age === "number" ? `Inputs are not valid; the last ones are ${millis(age)} old.` : "No inputs yet.");
+    setAttr(this.valid, "class", alive ? "faint" : "age");
+    this.drive?.update();
+    this.paintDiagnosis(slave);
+    const rows = [
+      ...COUNTERS.map((name) => [words(name), count(slave[name])]),
+      ...Object.entries(slave.bad ?? {}).map(([name, many]) => [`Unreadable: ${name}`, count(many)]),
+      ["Watchdog", slave.watchdog_ms ? `${slave.watchdog_ms} ms` : "off"],
+      ["Master", slave.master ?? null],
+    ];
+    refill(this.counters, rows, () => pairs(rows, "pairs numbers"));
+    refill(this.alarms, slave.alarms ?? null, () => (slave.alarms
+      ? pairs(Object.entries(slave.alarms).map(([name, many]) => [words(name), count(many)]), "pairs numbers")
+      : el("p", { class: "faint", text: "No alarms: the slave is configured without DP-V1." })));
+  }
+
+  paintDiagnosis(slave) {
+    const { flags = [], texts = [] } = slave.diagnosis ?? {};
+    refill(this.flags, [slave.diagnosis, slave.conspicuous, slave.injected], () => [
+      slave.diagnosis ? null : el("p", { class: "faint", text: "No diagnosis was read yet." }),
+      slave.conspicuous ? el("p", { class: "warn" }, mark("warn"), slave.conspicuous) : null,
+      flags.length ? el("p", { class: "flags" }, ...flags.map((flag) => el("span", { class: "flag", text: flag.replaceAll("_", " ") }))) : null,
+      texts.length ? el("ul", { class: "plain" }, ...texts.map((text) => el("li", { text }))) : null,
+      slave.injected?.length ? el("p", { class: "faint", text: `Simulated: ${slave.injected.join(", ")}` }) : null,
+    ]);
+    const notices = slave.drive?.notices ?? [];
+    refill(this.notices, notices, () => notices.map((one) => el("li", {}, el("span", { class: "faint figure", text: duration(one.t) }), " ", one.text)));
+  }
+
+  paintHistory(live) {
+    const mine = live.events.filter((one) => one.address === this.address && HISTORY.has(one.event)).slice(-100).reverse();
+    refill(this.history, mine.map((one) => one.number).join(), () => (mine.length
+      ? mine.map((one) => {
+        const item = eventItem(live, one);
+        item.querySelector("a")?.remove();
+        if (one.flags?.length || one.texts?.length) item.querySelector(".text").textContent = "";
+        if (one.flags?.length || one.texts?.length) item.querySelector(".text").append(...historyTexts(one));
+        return item;
+      })
+      : [el("li", { class: "faint", text: "nothing since this page was opened" })]));
+  }
+}
+
+function historyTexts(event) {
+  const flags = (event.flags ?? []).map((flag) => el("span", { class: "flag", text: flag.replaceAll("_", " ") }));
+  return [event.event === "diagnosis" ? "Diagnosis: " : `${words(event.event)}: `, ...flags, ...(event.texts ?? []).map((text) => el("div", { text }))];
+}
+
+/** The story of `dpstack why`: steps, and causes with what speaks for and against them. */
+export function whyStory(story) {
+  const steps = story.steps ?? [];
+  const causes = story.causes ?? [];
+  const list = (title, texts, kind) => (texts?.length ? [el("h4", { text: title }), el("ul", { class: `plain ${kind}` }, ...texts.map((text) => el("li", { text: String(text) })))] : []);
+  return [
+    causes.length ? el("h3", { text: "Likely causes" }) : el("p", { text: "No cause was found." }),
+    el("ol", { class: "causes" }, ...causes.map((one) => el("li", {},
+      el("div", { class: "cause" }, el("strong", { text: words(one.cause) }),
+        el("meter", { min: 0, max: 1, value: one.confidence, "aria-label": "confidence" }), el("span", { class: "figure", text: `${number(Math.round(one.confidence * 100))} %` })),
+      ...list("Speaks for it", one.for, "for"), ...list("Speaks against it", one.against, "against"),
+      one.next ? el("p", { class: "next" }, el("strong", { text: "Next: " }), one.next) : null))),
+    steps.length ? table("The last bring-up", [["s", "n"], ["Asked"], ["Sent"], ["Answer"], ["Received"]],
+      steps.map((one) => el("tr", {}, cell(typeof one.t === "number" ? one.t.toFixed(3) : "", "n"), cell(String(one.asked ?? "")), cell(el("code", { text: one.sent ? octets(one.sent, 24) : "" })), cell(String(one.answered ?? "")), cell(el("code", { text: one.received ? octets(one.received, 24) : "" }))))) : null,
+    story.text ? el("p", { text: story.text }) : null,
+  ];
+}

@@ -1,0 +1,205 @@
+// The data of the oscilloscope: samples of signals, triggers, CSV. Nothing here draws.
+
+import { inputsAlive } from "./live.js";
+
+// Samples kept of each signal: an hour at ten a second.
+const KEPT = 36000;
+// All signals are kept from the start where there are at most so many; of more only the chosen ones.
+const KEPT_ALL = 96;
+
+const QUANTITIES = [
+  ["speed", "%", 100], ["setpoint", "%", 100], ["frequency_hz", "Hz", 1], ["current", "%", 100], ["torque", "%", 100],
+];
+const NUMBERS = /^(bool|[iuf](8|16|32|64)(le)?)$/;
+
+/** All signals of a plant: {id, label, unit, kind, read(live)}; `read` gives NaN where there is no valid value. */
+export function signalsOf(live) {
+  const found = [];
+  for (const [key, slave] of Object.entries(live.plant?.slaves ?? {})) {
+    const address = Number(key);
+    const of = (read) => (state) => {
+      const now = state.slaves.get(address);
+      const one = now ? read(now) : null;
+      if (typeof one === "boolean") return one ? 1 : 0;
+      return typeof one === "number" ? one : NaN;
+    };
+    const names = [...(slave.inputs ?? []).map((one) => [one, true]), ...(slave.outputs ?? []).map((one) => [one, false])];
+    for (const [field, input] of names) {
+      const plain = String(field.type ?? "").toLowerCase();
+      if (!NUMBERS.test(plain)) continue;
+      found.push({
+        id: `${address}.${field.name}`, address, label: `${slave.name}.${field.name}`,
+        unit: plain === "bool" ? "" : field.unit ?? "", kind: plain === "bool" ? "bool" : "number",
+        read: of((now) => (input && !inputsAlive(now) ? null : now.fields?.[field.name])),
+      });
+    }
+    if (slave.drive) {
+      for (const [name, unit, scale] of QUANTITIES) {
+        found.push({
+          id: `${address}:${name}`, address, label: `${slave.name}: ${name.replace("_hz", "")}`, unit, kind: "number",
+          read: of((now) => (typeof now.drive?.[name] === "number" && now.state === "data_exchange" ? now.drive[name] * scale : null)),
+        });
+      }
+    }
+    found.push({ id: `${address}:retries`, address, label: `${slave.name}: retries`, unit: "count", kind: "number", read: of((now) => now.retries) });
+  }
+  for (const name of ["p50", "p99", "max"]) {
+    found.push({ id: `bus:${name}`, address: null, label: `bus: rotation ${name}`, unit: "µs", kind: "number", read: (state) => state.bus.rotation_us?.[name] ?? NaN });
+  }
+  return found;
+}
+
+/** Samples by time. `times` in s since the start; `signals` by id, each with `values` as long as `times`. */
+export class Store {
+  constructor() {
+    this.times = [];
+    this.signals = new Map();
+    this.kept = new Set();
+    this.events = [];
+    this.marks = 0;
+  }
+
+  plant(live) {
+    const before = this.signals;
+    const again = this.started !== live.plant.started;
+    if (again) {
+      this.times = [];
+      this.events = [];
+    }
+    this.started = live.plant.started;
+    const all = signalsOf(live);
+    this.signals = new Map(all.map((one) => [one.id, one]));
+    this.keepsAll = all.length <= KEPT_ALL;
+    this.kept = new Set([...this.kept].filter((id) => this.signals.has(id)));
+    for (const one of all) {
+      const old = again ? null : before.get(one.id)?.values;
+      if (old) one.values = old;
+    }
+    if (this.keepsAll) for (const one of all) this.keep(one.id);
+    else for (const id of [...this.kept]) this.keep(id);
+  }
+
+  /** Keep the samples of a signal from now on. */
+  keep(id) {
+    const signal = this.signals.get(id);
+    if (!signal) return;
+    this.kept.add(id);
+    signal.values ??= new Array(this.times.length).fill(NaN);
+  }
+
+  drop(id) {
+    if (this.keepsAll) return;
+    this.kept.delete(id);
+    const signal = this.signals.get(id);
+    if (signal) signal.values = undefined;
+  }
+
+  sample(live) {
+    const { t } = live;
+    const last = this.times.at(-1);
+    if (typeof t !== "number" || (last !== undefined && t === last)) return;
+    if (last !== undefined && t < last) {
+      this.times = [];
+      for (const id of this.kept) this.signals.get(id).values = [];
+    }
+    this.times.push(t);
+    for (const id of this.kept) {
+      const signal = this.signals.get(id);
+      signal.values.push(signal.read(live));
+    }
+    if (this.times.length > KEPT * 1.1) {
+      const over = this.times.length - KEPT;
+      this.times.splice(0, over);
+      for (const id of this.kept) this.signals.get(id).values.splice(0, over);
+    }
+  }
+
+  event(live, event) {
+    this.events.push({ t: event.t ?? live.t ?? 0, event: event.event, address: event.address ?? null, text: event.text ?? "", severity: event.severity ?? "info" });
+    if (this.events.length > 2200) this.events.splice(0, this.events.length - 2000);
+  }
+
+  /** [times, values of each id ...] from `from` to `to`; null where there is no valid value, or a gap of over 2 s. */
+  slice(ids, from, to) {
+    const first = Math.max(0, lowerBound(this.times, from) - 1);
+    const end = Math.min(this.times.length, lowerBound(this.times, to) + 1);
+    const times = [];
+    const columns = ids.map(() => []);
+    for (let n = first; n < end; n += 1) {
+      const t = this.times[n];
+      if (times.length && t - times.at(-1) > 2) {
+        times.push(times.at(-1) + 0.001);
+        for (const column of columns) column.push(null);
+      }
+      times.push(t);
+      ids.forEach((id, which) => {
+        const one = this.signals.get(id)?.values?.[n];
+        columns[which].push(one === undefined || Number.isNaN(one) ? null : one);
+      });
+    }
+    return [times, ...columns];
+  }
+}
+
+export function lowerBound(sorted, wanted) {
+  let low = 0;
+  let high = sorted.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (sorted[middle] < wanted) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+/** Watches one signal or the events. `kind`: rising, falling, above, below, event. `at`: time of the trigger, or null. */
+export class Trigger {
+  constructor({ kind, id = null, level = 0, event = null }) {
+    Object.assign(this, { kind, id, level, event });
+    this.before = null;
+    this.at = null;
+  }
+
+  /** A sample of the signal; returns whether this one triggers. */
+  sample(t, value) {
+    if (this.at !== null || this.kind === "event") return false;
+    if (value === null || value === undefined || Number.isNaN(value)) {
+      this.before = null; // an edge across a gap is none
+      return false;
+    }
+    const { before, level } = this;
+    this.before = value;
+    const fires = {
+      rising: before !== null && before < level && value >= level,
+      falling: before !== null && before > level && value <= level,
+      above: value > level,
+      below: value < level,
+    }[this.kind];
+    if (fires) this.at = t;
+    return Boolean(fires);
+  }
+
+  happened(event) {
+    if (this.at !== null || this.kind !== "event" || event.event !== this.event) return false;
+    this.at = event.t;
+    return true;
+  }
+}
+
+/** One field of a CSV file; a text that a spreadsheet would compute is marked as text. */
+export function csvField(text) {
+  const plain = /^[=+\-@\t\r]/.test(text) ? `'${text}` : text;
+  return /[",\r\n;]/.test(plain) ? `"${plain.replaceAll('"', '""')}"` : plain;
+}
+
+/** CSV of samples: wall clock (ISO), seconds since the start, one column a signal; no value: an empty field. */
+export function toCsv(signals, [times, ...columns], wall) {
+  const head = ["time", "t_s", ...signals.map((one) => one.label + (one.unit ? ` [${one.unit}]` : ""))];
+  const lines = [head.map(csvField).join(",")];
+  times.forEach((t, n) => {
+    const values = columns.map((column) => column[n]);
+    if (values.every((one) => one === null) && n > 0 && t - times[n - 1] < 0.0011) return; // the mark of a gap
+    lines.push([new Date(wall(t) * 1000).toISOString(), t.toFixed(6), ...values.map((one) => (one === null ? "" : String(one)))].join(","));
+  });
+  return `${lines.join("\r\n")}\r\n`;
+}
