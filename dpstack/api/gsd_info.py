@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 from collections.abc import Mapping
 from importlib import resources
 from operator import attrgetter
@@ -61,10 +62,14 @@ def _bundled_octets(drive: str) -> bytes:
     return (resources.files(package) / name).read_bytes()
 
 
+#: many slaves of a plant have the same file, and a large one takes a second
+_parsed: Final = functools.lru_cache(4)(load_gsd)
+
+
 def read_gsd(path: str | Path, folder: Path = Path()) -> GsdFile:
     """Read a GSD file as :func:`read_octets` does. Raises ConfigError, GsdError where it cannot be used at all."""
     octets = read_octets(path, folder)
-    return load_gsd(octets, str(_place(path, folder)))
+    return _parsed(octets, str(_place(path, folder)))
 
 
 def copy_gsd(drive: str, target: str | Path) -> None:

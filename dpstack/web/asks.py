@@ -10,6 +10,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any, Final
 
+from dpstack.api.commissioning.commissioning import Commissioning
 from dpstack.errors import UsageError
 from dpstack.text import shortened
 from dpstack.web.messages import Ask
@@ -42,25 +43,55 @@ async def _records(source: Source, args: Sequence[Any]) -> object:
     return await source.call("acyclic", slave, "read", slot, index)
 
 
+async def _scan(source: Source, args: Sequence[Any]) -> object:
+    return await source.call("scan", *_texts("scan", args, ""))
+
+
 async def _im(source: Source, args: Sequence[Any]) -> object:
     return await source.call("acyclic", *_texts("im", args, "SLAVE"), "im")
 
 
 #: by ``what`` of the ask
-HANDLERS: Final[dict[str, Handler]] = {"why": _why, "diag": _diag, "records": _records, "im": _im}
+HANDLERS: Final[dict[str, Handler]] = {"why": _why, "diag": _diag, "records": _records, "im": _im, "scan": _scan}
+#: by ``what``: the method of :class:`~dpstack.api.commissioning.commissioning.Commissioning`, and its least and most
+#: arguments
+COMMISSIONING: Final[dict[str, tuple[Callable[..., object], int, int]]] = {
+    "files": (Commissioning.files, 0, 0),
+    "match": (Commissioning.match, 1, 1),
+    "modules": (Commissioning.modules, 1, 2),
+    "table": (Commissioning.table, 1, 1),
+    "check": (Commissioning.check, 1, 1),
+    "toml": (Commissioning.toml, 1, 1),
+}
 
 
 class Asks:
-    """The asks of all pages of ``source``."""
+    """The asks of all pages of ``source``. ``commissioning``: None where there is no configuration."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source, commissioning: Commissioning | None = None) -> None:
         self._source = source
+        self._commissioning = commissioning
         self._places = asyncio.Semaphore(_MOST_AT_THE_RUN)
+        self._one_at_a_time = asyncio.Lock()
 
     async def answer(self, ask: Ask) -> object:
         """Raises DpError, ValueError."""
+        if ask.what in COMMISSIONING:
+            return await self._commission(ask)
         handler = HANDLERS.get(ask.what)
         if handler is None:
-            raise UsageError(f"there is no ask {shortened(ask.what)!r}; there are {', '.join(HANDLERS)}")
+            known = ", ".join((*HANDLERS, *COMMISSIONING))
+            raise UsageError(f"there is no ask {shortened(ask.what)!r}; there are {known}")
         async with self._places:
             return await handler(self._source, ask.args)
+
+    async def _commission(self, ask: Ask) -> object:
+        """In a thread: it reads files, and a large GSD file takes a second."""
+        if self._commissioning is None:
+            raise UsageError(f"{ask.what}: this server has no configuration, so it has no folder of GSD files either")
+        method, least, most = COMMISSIONING[ask.what]
+        if not least <= len(ask.args) <= most:
+            count = f"{least}" if least == most else f"{least} or {most}"
+            raise UsageError(f"{ask.what} takes {count} argument{'s' * (most != 1)}")
+        async with self._one_at_a_time:
+            return await asyncio.to_thread(method, self._commissioning, *ask.args)

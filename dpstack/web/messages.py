@@ -17,7 +17,7 @@ from dpstack.text import json_text, printable, shortened
 MOST_OCTETS: Final = 262_144
 #: nested brackets in it
 _MOST_LEVELS: Final = 12
-#: arguments of an ask or an order, and characters of one that is a text
+#: arguments of an ask or an order, and characters of one of an order; an ask may have a whole configuration
 _MOST_ARGS: Final = 64
 _LONGEST_ARG: Final = 4_096
 #: the largest whole number that JavaScript keeps exactly
@@ -112,7 +112,7 @@ def _ask(body: dict[str, Any]) -> Ask:
     what = body.get("what")
     if not isinstance(what, str) or not _is_text(what):
         raise MessageError('an ask has "what", for instance "why"', id)
-    return Ask(id, what, _args_of(body, id))
+    return Ask(id, what, _args_of(body, id, MOST_OCTETS))
 
 
 def _order(body: dict[str, Any]) -> Order:
@@ -120,7 +120,7 @@ def _order(body: dict[str, Any]) -> Order:
     command = body.get("command")
     if not isinstance(command, str) or not _is_text(command):
         raise MessageError('an order has "command", for instance "operate"', id)
-    args = _args_of(body, id)
+    args = _args_of(body, id, _LONGEST_ARG)
     if not all(isinstance(one, str) for one in args):
         raise MessageError('the arguments of an order are texts, for instance ["valves.limit=on"]', id)
     if not isinstance(body.get("confirmed", False), bool):
@@ -142,7 +142,7 @@ def _id_of(body: dict[str, Any], kind: str) -> int:
     return id
 
 
-def _args_of(body: dict[str, Any], id: int) -> tuple[Any, ...]:
+def _args_of(body: dict[str, Any], id: int, longest: int) -> tuple[Any, ...]:
     args = body.get("args", [])
     if not isinstance(args, list) or len(args) > _MOST_ARGS:
         raise MessageError(f'"args" is a list of up to {_MOST_ARGS} values', id)
@@ -153,8 +153,8 @@ def _args_of(body: dict[str, Any], id: int) -> tuple[Any, ...]:
             left += [*one, *one.values()]
         elif isinstance(one, list):
             left += one
-        elif isinstance(one, str) and not (len(one) <= _LONGEST_ARG and _is_text(one)):
-            raise MessageError(f"a text among the arguments is longer than {_LONGEST_ARG} characters, or no text", id)
+        elif isinstance(one, str) and not (len(one) <= longest and _is_text(one)):
+            raise MessageError(f"a text among the arguments is longer than {longest} characters, or no text", id)
     return tuple(args)
 
 

@@ -17,6 +17,7 @@ from typing import Any, Final
 from aiohttp import WSMsgType, web
 
 from dpstack import __version__
+from dpstack.api.commissioning.commissioning import Commissioning
 from dpstack.errors import DpError
 from dpstack.text import printable
 from dpstack.web.address import Listen, Origins, is_local, join
@@ -63,14 +64,14 @@ class WebServer:
         names: Collection[str] = (),
         tls: ssl.SSLContext | None = None,
         folder: Path = FOLDER,
-        asks: Asks | None = None,
+        commissioning: Commissioning | None = None,
     ) -> None:
         self.source = source
         self.rights = rights
         self.fan_out = FanOut()
         self.patience_s = 30.0
         self.log = log
-        self.asks = asks or Asks(source)
+        self.asks = Asks(source, commissioning)
         self._sockets = sockets
         self._tls = tls
         host, port = sockets[0].getsockname()[:2]
@@ -369,16 +370,26 @@ async def serve(
     names: Collection[str] = (),
     folder: Path = FOLDER,
     sockets: Sequence[socket.socket] | None = None,
+    commissioning: Commissioning | None = None,
 ) -> AsyncIterator[WebServer]:
     """Serve the page of ``source`` within the context, on a free port of this computer unless ``listen`` says another.
 
     ``sockets``: listening ones instead of ``listen``; ``names``: names of this server in a URL; ``log`` gets a line for
-    each order and each event of the server. Raises PortError.
+    each order and each event of the server; ``commissioning``: its asks. Raises PortError.
     """
     listen = listen or Listen("127.0.0.1", 0)
     opened = listen.sockets() if sockets is None else sockets
     own = () if is_local(opened) else (socket.gethostname(), listen.host)
-    server = WebServer(source, opened, rights or Rights(), log, names=(*names, *own), tls=tls, folder=folder)
+    server = WebServer(
+        source,
+        opened,
+        rights or Rights(),
+        log,
+        names=(*names, *own),
+        tls=tls,
+        folder=folder,
+        commissioning=commissioning,
+    )
     try:
         await server.open()
         yield server
