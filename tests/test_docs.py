@@ -16,7 +16,9 @@ import pytest
 
 import dpstack
 import dpstack.profile
-from dpstack.api.config.config import parse_config
+from dpstack.api.config.config import load_config, parse_config
+from dpstack.api.control.handlers import slave_handlers
+from dpstack.api.control.scenario import parse_scenario
 from dpstack.cli.main import _COMMANDS, build_parser, main
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
@@ -211,9 +213,13 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_configurations_load(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)  # files they name are of the checkout
-    for _, text in blocks(page, "toml"):
+    for mark, text in blocks(page, "toml"):
         try:
-            parse_config(text, page.name)
+            if mark == "scenario":
+                bench = dpstack.simulate(dpstack.World(), load_config(ROOT / "examples" / "plant.toml").slaves)
+                parse_scenario(text, bench, slave_handlers(bench), page.name)
+            else:
+                parse_config(text, page.name)
         except ConfigError as error:
             pytest.fail(f"{error}\n{text}")
 

@@ -29,6 +29,10 @@ class DiagTexts:
         texts = (text for diagnosis in self._sources(module) for text in diagnosis.texts)
         return next((text for text in texts if text.kind == "channel" and text.value == error_type), None)
 
+    def known(self, module: int | None = None) -> tuple[DiagText, ...]:
+        """All texts of a module, by its index in the configuration, and of the device."""
+        return tuple(text for diagnosis in self._sources(module) for text in diagnosis.texts)
+
     def module_name(self, module: int) -> str:
         """The name of a module by its index in the configuration; empty for an empty slot and where there is none."""
         found = self._module(module)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from octet_wire import PARAMS, Wire, framed
 
 from dpstack.api.config.config import slave_config
-from dpstack.api.server.virtual_bench import SimulatedSlave
+from dpstack.api.server.virtual_bench import SimulatedSlave, VirtualBench
+from dpstack.sim.world import World
 
 SC = "E5"
 VALVES: dict[str, object] = {
@@ -21,10 +22,15 @@ class Asked:
     """Master 2 and the simulated slave of ``table`` at address 8, ident number 0x1234, in data exchange."""
 
     def __init__(self, table: dict[str, object] = VALVES) -> None:
-        self.unit = SimulatedSlave(slave_config(table), PARAMS)
+        self.bench = VirtualBench(World(), PARAMS)
+        self.bench.add(slave_config(table))
         self.wire = Wire(self.unit.station)
         self.fc = 0x5D
         self.bring_up(str(table["config"]))
+
+    @property
+    def unit(self) -> SimulatedSlave:
+        return self.bench.units[8]
 
     def bring_up(self, config: str = "11 21") -> None:
         self.wire.station = self.unit.station

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dpstack.api.server.virtual_bench import Injected
+from dpstack.api.server.virtual_bench import Injected, ScenarioEvent
 from dpstack.api.streams import SlaveFlapping
 from dpstack.dp.master.events import (
     ApplicationSilent,
@@ -80,7 +80,7 @@ def severity_of(event: Event) -> Severity:
 
 def event_json(event: Event, t: float) -> dict[str, object] | None:
     """The JSON line of ``event`` at ``t`` seconds; None for events that answer an order."""
-    if isinstance(event, Injected):
+    if isinstance(event, (Injected, ScenarioEvent)):
         return event.as_dict(t)
     found = _kind_and_fields(event)
     if found is None:

@@ -13,7 +13,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from dpstack.api.config.bus import AUTO, BusConfig, read_bus
 from dpstack.api.config.slave import SlaveConfig, read_slave
@@ -139,22 +139,36 @@ class Config:
 
 def load_config(path: str | Path) -> Config:
     """Read a configuration file. Raises ConfigError, one line, also where the file cannot be read."""
+    text = read_text(path, "configuration file")
+    return parse_config(text, str(path), file=Path(os.path.realpath(path)))
+
+
+def read_text(path: str | Path, what: str) -> str:
+    """The text of a TOML file; ``what``: the kind of file, for messages. Raises ConfigError, one line."""
     name = str(path)
     try:
-        text = read_file(path, MAX_OCTETS).decode("utf-8-sig")
+        return read_file(path, MAX_OCTETS).decode("utf-8-sig")
     except FileNotFoundError:
-        raise ConfigError(f"{name}: there is no such file; write one (see the README) or correct the path") from None
+        hint = " (see the README)" if what == "configuration file" else ""
+        raise ConfigError(f"{name}: there is no such file; write one{hint} or correct the path") from None
     except IsADirectoryError:
-        raise ConfigError(f"{name}: is a directory; name the configuration file in it") from None
+        raise ConfigError(f"{name}: is a directory; name the {what} in it") from None
     except UnicodeDecodeError as error:
         raise ConfigError(f"{name}: is not UTF-8 text (octet {error.start}); save it as UTF-8") from None
     except PermissionError as error:
         raise ConfigError(f"{name}: cannot be read ({error.strerror}); check its permissions") from None
     except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"{name}: {getattr(error, 'strerror', None) or error}; give the path of a configuration file"
-        ) from None
-    return parse_config(text, name, file=Path(os.path.realpath(path)))
+        raise ConfigError(f"{name}: {getattr(error, 'strerror', None) or error}; give the path of a {what}") from None
+
+
+def read_tables(text: str, name: str, file: Path | None = None) -> tuple[dict[str, Any], Source]:
+    """The values of a TOML ``text``, and the source for messages about them. Raises ConfigError, one line."""
+    try:
+        data, lines = read_toml(text)
+    except TomlError as error:
+        place = "" if error.column is None else f" at column {error.column}"
+        raise ConfigError.at(name, error.line, f"not valid TOML{place}: {error.what}", "correct that line") from None
+    return data, Source(name, lines, file=file)
 
 
 def parse_config(text: str, name: str = "config", *, file: Path | None = None) -> Config:
@@ -174,11 +188,9 @@ def check_config(
     """
     errors: list[ConfigError] = []
     try:
-        data, lines = read_toml(text)
-    except TomlError as error:
-        place = "" if error.column is None else f" at column {error.column}"
-        return None, [ConfigError.at(name, error.line, f"not valid TOML{place}: {error.what}", "correct that line")]
-    source = Source(name, lines, file=file)
+        data, source = read_tables(text, name, file)
+    except ConfigError as error:
+        return None, [error]
     bus: BusConfig | None = None
     slaves: list[SlaveConfig] = []
     entries: object = []

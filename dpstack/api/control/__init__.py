@@ -15,6 +15,7 @@ the requests of one connection one after the other.
 - ``live_items``: The command ``live`` of a running master: its live stream for a client of the control socket
 - ``record_orders``: Orders to the records of a slave (``read``, ``write`` ...): words, parser, execution, answers
 - ``remote``: Orders to the ``run`` that holds the port: to a drive, or to the records of a slave
+- ``scenario``: Scenarios: a TOML file of steps in time that happen to simulated slaves
 - ``server``: The server's end of the control socket of a run, sim or segment
 - ``socket_path``: Control sockets as files: names, directory, owner of the peer process
 - ``tap_feed``: The octets on the line of a running program, for the clients of its control socket

@@ -81,6 +81,8 @@ SLAVES: Final = (
     Spec("pull", "SLAVE SLOT", "takes a module out of it", "io 2"),
     Spec("plug", "SLAVE SLOT [MODULE]", "puts it in again, or another one", "io 2"),
     Spec("parameter", "SLAVE SLOT HEX", "parameters of a module, changed at the device", "io 1 03"),
+    Spec("fault", "SLAVE KIND [KEY=VALUE]...", "a fault as in a scenario", "3 late_answers by_ms=20 for=3"),
+    Spec("normal", "SLAVE", "ends the faults of it that `fault` began", "3"),
     Spec("silence", "SLAVE [TIME]", "deaf and mute for a time, else until resume", "3 2s"),
     Spec("resume", "SLAVE", "ends a silence", "3"),
     Spec("power-off", "SLAVE", "switches the slave off", "3"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Mapping
+from functools import partial
 from time import monotonic_ns
 from typing import Any, Final
 
@@ -17,8 +18,10 @@ from dpstack.api.control.commands import KINDS, SLAVES
 from dpstack.api.control.drive_orders import drive_order
 from dpstack.api.control.live_items import live_items
 from dpstack.api.control.record_orders import acyclic_order
+from dpstack.api.control.scenario import read_fault
 from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send, kept_alive
 from dpstack.api.control.tap_feed import TapFeed
+from dpstack.api.server.fault_steps import End
 from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.api.server.virtual_bench import Bench, Injected, silence_text
 from dpstack.api.slave.slave import Slave
@@ -323,8 +326,36 @@ def slave_handlers(bench: Bench, program: Bus | Simulation | None = None) -> dic
 
         return carry_out
 
-    handlers = {command: handler(command, act) for command, act in _ACTS.items()}
+    faults = _Faults()
+    acts = _ACTS | {"fault": faults.begin, "normal": faults.end}
+    handlers = {command: handler(command, act) for command, act in acts.items()}
     return handlers | {"set": lambda args: _set_inputs(bench, program, args)}
+
+
+class _Faults:
+    """The faults that the command `fault` began, by the address of the slave."""
+
+    def __init__(self) -> None:
+        self._ends: dict[int, list[End]] = {}
+
+    def begin(self, bench: Bench, address: int, args: list[str]) -> None:
+        deed, for_ns = read_fault(args, bench, address)
+        end = deed.begin()
+        if end is None:
+            return
+        self._ends.setdefault(address, []).append(end)
+        if for_ns is not None:
+            bench.call_at(bench.now + for_ns, partial(self._over, address, end))
+
+    def end(self, bench: Bench, address: int, args: list[str]) -> None:
+        for end in self._ends.pop(address, ()):
+            end()
+
+    def _over(self, address: int, end: End) -> None:
+        ends = self._ends.get(address, [])
+        if end in ends:
+            ends.remove(end)
+            end()
 
 
 def _set_inputs(bench: Bench, program: Bus | Simulation | None, args: list[str]) -> object:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, Literal
 
 from dpstack.api.config.config import AUTO, ECHO, Config, port_of, rate_findings
-from dpstack.api.server.virtual_bench import Bench, Injected, SimulatedSlave, rates_of, set_rate
+from dpstack.api.server.virtual_bench import Bench, Injected, ScenarioEvent, SimulatedSlave, rates_of, set_rate
 from dpstack.api.streams import OnEvent, call_on_event
 from dpstack.dp.slave.auto_baud import BaudState, PortBaudChanged, SearchingPort
 from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
@@ -70,6 +70,8 @@ class Simulation(Bench):
                 )
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._line = Multidrop([slave.station for slave in self.slaves], params, patience=patience)
+        for slave in self.slaves:
+            slave.faults.connect(self._line.send_at)
         self._search: SearchingPort | None = None
         self._was_found = False
         if baud == AUTO:
@@ -87,6 +89,7 @@ class Simulation(Bench):
         )
         #: machine time of the start in ns
         self.started_ns = 0
+        self._is_over = False
 
     @property
     def port_name(self) -> str:
@@ -141,6 +144,17 @@ class Simulation(Bench):
     def units(self) -> Mapping[int, SimulatedSlave]:
         return {slave.address: slave for slave in self.slaves}
 
+    @property
+    def now(self) -> int:
+        return self.runtime.now()
+
+    def call_at(self, at_ns: int, callback: Callable[[], None]) -> None:
+        asyncio.get_running_loop().call_later(max(0.0, ns_to_s(at_ns - self.now)), self._call, callback)
+
+    def _call(self, callback: Callable[[], None]) -> None:
+        if not self._is_over:
+            callback()
+
     def silence(self, address: int, for_ns: int | None) -> None:
         if self.units[address].powered:
             self._line.silence(address, NEVER if for_ns is None else self.runtime.now() + for_ns)
@@ -176,6 +190,7 @@ class Simulation(Bench):
         return self
 
     async def __aexit__(self, *_: object) -> None:
+        self._is_over = True
         await self.runtime.close()
 
     def _on_events(self, events: list[Event]) -> None:
@@ -208,7 +223,7 @@ def _common_rates(config: Config) -> Sequence[int]:
 
 def sim_event_json(event: Event, t: float) -> dict[str, object]:
     """The JSON line of a simulation's ``event`` at ``t`` seconds."""
-    if isinstance(event, Injected):
+    if isinstance(event, (Injected, ScenarioEvent)):
         return event.as_dict(t)
     line: dict[str, object] = {"event": "notice", "t": round(t, 6)}
     if isinstance(event, SlaveAppEvent):

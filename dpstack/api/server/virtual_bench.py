@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import difflib
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.process_data import Field
@@ -22,6 +23,7 @@ from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.profile import DriveDevice
 from dpstack.sim.io_station import IDENT, NAME, IoStation
+from dpstack.sim.slave_faults import SlaveFaults, fault_text
 from dpstack.sim.world import World
 from dpstack.text import octets_text
 from dpstack.trace import Event
@@ -50,6 +52,36 @@ class Injected(Event):
         if self.address is not None:
             line |= {"address": self.address, "name": self.name}
         return {**line, "command": self.command, "args": list(self.args), "text": self.text}
+
+
+class ScenarioEvent(Event):
+    """A step of a scenario. ``step``: its number in the file, from 1; 0: the scenario itself, without a slave.
+
+    ``state``: "begin", "end", "failed" (``detail`` says why), "again" (the scenario begins anew), "over". ``do``: the
+    kind of the step; ``detail``: in words; ``lasts_s``: seconds until its end, None without one.
+    """
+
+    step: int
+    state: str
+    detail: str
+    do: str | None = None
+    address: int | None = None
+    name: str | None = None
+    lasts_s: float | None = None
+
+    def _text(self) -> str:
+        if not self.step:
+            return f"scenario: {self.detail}"
+        word = {"end": "over: ", "failed": "failed: "}.get(self.state, "")
+        lasts = f" for {self.lasts_s:g} s" if self.state == "begin" and self.lasts_s is not None else ""
+        return f"scenario step {self.step}, slave {self.address} ({self.name}): {word}{self.detail}{lasts}"
+
+    def as_dict(self, t: float) -> dict[str, object]:
+        """The JSON line of the event at ``t`` seconds."""
+        line: dict[str, object] = {"event": "scenario", "t": round(t, 6), "step": self.step, "state": self.state}
+        if self.address is not None:
+            line |= {"address": self.address, "name": self.name, "do": self.do, "for": self.lasts_s}
+        return {**line, "text": self.text}
 
 
 def device_of(slave: SlaveConfig, held: HeldInputs | None = None) -> Device:
@@ -112,6 +144,7 @@ class SimulatedSlave:
         self._patience = patience
         self._searching = searching
         self._held = HeldInputs(config.params.input_len)
+        self.faults = SlaveFaults()
         self.device: Device = device_of(config, self._held)
         self._create_station(params)
 
@@ -135,6 +168,11 @@ class SimulatedSlave:
         return self.station.address
 
     @property
+    def held_inputs(self) -> bytes | None:
+        """The inputs of a mirror that were set from outside; None: it mirrors."""
+        return self._held.octets
+
+    @property
     def who(self) -> str:
         return f"slave {self.address} ({self.name})"
 
@@ -148,14 +186,18 @@ class SimulatedSlave:
             return held
         return self.app.inputs or bytes(self._held.length)
 
+    def check_settable(self) -> None:
+        """Raises UsageError where the device makes its inputs itself: a drive."""
+        if isinstance(self.device, DriveDevice):
+            raise UsageError(f"{self.who}: the simulated drive makes its inputs; trip, warn and load change them")
+
     def set_inputs(self, octets: bytes | None) -> str | None:
         """Set the inputs that the master reads; they stay over :meth:`renew`. None: mirror the outputs again.
 
         Returns a remark for people, or None. Raises UsageError for a drive, and for octets of another length.
         """
+        self.check_settable()
         device, length = self.device, self._held.length
-        if isinstance(device, DriveDevice):
-            raise UsageError(f"{self.who}: the simulated drive makes its inputs; trip, warn and load change them")
         if octets is not None and len(octets) != length:
             raise UsageError(f"{self.who} has {octets_text(length)} of inputs, {octets_text(len(octets))} given")
         if not isinstance(device, IoStation):
@@ -213,6 +255,7 @@ class SimulatedSlave:
             self.device.installed(self._address, None if self._searching else params.baud)
         self.app = SlaveApp(self.device, address=self._address, address_fixed=self._address_fixed)
         self.station = PassiveStation(self._address, self.app, params, patience=self._patience)
+        self.faults.attach(self.station, self.app)
         #: the station, or the baud search around it
         self.on_bus: BusStation = self.station
         if self._searching and own is None:
@@ -225,6 +268,15 @@ class Bench(ABC):
     @property
     @abstractmethod
     def units(self) -> Mapping[int, SimulatedSlave]: ...
+
+    @property
+    @abstractmethod
+    def now(self) -> int:
+        """The time of the line in ns."""
+
+    @abstractmethod
+    def call_at(self, at_ns: int, callback: Callable[[], None]) -> None:
+        """Call ``callback`` at ``at_ns``, at once where that time is over; never after the end of the slaves."""
 
     @abstractmethod
     def silence(self, address: int, for_ns: int | None) -> None:
@@ -258,6 +310,7 @@ class Bench(ABC):
         unit = self.units[address]
         left_ns = self._silent_ns(address) or 0
         found = ["power-off"] if not unit.powered else [silence_text(left_ns)] if left_ns > 0 else []
+        found += [fault_text(fault) for fault in unit.faults.active]
         return found + list(unit.device.injected if isinstance(unit.device, (DriveDevice, IoStation)) else ())
 
     def status_of(self, address: int) -> dict[str, object]:
@@ -284,11 +337,28 @@ class VirtualBench(Bench):
             self._unplug(config.address)
         self._silent.pop(config.address, None)
         unit = self._units[config.address] = SimulatedSlave(config, self._params, searching=self._searching)
+        unit.faults.connect(partial(self._send_at, unit))
         self._world.add(unit.on_bus, name=config.name)
 
     @property
     def units(self) -> Mapping[int, SimulatedSlave]:
         return self._units
+
+    @property
+    def now(self) -> int:
+        return self._world.now
+
+    def call_at(self, at_ns: int, callback: Callable[[], None]) -> None:
+        self._world.call_at(max(at_ns, self._world.now), callback)
+
+    def _send_at(self, unit: SimulatedSlave, octets: bytes, at_ns: int) -> None:
+        """Put octets of a faulty slave on the line, unless it is off or silent then."""
+
+        def send() -> None:
+            if unit.powered and self._silent_ns(unit.config.address) is None:
+                self._world.inject(octets, baud=unit.station.baud, sender=unit.name)
+
+        self.call_at(at_ns, send)
 
     def silence(self, address: int, for_ns: int | None) -> None:
         if not self._units[address].powered:

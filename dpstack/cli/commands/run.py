@@ -9,7 +9,8 @@ from dpstack.api.bus.bus import Bus, open_bus
 from dpstack.api.bus.statistics import clear_since
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.control import arguments
-from dpstack.api.control.handlers import PTY, address_of, control_run, run_feed
+from dpstack.api.control.handlers import PTY, address_of, control_run, run_feed, slave_handlers
+from dpstack.api.control.scenario import ScenarioRun, load_scenario
 from dpstack.api.control.server import ControlServer
 from dpstack.api.listen.report_file import RunReport
 from dpstack.cli import options
@@ -48,6 +49,7 @@ def add_to(parser: Parser) -> None:
         "join the token ring as one more master, show who is there and in what state, write nothing to any slave; "
         "with --address beside the master that has the same file",
     )
+    parser.value("--scenario", "FILE", 'faults and inputs of the simulated slaves in time, on the port "virtual"')
     parser.value("--report", "FILE.html", "write an acceptance report of what was on the bus, a new file")
     parser.run_by(execute)
 
@@ -66,6 +68,8 @@ def execute(args: argparse.Namespace) -> int:
     refuse_application_watchdog(config, "run")
     if config.bus.read_only and given:
         raise UsageError("--outputs on a read-only bus: nothing is written there; leave one of the two out")
+    if args.scenario is not None and not config.virtual:
+        raise UsageError(f'--scenario on {config.port}: only simulated slaves have one; take "virtual", or dpstack sim')
     names = {slave.address: slave.name for slave in config.slaves}
     outputs = {address_of(slave, names): octets for slave, octets in map(arguments.octets, given)}
     return run_unhurried(_run(config.with_outputs(outputs), args), json=args.json)
@@ -88,6 +92,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
     report = None if args.report is None else RunReport(args.report, config)
     with report or contextlib.nullcontext(), StopSignal() as stop:
         bus = open_bus(config, on_event=lambda event: reporter.event(event))
+        scenario = _scenario_of(args.scenario, bus)
         reporter = Reporter(bus, json=args.json)
         if bus.searching:
             reporter.searching()
@@ -105,6 +110,8 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                 return 1
             try:
                 reporter.start()
+                if scenario is not None:
+                    scenario.start(bus.started_ns)
                 if not (args.clear or config.bus.read_only):
                     await bus.operate()
                 await stop.or_done(_limit(bus, args.seconds, args.rotations))
@@ -124,6 +131,13 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
     for text in missing:
         output.warn(text)
     return 1 if missing or reporter.stalled or bus.end_failed else 0
+
+
+def _scenario_of(path: str | None, bus: Bus) -> ScenarioRun | None:
+    """The scenario in the file ``path`` for the slaves of ``bus``; None: there is none. Raises ConfigError."""
+    if path is None or bus.bench is None:
+        return None
+    return ScenarioRun(load_scenario(path, bus.bench, slave_handlers(bus.bench)), bus.bench, bus.publish)
 
 
 def _write(report: RunReport) -> bool:

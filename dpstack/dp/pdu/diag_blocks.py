@@ -24,7 +24,8 @@ _CHANNEL_LEN: Final = 3
 FIRST_SLOT: Final = 1
 
 _SIZES: Final = ("unspecific", "bit", "2 bits", "4 bits", "byte", "word", "2 words", "reserved")
-_ERRORS: Final = {
+#: the errors of channel related diagnosis by number, for people
+CHANNEL_ERRORS: Final = {
     1: "short circuit",
     2: "undervoltage",
     3: "overvoltage",
@@ -88,7 +89,7 @@ class ChannelBlock(Block):
     @property
     def cause(self) -> str:
         """The error for people; makers' own errors (16..31) by number."""
-        return _ERRORS.get(self.error, f"error {self.error}")
+        return CHANNEL_ERRORS.get(self.error, f"error {self.error}")
 
     @property
     def text(self) -> str:

@@ -45,8 +45,20 @@ class DiagState:
         self.prm_fault = self.cfg_fault = self.not_supported = False
         is_plain = device.overrides_none("user_diag", "ext_diag")
         self.user: Callable[[], UserDiag] | None = None if is_plain else device.user_diag
+        self._of_device = self.user
         self._messages = messages
         self.silent = self.user is None and messages is None
+
+    def add(self, more: UserDiag) -> None:
+        """Report ``more`` behind what the device itself reports; NO_DIAG ends that."""
+        ask = self._of_device
+
+        def both() -> UserDiag:
+            own = NO_DIAG if ask is None else ask()
+            return UserDiag(own.ext + more.ext, own.fault or more.fault, own.stat or more.stat, own.overflow)
+
+        self.user = both
+        self.silent = False
 
     def clear_faults(self) -> None:
         """Good parameters, release or restart."""

@@ -7,6 +7,7 @@ responses.
 
 from __future__ import annotations
 
+from bisect import insort
 from collections.abc import Iterable
 
 from dpstack.errors import ConfigError, UsageError
@@ -34,6 +35,7 @@ class Multidrop(PassiveReceiver):
         self._index: dict[int, PassiveStation] = {}  # by address
         self._silent: dict[PassiveStation, int] = {}  # silenced stations with the end of their silence, in ns
         self._answering: PassiveStation | None = None
+        self._unasked: list[tuple[int, bytes]] = []  # octets of faulty stations with their times in ns, the first first
         self.set_params(params)
         for station in stations:
             self.add(station)
@@ -73,6 +75,10 @@ class Multidrop(PassiveReceiver):
         """End of a station's silence in ns; None when it is not silenced. Raises UsageError."""
         return self._silent.get(self._station(address))
 
+    def send_at(self, octets: bytes, at: int) -> None:
+        """Send ``octets`` at ``at`` (ns), whatever is on the line then: a faulty station does not ask."""
+        insort(self._unasked, (at, octets))
+
     def poke(self) -> None:
         """Read the address and the deadline of every station anew."""
         self._index_addresses()
@@ -110,7 +116,9 @@ class Multidrop(PassiveReceiver):
             self._next = min(due.values(), default=NEVER)
 
     def take_tx(self, now: int) -> bytes | None:
-        """The answer that waits, once its T_SDR is over."""
+        """The answer that waits, once its T_SDR is over; octets of :meth:`send_at` at their time."""
+        if self._unasked and self._unasked[0][0] <= now:
+            return self._unasked.pop(0)[1]
         station = self._answering
         if station is None or self.decoder.pending:
             return None
@@ -120,13 +128,15 @@ class Multidrop(PassiveReceiver):
         return octets
 
     def wake_at(self) -> int:
-        """The earliest of: stall of a telegram, start of the answer, deadline of an application."""
+        """The earliest of: stall of a telegram, start of the answer, deadline of an application, :meth:`send_at`."""
         if self.decoder.pending:
             own = self.decoder.stall_at()
         elif self._answering is not None:
             own = self._answering.answer_at()
         else:
-            return self._next
+            own = self._next
+        if self._unasked and self._unasked[0][0] < own:
+            own = self._unasked[0][0]
         return own if own < self._next else self._next
 
     def take_events(self) -> list[Event]:
@@ -144,6 +154,7 @@ class Multidrop(PassiveReceiver):
     def _forget(self) -> None:
         super()._forget()
         self._answering = None
+        self._unasked = []
 
     def _deliver(self, telegram: Telegram, now: int) -> None:
         if self._answering is not None:

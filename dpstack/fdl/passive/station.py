@@ -8,7 +8,7 @@ repeats its last answer when a master repeats the request, and passes all other 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.codec import SC_OCTETS, encode_sd1, request_octets
@@ -44,6 +44,16 @@ class PassiveStats:
     indications: int = 0  # SDN and broadcasts
     refused: int = 0  # RS and other negative acknowledgements
     dropped: int = 0  # answers not sent because the line was taken before
+
+
+class Stub(Protocol):
+    """The faults between one station and its line (:mod:`dpstack.sim.slave_faults`)."""
+
+    def hears(self, telegram: Telegram, now: int) -> bool:
+        """Whether the station receives ``telegram``."""
+
+    def answer(self, octets: bytes, now: int) -> bytes | None:
+        """The octets that the station sends instead of its answer ``octets``; None: nothing."""
 
 
 class PassiveReceiver:
@@ -120,6 +130,8 @@ class PassiveStation(PassiveReceiver):
         self._reported_le3: set[int] = set()
         self.stats = PassiveStats()
         self._min_tsdr = 0  # of Set_Prm; 0: Set_Prm gave none
+        #: the faults between the station and its line; None without
+        self.stub: Stub | None = None
         self.set_params(params)
         responder.attached(self)
 
@@ -147,6 +159,11 @@ class PassiveStation(PassiveReceiver):
         """
         super().set_params(params)
         self.set_min_tsdr(0)
+
+    @property
+    def t_sdr_ns(self) -> int:
+        """The time from a request to the start of the answer, in ns."""
+        return self._t_sdr_ns
 
     # --- receiving ---
     def receive(self, chunk: bytes, now: int) -> None:
@@ -231,6 +248,8 @@ class PassiveStation(PassiveReceiver):
         fc = telegram.fc
         if fc < 0 or not fc & FC_REQUEST:
             return
+        if self.stub is not None and not self.stub.hears(telegram, now):
+            return
         da = telegram.da
         if da == self.address:
             if telegram.sa != da and telegram.dseg is telegram.sseg is None:
@@ -288,6 +307,8 @@ class PassiveStation(PassiveReceiver):
         return encode_sd1(da, sa, status)
 
     def _answer(self, octets: bytes | None, now: int) -> None:
+        if self.stub is not None and octets is not None:
+            octets = self.stub.answer(octets, now)
         self._tx = octets
         self._tx_until = now + max(self.line.t_sl_ns, self._t_sdr_ns)
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any
 
 import pytest
 from api_kit import FAN, in_virtual_time, operating
 from simulated_kit import Asked
 
 from dpstack.api.control.handlers import control_run, slave_handlers
-from dpstack.api.server.virtual_bench import Bench, SimulatedSlave
 from dpstack.errors import UsageError
 
 IO: dict[str, object] = {
@@ -30,25 +28,9 @@ RAW: dict[str, object] = {
 }
 
 
-class _Bench(Bench):
-    """One slave, and nothing that commands could switch."""
-
-    def __init__(self, unit: SimulatedSlave) -> None:
-        self._units = {unit.address: unit}
-
-    @property
-    def units(self) -> dict[int, SimulatedSlave]:
-        return self._units
-
-    def __getattr__(self, name: str) -> Any:
-        raise AssertionError(name)
-
-    silence = resume = _silent_ns = _switch = None  # type: ignore[assignment]
-
-
 def test_inputs_replace_the_mirrored_outputs_until_they_are_mirrored_again() -> None:
     asked = Asked()
-    orders = slave_handlers(_Bench(asked.unit))
+    orders = slave_handlers(asked.bench)
     assert asked.inputs("12 34") == "12 34"
     orders["set"](["valves.level=0x55"])
     assert asked.inputs("AA BB") == "12 55"  # the other bits stay as they were
@@ -56,7 +38,8 @@ def test_inputs_replace_the_mirrored_outputs_until_they_are_mirrored_again() -> 
     assert asked.inputs("AA BB") == "1A 07"
     orders["input"](["valves", "BEEF"])
     assert asked.inputs("00 00") == "BE EF"
-    asked.unit.renew(asked.unit.station.params)  # switched off and on
+    asked.bench.power(8, False)
+    asked.bench.power(8, True)
     asked.bring_up()
     assert asked.inputs("00 00") == "BE EF"
     orders["mirror"](["8"])
@@ -78,7 +61,7 @@ def test_inputs_replace_the_mirrored_outputs_until_they_are_mirrored_again() -> 
 )
 def test_wrong_inputs_change_nothing(order: str, says: str) -> None:
     asked = Asked()
-    orders = slave_handlers(_Bench(asked.unit))
+    orders = slave_handlers(asked.bench)
     orders["set"](["valves.level=9"])
     name, *args = order.split()
     with pytest.raises(UsageError, match=says):

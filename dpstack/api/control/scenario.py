@@ -1,0 +1,307 @@
+"""Scenarios: a TOML file of steps in time that happen to simulated slaves.
+
+A step does what :mod:`dpstack.api.server.fault_steps` lists, or what a command of ``dpstack ctl`` to a simulated slave
+does. The whole file is checked before the first step.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from dpstack.api.config.config import read_tables, read_text
+from dpstack.api.config.table import Key, Source, Table
+from dpstack.api.control.commands import SLAVES, Spec
+from dpstack.api.control.server import Handler
+from dpstack.api.server.fault_steps import KINDS, Deed, End, Kind
+from dpstack.api.server.virtual_bench import Bench, ScenarioEvent
+from dpstack.errors import ConfigError, DpError
+from dpstack.trace import Event
+from dpstack.units import ns_to_s, s_to_ns
+
+#: a year in seconds
+_LONGEST_S: Final = 365 * 86_400
+#: ends everything that earlier steps did to a slave
+_NORMAL: Final = "normal"
+_STEP_KEYS: Final[Mapping[str, Key]] = {
+    "at": Key(0, _LONGEST_S, kind=float),
+    "slave": Key(read=lambda table, name, _: table.raw(name), kind=str),
+    "do": Key(kind=str),
+    "for": Key(0.001, _LONGEST_S, kind=float),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """``at_ns`` after the start of the scenario; ``for_ns`` None: without an end of its own; ``deed`` None: end all."""
+
+    number: int
+    at_ns: int
+    for_ns: int | None
+    address: int
+    do: str
+    deed: Deed | None
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """Checked steps in the order of their times. ``period_ns``: the time from one start to the next; None: once."""
+
+    steps: tuple[Step, ...]
+    period_ns: int | None
+
+    @property
+    def end_ns(self) -> int:
+        """The time at which the last step is over."""
+        return max(step.at_ns + (step.for_ns or 0) for step in self.steps)
+
+
+def load_scenario(path: str | Path, bench: Bench, handlers: Mapping[str, Handler]) -> Scenario:
+    """Read a scenario for the slaves of ``bench``; ``handlers``: the commands to them. Raises ConfigError, one line."""
+    return parse_scenario(read_text(path, "scenario"), bench, handlers, str(path))
+
+
+def parse_scenario(text: str, bench: Bench, handlers: Mapping[str, Handler], name: str = "scenario") -> Scenario:
+    """Read a scenario from ``text``; otherwise as :func:`load_scenario`."""
+    data, source = read_tables(text, name)
+    for key in data:
+        if key not in ("step", "repeat"):
+            near = " (write [[step]])" if key in ("steps", "Step") else ""
+            raise source.error((key,), f"unknown table or key {key!r}", f"a scenario has repeat and [[step]]{near}")
+    entries = data.get("step", [])
+    if not isinstance(entries, list) or not entries:
+        what = "no step" if entries == [] else "[step] must be [[step]]"
+        raise source.error(("step",), what, 'add [[step]] with at = 5.0, slave = "..." and do = "..."')
+    steps = [
+        _step(Table(source, ("step", number), entry, f"[[step]] {number + 1}"), number + 1, bench, handlers)
+        for number, entry in enumerate(entries)
+    ]
+    steps.sort(key=lambda step: step.at_ns)
+    scenario = Scenario(tuple(steps), None)
+    return Scenario(scenario.steps, _period_ns(source, data, scenario.end_ns))
+
+
+def _period_ns(source: Source, data: Mapping[str, Any], end_ns: int) -> int | None:
+    given = data.get("repeat", False)
+    if given is False:
+        return None
+    wanted = end_ns if given is True else None
+    if wanted is None:
+        table = Table(source, (), data, source.name)
+        wanted = s_to_ns(table.number("repeat", 0.001, _LONGEST_S))
+    if wanted < max(end_ns, 1_000_000):
+        what = f"repeat = {str(given).lower()}, and the last step is over at {ns_to_s(end_ns):g} s"
+        raise source.error(("repeat",), what, "give a later time in seconds")
+    return wanted
+
+
+def _step(table: Table, number: int, bench: Bench, handlers: Mapping[str, Handler]) -> Step:
+    """One step. Raises ConfigError."""
+    if "do" not in table:
+        table.fail(None, "no do", f'say what happens, for instance do = "late_answers"; known: {", ".join(_words())}')
+    do = table.text("do").strip().lower().replace("-", "_")
+    kind = _kind(table, do, handlers)
+    given = table.read({**_STEP_KEYS, **kind.keys})
+    for key in ("at", "slave"):
+        if key not in given:
+            table.fail(
+                None, f"no {key}", "add at = 5.0 (seconds)" if key == "at" else "name a slave by name or address"
+            )
+    if "for" in given and not kind.lasting:
+        table.fail("for", f"{do} has no end of its own", "leave for out")
+    address = _address(table, given["slave"], bench)
+    deed = None if do == _NORMAL else kind.read(table, given, bench, address)
+    for_ns = None if "for" not in given else s_to_ns(given["for"])
+    return Step(number, s_to_ns(given["at"]), for_ns, address, do, deed)
+
+
+def read_fault(args: Sequence[str], bench: Bench, address: int) -> tuple[Deed, int | None]:
+    """A deed from the words of ``dpstack ctl PORT fault SLAVE KIND KEY=VALUE ...``, and its duration in ns.
+
+    Raises ConfigError.
+    """
+    do, *options = args
+    data: dict[str, object] = {"do": do}
+    for text in options:
+        key, equals, value = text.partition("=")
+        if not equals:
+            raise ConfigError(f"fault: {text!r} is not KEY=VALUE; write for instance by_ms=20 for=3")
+        data[key] = _value(value)
+    table = Table(Source("fault"), (), data, do)
+    do = do.strip().lower().replace("-", "_")
+    kind = _kind(table, do, {})
+    given = table.read({"do": _STEP_KEYS["do"], "for": _STEP_KEYS["for"], **kind.keys})
+    if "for" in given and not kind.lasting:
+        table.fail("for", f"{do} has no end of its own", "leave for out")
+    deed = kind.read(table, given, bench, address)
+    return deed, None if "for" not in given else s_to_ns(given["for"])
+
+
+def _value(text: str) -> object:
+    """A number, true or false, or a text."""
+    for read in (int, float):
+        try:
+            return read(text)
+        except ValueError:
+            pass
+    return {"true": True, "false": False}.get(text, text)
+
+
+def _words() -> list[str]:
+    commands = [spec.name.replace("-", "_") for spec in SLAVES]
+    return [*KINDS, _NORMAL, *(word for word in commands if word not in KINDS and word not in _NOT_IN_STEPS)]
+
+
+#: commands with a step of their own, or of another form
+_NOT_IN_STEPS: Final = ("fault", "input", "normal")
+
+
+def _kind(table: Table, do: str, handlers: Mapping[str, Handler]) -> Kind:
+    if do in KINDS:
+        return KINDS[do]
+    if do == _NORMAL and handlers:
+        return Kind({}, _nothing, lasting=False)
+    spec = next((spec for spec in SLAVES if spec.name.replace("-", "_") == do and do not in _NOT_IN_STEPS), None)
+    if spec is None or spec.name not in handlers:
+        words = _words() if handlers else list(KINDS)
+        near = difflib.get_close_matches(do, words, n=1, cutoff=0.5)
+        todo = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(words)}"
+        raise table.error("do", f"unknown do {do!r}", todo)
+    return Kind({"args": Key(read=_args)}, partial(_command, spec, handlers[spec.name]), lasting=False)
+
+
+def _nothing(_table: Table, _given: Mapping[str, Any], _bench: Bench, _address: int) -> Deed:
+    raise AssertionError("it ends what others began")
+
+
+def _args(table: Table, name: str, _: Key) -> list[str]:
+    value = table.raw(name)
+    if not isinstance(value, list) or not all(isinstance(one, (str, int, float)) for one in value):
+        table.fail(
+            name, f"{name} = {value!r} is no list", 'write the words of the command, for instance args = ["0.6"]'
+        )
+    return [("on" if one else "off") if isinstance(one, bool) else str(one) for one in value]
+
+
+def _command(spec: Spec, handler: Handler, table: Table, given: Mapping[str, Any], bench: Bench, address: int) -> Deed:
+    """A command of ``dpstack ctl`` to the slave."""
+    args = [str(address), *given.get("args", ())]
+    try:
+        spec.check(args)
+    except DpError as error:
+        raise table.error("args", str(error).partition(";")[0], "args has what follows the slave") from None
+
+    def begin() -> None:
+        result = handler(list(args))
+        assert not inspect.isawaitable(result)
+
+    return Deed(" ".join((spec.name, *args[1:])), begin)
+
+
+def _address(table: Table, wanted: object, bench: Bench) -> int:
+    names = bench.names()
+    for address, name in names.items():
+        if wanted in (address, name, str(address)) and not isinstance(wanted, bool):
+            return address
+    near = difflib.get_close_matches(str(wanted), names.values(), n=1, cutoff=0.5)
+    known = ", ".join(f"{address} ({name})" for address, name in sorted(names.items())) or "none"
+    raise table.error("slave", f"no slave {wanted!r}", f"did you mean {near[0]!r}?" if near else f"there are: {known}")
+
+
+#: time after the start in ns, ends (0) before begins (1), what happens
+_Moment = tuple[int, int, Callable[[], None]]
+
+
+class ScenarioRun:
+    """Carries out ``scenario`` on ``bench`` and calls ``publish`` for each begin, end and failure of a step."""
+
+    def __init__(self, scenario: Scenario, bench: Bench, publish: Callable[[Event], None]) -> None:
+        self._scenario = scenario
+        self._bench = bench
+        self._publish = publish
+        self._round = 0
+        self._open: dict[int, End] = {}  # by the number of the step
+
+    def start(self, origin_ns: int) -> None:
+        """Begin; the times of the steps count from ``origin_ns`` on."""
+        moments: list[_Moment] = []
+        for step in self._scenario.steps:
+            moments.append((step.at_ns, 1, partial(self._begin, step)))
+            if step.for_ns is not None and step.deed is not None:
+                moments.append((step.at_ns + step.for_ns, 0, partial(self._end, step)))
+        # at the same time ends come before begins
+        moments.sort(key=lambda moment: moment[:2])
+        self._wait(origin_ns, moments)
+
+    def _wait(self, origin_ns: int, moments: list[_Moment]) -> None:
+        """Wait for the first of ``moments``, or for the end of the round."""
+        scenario = self._scenario
+        if moments:
+            self._bench.call_at(origin_ns + moments[0][0], partial(self._act, origin_ns, moments))
+        elif scenario.period_ns is None:
+            self._over()
+        else:
+            next_ns = origin_ns + scenario.period_ns
+            self._bench.call_at(next_ns, partial(self._again, next_ns))
+
+    def _act(self, origin_ns: int, moments: list[_Moment]) -> None:
+        moments[0][2]()
+        self._wait(origin_ns, moments[1:])
+
+    def _over(self) -> None:
+        left = len(self._open)
+        rest = "" if not left else ", what one of them began stays" if left == 1 else f", what {left} began stays"
+        count = len(self._scenario.steps)
+        self._tell("over", f"all {count} steps are done{rest}" if count > 1 else f"its step is done{rest}")
+
+    def _again(self, origin_ns: int) -> None:
+        for step in self._scenario.steps:
+            self._end(step)
+        self._round += 1
+        self._tell("again", f"begins again, round {self._round + 1}")
+        self.start(origin_ns)
+
+    def _begin(self, step: Step) -> None:
+        deed = step.deed
+        if deed is None:
+            self._tell("begin", "back to normal", step)
+            for other in self._scenario.steps:
+                if other.address == step.address:
+                    self._end(other)
+            return
+        try:
+            end = deed.begin()
+        except (DpError, ValueError) as error:
+            self._tell("failed", f"{deed.text}: {error}", step)
+            return
+        if end is not None:
+            self._open[step.number] = end
+        self._tell("begin", deed.text, step)
+
+    def _end(self, step: Step) -> None:
+        end = self._open.pop(step.number, None)
+        if end is not None and step.deed is not None and end():
+            self._tell("end", step.deed.text, step)
+
+    def _tell(self, state: str, detail: str, step: Step | None = None) -> None:
+        now = self._bench.now
+        if step is None:
+            self._publish(ScenarioEvent(t_ns=now, step=0, state=state, detail=detail))
+            return
+        self._publish(
+            ScenarioEvent(
+                t_ns=now,
+                step=step.number,
+                state=state,
+                detail=detail,
+                do=step.do,
+                address=step.address,
+                name=self._bench.names().get(step.address),
+                lasts_s=None if step.for_ns is None else ns_to_s(step.for_ns),
+            )
+        )

@@ -1,0 +1,205 @@
+"""Scenario files: errors with their line, steps in virtual time as a master sees them, and `ctl fault`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+
+import pytest
+from api_kit import bench_of, in_virtual_time, operating
+
+import dpstack
+from dpstack.api.bus.events_json import event_json
+from dpstack.api.config.config import slave_config
+from dpstack.api.control.handlers import slave_handlers
+from dpstack.api.control.scenario import ScenarioRun, parse_scenario
+from dpstack.api.server.virtual_bench import ScenarioEvent, VirtualBench
+from dpstack.dp.master.events import SlaveDiagnosis
+from dpstack.errors import ConfigError
+from dpstack.params import BusParams
+from dpstack.sim.world import World
+
+VALVES: dict[str, object] = {
+    "name": "valves",
+    "address": 8,
+    "gsd": "examples/terminal.gsd",
+    "modules": ["8 DO", "8 DI"],
+    "inputs": {"limit": "bool@0.3", "level": "u8@0"},
+}
+RAW: dict[str, object] = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20"}
+HOIST: dict[str, object] = {
+    "name": "hoist",
+    "address": 3,
+    "drive": "demag-dedrive",
+    "options": {"check_settings": False},
+}
+
+STEPS = """
+[[step]]
+at = 2.0
+slave = "valves"
+do = "power-off"
+for = 1.0
+
+[[step]]
+at = 0.5
+slave = 8
+do = "set"
+inputs = { level = 9 }
+for = 0.5
+
+[[step]]
+at = 1.0
+slave = "valves"
+do = "diagnosis"
+text = "fuse blown"
+for = 0.5
+
+[[step]]
+at = 1.6
+slave = "hoist"
+do = "trip"
+code = "F2100"
+
+[[step]]
+at = 3.5
+slave = "raw"
+do = "silence"
+
+[[step]]
+at = 3.9
+slave = "raw"
+do = "normal"
+"""
+
+
+def bench_with(*tables: Mapping[str, object]) -> VirtualBench:
+    bench = VirtualBench(World(), BusParams.preset(500_000))
+    for table in tables:
+        bench.add(slave_config(table))
+    return bench
+
+
+@in_virtual_time
+async def test_steps_happen_in_the_order_of_their_times_and_end() -> None:
+    events: list[dpstack.Event] = []
+    async with operating(VALVES, RAW, HOIST, on_event=events.append, cycle_ms=40) as bus:
+        bench = bench_of(bus)
+        scenario = parse_scenario("repeat = 5.0\n" + STEPS, bench, slave_handlers(bench))
+        origin = bus.runtime.now()
+        ScenarioRun(scenario, bench, bus.publish).start(origin)
+        seen: dict[float, tuple[str, str, object]] = {}
+        for at in (0.4, 0.7, 1.2, 2.5, 3.3, 3.8, 4.4, 5.7):
+            await asyncio.sleep((origin - bus.runtime.now()) / 1e9 + at)
+            slave = bus.slave("valves")
+            seen[at] = (slave.inputs.hex(), slave.state.value, bus.slave("raw").state.value)
+    there, gone = "data_exchange", "offline"
+    assert seen == {
+        0.4: ("00", there, there),
+        0.7: ("09", there, there),  # set
+        1.2: ("00", there, there),
+        2.5: ("00", gone, there),  # power-off
+        3.3: ("00", there, there),
+        3.8: ("00", there, gone),  # silence
+        4.4: ("00", there, there),
+        5.7: ("09", there, there),  # the second round
+    }
+    told = [
+        (round((event.t_ns - origin) / 1e9, 3), event.step, event.state)
+        for event in events
+        if isinstance(event, ScenarioEvent)
+    ]
+    assert told[:14] == [
+        (0.5, 2, "begin"),
+        (1.0, 2, "end"),
+        (1.0, 3, "begin"),
+        (1.5, 3, "end"),
+        (1.6, 4, "begin"),
+        (2.0, 1, "begin"),
+        (3.0, 1, "end"),
+        (3.5, 5, "begin"),
+        (3.9, 6, "begin"),
+        (3.9, 5, "end"),
+        (5.0, 0, "again"),
+        (5.5, 2, "begin"),
+    ]
+    diagnosed = [str(event_json(event, 0.0)) for event in events if isinstance(event, SlaveDiagnosis)]
+    assert any("fuse blown" in line for line in diagnosed)
+    line = event_json(next(event for event in events if isinstance(event, ScenarioEvent)), 0.5)
+    assert line == {
+        "event": "scenario",
+        "t": 0.5,
+        "step": 2,
+        "state": "begin",
+        "address": 8,
+        "name": "valves",
+        "do": "set",
+        "for": 0.5,
+        "text": "scenario step 2, slave 8 (valves): inputs level = 9 for 0.5 s",
+    }
+
+
+STEP = '[[step]]\nat = 1\nslave = "valves"\ndo = '
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "scenario:1: no step; add [[step]]"),
+        ("[[steps]]\nat = 1", "scenario:1: unknown table or key 'steps'"),
+        ("[step]\nat = 1", "scenario:1: [step] must be [[step]]"),
+        ("[[step]]\nat = 1 s", "scenario:2: not valid TOML"),
+        ("[[step]]\nat = 1", "scenario:1: [[step]] 1: no do; say what happens"),
+        (
+            '[[step]]\nat = 1\nslave = "fan"\ndo = "rs"',
+            "scenario:3: [[step]] 1: no slave 'fan'; there are: 3 (hoist), 8 (valves)",
+        ),
+        ('[[step]]\nat = 1\nslave = "valve"\ndo = "rs"', "did you mean 'valves'?"),
+        ('[[step]]\nslave = 8\ndo = "rs"', "scenario:1: [[step]] 1: no at"),
+        (
+            '[[step]]\nat = 1\nslave = 8\n\ndo = "late_anwers"',
+            "scenario:5: [[step]] 1: unknown do 'late_anwers'; did you",
+        ),
+        (STEP + '"late_answers"\nby = 3', "scenario:5: [[step]] 1: unknown key 'by'; did you mean 'by_ms'?"),
+        (STEP + '"late_answers"\nby_ms = "long"', "scenario:5: [[step]] 1: by_ms"),
+        (STEP + '"noise"\nrate = 2', "scenario:5: [[step]] 1: rate = 2 is outside"),
+        (STEP + '"diagnosis"\nerror = "wire brake"', "scenario:5: [[step]] 1: unknown error 'wire brake'"),
+        (STEP + '"diagnosis"\nerror = "line braek"', "did you mean 'line break'?"),
+        (STEP + '"diagnosis"', "scenario:1: [[step]] 1: a diagnosis without error, octets or text"),
+        (STEP + '"diagnosis"\nerror = 6\noctets = "00"', "error and octets; give one"),
+        (STEP + '"trip"\ncode = "F1"', "scenario:4: [[step]] 1: slave 8 (valves) is no simulated drive"),
+        ('[[step]]\nat = 1\nslave = "hoist"\ndo = "trip"\ncode = "F99999"', "scenario:5: [[step]] 1: 'F99999' is no"),
+        ('[[step]]\nat = 1\nslave = "hoist"\ndo = "set"\noctets = "00"', "the simulated drive makes its inputs"),
+        (STEP + '"set"\ninputs = { levl = 1 }', "scenario:5: [[step]] 1: slave 8 (valves): no input is called 'levl'"),
+        (STEP + '"set"\ninputs = { level = 256 }', "level = 256 is outside 0..255"),
+        (STEP + '"set"\noctets = "00 01"', "scenario:5: [[step]] 1: slave 8 (valves) has 1 octet of inputs"),
+        (STEP + '"trip"\ncode = "F1"\nfor = 2', "trip has no end of its own; leave for out"),
+        (STEP + '"load"', "scenario:1: [[step]] 1: load takes SLAVE TORQUE"),
+        ("repeat = 0.5\n" + STEP + '"rs"\nfor = 2', "scenario:1: repeat = 0.5, and the last step is over at 3 s"),
+    ],
+)
+def test_errors_have_the_line_and_say_what_to_do(text: str, says: str) -> None:
+    bench = bench_with(VALVES, HOIST)
+    with pytest.raises(ConfigError) as told:
+        parse_scenario(text, bench, slave_handlers(bench))
+    assert says in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+@in_virtual_time
+async def test_ctl_begins_and_ends_faults() -> None:
+    async with operating(RAW) as bus:
+        bench = bench_of(bus)
+        handlers = slave_handlers(bench, bus)
+        handlers["fault"](["raw", "late-answers", "by_ms=0.1", "for=0.5"])
+        handlers["fault"](["raw", "noise", "rate=1e-6"])
+        assert bench.injected(9) == ["late answers by 0.1 ms", "noise on its stub, 1e-06 a bit"]
+        before = bus.slave("raw").exchanges
+        await asyncio.sleep(0.6)
+        assert bus.slave("raw").exchanges > before + 100  # late, but in time
+        assert bench.injected(9) == ["noise on its stub, 1e-06 a bit"]
+        handlers["normal"](["raw"])
+        assert bench.injected(9) == []
+        for words, says in ((["rs", "by=1"], "unknown key 'by'"), (["rs", "1"], "not KEY=VALUE"), (["rz"], "did you")):
+            with pytest.raises(ConfigError, match=says):
+                handlers["fault"](["raw", *words])

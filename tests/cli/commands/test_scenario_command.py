@@ -1,0 +1,115 @@
+"""`run --scenario` and `sim --scenario`: each step is a line, and a master sees it."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_kit import Cli
+
+import dpstack
+from dpstack.api.config.config import load_config, make_config
+from dpstack.api.control.handlers import slave_handlers
+from dpstack.api.control.scenario import ScenarioRun, load_scenario, parse_scenario
+from dpstack.api.server.simulation import Simulation, sim_event_json
+from dpstack.dp.master.events import SlaveDiagnosis
+from dpstack.drivers.virtual import loop
+
+ROOT = Path(__file__).resolve().parents[3]
+PLANT, FAULTS = ROOT / "examples" / "plant.toml", ROOT / "examples" / "faults.toml"
+RAW = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
+
+
+def test_the_example_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, cli: Cli) -> None:
+    """In virtual time, with a tenth of its times."""
+    text = FAULTS.read_text(encoding="utf-8").replace("repeat = 24.0", "").replace("by_ms = 20", "by_ms = 0.5")
+    text = re.sub(r"(?m)^(at|for) = (.*)", lambda found: f"{found[1]} = {float(found[2]) / 10}", text)
+    (tmp_path / "faults.toml").write_text(text, encoding="utf-8")
+    monkeypatch.setattr(asyncio, "run", loop.run)
+    plant = tmp_path / "plant.toml"
+    plant.write_text(PLANT.read_text(encoding="utf-8").replace("[bus]", "[bus]\ncycle_ms = 20"), encoding="utf-8")
+    told = cli.jsons("run", str(plant), "--scenario", str(tmp_path / "faults.toml"), "--seconds", "3")
+    steps = [(line["t"], line["step"], line["state"]) for line in told if line["event"] == "scenario"]
+    assert steps == [
+        (0.2, 1, "begin"),
+        (0.4, 1, "end"),
+        (0.5, 2, "begin"),
+        (0.6, 2, "end"),
+        (0.8, 3, "begin"),
+        (1.0, 3, "end"),
+        (1.2, 4, "begin"),
+        (1.3, 4, "end"),
+        (1.5, 5, "begin"),
+        (1.55, 5, "end"),
+        (1.7, 6, "begin"),
+        (1.8, 6, "end"),
+        (1.9, 7, "begin"),
+        (2.0, 8, "begin"),
+        (2.2, 7, "end"),
+        (2.2, 0, "over"),
+    ]
+    seen = [str(line) for line in told]
+    for word in ("line break", "refuses Data_Exchange (RS)", "F2100", "stopped answering"):
+        assert any(word in line for line in seen), word
+
+
+async def test_a_scenario_behind_a_pty() -> None:
+    """The faults of a simulated slave on a port, as a master on that port sees them."""
+    events: list[dpstack.Event] = []
+    lines: list[dict[str, Any]] = []
+    over = asyncio.Event()
+
+    def told(event: dpstack.Event) -> None:
+        lines.append(sim_event_json(event, 0.0))
+        if lines[-1].get("state") == "over":
+            over.set()
+
+    text = "".join(
+        f'[[step]]\nat = {at}\nslave = "raw"\ndo = "{do}"\n{keys}\nfor = 0.08\n'
+        for at, do, keys in (
+            (0.0, "diagnosis", 'octets = "80 43 26"'),
+            (0.1, "late_answers", "by_ms = 4"),
+            (0.2, "rs", ""),
+        )
+    )
+    config = make_config("/dev/elsewhere", 500_000, 2, [RAW])
+    async with Simulation(config, "pty", 500_000) as simulation:
+        simulation.on_event = told
+        master = config.with_bus(port=simulation.port_name)
+        async with dpstack.open_bus(master, on_event=events.append) as bus:
+            await bus.ready(20)
+            scenario = parse_scenario(text, simulation, slave_handlers(simulation))
+            ScenarioRun(scenario, simulation, simulation.publish).start(simulation.now)
+            await asyncio.wait_for(over.wait(), 20)
+    assert any("refuses Data_Exchange (RS)" in event.text for event in events)
+    read = [event.diagnosis.ext for event in events if isinstance(event, SlaveDiagnosis)]
+    assert bytes.fromhex("80 43 26") in read
+    assert read[-1] == b""
+    assert simulation.slaves[0].station.stats.dropped == 0  # the late answers came in time for this master
+    states = [(line["step"], line["state"]) for line in lines if line["event"] == "scenario"]
+    assert states == [(1, "begin"), (1, "end"), (2, "begin"), (2, "end"), (3, "begin"), (3, "end"), (0, "over")]
+
+
+def test_a_scenario_needs_simulated_slaves(cli: Cli, tmp_path: Path) -> None:
+    said = cli.err("run", str(PLANT), "--port", "/dev/nowhere", "--scenario", str(FAULTS))
+    assert said == (
+        'dpstack: --scenario on /dev/nowhere: only simulated slaves have one; take "virtual", or dpstack sim\n'
+    )
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text('[[step]]\nat = 1\nslave = "fan"\ndo = "rz"\n', encoding="utf-8")
+    for command in (("run", str(PLANT)), ("sim", str(PLANT), "--port", "pty")):
+        assert cli.err(*command, "--scenario", str(wrong)).startswith(
+            f"dpstack: {wrong}:4: [[step]] 1: unknown do 'rz'; did you mean 'rs'?"
+        )
+    assert "there is no such file" in cli.err("run", str(PLANT), "--scenario", str(tmp_path / "none.toml"))
+
+
+def test_the_example_fits_its_plant() -> None:
+    async def check() -> None:
+        simulation = Simulation(load_config(PLANT), "pty", 500_000)
+        assert len(load_scenario(FAULTS, simulation, slave_handlers(simulation)).steps) == 8
+
+    asyncio.run(check())
