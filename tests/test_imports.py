@@ -42,10 +42,11 @@ MAY: dict[str, set[str]] = {
     "dpv1": DP,
     "record": PURE_BASE | {"dp"},
     "profile": {"dp", "dpv1", "units", "errors"},
+    "why": DP,
     "sim": DP | {"machine", "decode"},
     "ports": PURE_BASE | {"phy"},
     "drivers": DP | {"ports", "machine", "sim"},
-    "api": DP | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor", "record", "live"},
+    "api": DP | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor", "record", "live", "why"},
     "wireshark": {"api", "capture"} | PURE_BASE,
     "web": {"api", "live", "ports", "record"} | PURE_BASE,
     "cli": {"api", "capture", "decode", "monitor", "record", "wireshark", "gsd", "profile", "trace"} | PURE_BASE,
@@ -70,6 +71,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("dp/master",),
     ("dp/acyclic",),
     ("dp/plan",),
+    ("why",),
     ("dpv1/master",),
     ("profile/model",),
     ("profile/channel",),
@@ -123,6 +125,7 @@ PURE = PURE_BASE | {
     "dpv1",
     "sim",
     "profile",
+    "why",
 }
 FORBIDDEN_IN_PURE = {
     "asyncio",

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
+from dpstack.dp.master.bring_ups import History
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.fixed_cycle import CycleData, CycleStats
@@ -88,7 +89,8 @@ class Counters:
 
 
 class View(Protocol):
-    """Access of an application to the snapshots of its bus, the same with every driver. Reading never waits."""
+    """Access of an application to the snapshots of its bus, the same with every driver. Reading never waits, except
+    for :meth:`history`."""
 
     @property
     def read_only(self) -> bool:
@@ -105,6 +107,12 @@ class View(Protocol):
 
     def image(self, setup: SlaveParams) -> ImageSnapshot:
         """Inputs and outputs of the slave with ``setup``; zeros and its first outputs where it is not there."""
+
+    async def history(self, address: int) -> History:
+        """The last bring-ups of the slave at ``address``, empty where there is none; a bus process is asked for it.
+
+        Raises OrderDropped, BusError.
+        """
 
     def set_outputs(self, address: int, octets: bytes) -> None:
         """The outputs of the next Data_Exchange in Operate. Raises ValueError for a wrong length."""

@@ -9,6 +9,7 @@ from typing import Final, Protocol
 
 from dpstack.dp.acyclic.class2 import Class2
 from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.master.bring_ups import History
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.scanner import Scanner
@@ -130,6 +131,13 @@ class Stack:
         return SlaveSnapshot(
             handler.state, handler.fault, handler.diagnosis, handler.watchdog_effective_ns, handler.alarm_counts
         )
+
+    def bring_ups(self, address: int) -> History:
+        handler = self.master.handlers.get(address)
+        return History() if handler is None else handler.bring_ups.history()
+
+    async def history(self, address: int) -> History:
+        return self.bring_ups(address)
 
     def image(self, setup: SlaveParams) -> ImageSnapshot:
         handler = self.master.handlers.get(setup.address)

@@ -181,6 +181,7 @@ class StationStats:
     retries: int = 0
     timeouts: int = 0  # requests without answer
     late: int = 0  # answers that came after their time-out
+    early: int = 0  # of these, answers that began before min T_SDR
     wrong: int = 0
     #: damaged telegrams and stray octets during the wait for its answer, by cause (names of DecoderStats)
     bad: dict[str, int] = field(default_factory=dict)

@@ -16,4 +16,5 @@
 - ``statistics``: Counters and rotation times of a bus
 - ``sync_freeze``: SYNC and FREEZE: one Global_Control, groups of slaves
 - ``virtual``: Programs on simulated buses in virtual time
+- ``why``: Evidence for ``dpstack why``: gathered from a running bus, or by a class 2 look at a bus
 """

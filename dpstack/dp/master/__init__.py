@@ -1,5 +1,6 @@
 """The DP master: its mode, its cycle, and one slave handler a slave.
 
+- ``bring_ups``: Record of the last bring-ups of one slave: each request besides the cycle with its answer; the losses
 - ``commands``: Orders to the DP master and its modes
 - ``cycle``: One round over the slaves and the order of its requests
 - ``events``: Events of the DP master for the application

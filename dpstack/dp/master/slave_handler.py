@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Final
 
 from dpstack.dp.master import fault_texts
+from dpstack.dp.master.bring_ups import DATA_EXCHANGE, BringUps
 from dpstack.dp.master.events import Fault, SlaveState, SlaveStateChanged
 from dpstack.dp.master.fault_texts import CfgFault
 from dpstack.dp.master.plugin_host import PluginHost
@@ -72,6 +73,8 @@ class SlaveHandler:
         self.image: SlaveImage = image_of(setup, None if before is None else before.image)
         self.reports = SlaveReports(setup, context.emit, context.params.address)
         self.plugin_host = PluginHost(self.image, setup, self.reports)
+        #: the last bring-ups step by step
+        self.bring_ups: BringUps = BringUps() if before is None else before.bring_ups
         self.state = SlaveState.OFFLINE
         #: time in ns at which this state was entered
         self.since = 0
@@ -157,6 +160,8 @@ class SlaveHandler:
                     if not image.valid:
                         last = self.reports.diagnosis
                         image.valid = last is None or not last.stat_diag
+                        if self.bring_ups.first_due:
+                            self.bring_ups.first_exchange(self._data.data, outcome, now)
                     self.exchanges += 1
                     if not self._odd.none:
                         self._odd.clear()
@@ -169,6 +174,7 @@ class SlaveHandler:
     def _odd_data(self, outcome: Telegram | Failure, now: int) -> None:
         if outcome is Failure.ABANDONED or self.state is not SlaveState.DATA_EXCHANGE:
             return
+        self.bring_ups.answered(self.state, DATA_EXCHANGE, self._data.data, outcome, now)
         if not isinstance(outcome, Telegram):
             self._step(Trigger.SILENT, now, fault_texts.lost("Data_Exchange", outcome))
             return
@@ -244,6 +250,7 @@ class SlaveHandler:
             return
         good = outcome if isinstance(outcome, Telegram) and positive(request.dsap, outcome) else None
         service = SERVICE_NAMES[request.dsap or 0]
+        self.bring_ups.answered(self.state, service, request.data, outcome, now)
         if request.dsap == SAP_GET_CFG:
             self._end_inquiry(good.data if good else None, now)
         elif not isinstance(outcome, Telegram):
@@ -389,6 +396,7 @@ class SlaveHandler:
         if state in (SlaveState.DATA_EXCHANGE, SlaveState.DEACTIVATED):
             self.reports.clear()
         if state is SlaveState.DATA_EXCHANGE:
+            self.bring_ups.entered_exchange()
             self.plugin_host.remind(now)
             self.reports.observer.opened(self.reports.diagnosis, now)
         elif state is SlaveState.FAULT:
@@ -405,6 +413,7 @@ class SlaveHandler:
     def _leave_exchange(self, now: int, *, silent: bool) -> None:
         """Make the inputs invalid, end pending orders of the plugin, begin the next bring-up with a first request."""
         self.image.valid = False
+        self.bring_ups.left_exchange(now, now - self.since)
         self.diag_due = False
         self.restart = True
         self._pacing.left(now, now - self.since, silent=silent)

@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterable, Mapping
 from time import monotonic_ns
 from typing import Final
 
+from dpstack.dp.master.bring_ups import History
 from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, Mode, RemoveSlave, ReparameteriseSlave
 from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveState, SlaveStateChanged
 from dpstack.dp.master.fixed_cycle import CycleData
@@ -30,7 +31,16 @@ from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
 from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.line.shutdown import at_slaves
 from dpstack.drivers.process import channel
-from dpstack.drivers.process.messages import CloseBus, News, SetUp, TakeOutputs, checked_arguments, event_of, typed
+from dpstack.drivers.process.messages import (
+    CloseBus,
+    News,
+    ReadHistory,
+    SetUp,
+    TakeOutputs,
+    checked_arguments,
+    event_of,
+    typed,
+)
 from dpstack.drivers.process.shared_image import Outputs, Picture, SharedImage, Word, make_memory
 from dpstack.drivers.runtime import (
     IN_PARENT,
@@ -243,6 +253,9 @@ class ProcessRuntime:
 
     def slave(self, address: int) -> SlaveSnapshot:
         return self._slaves.get(address, _UNKNOWN)
+
+    async def history(self, address: int) -> History:
+        return typed(await self.order(ReadHistory(address)), History)
 
     def image(self, setup: SlaveParams) -> ImageSnapshot:
         """Inputs and outputs of the newest round; outputs that the application has set take precedence."""

@@ -77,6 +77,12 @@ class TakeOutputs(Order):
     """Read the outputs that the application has published; the answer comes after that."""
 
 
+class ReadHistory(Order):
+    """The answer is the :class:`~dpstack.dp.master.bring_ups.History` of the slave at ``address``."""
+
+    address: int
+
+
 class CloseBus(Order):
     """Release the port and end the process, after the end of the bus. The answer is the last :class:`Counters`."""
 

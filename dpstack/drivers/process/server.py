@@ -24,6 +24,7 @@ from dpstack.drivers.process.messages import (
     News,
     Outbox,
     Question,
+    ReadHistory,
     SetUp,
     TakeOutputs,
     error_pair,
@@ -189,6 +190,8 @@ class Host:
                 self._publish_drives()
             case TakeOutputs():
                 self._take_outputs()
+            case ReadHistory(address):
+                return self._stack.bring_ups(address)
             case GoOffline() if self._master.mode is not Mode.OFFLINE:
                 self.end("the application ended the bus")  # without a token no Clear could be sent
             case CloseBus():

@@ -226,6 +226,8 @@ class Exchange(Awaiting):
             self.stats.station(sa).wrong += 1
             self.peers.superfluous(sa, now)
         else:
+            if sa in (self.request.da, -1) and self.line.edge_at < self.early_until:
+                self.stats.station(self.request.da).early += 1
             self._count_late(telegram, now)
 
     def late(self, telegram: Telegram, now: int) -> None:

@@ -1,0 +1,185 @@
+"""Evidence for ``dpstack why``: gathered from a running bus, or by a class 2 look at a bus; it never parameterises."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+from collections.abc import Awaitable, Callable
+from typing import TYPE_CHECKING, Final
+
+from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
+from dpstack.dp.acyclic.job import Outcome, ServiceFailure
+from dpstack.dp.master.bring_ups import DAMAGED, NOTHING, WRONG, History, Step
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.scanner import Found
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.errors import DpError, GsdError
+from dpstack.fdl.livelist import ALL_ADDRESSES
+from dpstack.gsd.prm import UserPrm
+from dpstack.units import NS_PER_S
+from dpstack.why.evidence import CLASS2, RUN, Evidence, Line, Neighbour, Ring
+from dpstack.why.facts import Facts
+from dpstack.why.story import Story, tell
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.parts import BusBase
+    from dpstack.api.slave.slave import Slave
+
+#: asks the addresses for their stations, with identifier octets
+Scan = Callable[[list[int]], Awaitable[tuple[Found, ...]]]
+
+#: time limit in s of the scan for stations at other addresses
+_SCAN_S: Final = 20.0
+_ASK_NS: Final = 2 * NS_PER_S
+_FAILED: Final = {
+    ServiceFailure.SILENT: NOTHING,
+    ServiceFailure.LATE: NOTHING,
+    ServiceFailure.UNREADABLE: DAMAGED,
+    ServiceFailure.WRONG: WRONG,
+}
+
+
+async def why(bus: BusBase, slave: Slave, scan: Scan | None, *, master: int | None = None) -> Story:
+    """The story of ``slave``. ``master``: the address of its master by the configuration, None: this station.
+
+    ``scan`` is called where nobody, or another device, answers at the address of the slave; None: never.
+    """
+    evidence = await gather(bus, slave, scan, master=master)
+    return tell(evidence)
+
+
+async def gather(bus: BusBase, slave: Slave, scan: Scan | None, *, master: int | None = None) -> Evidence:
+    """All that is known about ``slave``, and what class 2 services tell of it while the bus is in the ring."""
+    history = History()
+    with contextlib.suppress(DpError):  # a bus process that has ended
+        history = await bus.view.history(slave.address)
+    evidence = _evidence(bus, slave, history, bus.params.address if master is None else master)
+    if not (bus.is_open and bus.runtime.not_running is None and bus.snapshot.in_ring) or slave.deactivated:
+        return evidence
+    evidence = await _asked(bus, evidence)
+    facts = Facts(evidence)
+    lost = not facts.exchanging and (facts.silent_now or facts.garbled_now or facts.wrong_ident is not None)
+    return await _scanned(bus, evidence, scan) if scan is not None and lost else evidence
+
+
+def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evidence:
+    setup, view, snapshot = slave.setup, bus.view, bus.snapshot
+    counters = view.counters()
+    link = counters.link
+    texts, device = setup.texts, slave.config.device
+    modules = () if texts is None else texts.modules
+    expected = None
+    if device is not None:
+        with contextlib.suppress(GsdError):
+            expected = UserPrm(device, modules).octets()
+    bad = counters.decoder.by_cause()
+    bad |= {f"uart_{cause}": count for cause, count in counters.damage.items() if count}
+    neighbours = [
+        Neighbour(one.address, one.name, one.state, one.setup.ident, link.station(one.address))
+        for one in bus.slaves
+        if one is not slave
+    ]
+    return Evidence(
+        setup=setup,
+        state=slave.state,
+        source=CLASS2 if view.read_only else RUN,
+        now_ns=bus.runtime.now(),
+        started_ns=bus.started_ns,
+        fault=slave.fault,
+        diagnosis=slave.diagnosis,
+        history=history,
+        link=link.station(slave.address),
+        neighbours=tuple(neighbours),
+        watchdog_ns=slave.snapshot.watchdog_ns,
+        device=device,
+        modules=modules,
+        expected_prm=expected,
+        rates=slave.config.baud_rates,
+        read_only=view.read_only,
+        ring=Ring(
+            own=master,
+            joined=snapshot.in_ring,
+            masters=snapshot.las,
+            without_token=tuple(link.without_token),
+            collision=bus.collision or "",
+            tokens=link.tokens,
+            tokens_lost=link.tokens_lost,
+            withdrawn=link.withdrawn,
+            token_retries=link.token_retries,
+        ),
+        line=Line(
+            baud=bus.params.baud,
+            slot_bits=bus.params.t_sl,
+            min_tsdr=bus.params.min_tsdr,
+            sent=link.sent,
+            heard=link.heard,
+            stray=link.stray,
+            bad=bad,
+            longest_ns=counters.rotation.max_ns,
+            planned_ns=bus.rotation_limit_ns,
+            paced=bus.runtime.paced,
+        ),
+    )
+
+
+async def _asked(bus: BusBase, evidence: Evidence) -> Evidence:
+    """``evidence`` with the answers of the slave to Slave_Diag (beside its master only) and Get_Cfg."""
+    address, steps = evidence.setup.address, []
+    if evidence.read_only:
+        steps.append(await _ask(bus, address, Service.DIAGNOSIS))
+    facts = Facts(dataclasses.replace(evidence, asked=tuple(steps)))
+    config = None
+    if (facts.answers_now or (facts.present and not facts.silent_now)) and not (facts.exchanging and not steps):
+        step = await _ask(bus, address, Service.CONFIG)
+        config = step.received or None
+        if evidence.read_only:
+            steps.append(step)
+    diagnosis = next((one for step in steps if (one := step.diagnosis) is not None), evidence.diagnosis)
+    state = evidence.state
+    if evidence.read_only:
+        state = _state_of(facts, diagnosis)
+    return dataclasses.replace(evidence, asked=tuple(steps), config=config, diagnosis=diagnosis, state=state)
+
+
+def _state_of(facts: Facts, diagnosis: Diagnosis | None) -> SlaveState:
+    """The state of a slave that another master may own."""
+    if facts.exchanging:
+        return SlaveState.DATA_EXCHANGE
+    if diagnosis is None or facts.silent_now:
+        return SlaveState.OFFLINE
+    refuses = diagnosis.prm_fault or diagnosis.cfg_fault or diagnosis.not_supported
+    if facts.wrong_ident is not None or facts.owner is not None or refuses:
+        return SlaveState.FAULT
+    return SlaveState.DIAGNOSIS if diagnosis.prm_req else SlaveState.WAIT_READY
+
+
+async def _ask(bus: BusBase, address: int, service: Service) -> Step:
+    """One class 2 service as a step."""
+    token = bus.services.token()
+    try:
+        done = await bus.services.answer_to(ReadService(token, address, service, None, _ASK_NS), ServiceDone)
+    except DpError as error:
+        now = bus.runtime.now()
+        return Step(now, service.title, b"", str(error), last_ns=now)
+    return Step(done.t_ns, service.title, b"", _answered(done.outcome), done.outcome.data, last_ns=done.t_ns)
+
+
+def _answered(outcome: Outcome) -> str:
+    if outcome.failure is None:
+        return "DL"
+    return outcome.status or _FAILED.get(outcome.failure, outcome.failure.value)
+
+
+async def _scanned(bus: BusBase, evidence: Evidence, scan: Scan) -> Evidence:
+    """``evidence`` with the stations at addresses that the configuration does not have."""
+    taken = {one.address for one in evidence.neighbours} | {bus.params.address, evidence.setup.address}
+    addresses = [address for address in ALL_ADDRESSES if address not in taken]
+    if evidence.read_only:
+        addresses += [one.address for one in evidence.neighbours]
+    found: tuple[Found, ...]
+    try:
+        found = await asyncio.wait_for(scan(addresses), _SCAN_S)
+    except (TimeoutError, DpError):
+        return evidence
+    return dataclasses.replace(evidence, found=found, unreadable=bus.unreadable)

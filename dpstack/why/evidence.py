@@ -1,0 +1,125 @@
+"""Evidence about one slave: plain frozen data, from a running master or from a class 2 look at the bus."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from dpstack.dp.master.bring_ups import BringUp, History, Step
+from dpstack.dp.master.events import Fault, SlaveState
+from dpstack.dp.master.scanner import Found
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.slave_params import SlaveParams
+from dpstack.fdl.interface import StationStats
+from dpstack.gsd.model import Device, Module
+
+RUN = "run"
+CLASS2 = "class2"
+
+
+@dataclass(frozen=True, slots=True)
+class Neighbour:
+    """Another slave of the same configuration."""
+
+    address: int
+    name: str
+    state: SlaveState
+    ident: int | None = None
+    link: StationStats = field(default_factory=StationStats)
+
+    @property
+    def answers(self) -> bool:
+        return self.link.answers > 0 or self.state in (SlaveState.DATA_EXCHANGE, SlaveState.WAIT_READY)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ring:
+    """The token ring, as the asking station sees it. ``own``: the address of the master that owns the slave by its
+    configuration; ``joined``: that master is in the ring. ``masters``: the list of active stations.
+
+    ``without_token``: stations that send requests and never passed a token. ``collision``: text, where another station
+    sends with the master's address. ``refused``: why the ring could not be joined, empty where it could.
+    """
+
+    own: int
+    joined: bool = True
+    masters: frozenset[int] = frozenset()
+    without_token: tuple[int, ...] = ()
+    collision: str = ""
+    refused: str = ""
+    tokens: int = 0
+    tokens_lost: int = 0
+    withdrawn: int = 0
+    token_retries: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """Counters of the whole line. ``bad``: damaged telegrams and octets outside of telegrams, by cause.
+
+    ``longest_ns``: the longest time between two rounds that was measured, 0: none. ``planned_ns``: the longest one of
+    the plan. ``slot_bits``: T_SL, ``min_tsdr``: the
+    earliest answer that the master takes, both in bit times.
+    """
+
+    baud: int
+    slot_bits: int
+    min_tsdr: int = 11
+    sent: int = 0
+    heard: int = 0
+    stray: int = 0
+    bad: Mapping[str, int] = field(default_factory=dict)
+    longest_ns: int = 0
+    planned_ns: int = 0
+    paced: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """All that is known about the slave with ``setup``.
+
+    ``device``, ``modules``: of its GSD file, where it has one. ``expected_prm``: the user parameters that this file
+    gives for these modules. ``rates``: baud rates that the device knows, empty: not known. ``config``: the identifier
+    octets that the slave says to have (Get_Cfg), None: not asked, or not answered. ``found``: the stations of a scan,
+    None: the bus was not scanned. ``unreadable``: addresses whose answers the scan could not read. ``asked``: services
+    that were asked for this story, as steps. ``read_only``: the asking station is no class 1 master of the slave.
+    """
+
+    setup: SlaveParams
+    state: SlaveState
+    ring: Ring
+    line: Line
+    source: str = RUN
+    now_ns: int = 0
+    started_ns: int = 0
+    fault: Fault | None = None
+    diagnosis: Diagnosis | None = None
+    history: History = field(default_factory=History)
+    link: StationStats = field(default_factory=StationStats)
+    neighbours: tuple[Neighbour, ...] = ()
+    watchdog_ns: int = 0
+    device: Device | None = None
+    modules: tuple[Module | None, ...] = ()
+    expected_prm: bytes | None = None
+    rates: frozenset[int] = frozenset()
+    config: bytes | None = None
+    found: tuple[Found, ...] | None = None
+    unreadable: frozenset[int] = frozenset()
+    asked: tuple[Step, ...] = ()
+    read_only: bool = False
+
+    @property
+    def bring_up(self) -> BringUp | None:
+        """The last bring-up."""
+        ups = self.history.bring_ups
+        return ups[-1] if ups else None
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """The steps of the last bring-up, then those asked for this story."""
+        last = self.bring_up
+        return (() if last is None else last.steps) + self.asked
+
+    def seconds(self, t_ns: int) -> float:
+        """``t_ns`` in seconds since the start."""
+        return (t_ns - self.started_ns) / 1e9

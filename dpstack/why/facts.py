@@ -1,0 +1,317 @@
+"""Facts drawn from the evidence of one slave, each computed once: what its answers and its counters say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cached_property
+from typing import Final
+
+from dpstack.dp.master.bring_ups import DAMAGED, DATA_EXCHANGE, NOTHING, SLAVE_DIAG, Loss, Step
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.scanner import Found
+from dpstack.dp.master.verdicts import foreign_owner
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.fdl.interface import StationStats
+from dpstack.fdl.telegram import StationType
+from dpstack.units import NS_PER_MS, bits_to_ns
+from dpstack.why.evidence import CLASS2, Evidence, Neighbour
+from dpstack.why.modules import Comparison, Difference, compare
+from dpstack.why.parameters import ParameterFacts, parameter_facts
+from dpstack.why.steps import CHK_CFG, SET_PRM
+
+#: requests from which a share of failures says something
+ENOUGH: Final = 20
+#: share of attempts that fail from which a line is disturbed, and failures that must have happened
+_DISTURBED: Final = 0.004
+_FAILURES: Final = 4
+
+
+def attempts(link: StationStats) -> int:
+    return link.requests + link.retries
+
+
+def failures(link: StationStats) -> int:
+    """Attempts without an answer in time."""
+    return link.retries + link.timeouts
+
+
+def damaged(link: StationStats) -> int:
+    """Attempts with octets that were no telegram, at most as many as failed."""
+    return min(sum(link.bad.values()), failures(link))
+
+
+def share(link: StationStats) -> float:
+    return failures(link) / max(1, attempts(link))
+
+
+def is_disturbed(link: StationStats) -> bool:
+    """Answers fail now and then: too often for a good line, and not always."""
+    return link.answers > 0 and failures(link) >= _FAILURES and share(link) >= _DISTURBED
+
+
+class Facts:
+    """Facts about ``evidence``."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self.evidence = evidence
+        self.setup = evidence.setup
+        self.link = evidence.link
+
+    # --- the last answers ---
+
+    @cached_property
+    def steps(self) -> tuple[Step, ...]:
+        return self.evidence.steps
+
+    @cached_property
+    def last_step(self) -> Step | None:
+        return self.steps[-1] if self.steps else None
+
+    @cached_property
+    def diagnosis(self) -> Diagnosis | None:
+        """The newest diagnosis that the slave gave."""
+        read = next((one for step in reversed(self.steps) if (one := step.diagnosis) is not None), None)
+        # before the first diagnosis the master makes one up: Station_Non_Existent, ident 0
+        known = self.evidence.history.idents or self.evidence.source == CLASS2
+        return read or (self.evidence.diagnosis if known else None)
+
+    @cached_property
+    def prm_diagnosis(self) -> Diagnosis | None:
+        """The newest diagnosis after a Set_Prm of this master."""
+        after = self.after(SET_PRM)
+        return next((one for step in reversed(after) if (one := step.diagnosis) is not None), None)
+
+    def after(self, service: str) -> tuple[Step, ...]:
+        """The steps behind the last ``service`` of the last bring-up that has one."""
+        for up in reversed(self.evidence.history.bring_ups):
+            for at in range(len(up.steps) - 1, -1, -1):
+                if up.steps[at].asked == service:
+                    return up.steps[at + 1 :]
+        return ()
+
+    def step_of(self, service: str) -> Step | None:
+        """The last step of ``service``."""
+        ups = reversed(self.evidence.history.bring_ups)
+        every = (step for up in ups for step in reversed(up.steps) if step.asked == service)
+        return next(every, None)
+
+    @cached_property
+    def exchanging(self) -> bool:
+        """In data exchange, by its master or by its diagnosis."""
+        if self.evidence.source == CLASS2:
+            found = self.diagnosis
+            if found is None or found.master is None:
+                return False
+            return not (found.prm_req or found.not_ready or found.prm_fault or found.cfg_fault)
+        return self.evidence.state is SlaveState.DATA_EXCHANGE
+
+    @cached_property
+    def present(self) -> bool:
+        """It answered at least once."""
+        return bool(self.link.answers or self.link.late or self.evidence.history.idents or self.diagnosis is not None)
+
+    @cached_property
+    def answers_now(self) -> bool:
+        """The last thing that was asked was answered."""
+        last = self.last_step
+        return self.exchanging or (last is not None and last.answered not in (NOTHING, DAMAGED))
+
+    @cached_property
+    def silent_now(self) -> bool:
+        """The last request was not answered, and nothing unreadable came either."""
+        last = self.last_step
+        if self.exchanging:
+            return False
+        if last is None:
+            return self.evidence.state is SlaveState.OFFLINE and not self.present and attempts(self.link) > 0
+        return last.answered == NOTHING
+
+    @cached_property
+    def garbled_now(self) -> bool:
+        last = self.last_step
+        return not self.exchanging and last is not None and last.answered == DAMAGED
+
+    @cached_property
+    def garbled_polls(self) -> int:
+        return sum(step.times for step in self.steps if step.answered == DAMAGED)
+
+    @cached_property
+    def silent_polls(self) -> int:
+        return sum(step.times for step in self.steps if step.answered == NOTHING)
+
+    @cached_property
+    def owner(self) -> int | None:
+        """The other master that its newest diagnosis names."""
+        return None if self.diagnosis is None else foreign_owner(self.diagnosis, self.evidence.ring.own)
+
+    @cached_property
+    def wrong_ident(self) -> int | None:
+        wanted = self.setup.ident
+        if wanted is None or self.diagnosis is None or self.diagnosis.ident == wanted:
+            return None
+        return self.diagnosis.ident
+
+    # --- its losses ---
+
+    @cached_property
+    def losses(self) -> tuple[Loss, ...]:
+        return self.evidence.history.losses
+
+    @cached_property
+    def lost(self) -> int:
+        return self.evidence.history.lost
+
+    @cached_property
+    def lost_silently(self) -> int:
+        """Losses by silence after which it came back without parameters."""
+        return sum(loss.how == NOTHING and bool(loss.back_ns) and loss.prm_req for loss in self.losses)
+
+    @cached_property
+    def lost_by_itself(self) -> int:
+        """Losses in which it answered, and wanted parameters."""
+        return sum(loss.how not in (NOTHING, DAMAGED) and loss.prm_req for loss in self.losses)
+
+    @cached_property
+    def lost_damaged(self) -> int:
+        return sum(loss.how == DAMAGED for loss in self.losses)
+
+    # --- the line ---
+
+    @cached_property
+    def neighbours(self) -> tuple[Neighbour, ...]:
+        return self.evidence.neighbours
+
+    @cached_property
+    def answering(self) -> tuple[Neighbour, ...]:
+        return tuple(one for one in self.neighbours if one.answers)
+
+    @cached_property
+    def others_found(self) -> tuple[Found, ...]:
+        """Slaves that a scan found at other addresses."""
+        own = self.setup.address
+        return tuple(one for one in self.evidence.found or () if one.address != own and one.kind is StationType.SLAVE)
+
+    @cached_property
+    def strangers(self) -> tuple[Found, ...]:
+        """Slaves at addresses that the configuration does not have."""
+        known = {one.address for one in self.neighbours}
+        return tuple(one for one in self.others_found if one.address not in known)
+
+    @cached_property
+    def anybody(self) -> bool:
+        """Another slave answers."""
+        return bool(self.answering or self.others_found)
+
+    @cached_property
+    def disturbed_neighbours(self) -> tuple[Neighbour, ...]:
+        return tuple(one for one in self.neighbours if is_disturbed(one.link))
+
+    @cached_property
+    def damage(self) -> int:
+        """Damaged telegrams and octets on the whole line."""
+        return sum(self.evidence.line.bad.values())
+
+    @cached_property
+    def damage_here(self) -> int:
+        return sum(self.link.bad.values())
+
+    @cached_property
+    def superfluous(self) -> int:
+        """Answers beyond the attempts that had none in time: from a second station."""
+        return self.link.late + self.link.wrong - failures(self.link)
+
+    # --- configuration, parameters, times ---
+
+    @cached_property
+    def comparison(self) -> Comparison | None:
+        """Wanted and real configuration; None where the real one is not known."""
+        real = self.evidence.config
+        if real is None:
+            read = self.step_of("Get_Cfg")
+            real = read.received if read is not None and read.received else None
+        if real is None:
+            return None
+        device, modules = self.evidence.device, self.evidence.modules
+        first = 1 if device is None else device.first_slot
+        return compare(self.setup.config, real, device, modules, first)
+
+    @cached_property
+    def differs(self) -> bool:
+        return self.comparison is not None and self.comparison.kind is not Difference.SAME
+
+    @cached_property
+    def parameters(self) -> ParameterFacts:
+        return parameter_facts(self.evidence)
+
+    @cached_property
+    def cfg_fault(self) -> bool:
+        return any(found.cfg_fault for found in self._refusing(CHK_CFG)) or self._kind == "cfg_fault"
+
+    @cached_property
+    def prm_fault(self) -> bool:
+        return any(found.prm_fault for found in self._refusing(SET_PRM)) or self._kind == "prm_fault"
+
+    @cached_property
+    def not_supported(self) -> bool:
+        return any(found.not_supported for found in self._refusing(SET_PRM)) or self._kind == "not_supported"
+
+    @cached_property
+    def _kind(self) -> str:
+        fault = self.evidence.fault
+        return "" if fault is None else fault.kind.value
+
+    def is_fault(self, *kinds: str) -> bool:
+        """Whether the fault of the slave is one of ``kinds``."""
+        return self._kind in kinds
+
+    def _refusing(self, service: str) -> Iterable[Diagnosis]:
+        """Diagnoses after ``service`` of this master; on a bus that was only looked at, the newest one."""
+        if self.evidence.source == CLASS2:
+            return () if self.diagnosis is None else (self.diagnosis,)
+        return tuple(one for step in self.after(service) if (one := step.diagnosis) is not None)
+
+    @cached_property
+    def after_prm(self) -> tuple[Step, ...]:
+        return self.after(SET_PRM)
+
+    @cached_property
+    def silent_after_prm(self) -> bool:
+        """It answered before Set_Prm and acknowledged it, or was silent then, and is silent since."""
+        step = self.step_of(SET_PRM)
+        if step is None or not self.evidence.history.idents:
+            return False
+        later = self.after_prm
+        if self.evidence.history.brought_up or not later:
+            return False
+        return all(one.answered == NOTHING for one in later) and sum(one.times for one in later) > 0
+
+    @cached_property
+    def slot_ns(self) -> int:
+        return bits_to_ns(self.evidence.line.slot_bits, self.evidence.line.baud)
+
+    @cached_property
+    def watchdog_ms(self) -> float:
+        return self.evidence.watchdog_ns / NS_PER_MS
+
+    @cached_property
+    def wrong_data(self) -> Step | None:
+        """A Data_Exchange that brought another number of octets than configured."""
+        for up in reversed(self.evidence.history.bring_ups):
+            for step in reversed(up.steps):
+                if step.asked != DATA_EXCHANGE or step.answered not in ("DL", "DH", "SC", "OK"):
+                    continue
+                if len(step.received) != self.setup.input_len:
+                    return step
+        return None
+
+    def refused(self, *services: str) -> Step | None:
+        """The last step of ``services`` that was refused with RS, RR or UE again and again."""
+        for up in reversed(self.evidence.history.bring_ups):
+            for step in reversed(up.steps):
+                if step.asked in services and step.answered in ("RS", "RR", "UE"):
+                    return step
+        return None
+
+    @cached_property
+    def slave_diag_refused(self) -> Step | None:
+        return self.refused(SLAVE_DIAG)

@@ -1,0 +1,654 @@
+"""Causes of a slave that is not in data exchange, each with what speaks for and against it.
+
+Each rule looks at one group of causes. A confidence of 0.9 and more stands only where the protocol leaves no other
+explanation for the answers: an ident number, a master's address, a configuration that the slave itself names.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from dpstack.dp.master.bring_ups import DATA_EXCHANGE, NOTHING, SLAVE_DIAG
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.pdu.requests import SET_PRM_LEN
+from dpstack.text import octets_text
+from dpstack.units import NS_PER_S, baud_text, ms_text
+from dpstack.why.causes import Cause
+from dpstack.why.evidence import CLASS2
+from dpstack.why.facts import ENOUGH, Facts, attempts, damaged, failures, share
+from dpstack.why.modules import Difference
+from dpstack.why.steps import CHK_CFG, SET_PRM, hex_text
+
+#: damaged octets and telegrams on a line that nobody can use
+_JAMMED: Final = 40
+#: polls in a row whose answers could not be read, from which a second station is likelier than noise
+_ALWAYS_DAMAGED: Final = 5
+#: answers in a row of two devices
+_ALTERNATING: Final = 2
+#: waiting time after Chk_Cfg from which a slave counts as not ready
+_READY_NS: Final = NS_PER_S
+#: min T_SDR in Set_Prm that every slave can have
+_USUAL_MIN_TSDR: Final = 11
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One cause with a confidence 0..1 and sentences. ``next``: empty for the usual next step of the cause."""
+
+    cause: Cause
+    confidence: float
+    speaks_for: list[str] = field(default_factory=list)
+    against: list[str] = field(default_factory=list)
+    next: str = ""
+
+    def less(self, confidence: float, why: str = "") -> Finding:
+        """The finding with at most ``confidence``, and ``why`` against it."""
+        more = [why] if why else []
+        return replace(self, confidence=min(self.confidence, confidence), against=[*self.against, *more])
+
+
+Findings = Iterator[Finding]
+
+
+def judge(facts: Facts) -> list[Finding]:
+    """All findings, the likeliest first; "healthy" where nothing speaks against the slave."""
+    found: dict[Cause, Finding] = {}
+    for rule in _RULES:
+        for finding in rule(facts):
+            before = found.get(finding.cause)
+            if before is None or before.confidence < finding.confidence:
+                found[finding.cause] = finding
+    findings = _weighed(facts, list(found.values()))
+    findings += _healthy(facts, findings)
+    return sorted(findings, key=lambda one: -one.confidence)
+
+
+def _weighed(f: Facts, found: list[Finding]) -> list[Finding]:
+    """Weaken what another finding explains as well: a slave that could not be asked is not known to be away."""
+    causes = {one.cause: one.confidence for one in found}
+    of_bus = max((causes.get(cause, 0.0) for cause in _OF_BUS), default=0.0)
+    weighed = []
+    for one in found:
+        if one.cause in (Cause.NOT_THERE, Cause.RATE_MISMATCH) and of_bus >= 0.7:
+            one = one.less(0.3, "The master could hardly ask: the bus itself has a fault.")
+        if one.cause is Cause.NOT_THERE and causes.get(Cause.WRONG_ADDRESS, 0.0) >= 0.6:
+            one = one.less(0.45, "A station with its ident answers at another address.")
+        if one.cause is Cause.NOISE_ON_STUB and causes.get(Cause.DUPLICATE_ADDRESS, 0.0) >= 0.7:
+            one = one.less(0.5, "Noise leaves some answers readable.")
+        weighed.append(one)
+    return weighed
+
+
+_OF_BUS: Final = (Cause.NO_TOKEN, Cause.SECOND_MASTER_SAME_ADDRESS, Cause.BUS_JAMMED)
+
+
+# --- the master and the ring ------------------------------------------------------------------------------------------
+
+
+def _deactivated(f: Facts) -> Findings:
+    if f.evidence.state is SlaveState.DEACTIVATED:
+        yield Finding(Cause.DEACTIVATED, 0.99, ["The application took it out of service by deactivate()."])
+
+
+def _ring(f: Facts) -> Findings:
+    ring, line = f.evidence.ring, f.evidence.line
+    if ring.collision:
+        yield Finding(
+            Cause.SECOND_MASTER_SAME_ADDRESS,
+            0.88,
+            [f"Telegrams with this master's own address {ring.own} came that it has not sent: {ring.collision}."],
+        )
+    jammed = f.damage >= _JAMMED and f.damage > line.heard // 4
+    if jammed and not (f.anybody and f.present):
+        heard = f"{f.damage} damaged telegrams and octets outside of telegrams, {line.heard} readable telegrams."
+        lost = [f"The token was lost {ring.tokens_lost} times."] if ring.tokens_lost else []
+        if not ring.joined:
+            lost.append("The master cannot join the ring: the line is never quiet long enough.")
+        sure = 0.85 if not ring.joined or ring.tokens_lost > 2 or f.damage > 10 * line.heard else 0.65
+        against = ["Other slaves answer."] if f.anybody else []
+        yield Finding(Cause.BUS_JAMMED, 0.6 if against else sure, [heard, *lost], against)
+    if f.exchanging or ring.collision:
+        return
+    if not ring.joined:
+        others = sorted(ring.masters - {ring.own})
+        said = [f"The master (address {ring.own}) is not in the token ring."]
+        if ring.refused:
+            said.append(f"Joining failed: {ring.refused}.")
+        if others:
+            said.append(f"Masters in the ring: {', '.join(map(str, others))}.")
+        yield Finding(Cause.NO_TOKEN, 0.5 if jammed else 0.86, said)
+    elif f.evidence.source == CLASS2 and f.diagnosis is not None:
+        if ring.own not in ring.masters and f.diagnosis.prm_req and f.owner is None and f.wrong_ident is None:
+            said = [
+                f"The slave answers and waits for parameters, and no master {ring.own} is in the token ring.",
+                "No other master owns it.",
+            ]
+            yield Finding(
+                Cause.NO_TOKEN, 0.85, said, next=f"start the master with address {ring.own} (`dpstack run CONFIG`)"
+            )
+    elif not (ring.tokens or attempts(f.link) or f.steps or f.evidence.read_only):
+        said = ["This master was not given the token so far, so it has asked nobody."]
+        yield Finding(Cause.NO_TOKEN, 0.8, said, next="run longer; then look at HSA and the GAP of the other masters")
+
+
+# --- nobody answers ---------------------------------------------------------------------------------------------------
+
+
+def _absent(f: Facts) -> Findings:
+    if not f.silent_now:
+        return
+    setup, line = f.setup, f.evidence.line
+    polls = f.silent_polls or failures(f.link)
+    said = [f"Address {setup.address} did not answer {polls} requests in a row at {baud_text(line.baud)}."]
+    against = []
+    if f.present:
+        said.append("It has answered before: it was there at this rate and address, so look at power and wiring first.")
+    if f.evidence.rates and line.baud not in f.evidence.rates:
+        rates = ", ".join(baud_text(rate) for rate in sorted(f.evidence.rates))
+        said.append(f"By its GSD file it does not know {baud_text(line.baud)}, only {rates}.")
+    confidence = 0.7
+    if f.answering:
+        said.append(f"Others answer at this rate: {_some(one.name for one in f.answering)}.")
+        confidence = 0.88
+    elif f.others_found:
+        said.append(f"Others answer at this rate: {_some(str(one.address) for one in f.others_found)}.")
+        confidence = 0.85
+    elif f.evidence.found is not None:
+        against.append("No other station answers either: a common cause is likelier.")
+        confidence = 0.6
+    if f.evidence.found is not None and not f.strangers and f.anybody:
+        said.append("A scan found no unknown station, so it has no other address on this segment.")
+    if f.link.late or f.superfluous > 0:
+        against.append(f"{f.link.late + f.link.wrong} answers of it came when nobody waited for them.")
+        confidence = 0.3
+    if f.lost_silently >= 2:
+        against.append(f"It came back {f.lost_silently} times before.")
+        confidence = 0.55
+    if f.damage_here > polls // 2:
+        against.append("Octets that cannot be read came after requests to it.")
+        confidence = min(confidence, 0.45)
+    if f.silent_after_prm and not f.lost:
+        against.append("It answered until it was parameterised.")
+        confidence = min(confidence, 0.5)
+    yield Finding(Cause.NOT_THERE, confidence, said, against)
+    if not f.anybody and not f.present:
+        yield from _nobody(f)
+
+
+def _nobody(f: Facts) -> Findings:
+    line, many = f.evidence.line, len(f.neighbours)
+    said = [f"Nobody answers at {baud_text(line.baud)}."]
+    confidence = 0.45
+    if many:
+        said.append(f"All {many + 1} slaves of the configuration are silent at once.")
+        confidence = 0.8
+    if f.evidence.found is not None:
+        said.append("A scan of all addresses found no slave.")
+        confidence += 0.05
+    if f.damage:
+        said.append(f"{f.damage} octets came that are no telegrams at this rate.")
+        confidence = max(confidence, 0.7)
+    others = sorted(f.evidence.ring.masters - {f.evidence.ring.own})
+    against = []
+    if others:
+        against.append(f"Masters {', '.join(map(str, others))} are understood at this rate.")
+        confidence = 0.35
+    yield Finding(Cause.RATE_MISMATCH, confidence, said, against)
+
+
+def _elsewhere(f: Facts) -> Findings:
+    """A station with its ident at an address that is not meant for one."""
+    wanted = f.setup.ident
+    if wanted is None or f.exchanging or (f.answers_now and f.wrong_ident is None):
+        return
+    meant = {one.address for one in f.neighbours if one.ident == wanted}
+    there = [one for one in f.others_found if one.ident == wanted and one.address not in meant]
+    if not there or not (f.silent_now or f.wrong_ident is not None):
+        return
+    places = ", ".join(str(one.address) for one in there)
+    said = [f"A station with its ident 0x{wanted:04X} answers at address {places}, which no slave here has with it."]
+    if any(one.config == f.setup.config for one in there):
+        said.append("That station has the configured modules, too.")
+    against = []
+    confidence = 0.88
+    owned = [one for one in there if one.master not in (None, f.evidence.ring.own)]
+    if len(owned) == len(there):
+        against.append(f"That station belongs to master {owned[0].master}.")
+        confidence = 0.5
+    todo = f"set the address of the device at {places} to {f.setup.address}: its switches, or `dpstack address`"
+    yield Finding(Cause.WRONG_ADDRESS, confidence, said, against, todo)
+
+
+def _ident(f: Facts) -> Findings:
+    if f.wrong_ident is None or f.setup.ident is None:
+        return
+    said = [
+        f"Its diagnosis says ident 0x{f.wrong_ident:04X} (octets 5 and 6), the configuration 0x{f.setup.ident:04X}."
+    ]
+    against = []
+    confidence = 0.96
+    if _alternates(f):
+        against.append("The right ident came, too: two devices answer in turn.")
+        confidence = 0.4
+    elif f.setup.ident in f.evidence.history.idents:
+        said.append("The right ident came before: the device was exchanged.")
+        confidence = 0.8
+    if any(one.ident == f.setup.ident for one in f.strangers):
+        confidence = min(confidence, 0.6)
+    yield Finding(Cause.IDENT, confidence, said, against)
+
+
+def _alternates(f: Facts) -> bool:
+    """Whether diagnoses of two devices came in turn."""
+    idents = [one.ident for step in f.steps if (one := step.diagnosis) is not None]
+    changes = sum(a != b for a, b in itertools.pairwise(idents))
+    return changes >= _ALTERNATING
+
+
+# --- two stations, noise, late answers --------------------------------------------------------------------------------
+
+
+def _doubled(f: Facts) -> Findings:
+    said, confidence = [], 0.0
+    address = f.setup.address
+    if _alternates(f):
+        idents = " and ".join(f"0x{one:04X}" for one in f.evidence.history.idents[:3])
+        said.append(f"Diagnoses of two devices came in turn from address {address}: ident {idents}.")
+        confidence = 0.89
+    last = f.last_step
+    in_row = 0 if last is None or not f.garbled_now else last.times
+    if in_row >= _ALWAYS_DAMAGED or f.garbled_polls >= 2 * _ALWAYS_DAMAGED:
+        said.append(f"The last {max(in_row, f.garbled_polls)} answers came, and none of them could be read.")
+        confidence = max(confidence, 0.8 if f.anybody or not f.neighbours else 0.5)
+    elif address in f.evidence.unreadable:
+        said.append("The scan got an answer from it that could not be read.")
+        confidence = max(confidence, 0.6)
+    if f.superfluous >= ENOUGH // 2:
+        said.append(f"It gave {f.superfluous} more answers than it had requests that were not answered in time.")
+        confidence = max(confidence, 0.85)
+    if not confidence:
+        return
+    against = []
+    if f.disturbed_neighbours:
+        against.append(f"Answers of {_some(one.name for one in f.disturbed_neighbours)} are damaged, too.")
+        confidence = min(confidence, 0.55)
+    yield Finding(Cause.DUPLICATE_ADDRESS, confidence, said, against)
+
+
+def is_disturbed(f: Facts) -> bool:
+    """Answers of the slave fail now and then, more often than its losses explain."""
+    link = f.link
+    retried = link.retries - 3 * f.lost
+    tries = attempts(link)
+    if not link.answers or link.late > 0.3 * failures(link):
+        return False
+    by_retries = retried >= 4 and retried >= 0.004 * tries
+    return by_retries or (f.damage_here >= 3 and f.damage_here >= 0.004 * tries)
+
+
+def _noise(f: Facts) -> Findings:
+    damage = sum(step.times for step in f.steps if step.answered == "damaged")
+    if not (is_disturbed(f) or damage >= 3):
+        return
+    link = f.link
+    said = [f"{failures(link)} of {attempts(link)} requests had no good answer, {damaged(link)} of them a damaged one."]
+    lost = [f"It was lost {f.lost} times by that."] if f.lost_damaged else []
+    weak = not f.damage_here
+    against = ["No damaged octets came, answers are only missing."] if weak else []
+    bad = f.disturbed_neighbours
+    clean = [one for one in f.answering if one not in bad]
+    if bad and len(bad) >= len(clean):
+        names = _some(one.name for one in bad)
+        of_others = [f"Answers of {names} are damaged, too."]
+        yield Finding(Cause.NOISE_ON_SEGMENT, 0.87 if not weak else 0.6, [*said, *of_others, *lost], against)
+        yield Finding(Cause.NOISE_ON_STUB, 0.3, said, [*against, *of_others])
+        return
+    if bad:
+        some = [f"Answers of {_some(one.name for one in bad)} are damaged, too."]
+        yield Finding(Cause.NOISE_ON_SEGMENT, 0.5, [*said, *some], [f"{len(clean)} others are undisturbed."])
+        yield Finding(Cause.NOISE_ON_STUB, 0.6, [*said, *lost], [*against, *some])
+        return
+    if clean:
+        quiet = [f"Others are undisturbed: {_some(one.name for one in clean)}."]
+        yield Finding(Cause.NOISE_ON_STUB, 0.86 if not weak else 0.55, [*said, *quiet, *lost], against)
+        yield Finding(Cause.NOISE_ON_SEGMENT, 0.15, said, [*against, *quiet])
+        return
+    yield Finding(Cause.NOISE_ON_STUB, 0.65, [*said, *lost], [*against, "No other slave answers to compare it with."])
+    yield Finding(Cause.NOISE_ON_SEGMENT, 0.6, said, against)
+
+
+def _late(f: Facts) -> Findings:
+    link, slot = f.link, f.evidence.line.slot_bits
+    late = link.late + link.wrong
+    min_tsdr = f.setup.min_tsdr
+    slow = min_tsdr > slot - _USUAL_MIN_TSDR
+    begins = f"min_tsdr is {min_tsdr} bit times, the slot time (T_SL) {slot}."
+    if link.early >= 3 and link.early >= 0.3 * failures(link):
+        bits = f.evidence.line.min_tsdr
+        said = [f"{link.early} of its answers began before min T_SDR, which this bus has at {bits} bit times."]
+        if bits > min_tsdr:
+            said.append(f"Set_Prm tells the slave min T_SDR {min_tsdr}: it may answer after that time.")
+        yield Finding(Cause.MIN_TSDR, 0.89, said)
+        late -= link.early
+    unreadable = f.garbled_now and f.garbled_polls >= _ALWAYS_DAMAGED
+    if late >= 3 and late >= 0.3 * failures(link) and f.superfluous < ENOUGH // 2 and not unreadable:
+        said = [f"{late} of its answers came after the slot time of {slot} bit times ({ms_text(f.slot_ns)})."]
+        against = [begins + " The answers are late by order of the master."] if slow else []
+        limit = f.setup.max_tsdr.get(f.evidence.line.baud)
+        if limit is not None and limit >= slot:
+            said.append(f"Its GSD file says max_Tsdr = {limit} bit times at this rate.")
+        yield Finding(Cause.ANSWERS_LATE, 0.5 if slow else 0.87, said, against)
+    if slow and not f.exchanging and (f.silent_after_prm or late >= 3):
+        said = [begins, "It answers before Set_Prm, and too late or not at all after it."]
+        yield Finding(Cause.MIN_TSDR, 0.91, said)
+    elif f.silent_after_prm:
+        said = ["It answered Slave_Diag before Set_Prm, and nothing after it."]
+        odd = min_tsdr != _USUAL_MIN_TSDR
+        said += [f"min_tsdr in Set_Prm is {min_tsdr} bit times, not the usual {_USUAL_MIN_TSDR}."] if odd else []
+        yield Finding(Cause.MIN_TSDR, 0.75 if odd else 0.45, said)
+        yield Finding(Cause.REBOOTS, 0.4, [*said, "A device that restarts at each Set_Prm looks the same."])
+
+
+# --- parameters and configuration ------------------------------------------------------------------------------------
+
+
+def _locked(f: Facts) -> Findings:
+    if f.owner is None or f.wrong_ident is not None:
+        return
+    ring = f.evidence.ring
+    said = [f"Octet 4 of its diagnosis names master {f.owner}; this master is {ring.own}."]
+    if f.owner in ring.masters:
+        said.append(f"Master {f.owner} is in the token ring.")
+        yield Finding(Cause.LOCKED, 0.96, said)
+        return
+    diagnosis = f.diagnosis
+    watched = diagnosis is not None and diagnosis.wd_on
+    said.append(f"Master {f.owner} is not in the token ring (any more), and the slave still belongs to it.")
+    todo = (
+        "wait until its watchdog gives it free, or switch it off and on"
+        if watched
+        else f"its watchdog is off: switch it off and on, or let master {f.owner} end in order"
+    )
+    yield Finding(Cause.LOCKED, 0.92, said, next=todo)
+
+
+def _parameters(f: Facts) -> Findings:
+    if f.not_supported:
+        asked = [word for word, on in (("SYNC", f.setup.sync), ("FREEZE", f.setup.freeze)) if on]
+        said = ["Its diagnosis says Not_Supported (octet 1 bit 4) after Set_Prm."]
+        said += [f"Set_Prm asks for {' and '.join(asked)} (octet 1)."] if asked else []
+        yield Finding(Cause.NOT_SUPPORTED, 0.95, said)
+    silent = _drops(f, SET_PRM)
+    if f.exchanging or f.wrong_ident is not None or f.owner is not None or not (f.prm_fault or silent):
+        return
+    known = f.parameters
+    begin = (
+        ["It refuses Set_Prm: Prm_Fault (octet 1 bit 6 of its diagnosis); the ident in it is right."]
+        if f.prm_fault
+        else ["It never acknowledges Set_Prm, and answers Slave_Diag: some devices drop what they cannot accept."]
+    )
+    if f.diagnosis is not None and f.diagnosis.ext:
+        texts = f.setup.block_texts(f.diagnosis)
+        begin.append(
+            f"Its extended diagnosis says {hex_text(f.diagnosis.ext)}" + "".join(f"; {one}" for one in texts[:2])
+        )
+    if silent and not f.prm_fault:
+        yield Finding(Cause.SERVICE_REFUSED, 0.4, begin)
+    yield from _dpv1(f, begin)
+    sent = octets_text(len(known.sent))
+    if known.wrong_length:
+        said = [*begin, f"It was sent {sent} of user parameters, its GSD file has {known.wanted} for these modules."]
+        yield Finding(Cause.USER_PARAMETER_LENGTH, 0.9, said)
+        yield Finding(Cause.USER_PARAMETER, 0.3, begin, ["Their number is wrong already."])
+        return
+    if not known.sent:
+        said = [*begin, "It was sent no user parameters at all, so no value of them can be wrong."]
+        yield Finding(Cause.USER_PARAMETER_LENGTH, 0.8, said)
+        return
+    where = f"Octets {SET_PRM_LEN + 1} to {SET_PRM_LEN + len(known.sent)} of Set_Prm are user parameters."
+    if known.impossible:
+        yield Finding(Cause.USER_PARAMETER, 0.92, [*begin, *known.impossible])
+    elif known.wanted is not None:
+        fits = f"Their number ({len(known.sent)}) is that of the GSD file."
+        changed = list(known.changed)
+        yield Finding(Cause.USER_PARAMETER, 0.86 if changed else 0.75, [*begin, *changed, fits])
+        yield Finding(Cause.USER_PARAMETER_LENGTH, 0.25, begin, [fits])
+    else:
+        against = ["No GSD file is configured: neither values nor their number can be checked."]
+        yield Finding(Cause.USER_PARAMETER, 0.3 if known.only_status else 0.6, [*begin, where], against)
+        yield Finding(Cause.USER_PARAMETER_LENGTH, 0.5, begin, against)
+
+
+def _dpv1(f: Facts, begin: list[str]) -> Findings:
+    """Whether master and slave agree about DP-V1."""
+    known, device = f.parameters, f.evidence.device
+    said = device.dpv1 if device is not None else None
+    off = "set dpv1 = false in its configuration"
+    if known.dpv1 and said is not None and not said.slave:
+        why = "DPV1_Enable is set (octet 8 bit 7 of Set_Prm), and its GSD file says that it is no DP-V1 slave."
+        yield Finding(Cause.DPV1_MISMATCH, 0.9, [*begin, why], next=off)
+    elif known.dpv1:
+        why = "DPV1_Enable is set (octet 8 bit 7 of Set_Prm)."
+        only = "There are no other user parameters than DPV1_Status that could be wrong."
+        if known.only_status and said is None:
+            yield Finding(Cause.DPV1_MISMATCH, 0.78, [*begin, why, only], next=off)
+        else:
+            backed = ["Its GSD file says that it is a DP-V1 slave."] if said is not None else []
+            yield Finding(Cause.DPV1_MISMATCH, 0.35 if backed else 0.5, [*begin, why], backed, next=off)
+    elif said is not None and said.slave:
+        required = said.c1_read_write_required or said.fail_safe_required or said.prm_block_structure_required
+        why = "Its GSD file says that it is a DP-V1 slave, and the configuration switches DP-V1 off."
+        yield Finding(Cause.DPV1_MISMATCH, 0.85 if required else 0.4, [*begin, why], next="leave dpv1 out of its table")
+
+
+def _drops(f: Facts, service: str) -> bool:
+    """Whether it never acknowledges ``service`` although it answers Slave_Diag afterwards."""
+    step = f.step_of(service)
+    if step is None or step.answered != NOTHING or not f.is_fault("refused"):
+        return False
+    return any(one.diagnosis is not None for one in f.after(service))
+
+
+_BY_DIFFERENCE: Final = {
+    Difference.ORDER: (Cause.MODULE_ORDER, 0.93),
+    Difference.MISSING: (Cause.MODULE_MISSING, 0.92),
+    Difference.EXTRA: (Cause.MODULE_EXTRA, 0.92),
+    Difference.TYPE: (Cause.MODULE_TYPE, 0.92),
+    Difference.UNREADABLE: (Cause.MODULE_TYPE, 0.6),
+}
+
+
+def _modules(f: Facts) -> Findings:
+    if f.exchanging or f.wrong_ident is not None or f.owner is not None:
+        return
+    compared = f.comparison
+    refused = f.cfg_fault or _drops(f, CHK_CFG)
+    unready = f.is_fault("not_ready", "wrong_length")
+    if not (refused or (f.differs and unready) or (f.differs and f.evidence.source == CLASS2)):
+        return
+    begin = ["It refuses Chk_Cfg: Cfg_Fault (octet 1 bit 2 of its diagnosis)."] if f.cfg_fault else []
+    if not f.cfg_fault and refused:
+        begin = ["It never acknowledges Chk_Cfg, and answers Slave_Diag."]
+    if compared is None:
+        said = [*begin, "It does not tell its own configuration by Get_Cfg."]
+        yield Finding(Cause.MODULE_TYPE, 0.5, said)
+        yield Finding(Cause.MODULE_ORDER, 0.35, said)
+        yield Finding(Cause.MODULE_MISSING, 0.35, said)
+        yield Finding(Cause.MODULE_EXTRA, 0.25, said)
+        return
+    if compared.kind is Difference.SAME:
+        same = ["Get_Cfg names the same identifiers as the configuration."]
+        yield Finding(Cause.MODULE_TYPE, 0.5, begin, same)
+        yield Finding(Cause.USER_PARAMETER, 0.35, [*begin, "Some devices choose modules by user parameters."])
+        return
+    cause, confidence = _BY_DIFFERENCE[compared.kind]
+    said = [*begin, *compared.sentences, f"Chk_Cfg and Get_Cfg differ from octet {compared.octet} on."]
+    if not refused:
+        confidence = 0.6
+    yield Finding(cause, confidence, said)
+
+
+def _lengths(f: Facts) -> Findings:
+    step = f.wrong_data
+    if step is not None and (f.is_fault("wrong_length") or f.lost):
+        got, wanted = octets_text(len(step.received)), f.setup.input_len
+        yield Finding(
+            Cause.DATA_LENGTH, 0.92, [f"Data_Exchange brought {got} of inputs, the configuration has {wanted}."]
+        )
+    refused = next(
+        (one for one in f.after(DATA_EXCHANGE) if one.diagnosis is not None and one.diagnosis.cfg_fault), None
+    )
+    if refused is not None and f.evidence.history.brought_up:
+        said = [
+            "It accepted Chk_Cfg, refused Data_Exchange, and says Cfg_Fault since (octet 1 bit 2 of its diagnosis).",
+            f"Data_Exchange carries {octets_text(f.setup.output_len)} of outputs.",
+        ]
+        yield Finding(Cause.DATA_LENGTH, 0.9, said)
+
+
+def _refuses_outputs(f: Facts) -> bool:
+    """Whether a diagnosis after Data_Exchange says Cfg_Fault."""
+    return any(one.cfg_fault for step in f.after(DATA_EXCHANGE) if (one := step.diagnosis) is not None)
+
+
+def _refusals(f: Facts) -> Findings:
+    if f.exchanging:
+        return
+    step = f.refused(SLAVE_DIAG, SET_PRM, CHK_CFG)
+    if step is not None and (f.is_fault("refused") or step is f.last_step):
+        said = [f"{step.asked} was refused with {step.answered}" + (f" {step.times} times." if step.times > 1 else ".")]
+        if step.asked == SLAVE_DIAG:
+            said.append("Every DP slave serves Slave_Diag in every state.")
+        yield Finding(Cause.SERVICE_REFUSED, 0.92 if f.is_fault("refused") else 0.7, said)
+    data = f.refused(DATA_EXCHANGE)
+    if data is not None and f.is_fault("refused") and not f.lost_by_itself:
+        said = [f"Data_Exchange was refused with {data.answered}, and its diagnosis wants no parameters."]
+        yield Finding(Cause.SERVICE_REFUSED, 0.85, said)
+
+
+# --- ready, watchdog, restarts ----------------------------------------------------------------------------------------
+
+
+def _readiness(f: Facts) -> Findings:
+    diagnosis = f.diagnosis
+    if diagnosis is None or f.wrong_ident is not None or f.owner is not None or not (f.exchanging or f.answers_now):
+        return
+    if diagnosis.prm_fault or diagnosis.cfg_fault or diagnosis.prm_req:
+        return
+    if diagnosis.stat_diag:
+        texts = [f"Its extended diagnosis says: {one}." for one in f.setup.block_texts(diagnosis)[:3]]
+        said = ["Stat_Diag is set in its diagnosis (octet 2 bit 1): its data are not valid.", *texts]
+        yield Finding(Cause.STATIC_DIAGNOSIS, 0.93, said)
+        if diagnosis.not_ready:
+            yield Finding(Cause.NOT_READY, 0.5, ["Station_Not_Ready is set, too."], ["Stat_Diag names a fault."])
+    elif diagnosis.not_ready and not f.exchanging:
+        asked = f.step_of(CHK_CFG)
+        waited = 0 if asked is None else f.evidence.now_ns - asked.t_ns
+        said = ["It accepted Set_Prm and Chk_Cfg, and Station_Not_Ready (octet 1 bit 1) stays set."]
+        if waited:
+            said.append(f"It has not been ready for {waited / NS_PER_S:.1f} s.")
+        sure = f.is_fault("not_ready") or waited >= _READY_NS
+        yield Finding(Cause.NOT_READY, 0.6 if f.differs else 0.91 if sure else 0.6, said)
+
+
+def _watchdog(f: Facts) -> Findings:
+    wants_again = f.is_fault("not_ready") and f.diagnosis is not None and f.diagnosis.prm_req
+    if not (f.lost_by_itself or wants_again) or f.prm_fault or f.cfg_fault or f.wrong_data is not None:
+        return
+    if _refuses_outputs(f):
+        return
+    watchdog, line = f.evidence.watchdog_ns, f.evidence.line
+    every = f.setup.every
+    said = [f"It left data exchange by itself {f.lost_by_itself} times and wanted parameters again."]
+    if wants_again and not f.lost_by_itself:
+        said = ["It acknowledges parameters and configuration, and wants parameters again."]
+    restarts = 0.72 if f.lost_by_itself >= 2 else 0.5
+    if not watchdog:
+        yield Finding(Cause.REBOOTS, restarts + 0.1, [*said, "Its watchdog is off, so it was not its watchdog."])
+        return
+    set_to = f"Its watchdog is {f.watchdog_ms:g} ms."
+    longest = line.longest_ns * every
+    planned = line.planned_ns * every
+    if longest and watchdog <= longest:
+        why = f"Two requests to it were up to {ms_text(longest)} apart."
+        yield Finding(Cause.WATCHDOG_SHORT, 0.89, [*said, set_to, why])
+        yield Finding(Cause.REBOOTS, 0.3, said, [set_to + " " + why])
+    elif watchdog <= planned:
+        why = f"By the plan two requests to it may be {ms_text(planned)} apart."
+        yield Finding(Cause.WATCHDOG_SHORT, 0.78, [*said, set_to, why])
+        yield Finding(Cause.REBOOTS, 0.5, said, [set_to])
+    else:
+        why = f"Two requests to it were at most {ms_text(longest or planned)} apart, the watchdog is longer."
+        yield Finding(Cause.WATCHDOG_SHORT, 0.4, [*said, set_to], [why])
+        yield Finding(Cause.REBOOTS, restarts, [*said, why])
+
+
+def _restarts(f: Facts) -> Findings:
+    silent = [loss for loss in f.losses if loss.how == NOTHING]
+    if not silent:
+        return
+    back = [loss for loss in silent if loss.back_ns and loss.prm_req]
+    away = sorted((loss.back_ns - loss.t_ns) / NS_PER_S for loss in back)
+    if len(back) >= 2 or (back and len(silent) >= 2):
+        said = [
+            f"It fell silent {len(silent)} times and came back without parameters, after "
+            f"{away[0]:.1f} to {away[-1]:.1f} s."
+        ]
+        against = ["Octets that cannot be read came as well."] if f.damage_here > 3 * len(silent) else []
+        yield Finding(Cause.REBOOTS, 0.6 if against else 0.87, said, against)
+    elif back:
+        said = [f"It fell silent once, for {away[0]:.1f} s, and came back without parameters."]
+        yield Finding(Cause.REBOOTS, 0.6, said)
+    kept = [loss for loss in silent if loss.back_ns and not loss.prm_req]
+    if kept and not back:
+        said = [f"It fell silent {len(kept)} times and kept its parameters: it had power meanwhile."]
+        yield Finding(Cause.NOISE_ON_STUB, 0.6, [*said, "That is a loose contact rather than a restart."])
+
+
+# --- healthy ----------------------------------------------------------------------------------------------------------
+
+
+def _healthy(f: Facts, found: list[Finding]) -> list[Finding]:
+    if not f.exchanging:
+        return []
+    last = f.evidence.bring_up
+    said = ["It is in data exchange."]
+    if f.evidence.source == CLASS2 and f.diagnosis is not None and f.diagnosis.master is not None:
+        said = [f"It is in data exchange with master {f.diagnosis.master}."]
+    elif last is not None and last.exchanging_ns:
+        said.append(f"It has been there for {(f.evidence.now_ns - last.exchanging_ns) / NS_PER_S:.1f} s.")
+    if failures(f.link) and attempts(f.link):
+        said.append(f"{failures(f.link)} of {attempts(f.link)} requests had no good answer ({share(f.link):.2%}).")
+    worst = max((one.confidence for one in found), default=0.0)
+    against = [f"It left data exchange {f.lost} times."] if f.lost else []
+    confidence = 0.95 if worst < 0.3 and not f.lost else 0.7 if worst < 0.5 else 0.4
+    return [Finding(Cause.HEALTHY, confidence, said, against)]
+
+
+def _some(names: Iterable[str]) -> str:
+    """The first three of ``names``, and how many more there are."""
+    listed = list(names)
+    return ", ".join(listed[:3]) + (f" and {len(listed) - 3} more" if len(listed) > 3 else "")
+
+
+_RULES: Final[tuple[Callable[[Facts], Findings], ...]] = (
+    _deactivated,
+    _ring,
+    _absent,
+    _elsewhere,
+    _ident,
+    _doubled,
+    _noise,
+    _late,
+    _locked,
+    _parameters,
+    _modules,
+    _lengths,
+    _refusals,
+    _readiness,
+    _watchdog,
+    _restarts,
+)

@@ -1,0 +1,159 @@
+"""The story of one slave: its last bring-up in words, and the causes in order. Made from the evidence alone."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from dpstack.text import printable
+from dpstack.why.causes import Cause
+from dpstack.why.evidence import Evidence
+from dpstack.why.facts import Facts
+from dpstack.why.judge import Finding, judge
+from dpstack.why.steps import as_dict, words
+
+#: causes with less confidence are left out, unless no other is left
+_LEAST = 0.2
+_MOST = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Likely:
+    """One cause with its ``confidence`` 0..1, plain sentences for and against it, and the next thing to try."""
+
+    cause: str
+    confidence: float
+    speaks_for: tuple[str, ...]
+    against: tuple[str, ...]
+    next: str
+    meaning: str
+
+    def as_dict(self) -> dict[str, object]:
+        """As in ``why --json``."""
+        return {
+            "cause": self.cause,
+            "confidence": self.confidence,
+            "meaning": self.meaning,
+            "for": list(self.speaks_for),
+            "against": list(self.against),
+            "next": self.next,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """Why a slave is, or is not, in data exchange. ``source``: "run", or "class2" where another station looked.
+
+    ``state``: of the slave, as the JSON lines have it. ``steps``: as ``why --json`` has them, the last bring-up.
+    ``causes``: the likeliest first; at least one.
+    """
+
+    slave: str
+    address: int
+    source: str
+    state: str
+    steps: tuple[dict[str, object], ...]
+    step_texts: tuple[tuple[float, str], ...]
+    causes: tuple[Likely, ...]
+
+    def as_dict(self) -> dict[str, object]:
+        """As in ``why --json``."""
+        return {
+            "slave": self.slave,
+            "address": self.address,
+            "source": self.source,
+            "state": self.state,
+            "steps": [dict(step) for step in self.steps],
+            "causes": [cause.as_dict() for cause in self.causes],
+        }
+
+    @property
+    def first(self) -> Likely:
+        """The likeliest cause."""
+        return self.causes[0]
+
+    @property
+    def line(self) -> str:
+        """The likeliest cause in one line."""
+        return cause_line(self.first.cause, self.first.confidence, self.first.meaning)
+
+    def lines(self, width: int = 80) -> list[str]:
+        """The story for people, at most ``width`` columns wide."""
+        return story_lines(self.as_dict(), width)
+
+
+def cause_line(cause: str, confidence: float, meaning: str) -> str:
+    """``module_order (93 %): the modules are the right ones in another order``."""
+    return f"{cause} ({round(100 * confidence)} %): {meaning}"
+
+
+def story_lines(story: dict[str, object], width: int = 80) -> list[str]:
+    """The story in ``why --json`` for people, at most ``width`` columns wide."""
+    lines: list[str] = []
+
+    def add(text: str, first: str = "", rest: str = "") -> None:
+        wrapped = textwrap.wrap(
+            printable(text), max(20, width), initial_indent=first, subsequent_indent=rest, break_on_hyphens=False
+        )
+        lines.extend(wrapped or [first.rstrip()])
+
+    add(f"slave {story['address']} ({story['slave']}): {story['state']}, asked by {_SOURCES[str(story['source'])]}")
+    steps = story["steps"]
+    if isinstance(steps, list) and steps:
+        lines.append("last bring-up:")
+        for step in steps:
+            add(f"{step['t']:.3f} s  {step['text']}", "  ", "    ")
+    causes = story["causes"]
+    for number, one in enumerate(causes if isinstance(causes, list) else [], 1):
+        add(cause_line(one["cause"], one["confidence"], one["meaning"]), f"{number}. ", "   ")
+        for text in one["for"]:
+            add(text, "   + ", "     ")
+        for text in one["against"]:
+            add(text, "   - ", "     ")
+        if number <= 2:
+            add(one["next"], "   next: ", "     ")
+    return lines
+
+
+_SOURCES = {"run": "its own master", "class2": "a class 2 master beside it"}
+
+
+def tell(evidence: Evidence) -> Story:
+    """The story that ``evidence`` tells. Never raises for odd evidence."""
+    found = judge(Facts(evidence))
+    shown = [one for one in found if one.confidence >= _LEAST][:_MOST] or found[:1] or [_unknown(evidence)]
+    steps = evidence.steps
+    setup = evidence.setup
+    return Story(
+        slave=printable(setup.name),
+        address=setup.address,
+        source=evidence.source,
+        state=evidence.state.value,
+        steps=tuple(as_dict(step, evidence) for step in steps),
+        step_texts=tuple((evidence.seconds(step.t_ns), words(step, evidence)) for step in steps),
+        causes=tuple(_likely(one) for one in shown),
+    )
+
+
+def _unknown(evidence: Evidence) -> Finding:
+    """Nothing speaks for any cause: the bring-up is under way, or it has not begun."""
+    fault = evidence.fault
+    said = ["The bring-up is under way, and nothing was refused so far."] if fault is None else [fault.message]
+    return Finding(Cause.NOT_READY, 0.3, said, next="wait some seconds and ask again")
+
+
+def _likely(one: Finding) -> Likely:
+    about = one.cause.about
+    return Likely(
+        one.cause.value,
+        round(one.confidence, 2),
+        tuple(printable(text) for text in _distinct(one.speaks_for)),
+        tuple(printable(text) for text in _distinct(one.against)),
+        printable(one.next or about.next),
+        about.meaning,
+    )
+
+
+def _distinct(texts: list[str]) -> Iterator[str]:
+    yield from dict.fromkeys(texts)

@@ -1,0 +1,214 @@
+"""Steps in words to the octet: the refusals that matter, hostile texts, 60 columns, and no evidence that raises."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from property_kit import examples
+
+from dpstack.dp.master.bring_ups import BringUp, History, Loss, Step
+from dpstack.dp.master.events import Fault, FaultKind, SlaveState
+from dpstack.dp.master.scanner import Found
+from dpstack.dp.slave_params import SlaveParams
+from dpstack.fdl.interface import StationStats
+from dpstack.fdl.telegram import StationType
+from dpstack.why.causes import Cause
+from dpstack.why.evidence import Evidence, Line, Neighbour, Ring
+from dpstack.why.steps import refused_by, words
+from dpstack.why.story import story_lines, tell
+
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "why.md"
+SETUP = SlaveParams(address=8, name="valves", ident=0x1234, config=b"\x20\x10", user_prm=b"\x00\x07")
+EMPTY = Evidence(
+    setup=SETUP, state=SlaveState.OFFLINE, ring=Ring(own=2), line=Line(baud=500_000, slot_bits=200)
+)  # fmt: skip
+
+
+def diag(octets: str, *, t: int = 1) -> Step:
+    return Step(t, "Slave_Diag", b"", "DL", bytes.fromhex(octets), last_ns=t)
+
+
+def first(*steps: Step, **more: Any) -> tuple[str, float]:
+    """The first cause after a bring-up of ``steps``."""
+    given = {"state": SlaveState.FAULT, **more}
+    history = given.pop("history", History((BringUp(steps),), idents=(0x1234,)))
+    story = tell(dataclasses.replace(EMPTY, history=history, **given))
+    return story.first.cause, story.first.confidence
+
+
+PRM = Step(2, "Set_Prm", bytes.fromhex("88 01 14 0B 12 34 00 00 07"), "SC")
+CFG = Step(3, "Chk_Cfg", b"\x20\x10", "SC")
+
+
+@pytest.mark.parametrize(
+    ("step", "by", "said"),
+    [
+        (diag("42 05 00 FF 12 34"), "octet 1 bit 6: Prm_Fault", "refuses the parameters (octet 1 bit 6, Prm_Fault)"),
+        (diag("06 05 00 02 12 34"), "octet 1 bit 2: Cfg_Fault", "(octet 1 bit 2, Cfg_Fault)"),
+        (diag("12 05 00 FF 12 34"), "octet 1 bit 4: Not_Supported", "(octet 1 bit 4, Not_Supported)"),
+        (diag("00 0C 00 07 12 34"), "octet 4: master 7", "owned by master 7 (octet 4)"),
+        (diag("02 05 00 FF 43 21"), "octets 5-6: ident 0x4321", "(octets 5-6: ident 0x4321, not 0x1234)"),
+        (Step(1, "Set_Prm", b"\x88", "RS"), "status RS", "Set_Prm 88: refused with RS"),
+        (Step(1, "Slave_Diag", b"", "nothing", times=9), "", "Slave_Diag: no answer (9 times)"),
+        (Step(1, "Data_Exchange", b"\x00", "damaged"), "", "an answer that cannot be read"),
+        (diag("00 0C 00 02 12 34"), "", "ready, watches its master"),
+    ],
+)
+def test_refusals_to_the_octet(step: Step, by: str, said: str) -> None:
+    assert refused_by(step, EMPTY) == by
+    assert said in words(step, EMPTY)
+
+
+@pytest.mark.parametrize(
+    ("steps", "more", "cause"),
+    [
+        ((diag("02 05 00 FF 43 21"),), {}, "ident"),
+        ((diag("00 0C 00 07 12 34"),), {}, "locked"),
+        ((diag("02 05 00 FF 12 34"), PRM, CFG, diag("06 05 00 02 12 34")), {"config": b"\x10\x20"}, "module_order"),
+        ((diag("02 05 00 FF 12 34"), PRM, CFG, diag("06 05 00 02 12 34")), {"config": b"\x20"}, "module_missing"),
+        ((diag("02 05 00 FF 12 34"), PRM, CFG, diag("06 05 00 02 12 34")), {"config": b"\x20\x10\x10"}, "module_extra"),
+        ((diag("02 05 00 FF 12 34"), PRM, CFG, diag("06 05 00 02 12 34")), {"config": b"\x21\x10"}, "module_type"),
+        ((diag("02 05 00 FF 12 34"), PRM, CFG, diag("42 05 00 FF 12 34")), {}, "user_parameter"),
+        (
+            (diag("02 05 00 FF 12 34"), PRM, CFG, diag("42 05 00 FF 12 34")),
+            {"expected_prm": b"\x00\x07\x00"},
+            "user_parameter_length",
+        ),
+        ((diag("02 05 00 FF 12 34"), PRM, CFG, diag("12 05 00 FF 12 34")), {}, "not_supported"),
+        (
+            (diag("02 05 00 FF 12 34"), PRM, CFG, diag("02 0C 00 02 12 34", t=4)),
+            {"now_ns": 3_000_000_000, "state": SlaveState.WAIT_READY},
+            "not_ready",
+        ),
+        (
+            (diag("02 05 00 FF 12 34"), PRM, CFG, diag("00 0E 00 02 12 34", t=4)),
+            {"state": SlaveState.WAIT_READY},
+            "static_diagnosis",
+        ),
+        (
+            (Step(1, "Slave_Diag", b"", "RS"),),
+            {"fault": Fault(FaultKind.REFUSED, "refuses", "")},
+            "service_refused",
+        ),
+        ((), {"state": SlaveState.DEACTIVATED}, "deactivated"),
+    ],
+)
+def test_refusals_name_their_cause(steps: tuple[Step, ...], more: dict[str, Any], cause: str) -> None:
+    assert first(*steps, **more)[0] == cause
+
+
+def test_nobody_answers_is_one_group_and_an_ident_elsewhere_is_the_address() -> None:
+    silent = Step(1, "Slave_Diag", b"", "nothing", times=40)
+    other = Neighbour(3, "hoist", SlaveState.DATA_EXCHANGE, 0x0696, StationStats(requests=900, answers=900))
+    history = History((BringUp((silent,)),))
+    found = (Found(address=18, kind=StationType.SLAVE, ident=0x1234),)
+    assert first(history=history, neighbours=(other,), found=())[0] == "not_there"
+    assert first(history=history, neighbours=(other,), found=found)[0] == "wrong_address"
+    gone = dataclasses.replace(other, state=SlaveState.OFFLINE, link=StationStats(requests=40, timeouts=40))
+    assert first(history=history, neighbours=(gone,), found=())[0] == "rate_mismatch"
+
+
+def test_hostile_texts_are_printable_and_60_columns_are_kept() -> None:
+    name = "v\x1b[31m\u202e<script>" + "x" * 200
+    setup = dataclasses.replace(SETUP, name=name)
+    evidence = dataclasses.replace(
+        EMPTY,
+        setup=setup,
+        history=History((BringUp((diag("08 0C 00 02 43 21 05 1B 5B 33 31"),)),)),
+        neighbours=(Neighbour(3, name, SlaveState.OFFLINE, 0x1234),),
+    )
+    story = tell(evidence)
+    lines = story.lines(60)
+    assert all(line.isprintable() for line in lines)
+    assert max(map(len, lines)) <= 60
+    assert story_lines(story.as_dict(), 60) == lines
+
+
+def test_every_cause_is_in_the_page() -> None:
+    page = DOCS.read_text(encoding="utf-8")
+    missing = [
+        cause.value
+        for cause in Cause
+        if f"| `{cause.value}` | {cause.about.meaning} | {cause.about.told} | {cause.about.next} |" not in page
+    ]
+    assert missing == []
+
+
+ANSWERS = st.sampled_from(("SC", "DL", "DH", "RS", "RR", "UE", "nothing", "damaged", "wrong", "status 7"))
+SERVICES = st.sampled_from(("Slave_Diag", "Set_Prm", "Chk_Cfg", "Get_Cfg", "Data_Exchange"))
+OCTETS = st.binary(max_size=12)
+TIMES = st.integers(0, 10**11)
+COUNTS = st.integers(0, 10**6)
+STEPS = st.builds(Step, TIMES, SERVICES, OCTETS, ANSWERS, OCTETS, st.integers(1, 99), TIMES)
+LOSSES = st.builds(Loss, TIMES, TIMES, ANSWERS, TIMES, st.booleans(), st.booleans())
+STATS = st.builds(
+    StationStats, COUNTS, COUNTS, COUNTS, COUNTS, COUNTS, COUNTS, COUNTS, st.dictionaries(st.text(max_size=4), COUNTS)
+)
+HISTORIES = st.builds(
+    History,
+    st.lists(st.builds(BringUp, st.lists(STEPS, max_size=6).map(tuple), COUNTS, TIMES), max_size=2).map(tuple),
+    st.lists(LOSSES, max_size=3).map(tuple),
+    COUNTS,
+    COUNTS,
+    st.lists(st.integers(0, 0xFFFF), max_size=4).map(tuple),
+)
+STATES = st.sampled_from(tuple(SlaveState))
+FAULTS = st.none() | st.builds(Fault, st.sampled_from(tuple(FaultKind)), st.text(max_size=9), st.text(max_size=9))
+FOUND = st.builds(
+    Found, address=st.integers(0, 126), kind=st.sampled_from(tuple(StationType)), ident=st.none() | st.integers(0, 9)
+)
+EVIDENCE = st.builds(
+    Evidence,
+    setup=st.just(SETUP),
+    state=STATES,
+    ring=st.builds(
+        Ring,
+        own=st.integers(0, 125),
+        joined=st.booleans(),
+        masters=st.frozensets(st.integers(0, 125), max_size=3),
+        collision=st.text(max_size=5),
+        refused=st.text(max_size=5),
+        tokens=COUNTS,
+        tokens_lost=COUNTS,
+    ),
+    line=st.builds(
+        Line,
+        baud=st.sampled_from((9600, 500_000)),
+        slot_bits=st.integers(37, 16_383),
+        heard=COUNTS,
+        bad=st.dictionaries(st.text(max_size=3), COUNTS),
+        longest_ns=TIMES,
+        planned_ns=TIMES,
+    ),
+    source=st.sampled_from(("run", "class2")),
+    now_ns=TIMES,
+    fault=FAULTS,
+    history=HISTORIES,
+    link=STATS,
+    neighbours=st.lists(
+        st.builds(Neighbour, st.integers(0, 125), st.text(max_size=4), STATES, st.none() | st.integers(0, 9), STATS),
+        max_size=3,
+    ).map(tuple),
+    watchdog_ns=TIMES,
+    expected_prm=st.none() | OCTETS,
+    config=st.none() | OCTETS,
+    found=st.none() | st.lists(FOUND, max_size=3).map(tuple),
+    asked=st.lists(STEPS, max_size=2).map(tuple),
+    read_only=st.booleans(),
+)
+
+
+@examples(12)
+@given(EVIDENCE)
+def test_any_evidence_gives_a_story(evidence: Evidence) -> None:
+    story = tell(evidence)
+    assert story.causes
+    assert all(0 < one.confidence <= 1 and one.next and one.cause in Cause._value2member_map_ for one in story.causes)
+    confidences = [one.confidence for one in story.causes]
+    assert confidences == sorted(confidences, reverse=True)
+    assert all(line.isprintable() and len(line) <= 60 for line in story.lines(60))
