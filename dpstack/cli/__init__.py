@@ -2,6 +2,7 @@
 
 - ``commands/``: The commands of the program, one module for each
 - ``listening/``: The commands that only listen, or explain what was heard
+- ``looking/``: The commands that look at a plant: on a page, on the screen, in words
 - ``terminal/``: Output, reports and signals
 - ``main``: Entry point: command line, error output, exit codes
 - ``options``: Options and argument types that several commands share

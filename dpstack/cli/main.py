@@ -34,6 +34,7 @@ _COMMANDS = {
     "capture": "listens to a bus and keeps the telegrams in a pcapng file, or explains them; never sends",
     "monitor": "judges a bus by listening, live or from a capture file: stations, masters, verdicts with reasons",
     "decode": "explains telegrams to the bit: of a pcapng file, or octets in hex",
+    "web": "the page in the browser: joins the run that holds the port, else reads only",
     "wireshark": "dissector and extcap program for the Wireshark that is there: install, remove, where",
     "ports": "serial adapters with their lasting path, chip and holder",
     "doctor": "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
@@ -41,6 +42,8 @@ _COMMANDS = {
 }
 #: those whose modules stand in the room ``listening``
 _LISTENING = ("baud", "capture", "decode", "monitor", "wireshark")
+#: and in the room ``looking``
+_LOOKING = ("web",)
 _INTERRUPTED = 130
 #: environment variable; any value: errors are printed with their traceback
 _DEBUG = "DPSTACK_DEBUG"
@@ -55,7 +58,7 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"dpstack {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
     for name, text in _COMMANDS.items():
-        room = "listening" if name in _LISTENING else "commands"
+        room = "listening" if name in _LISTENING else "looking" if name in _LOOKING else "commands"
         commands.add_parser(name, help=text, description=text).module = f"dpstack.cli.{room}.{name}"
     return parser
 

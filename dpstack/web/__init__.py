@@ -5,11 +5,15 @@ WebSocket and the rights.
 
 - ``address``: ``--listen HOST:PORT``, its sockets, and the ``Host`` and ``Origin`` that a request may have
 - ``asks``: Asks of a page (reads), and the table of their handlers
+- ``child``: A ``dpstack run`` as a child process
 - ``fan_out``: The stream of items for any number of pages; merges snapshots for a page that does not read
 - ``messages``: Messages of a page, checked: ``hello``, ``ask``, ``order``; answers to it
 - ``orders``: Orders of a page, and the commands of the run that carry them out
 - ``page_files``: The files of the page, and the headers of every response
+- ``replay_source``: A recording as a source
 - ``rights``: Tokens, the secret of a start, TLS
+- ``run_link``: The connection to the run: its stream of items, and commands
+- ``run_source``: The run of a configuration as a source: joins it, or starts one
 - ``server``: The web server: ``serve``
 - ``source``: Sources of items and answers: their base, and given items
 """

@@ -26,7 +26,7 @@ _MOST_AT_THE_RUN: Final = 4
 def _texts(what: str, args: Sequence[Any], usage: str) -> tuple[str, ...]:
     """``args`` as texts for the control socket: ``usage`` names them. Raises UsageError."""
     if len(args) != len(usage.split()) or not all(isinstance(one, (str, int)) for one in args):
-        raise UsageError(f"{what} takes {usage}")
+        raise UsageError(f"{what} takes {usage or 'no arguments'}")
     return tuple(map(str, args))
 
 
@@ -51,8 +51,20 @@ async def _im(source: Source, args: Sequence[Any]) -> object:
     return await source.call("acyclic", *_texts("im", args, "SLAVE"), "im")
 
 
+async def _recording(source: Source, args: Sequence[Any]) -> object:
+    _texts("recording", args, "")
+    return await source.recording()
+
+
 #: by ``what`` of the ask
-HANDLERS: Final[dict[str, Handler]] = {"why": _why, "diag": _diag, "records": _records, "im": _im, "scan": _scan}
+HANDLERS: Final[dict[str, Handler]] = {
+    "why": _why,
+    "diag": _diag,
+    "records": _records,
+    "im": _im,
+    "scan": _scan,
+    "recording": _recording,
+}
 #: by ``what``: the method of :class:`~dpstack.api.commissioning.commissioning.Commissioning`, and its least and most
 #: arguments
 COMMISSIONING: Final[dict[str, tuple[Callable[..., object], int, int]]] = {

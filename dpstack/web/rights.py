@@ -107,9 +107,12 @@ class Pauses:
             self._locks.pop(oldest, None)
 
 
-def make_rights(*, local: bool, control: bool, token_file: Path | None, tls: bool) -> Rights:
-    """The rights of a start. ``local``: it listens on this computer only. Raises UsageError, ConfigError."""
-    if not local and token_file is None:
+def make_rights(*, local: bool, control: bool, tokens: Mapping[str, str] | None, tls: bool) -> Rights:
+    """The rights of a start. ``local``: it listens on this computer only; ``tokens``: None without a file of them.
+
+    Raises UsageError where others reach the address and something for it is missing.
+    """
+    if not local and tokens is None:
         raise UsageError(
             "other computers reach this address: give --token FILE with a token for each person "
             f"({_HOW}, mode 0600), or listen on 127.0.0.1"
@@ -119,7 +122,6 @@ def make_rights(*, local: bool, control: bool, token_file: Path | None, tls: boo
             "--control on an address that other computers reach needs --tls CERT KEY: without it everybody on the "
             "network can read the tokens"
         )
-    tokens = None if token_file is None else read_tokens(token_file)
     secret = secrets.token_urlsafe(24) if control and tokens is None else None
     return Rights(control, tokens, secret)
 

@@ -139,13 +139,14 @@ class WebServer:
 
     async def _follow_source(self) -> None:
         try:
-            async for item in self.source.items():
-                if "source" in item:
-                    self._source_changed()
-                elif "note" in item:
-                    self.tell(item["note"]["text"], item["note"].get("severity", "info"))
-                else:
-                    self.fan_out.put(item)
+            async with contextlib.aclosing(self.source.items()) as items:
+                async for item in items:
+                    if "source" in item:
+                        self._source_changed()
+                    elif "note" in item:
+                        self.tell(item["note"]["text"], item["note"]["severity"])
+                    else:
+                        self.fan_out.put(item)
         except DpError as error:
             self.tell(str(error), "error")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncGenerator, Iterable
 from typing import Literal
 
 from dpstack.errors import UsageError
@@ -14,11 +14,15 @@ Kind = Literal["run", "read-only", "demo", "replay", "none"]
 
 
 class Source:
-    """The base of all sources. An item ``{"source": KIND}`` among the others says that the kind has changed."""
+    """The base of all sources.
+
+    Two further items stand among those of the stream: ``{"source": KIND}``, the kind has changed, and ``{"note":
+    {"text": ..., "severity": ...}}`` for pages and log.
+    """
 
     kind: Kind = "none"
 
-    def items(self) -> AsyncIterator[Item]:
+    def items(self) -> AsyncGenerator[Item]:
         """The items, until the source has no more."""
         raise NotImplementedError
 
@@ -29,6 +33,10 @@ class Source:
     async def start(self) -> object:
         """Start the run, in Clear. Raises DpError."""
         raise UsageError("start: there is nothing to start here")
+
+    async def recording(self) -> object:
+        """A description of the recording that it replays. Raises UsageError."""
+        raise UsageError("recording: a running bus is shown here, and no recording")
 
     async def close(self) -> None:
         """End all that it has started, in order."""
@@ -47,7 +55,7 @@ class GivenItems(Source):
         """Another item. Call it in the event loop of the server."""
         self._more.put_nowait(item)
 
-    async def items(self) -> AsyncIterator[Item]:
+    async def items(self) -> AsyncGenerator[Item]:
         for item in self._first:
             yield item
             if self._interval:

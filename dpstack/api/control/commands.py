@@ -99,6 +99,7 @@ RUN: Final = (
     Spec("set", "SLAVE.FIELD=VALUE...", "named outputs, and no other bits", "8.limit=on 8.level=1200"),
     Spec("operate", "", "outputs go out", ""),
     Spec("clear", "", "inputs are read, outputs are zero", ""),
+    Spec("stop", "", "ends the run in order: safe values, Clear", ""),
     Spec("drive", "NAME ORDER [ARG]...", "tells a drive what to do, as `dpstack drive` does", "hoist speed 0.5"),
     Spec("acyclic", "SLAVE ORDER [ARG]...", "records of a slave, as `dpstack acyclic` does", "8 read 1 47"),
     Spec("class2", "SLAVE ORDER [ARG]...", "the same over a class 2 connection (MS2)", "8 read 1 47"),

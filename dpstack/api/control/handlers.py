@@ -44,9 +44,17 @@ _SCAN_PART: Final = 16
 _Act = Callable[[Bench, int, list[str]], object]
 
 
-def control_run(bus: Bus, port: str, feed: TapFeed | None = None) -> ControlServer:
+def control_run(
+    bus: Bus, port: str, feed: TapFeed | None = None, *, stop: Callable[[], None] | None = None
+) -> ControlServer:
     """The control server of a master on ``port``; of one with a pty :meth:`ControlServer.move_to` its path. ``feed``:
-    of its tap, if there is one already."""
+    of its tap, if there is one already; ``stop`` ends the program in order."""
+
+    def end(_args: list[str]) -> None:
+        if stop is None:
+            raise UsageError("this program ends by itself, and not by a command")
+        stop()
+
     specs = KINDS["run"]
     handlers: dict[str, Handler] = {
         "status": lambda _: run_status(bus),
@@ -54,6 +62,7 @@ def control_run(bus: Bus, port: str, feed: TapFeed | None = None) -> ControlServ
         "set": lambda args: _set(bus, args),
         "operate": lambda _: bus.operate(),
         "clear": lambda _: bus.clear(),
+        "stop": end,
         "drive": lambda args: drive_order(bus, args),
         "acyclic": lambda args: acyclic_order(bus, args),
         "class2": lambda args: acyclic_order(bus, args, class2=True),

@@ -98,7 +98,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
             reporter.searching()
         # `dpstack ctl` also works while the bus searches its rate or joins the ring; a held port is reported once
         feed = run_feed(bus)
-        control = control_run(bus, config.port, feed)
+        control = control_run(bus, config.port, feed, stop=stop.stop)
         async with reachable(control, quiet=True) as unreachable:
             if report is not None:
                 report.begin(bus, feed)

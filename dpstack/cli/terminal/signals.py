@@ -55,7 +55,7 @@ class StopSignal:
     def __enter__(self) -> StopSignal:
         for number in (signal.SIGINT, signal.SIGTERM, *_hangup()):
             self._old[number] = signal.signal(number, self._caught)
-        output.lost.on_lost = self._stop
+        output.lost.on_lost = self.stop
         self._within = True
         return self
 
@@ -83,7 +83,7 @@ class StopSignal:
     def _caught(self, number: int, frame: FrameType | None) -> None:
         now = self._clock()
         if not self.received:
-            self._stop()
+            self.stop()
         elif now - self._at < _SAME_S:
             return
         elif not self._within:
@@ -97,7 +97,8 @@ class StopSignal:
         elif now - self._again_at >= _SAME_AGAIN_S:
             _leave(_LEFT)
 
-    def _stop(self) -> None:
+    def stop(self) -> None:
+        """End the command as the first signal does."""
         if not self.received:
             self.received = True
             self._at = self._clock()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dpstack.capture.pcapng import Writer
-from dpstack.cli.main import _COMMANDS, _LISTENING
+from dpstack.cli.main import _COMMANDS, _LISTENING, _LOOKING
 
 _PROGRAM = """
 import sys
@@ -64,5 +64,5 @@ def test_the_package_loads_nothing_of_itself() -> None:
 
 @pytest.mark.parametrize("name", _COMMANDS)
 def test_a_command_is_the_module_of_its_name(name: str) -> None:
-    room = "listening" if name in _LISTENING else "commands"
+    room = "listening" if name in _LISTENING else "looking" if name in _LOOKING else "commands"
     assert callable(importlib.import_module(f"dpstack.cli.{room}.{name}").add_to)

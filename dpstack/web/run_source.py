@@ -1,0 +1,261 @@
+"""The run of a configuration as a source: it joins the run that is there, waits for the next one, or starts one.
+
+- A run of somebody else is joined. When it ends, the source waits for the next one; it does not take the port itself.
+- No run, no orders: the source starts ``dpstack run CONFIG --read-only``, and again when that ends.
+- No run, with orders: the source waits. :meth:`RunSource.start` starts ``dpstack run CONFIG --clear``.
+
+All that it has started ends with it, in order.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+from collections.abc import AsyncGenerator, Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+from dpstack.api.config.config import Config
+from dpstack.api.control.client import ControlClient, connect, find_run
+from dpstack.errors import BusError, DpError, PortError, UsageError
+from dpstack.web.child import Child
+from dpstack.web.fan_out import Item
+from dpstack.web.run_link import Find, RunLink
+from dpstack.web.source import Kind, Source
+
+#: makes the process of a run from its arguments; the function gets the lines of its standard error
+MakeChild = Callable[[Sequence[str], Callable[[str], None]], Child]
+
+#: seconds between two looks for a run, for one that was started, and at the file of the configuration
+_LOOK_S: Final = 0.5
+_SOON_S: Final = 0.1
+_FILE_S: Final = 2.0
+#: seconds before the run that only reads is started again, from the first time on
+_AGAIN_S: Final = (1.0, 5.0, 15.0, 60.0)
+#: seconds in which a run that was started has to answer
+_START_S: Final = 20.0
+
+
+class RunSource(Source):
+    """The run that ``find`` finds. ``file``: that of its configuration; None: nothing can be started. ``control``:
+    pages may give orders; ``options``: further arguments for a run that is started, which ``make_child`` makes."""
+
+    def __init__(
+        self,
+        find: Find,
+        file: Path | None,
+        *,
+        control: bool = False,
+        options: Sequence[str] = (),
+        make_child: MakeChild = Child,
+    ) -> None:
+        self._find = find
+        self._file = file
+        self._control = control
+        self._options = options
+        self._make_child = make_child
+        self._queue: asyncio.Queue[Item | BaseException] = asyncio.Queue()
+        self._link: RunLink | None = None
+        self._child: Child | None = None
+        self._starting = asyncio.Lock()
+        self._joined_another = False  # a run that somebody else has started
+        self._failures = 0  # of the run that only reads, one after the other
+        self._again_at = 0.0  # time of the loop at which it may be started
+        self._told = ""
+
+    @classmethod
+    def of(cls, config: Config, *, control: bool = False, options: Sequence[str] = ()) -> RunSource:
+        """The run with ``config``, which is from a file."""
+        return cls(lambda: find_run(config.port, config.file), config.file, control=control, options=options)
+
+    @classmethod
+    def named(cls, name: str) -> RunSource:
+        """The program ``name``, as ``dpstack ctl`` names it."""
+
+        def find() -> ControlClient | None:
+            try:
+                return connect(name)
+            except PortError:
+                return None
+
+        return cls(find, None)
+
+    async def items(self) -> AsyncGenerator[Item]:
+        tasks = [asyncio.ensure_future(work) for work in (self._follow(), self._watch_file())]
+        for task in tasks:
+            task.add_done_callback(self._failed)
+        try:
+            while True:
+                item = await self._queue.get()
+                if isinstance(item, BaseException):
+                    raise item
+                yield item
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def call(self, command: str, *args: str) -> object:
+        link = self._link
+        if link is None:
+            raise UsageError(f"{command}: there is no run{': start it first' if self._control else ''}")
+        return await link.call(command, *args)
+
+    async def start(self) -> object:
+        async with self._starting:
+            if self._is_joined() or self._child is not None:
+                raise UsageError("start: the run is there already")
+            child = await self._start_child("--clear")
+            ended = asyncio.ensure_future(child.wait())
+            try:
+                async with asyncio.timeout(_START_S):
+                    while not self._is_joined():
+                        if child.code is not None:
+                            raise BusError(f"start: {child.last_line}")
+                        await asyncio.wait({ended}, timeout=_SOON_S)
+            except TimeoutError:
+                raise BusError(f"start: {child.text} does not answer within {_START_S:g} s") from None
+            finally:
+                ended.cancel()
+            return {"started": child.text, "mode": "clear"}
+
+    async def close(self) -> None:
+        child, self._child = self._child, None
+        if child is not None:
+            await child.end()
+
+    # --- following the run ----------------------------------------------------------------------------------------
+
+    async def _follow(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                link = await RunLink.join(self._find)
+                if link is not None:
+                    await self._follow_link(link)
+                    continue
+                if self._child is None and self._reads_only and loop.time() >= self._again_at:
+                    await self._start_child("--read-only")
+            except DpError as error:
+                self._note(str(error), "warning")
+            await self._reap()
+            await asyncio.sleep(_LOOK_S if self._child is None else _SOON_S)
+
+    def _is_joined(self) -> bool:
+        return self._link is not None
+
+    @property
+    def _reads_only(self) -> bool:
+        """Whether the source starts a run that only reads where there is none."""
+        return self._file is not None and not self._control and not self._joined_another
+
+    async def _follow_link(self, link: RunLink) -> None:
+        self._joined_another = self._joined_another or self._child is None
+        self._failures = 0
+        self._note(f"joined the {link.text}")
+        end: Item = {"end": {"text": "the run has ended"}}
+        silent = False
+        self._link = link
+        try:
+            async with contextlib.aclosing(link.items()) as items:
+                async for item in items:
+                    if item is None:
+                        if not silent:
+                            self._note("the run has sent nothing for 10 s: is it stopped, or busy?", "warning")
+                        silent = True
+                        continue
+                    silent = False
+                    if "plant" in item:
+                        self._set_kind(_kind_of(link, item))
+                    if "end" in item:
+                        end = item
+                    else:
+                        self._put(item)
+        except DpError as error:
+            end = {"end": {"text": str(error)}}
+        finally:
+            self._link = None
+            link.close()
+        self._put(end)
+        self._set_kind("none")
+        self._note(f"the {link.text} has ended")
+        if self._child is not None:
+            await self._child.wait()
+            await self._reap()
+
+    async def _reap(self) -> None:
+        """Tell of a run that was started and has ended."""
+        child = self._child
+        if child is None or child.code is None:
+            return
+        await child.wait()
+        self._child = None
+        if child.code:
+            self._note(f"{child.text} has ended with exit code {child.code}: {child.last_line}", "error")
+        self._again_at = asyncio.get_running_loop().time() + _AGAIN_S[min(self._failures, len(_AGAIN_S) - 1)]
+        self._failures += 1
+
+    async def _start_child(self, how: str) -> Child:
+        if self._file is None:
+            raise UsageError("start: this server has no configuration file, so it can start nothing")
+        args = ("run", str(self._file), how, *self._options, "--json")
+        child = self._make_child(args, lambda line: self._note(f"run: {line}", "warning"))
+        self._note(f"starts {child.text}")
+        try:
+            await child.start()
+        except OSError as exc:
+            raise BusError(f"{child.text} cannot be started: {exc.strerror or exc}") from None
+        self._child = child
+        return child
+
+    # --- items of its own -----------------------------------------------------------------------------------------
+
+    def _put(self, item: Item) -> None:
+        self._queue.put_nowait(item)
+
+    def _note(self, text: str, severity: str = "info") -> None:
+        """Tell pages and log, each text once in a row."""
+        if text != self._told:
+            self._told = text
+            self._put({"note": {"text": text, "severity": severity}})
+
+    def _set_kind(self, kind: Kind) -> None:
+        if kind != self.kind:
+            self.kind = kind
+            self._put({"source": kind})
+
+    def _failed(self, task: asyncio.Future[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            self._queue.put_nowait(error)
+
+    async def _watch_file(self) -> None:
+        """Tell when the file of the configuration has another content than that of the run."""
+        file = self._file
+        if file is None:
+            return
+        known = await asyncio.to_thread(_digest, file)
+        while True:
+            await asyncio.sleep(_FILE_S)
+            now = await asyncio.to_thread(_digest, file)
+            if now == known:
+                continue
+            known = now
+            if now is None:
+                self._note(f"{file} cannot be read any more", "warning")
+            else:
+                self._note(f"{file} has changed: a run that is there keeps what it has read at its start", "warning")
+
+
+def _digest(file: Path) -> bytes | None:
+    try:
+        return hashlib.sha256(file.read_bytes()).digest()
+    except OSError:
+        return None
+
+
+def _kind_of(link: RunLink, item: Item) -> Kind:
+    if link.about["kind"] == "demo":
+        return "demo"
+    return "read-only" if item["plant"].get("read_only") else "run"
