@@ -21,8 +21,10 @@ from dpstack.api.bus.statistics import bus_figures, clear_since, diagnosis_dict,
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.scanner import Found
 from dpstack.dp.process_data import Field, as_json
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
+from dpstack.drivers.snapshots import BusSnapshot, ImageSnapshot, SlaveSnapshot
 from dpstack.errors import UsageError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.live.pending import Pending
@@ -32,7 +34,7 @@ from dpstack.trace import Event
 from dpstack.units import NS_PER_US, ns_to_s
 
 #: slaves in one step of a snapshot, about 0.2 ms, and the pause between two steps
-_STEP: Final = 4
+_STEP: Final = 8
 _PAUSE_S: Final = 0.002
 #: counters and rotation times of the bus are read no more often
 _FIGURES_S: Final = 0.5
@@ -112,6 +114,7 @@ class LiveFeed:
         self._plant: Item | None = None
         self._known: tuple[object, ...] = ()
         self._now: dict[str, Any] = {"bus": {}, "slaves": {}}
+        self._slaves: dict[int, SlaveReader] = {}
         self._figures: dict[str, object] = {}
         self._figures_at = 0.0
 
@@ -201,14 +204,17 @@ class LiveFeed:
             self._started = time() - self._t
         self._known = known
         self._plant = {"plant": plant_of(bus, self._started)}
-        self._now = {"bus": {}, "slaves": {}}
+        self._now, self._slaves = {"bus": {}, "slaves": {}}, {}
         whole = self._snapshot(self._now, whole=True)
         for stream in self._readers:
             stream.put(self._plant)
             stream.put(whole)
 
     def _slave_changes(self, slave: Slave) -> dict[str, Any]:
-        key, values = str(slave.address), slave_values(self._bus, slave)
+        key, reader = str(slave.address), self._slaves.get(slave.address)
+        if reader is None:
+            reader = self._slaves[slave.address] = SlaveReader(self._bus, slave)
+        values = reader.read(self._bus.snapshot)
         if self._end is not None:  # nothing of an ended bus is alive
             values |= {"state": SlaveState.OFFLINE.value, "inputs_valid": False}
         changes = difference(self._now["slaves"].get(key, {}), values)
@@ -368,44 +374,78 @@ def _field(field: Field) -> dict[str, object]:
     }
 
 
-def slave_values(bus: BusBase, slave: Slave) -> dict[str, Any]:
-    """State and values of ``slave`` at this moment. Every key is always there; None stands for nothing."""
-    image, seen, link = bus.view.image(slave.setup), slave.snapshot, bus.view.link.station(slave.address)
-    ready, config = slave.ready_now, slave.config
-    age_ns = max(0, bus.runtime.now() - image.input_time) if image.input_time else None
-    limit_ns = inputs_limit_ns(seen.watchdog_ns, bus.poll_interval_ns(slave.setup))
-    valid = inputs_are_valid(exchanging=image.valid and ready, age_ns=age_ns, limit_ns=limit_ns)
-    held, sent = image.outputs, slave.outputs_sent
-    held_fields = as_json(config.output_fields.values(held))
-    sent_fields: dict[str, object] = held_fields
-    if sent != held:
-        fits = len(sent) == len(held)
-        sent_fields = as_json(config.output_fields.values(sent)) if fits else dict.fromkeys(held_fields)
-    fault, found, drive = slave.fault, slave.found, bus.find_drive(slave.address)
-    return {
-        "state": slave.state.value,
-        "inputs": image.inputs.hex(),
-        **inputs_dict(valid, None if age_ns is None else ns_to_s(age_ns)),
-        "outputs": sent.hex(),
-        "held": held.hex() if sent != held else None,
-        "fields": as_json(config.input_fields.values(image.inputs)) | sent_fields,
-        "held_fields": held_fields if sent != held and held_fields else None,
-        "fault": None if fault is None else {"kind": fault.kind.value, "text": fault.text},
-        "diagnosis": diagnosis_dict(slave).get("diagnosis"),
-        "conspicuous": slave.conspicuous,
-        "alarms": None if seen.alarms is None else dataclasses.asdict(seen.alarms),
-        "drive": None if drive is None else drive_dict(bus, drive),
-        "exchanges": image.exchanges,
-        "retries": link.retries,
-        "timeouts": link.timeouts,
-        "telegrams": link.telegrams,
-        "late": link.late,
-        "wrong": link.wrong,
-        "bad": dict(link.bad),
-        "watchdog_ms": slave.watchdog_ms,
-        "master": None if found is None else found.master,
-        "injected": [] if bus.bench is None else bus.bench.status_of(slave.address).get("injected", []),
-    }
+class SlaveReader:
+    """Reads state and values of ``slave``; what has not changed since the last time is not made anew."""
+
+    def __init__(self, bus: BusBase, slave: Slave) -> None:
+        self._bus = bus
+        self._slave = slave
+        self._seen: object = None
+        self._state: dict[str, Any] = {}
+        self._octets: object = None
+        self._values: dict[str, Any] = {}
+
+    def read(self, now: BusSnapshot) -> dict[str, Any]:
+        """All keys of a slave in a snapshot; None stands for nothing. ``now``: the snapshot of the bus."""
+        bus, slave = self._bus, self._slave
+        snapshot, image = slave.snapshot, bus.view.image(slave.setup)
+        found = None if now.found is None else now.found.get(slave.address)
+        seen = snapshot, now.mode, found, now.found_all, bus.runtime.not_running
+        if seen != self._seen:
+            self._seen, self._octets = seen, None
+            self._state = self._read_state(snapshot, found)
+        octets = image.inputs, image.outputs
+        if octets != self._octets:
+            self._octets = octets
+            self._values = self._read_octets(image)
+        age_ns = max(0, bus.runtime.now() - image.input_time) if image.input_time else None
+        limit_ns = inputs_limit_ns(snapshot.watchdog_ns, bus.poll_interval_ns(slave.setup))
+        ready = self._state["state"] == SlaveState.DATA_EXCHANGE.value
+        valid = inputs_are_valid(exchanging=image.valid and ready, age_ns=age_ns, limit_ns=limit_ns)
+        link, drive = bus.view.link.station(slave.address), bus.find_drive(slave.address)
+        return {
+            **self._state,
+            **self._values,
+            **inputs_dict(valid, None if age_ns is None else ns_to_s(age_ns)),
+            "drive": None if drive is None else drive_dict(bus, drive),
+            "exchanges": image.exchanges,
+            "retries": link.retries,
+            "timeouts": link.timeouts,
+            "telegrams": link.telegrams,
+            "late": link.late,
+            "wrong": link.wrong,
+            "bad": dict(link.bad),
+            "injected": [] if bus.bench is None else bus.bench.injected(slave.address),
+        }
+
+    def _read_state(self, snapshot: SlaveSnapshot, found: Found | None) -> dict[str, Any]:
+        slave = self._slave
+        fault, alarms = slave.fault, snapshot.alarms
+        return {
+            "state": slave.state.value,
+            "fault": None if fault is None else {"kind": fault.kind.value, "text": fault.text},
+            "diagnosis": diagnosis_dict(slave).get("diagnosis"),
+            "conspicuous": slave.conspicuous,
+            "alarms": None if alarms is None else dataclasses.asdict(alarms),
+            "watchdog_ms": slave.watchdog_ms,
+            "master": None if found is None else found.master,
+        }
+
+    def _read_octets(self, image: ImageSnapshot) -> dict[str, Any]:
+        """Octets and named values; outputs are those on the wire, ``held`` the application's if they differ."""
+        slave, held = self._slave, image.outputs
+        inputs, outputs = slave.config.input_fields, slave.config.output_fields
+        sent, held_fields = slave.outputs_sent, as_json(outputs.values(held))
+        sent_fields: dict[str, object] = held_fields
+        if sent != held:
+            sent_fields = as_json(outputs.values(sent)) if len(sent) == len(held) else dict.fromkeys(held_fields)
+        return {
+            "inputs": image.inputs.hex(),
+            "outputs": sent.hex(),
+            "held": held.hex() if sent != held else None,
+            "fields": as_json(inputs.values(image.inputs)) | sent_fields,
+            "held_fields": held_fields if sent != held and held_fields else None,
+        }
 
 
 def histogram(rotation: Histogram) -> list[tuple[float, int]]:

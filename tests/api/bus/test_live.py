@@ -1,0 +1,215 @@
+"""``bus.live()``: the stream says what the simulated devices know, costs the bus nothing, and ends with it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from collections import Counter
+from types import FrameType
+from typing import Any
+
+import pytest
+from api_kit import FAN, HOIST, RAW, bench_of, bus_of, in_virtual_time, operating
+
+import dpstack
+from dpstack.api.bus import live
+from dpstack.errors import UsageError
+from dpstack.live.state import LiveState
+
+VALVES: dict[str, object] = {
+    "name": "valves",
+    "address": 8,
+    "ident": 0x4321,
+    "config": "21 11",
+    "inputs": {"level": {"at": "i16@0", "scale": 0.5, "unit": "bar"}},
+    "outputs": {"lamp": "bool@0.1", "speed": "u8@1"},
+}
+
+
+async def follow(stream: live.LiveStream, state: LiveState, seconds: float) -> list[dict[str, Any]]:
+    """Apply the items of so many seconds of bus time; return them."""
+    items: list[dict[str, Any]] = []
+
+    async def read() -> None:
+        async for item in stream:
+            state.apply(json.loads(json.dumps(item)))
+            items.append(item)
+
+    task = asyncio.ensure_future(read())
+    await asyncio.sleep(seconds)
+    task.cancel()
+    await asyncio.wait([task])
+    return items
+
+
+@in_virtual_time
+async def test_the_picture_is_that_of_the_devices() -> None:
+    state = LiveState()
+    async with operating(FAN, VALVES) as bus:
+        valves, stream = bus.slave("valves"), bus.live(0.05)
+        valves["speed"] = 7
+        valves["lamp"] = True
+        drive = bus.drive("fan")
+        await drive.start()
+        drive.speed = 0.25
+        await drive.reached()
+        items = await follow(stream, state, 0.5)
+        assert list(items[0]) == ["plant"]
+        shown = state.slaves["8"]  # it mirrors its outputs: these inputs say that it has got them
+        assert shown["outputs"] == shown["inputs"] == "0207"
+        assert shown["fields"] == {"level": 0x0207 * 0.5, "lamp": True, "speed": 7}
+        assert (shown["state"], shown["inputs_valid"], shown["held"], shown["fault"]) == (
+            "data_exchange",
+            True,
+            None,
+            None,
+        )
+        assert shown["exchanges"] == pytest.approx(valves.exchanges, abs=60)
+        assert state.slaves["4"]["drive"]["speed"] == pytest.approx(0.25, abs=0.01)
+        assert state.slaves["4"]["drive"]["running"] is True
+        assert state.plant is not None
+        described = state.plant["slaves"]["8"]
+        assert described["inputs"] == [
+            {"name": "level", "type": "i16", "at": "i16@0", "scale": 0.5, "offset": 0, "unit": "bar"}
+        ]
+        assert described["modules"] == [{"name": "", "config": "2111", "inputs": 2, "outputs": 2}]
+        summary = bus.stats.summary()
+        assert set(summary) - {"slaves"} <= set(state.bus)
+        assert sum(count for _, count in state.bus["histogram"]) == pytest.approx(state.bus["rotations"], abs=3)
+        await bus.clear()
+        await follow(stream, state, 0.2)
+        assert state.bus["mode"] == "clear"
+        assert (state.slaves["8"]["outputs"], state.slaves["8"]["held"]) == ("0000", "0207")
+        assert state.slaves["8"]["fields"]["speed"] == 0
+        assert state.slaves["8"]["held_fields"] == {"lamp": True, "speed": 7}
+        bench_of(bus).power(8, False)
+        await follow(stream, state, 1.0)
+        assert state.slaves["8"]["inputs_valid"] is False
+        assert state.slaves["8"]["state"] != "data_exchange"
+    await follow(stream, state, 0.01)
+    assert state.end == "the bus is closed"
+    assert {slave["state"] for slave in state.slaves.values()} == {"offline"}
+    assert not any(slave["inputs_valid"] for slave in state.slaves.values())
+
+
+@in_virtual_time
+async def test_later_snapshots_have_only_changes_and_a_late_reader_gets_all() -> None:
+    async with operating(RAW) as bus:
+        first = LiveState()
+        stream = bus.live(0.1)
+        items = await follow(stream, first, 1.0)
+        snapshots = [item["snapshot"] for item in items if "snapshot" in item]
+        assert [snapshot["whole"] for snapshot in snapshots] == [True] + [False] * (len(snapshots) - 1)
+        assert len(snapshots) in range(9, 13)
+        assert all("state" not in snapshot["slaves"]["9"] for snapshot in snapshots[1:])
+        late, second = LiveState(), bus.live(0.1)
+        await asyncio.sleep(5)  # it does not read
+        read = await follow(second, late, 0.3)
+        assert [key for item in read for key in item][:1] == ["plant"]
+        assert sum("snapshot" in item for item in read) <= 5
+        await follow(stream, first, 0.3)
+        assert late.slaves["9"]["state"] == first.slaves["9"]["state"] == "data_exchange"
+        assert [event["text"] for event in late.events] == [event["text"] for event in first.events]
+        stream.close()
+        second.close()
+        assert [item async for item in second] == []
+
+
+@in_virtual_time
+async def test_a_slave_added_and_removed_brings_a_new_plant() -> None:
+    state = LiveState()
+    async with operating(RAW) as bus:
+        stream = bus.live(0.05)
+        await follow(stream, state, 0.2)
+        fan = await bus.add_slave(FAN)
+        await fan.ready()
+        await follow(stream, state, 0.3)
+        assert state.plant is not None
+        assert list(state.plant["slaves"]) == list(state.slaves) == ["4", "9"]
+        await bus.slave("raw").reparameterise(groups=[2])
+        await bus.remove(fan)
+        await follow(stream, state, 0.3)
+        assert list(state.plant["slaves"]) == list(state.slaves) == ["9"]
+        assert state.plant["slaves"]["9"]["groups"] == [2]
+        assert state.slaves["9"]["state"] == "data_exchange"
+
+
+@in_virtual_time
+async def test_a_stream_from_before_the_opening_follows_the_search_for_the_rate() -> None:
+    world = dpstack.World(referee=False)
+    dpstack.simulate(world, [RAW], baud=500_000)
+    async with dpstack.open_bus(world=world, baud=500_000, slaves=[RAW]) as master:
+        await master.operate()
+        searching = dpstack.open_bus(
+            world=world, baud="auto", address=5, read_only=True, slaves=[RAW], t_tr=master.params.t_tr
+        )
+        state, stream = LiveState(), searching.live(0.1)
+        items = await follow(stream, state, 0.2)
+        assert items[0]["plant"]["baud"] is None
+        async with searching:
+            items = await follow(stream, state, 3.0)
+    assert state.plant is not None
+    assert (state.plant["baud"], state.plant["read_only"]) == (500_000, True)
+    assert state.slaves["9"]["master"] == 2
+
+
+def test_the_clock_of_the_computer_may_be_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = iter([1_000_000.0] + [9.0] * 100)
+    monkeypatch.setattr(live, "time", lambda: next(times))
+
+    @in_virtual_time
+    async def run() -> None:
+        state = LiveState()
+        async with operating(RAW) as bus:
+            stream = bus.live(0.05)
+            await follow(stream, state, 0.2)
+            bus.notice("test", "later")
+            await follow(stream, state, 0.2)
+        stamps = [event["time"] for event in state.events]
+        assert stamps == sorted(stamps)
+        assert all(stamp.startswith("1970-01-12T13:46:") for stamp in stamps)
+
+    run()
+
+
+@in_virtual_time
+async def test_a_reader_costs_calls_a_snapshot_and_none_a_telegram() -> None:
+    calls: Counter[str] = Counter()
+    live_file = live.__file__
+
+    def count(frame: FrameType, event: str, _arg: object) -> None:
+        if event == "call":
+            calls["live" if frame.f_code.co_filename == live_file else "all"] += 1
+
+    async def counted(bus: dpstack.Bus, seconds: float) -> tuple[int, int, int]:
+        calls.clear()
+        before = bus.stats.rotations
+        sys.setprofile(count)
+        try:
+            await asyncio.sleep(seconds)
+        finally:
+            sys.setprofile(None)
+        return calls["live"], calls["all"], bus.stats.rotations - before
+
+    async with operating(RAW, HOIST) as bus:
+        in_live, without, rotations = await counted(bus, 0.5)
+        assert in_live == 0
+        stream = bus.live(0.1)
+        await follow(stream, LiveState(), 0.11)
+        in_live, with_reader, again = await counted(bus, 0.5)
+        assert abs(again - rotations) <= 2
+        snapshots, slaves = 5, 2
+        assert in_live <= (snapshots + 1) * (12 + 8 * slaves)
+        # all calls that a snapshot makes, in whatever module: about 110 a slave with a drive, figures of the bus beside
+        assert with_reader - without <= (snapshots + 1) * (150 + 130 * slaves) + 1500
+        stream.close()
+        await asyncio.sleep(0.01)
+        in_live, _, _ = await counted(bus, 0.2)
+        assert in_live == 0
+
+
+@pytest.mark.parametrize("interval", [0, -1, 0.001, float("nan"), float("inf"), "0.1", None])
+def test_an_impossible_interval_is_refused(interval: Any) -> None:
+    with pytest.raises(UsageError, match=r"give the seconds between two snapshots, 0\.02 or more"):
+        bus_of(RAW).live(interval)
