@@ -100,7 +100,8 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("wireshark", "web"),
     ("cli/terminal",),
     ("cli",),
-    ("cli/commands", "cli/listening", "cli/looking"),
+    ("cli/commands", "cli/listening"),
+    ("cli/looking",),
 )
 #: profile sees only these modules of dp: its public slave application and image types, and records.
 PROFILE_MAY_OF_DP = {

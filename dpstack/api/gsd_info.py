@@ -94,6 +94,8 @@ ENDINGS: Final = frozenset(f".gs{language}" for language in "degfips")
 
 def gsd_files(folder: Path) -> list[Path]:
     """The GSD files in ``folder`` and the folders in it, by name. Raises ConfigError where there are none."""
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: this is no folder; give the folder of the plant's GSD files")
     found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file())
     if not found:
         raise ConfigError(f"{folder}: no GSD file (.gsd, .gse, .gsg ...) is in this directory; give another one")

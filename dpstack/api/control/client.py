@@ -223,6 +223,17 @@ def find_run(port: str, config: Path | None, timeout: float | None = TIMEOUT_S) 
     return _client_with_file(clients, port, config) if clients else None
 
 
+def find_any_run(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
+    """Connect to the run on ``port``, whatever its configuration; None where no run answers for that port.
+
+    Raises PortError where the program cannot connect to the run.
+    """
+    with _open_directory() as sockets:
+        if sockets is None:
+            return None
+        return _connect_first(sockets, port, [own_name("run", name) for name in names_of(port)], timeout)
+
+
 def running() -> list[dict[str, Any]]:
     """The ``help`` of every running program: kind, port, name, pid, config, commands. Removes stale sockets."""
     with _open_directory() as sockets:

@@ -103,6 +103,7 @@ RUN: Final = (
     Spec("drive", "NAME ORDER [ARG]...", "tells a drive what to do, as `dpstack drive` does", "hoist speed 0.5"),
     Spec("acyclic", "SLAVE ORDER [ARG]...", "records of a slave, as `dpstack acyclic` does", "8 read 1 47"),
     Spec("class2", "SLAVE ORDER [ARG]...", "the same over a class 2 connection (MS2)", "8 read 1 47"),
+    Spec("diag", "ADDRESS", "diagnosis, configuration, inputs and outputs of any station, read as class 2", "8"),
     Spec("stats", "", "counters and rotation times up to now", ""),
     Spec("scan", "", "the live list 0..126 beside data exchange, with the identifier octets of each slave", ""),
 )

@@ -25,6 +25,7 @@ from dpstack.api.server.fault_steps import End
 from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.api.server.virtual_bench import Bench, Injected, silence_text
 from dpstack.api.slave.slave import Slave
+from dpstack.api.slave.station_report import KnownDevices, read_station, station_report
 from dpstack.api.streams import OnEvent, call_on_event
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.process_data import as_json
@@ -32,9 +33,10 @@ from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.livelist import ALL_ADDRESSES
+from dpstack.params import UNADDRESSED
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.sim.io_station import IoStation
-from dpstack.text import octets_text
+from dpstack.text import number_or_name, octets_text
 
 #: a pty that the program makes itself
 PTY: Final = "pty"
@@ -66,6 +68,7 @@ def control_run(
         "drive": lambda args: drive_order(bus, args),
         "acyclic": lambda args: acyclic_order(bus, args),
         "class2": lambda args: acyclic_order(bus, args, class2=True),
+        "diag": lambda args: _diag(bus, args[0]),
         "stats": lambda _: bus.stats.summary(),
         "scan": ScanOrder(bus),
         "tap": (feed or run_feed(bus)).handler,
@@ -243,6 +246,35 @@ async def _put_out(bus: Bus, wanted: dict[Slave, bytes]) -> None:
     for slave, octets in wanted.items():
         slave.outputs = octets
     await bus.outputs_taken()
+
+
+def _diag(bus: Bus, where: str) -> LongCommand:
+    """The report on a station, given by address 0..126 or by the name of a slave; ``reading``: its octets.
+
+    Raises UsageError for this master itself, BusError while it searches its baud rate.
+    """
+    if bus.searching:
+        raise BusError(f"{SEARCHING}: no station can be asked before")
+    number = number_or_name(where)
+    known = next((slave for slave in bus.slaves if number in (slave.address, slave.name)), None)
+    address = known.address if known is not None else arguments.within(where, int, 0, UNADDRESSED, _STATION)
+    own = bus.params.address
+    if address == own:
+        raise UsageError(f"station {own} is this master itself: it has no diagnosis")
+
+    async def work() -> dict[str, object]:
+        reading = await read_station(bus.class2, address, own, "run", bus.snapshot.las)
+        config = None if known is None else known.config
+        devices = KnownDevices(slave.config for slave in bus.slaves)
+        return {**station_report(reading, config, devices), "reading": reading.as_dict()}
+
+    async def long_command(send: Send) -> dict[str, object]:
+        return await kept_alive(work(), lambda: {"state": "asking"}, send)
+
+    return long_command
+
+
+_STATION: Final = "ADDRESS: write the address of a station, 0..126, or the name of a slave"
 
 
 def _slave_of(bus: Bus, where: str) -> Slave:

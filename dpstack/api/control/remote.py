@@ -1,4 +1,4 @@
-"""Orders to the ``run`` that holds the port: to a drive, or to the records of a slave."""
+"""Orders to the ``run`` that holds the port: to a drive, to the records of a slave, or to read a station."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from typing import Annotated, Any, Final, NotRequired, TypedDict
 import msgspec
 
 from dpstack.api.config.config import Config
-from dpstack.api.control.client import ControlClient, checked, find_run
+from dpstack.api.control.client import ControlClient, checked, find_any_run, find_run
 from dpstack.api.control.commands import Order
 from dpstack.api.control.drive_orders import PARAMETERS, READ_MANY
 from dpstack.api.control.errors import failure
 from dpstack.api.control.record_orders import COMMANDS, OnProgress
 from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue, Readable
 from dpstack.api.lists.record_list import ListedValues
+from dpstack.api.slave.station_report import StationReading
 from dpstack.errors import ParameterError, PortError
 from dpstack.profile import ListedParam
 
@@ -115,6 +116,26 @@ class ImAnswer(_OfSlave):
     im: dict[str, dict[str, Any]]
 
 
+class ReadingAnswer(TypedDict):
+    """The JSON of :meth:`dpstack.api.slave.station_report.StationReading.as_dict`."""
+
+    address: Annotated[int, msgspec.Meta(ge=0, le=126)]
+    own: int
+    source: str
+    status: str
+    diagnosis: Hex | None
+    config: Hex | None
+    inputs: Hex | None
+    outputs: Hex | None
+    errors: dict[str, str]
+
+
+class StationAnswer(TypedDict):
+    """``diag``: the reading; its other keys are those of :func:`dpstack.api.slave.station_report.station_report`."""
+
+    reading: ReadingAnswer
+
+
 _OF_RECORDS: Final[dict[str, type]] = {
     "read": RecordAnswer,
     "transport": RecordAnswer,
@@ -165,6 +186,25 @@ async def through_run(
     with client:
         answer = await _carry_out(client, COMMANDS[master], str(slave), order, progress)
     return ({PARAMETERS: []} if order.word == PARAMETERS else {}) | answer | {"order": order.word}
+
+
+async def reading_through_run(port: str, config: Config | None, station: str) -> StationReading | None:
+    """Have the run on ``port`` with the file of ``config`` (None: whatever file it has) read ``station``, an address or
+    name; None where no run answers for the port. Raises as :func:`through_run`.
+    """
+    if config is None:
+        client = await asyncio.to_thread(find_any_run, port)
+    else:
+        client = await asyncio.to_thread(find_run, port, config.file)
+    if client is None:
+        return None
+    with client:
+        try:
+            answer = await asyncio.to_thread(client.call, "diag", station, kind=StationAnswer)
+        except asyncio.CancelledError:
+            client.close()
+            raise
+    return StationReading.of(answer["reading"])
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ def load_devices(
     by_address = {} if config is None else {slave.address: _configured(slave) for slave in config.slaves}
     by_ident: dict[int, KnownDevice] = {}
     if gsd_folder is not None:
-        for path in _files(Path(gsd_folder)):
+        for path in gsd_files(Path(gsd_folder)):
             try:
                 device = read_gsd(path).device
             except (ConfigError, GsdError) as error:
@@ -44,12 +44,6 @@ def load_devices(
             else:
                 by_ident.setdefault(device.ident, _described(device))
     return Devices(by_address, by_ident, {} if config is None else _t_sl(config))
-
-
-def _files(folder: Path) -> list[Path]:
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: this is no folder; give the folder of the plant's GSD files")
-    return gsd_files(folder)
 
 
 def _configured(slave: SlaveConfig) -> KnownDevice:

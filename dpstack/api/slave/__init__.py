@@ -9,4 +9,6 @@
 - ``service_errors``: Exceptions of failed acyclic services
 - ``services``: Pending acyclic services of a bus: requests, results, cancellation
 - ``slave``: ``Slave``: state, diagnosis, process data and records of a slave
+- ``station_report``: Report on one station, read by the class 2 services: diagnosis, configuration, inputs and outputs,
+  in words
 """

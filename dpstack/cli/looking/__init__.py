@@ -1,4 +1,5 @@
 """Commands that look at a plant: on a page, on the screen, in words.
 
+- ``diag``: ``dpstack diag``: diagnosis, configuration, inputs and outputs of any station
 - ``web``: ``dpstack web``: the page in the browser
 """

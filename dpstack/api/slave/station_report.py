@@ -1,0 +1,333 @@
+"""Report on one station, read by the class 2 services: diagnosis, configuration, inputs and outputs, in words.
+
+The station may belong to any master. Nothing is written and nobody is parameterised: Slave_Diag, Get_Cfg, RD_Inp and
+RD_Outp only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.gsd_info import bundled, gsd_files, read_gsd
+from dpstack.api.slave.class2 import Class2, Configuration
+from dpstack.dp.master.scanner import SlaveView, view_of
+from dpstack.dp.pdu.diag_bits import Flag, SetBy
+from dpstack.dp.pdu.diag_texts import block_texts
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.process_data import FieldMap, as_json
+from dpstack.errors import ConfigError, GsdError, ServiceRefused, SlaveError, SlaveTimeout
+from dpstack.gsd.configuration import modules_of_config
+from dpstack.gsd.diag_texts import DiagTexts
+from dpstack.gsd.identifiers import Identifier
+from dpstack.gsd.model import Device, Module
+from dpstack.profile import registry
+from dpstack.text import octets_text
+
+#: the services by the name of their octets in a reading
+SERVICES: Final = {"diagnosis": "Slave_Diag", "config": "Get_Cfg", "inputs": "RD_Inp", "outputs": "RD_Outp"}
+#: findings for the states before data exchange
+_WAITS: Final = {
+    SlaveView.WAIT_PRM: "is not in data exchange: it waits for parameters, no master has it",
+    SlaveView.WAIT_CFG: "is not in data exchange: master {master} has parameterised it, and it is not ready",
+    SlaveView.UNKNOWN: "is not in data exchange: its diagnosis names no master",
+}
+_NO_ANSWER: Final = (
+    "does not answer: check power, cable, address switch and the baud rate; `dpstack scan` lists those who answer"
+)
+_NO_SLAVE: Final = "answers, and refuses Slave_Diag ({status}): it may be a master, or no DP slave"
+
+
+@dataclass(frozen=True, slots=True)
+class StationReading:
+    """The octets that the station at ``address`` gave; None where it gave none, then ``errors`` has the reason by the
+    name of the service.
+
+    ``own``: address of the master that asked; ``source``: "run" or "class2". ``status`` is "" where the diagnosis was
+    read or nobody answered; otherwise the negative answer to Slave_Diag ("RS", "UE" ...), "unreadable", or "master" for
+    a station of the token ring.
+    """
+
+    address: int
+    own: int
+    source: str
+    diagnosis: bytes | None = None
+    config: bytes | None = None
+    inputs: bytes | None = None
+    outputs: bytes | None = None
+    status: str = ""
+    errors: Mapping[str, str] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, object]:
+        """As plain data, octets in hex."""
+        octets = {name: None if (found := getattr(self, name)) is None else found.hex() for name in SERVICES}
+        head = {"address": self.address, "own": self.own, "source": self.source, "status": self.status}
+        return {**head, **octets, "errors": dict(self.errors)}
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> StationReading:
+        """The reverse of :meth:`as_dict`."""
+        octets: dict[str, Any] = {
+            name: None if given[name] is None else bytes.fromhex(given[name]) for name in SERVICES
+        }
+        head = (given["address"], given["own"], given["source"])
+        return cls(*head, **octets, status=given["status"], errors=given["errors"])
+
+
+async def read_station(
+    class2: Class2, address: int, own: int, source: str, masters: Collection[int] = ()
+) -> StationReading:
+    """Read the station at ``address`` (0..126). Refusals and silence of the station are part of the reading.
+
+    ``masters``: the stations in the token ring. Raises UsageError, BusError.
+    """
+    found: dict[str, Any] = {}
+    errors: dict[str, str] = {}
+    try:
+        diagnosis = await class2.diagnosis(address)
+    except SlaveError as error:
+        if address in masters:
+            status = "master"
+        elif isinstance(error, ServiceRefused):
+            status = error.status
+        else:
+            status = "" if isinstance(error, SlaveTimeout) else "unreadable"
+        return StationReading(address, own, source, status=status, errors={SERVICES["diagnosis"]: str(error)})
+    found["diagnosis"] = diagnosis.build()
+    wanted: dict[str, Callable[[], Any]] = {"config": lambda: class2.config(address)}
+    if view_of(diagnosis) is SlaveView.DATA_EXCHANGE:
+        wanted |= {"inputs": lambda: class2.inputs(address), "outputs": lambda: class2.outputs(address)}
+    for name, read in wanted.items():
+        try:
+            found[name] = (await read()).octets
+        except SlaveError as error:
+            errors[SERVICES[name]] = str(error)
+    return StationReading(address, own, source, **found, errors=errors)
+
+
+# --- devices by their ident number ------------------------------------------------------------------------------------
+
+
+class KnownDevices:
+    """Devices of GSD files by ident number: those of ``folder`` (with the folders in it), then those of the configured
+    ``slaves``, then the files that come with dpstack.
+
+    ``on_skipped`` gets one line for each file of the folder that cannot be used. Raises ConfigError for a folder
+    without GSD files.
+    """
+
+    def __init__(
+        self,
+        slaves: Iterable[SlaveConfig] = (),
+        folder: str | Path | None = None,
+        on_skipped: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._by_ident: dict[int, Device] = {}
+        for path in () if folder is None else gsd_files(Path(folder)):
+            try:
+                self._add(read_gsd(path).device)
+            except (ConfigError, GsdError) as error:
+                on_skipped(f"skipped: {error}")
+        for slave in slaves:
+            if slave.device is not None:
+                self._add(slave.device)
+
+    def _add(self, device: Device) -> None:
+        if device.ident is not None:
+            self._by_ident.setdefault(device.ident, device)
+
+    def find(self, ident: int) -> Device | None:
+        """The device with the ident number; None where no file has it."""
+        if ident in self._by_ident:
+            return self._by_ident[ident]
+        for name in bundled():
+            with contextlib.suppress(ConfigError, GsdError):
+                device = read_gsd(name).device
+                if device.ident == ident:
+                    self._add(device)
+                    return device
+        return None
+
+
+# --- the report -------------------------------------------------------------------------------------------------------
+
+
+def station_report(
+    reading: StationReading, slave: SlaveConfig | None = None, devices: KnownDevices | None = None
+) -> dict[str, Any]:
+    """The report as plain data, its keys as docs/diag.md has them. ``slave``: as it is configured, None for a station
+    that the configuration does not have."""
+    diagnosis = None if reading.diagnosis is None else Diagnosis.parse(reading.diagnosis)
+    head: dict[str, Any] = {
+        "address": reading.address,
+        "slave": None if slave is None else slave.name,
+        "source": reading.source,
+        "own": reading.own,
+        "answers": diagnosis is not None or bool(reading.status),
+    }
+    if diagnosis is None:
+        finding = _NO_ANSWER
+        if reading.status == "unreadable":
+            finding = f"answers, and not as a DP slave does: {next(iter(reading.errors.values()), '')}"
+        elif reading.status == "master":
+            finding = "is a master in the token ring: it has no diagnosis of a slave"
+        elif reading.status:
+            finding = _NO_SLAVE.format(status=reading.status)
+        nothing = dict.fromkeys(("ident", "vendor", "model", "state", "master", "diagnosis", "config"))
+        return {**head, "healthy": False, "findings": [finding], **nothing, **_no_data(), "errors": {**reading.errors}}
+    device = None if devices is None else devices.find(diagnosis.ident)
+    if slave is not None and slave.params.ident not in (diagnosis.ident, None):
+        expected: SlaveConfig | None = None  # another device: its names and modules are not those of the configuration
+    else:
+        expected = slave
+        if slave is not None and slave.device is not None:
+            device = slave.device
+    config = None if reading.config is None else Configuration.of(reading.config)
+    modules = _modules(config, expected, device)
+    texts = block_texts(
+        diagnosis,
+        None if device is None else DiagTexts(device, modules or ()),
+        dpv1=_is_dpv1(expected, device),
+    )
+    state = view_of(diagnosis)
+    findings = list(_findings(diagnosis, state, slave, config, texts))
+    return {
+        **head,
+        "healthy": not findings,
+        "findings": findings,
+        "ident": f"0x{diagnosis.ident:04X}",
+        "vendor": None if device is None else device.vendor,
+        "model": _model(device, diagnosis.ident),
+        "state": state.value,
+        "master": diagnosis.master,
+        "diagnosis": {
+            "octets": diagnosis.build().hex(),
+            "flags": list(diagnosis.flags),
+            "texts": [*diagnosis.texts, *texts],
+        },
+        "config": None if config is None else _config_dict(config, modules, device),
+        **_no_data(),
+        **_data("inputs", reading.inputs, None if expected is None else expected.input_fields),
+        **_data("outputs", reading.outputs, None if expected is None else expected.output_fields),
+        "errors": dict(reading.errors),
+    }
+
+
+def _no_data() -> dict[str, Any]:
+    return {"inputs": None, "outputs": None}
+
+
+def _data(key: str, octets: bytes | None, fields: FieldMap | None) -> dict[str, Any]:
+    if octets is None:
+        return {}
+    known = fields is not None and fields.length == len(octets)
+    named = as_json(fields.values(octets)) if fields is not None and known else {}
+    units = fields.units if fields is not None and known else {}
+    return {key: {"octets": octets.hex(), "fields": named, "units": units}}
+
+
+def _is_dpv1(slave: SlaveConfig | None, device: Device | None) -> bool:
+    """Whether its device related blocks are alarms and status messages."""
+    if slave is not None and slave.params.dpv1 is not None:
+        return True
+    return device is not None and device.dpv1.slave
+
+
+def _model(device: Device | None, ident: int) -> str | None:
+    if device is not None:
+        return device.model
+    return next((one.title for one in registry.known().values() if one.ident == ident), None)
+
+
+def _modules(
+    config: Configuration | None, slave: SlaveConfig | None, device: Device | None
+) -> tuple[Module | None, ...] | None:
+    """The modules behind the identifier octets in slot order; None where no GSD file has them."""
+    if config is None:
+        return None
+    if slave is not None and slave.params.texts is not None and config.octets == slave.params.config:
+        return slave.params.texts.modules or None  # also where two modules have the same octets
+    return None if device is None else modules_of_config(device, config.octets)
+
+
+def _config_dict(
+    config: Configuration, modules: tuple[Module | None, ...] | None, device: Device | None
+) -> dict[str, Any]:
+    first = 1 if device is None else device.first_slot
+    if modules is None:
+        rows = [_identifier_dict(number, one) for number, one in enumerate(config.identifiers, first)]
+    else:
+        rows = [_module_dict(number, one) for number, one in enumerate(modules, first)]
+    return {
+        "octets": config.octets.hex(),
+        "input_len": config.input_len,
+        "output_len": config.output_len,
+        "modules": rows,
+        "finding": config.finding,
+    }
+
+
+def _module_dict(slot: int, module: Module | None) -> dict[str, Any]:
+    if module is None:
+        return {"slot": slot, "name": "", "config": "00", "inputs": 0, "outputs": 0}
+    config = Configuration.of(module.config)
+    return {
+        "slot": slot,
+        "name": module.name,
+        "config": module.config.hex(),
+        "inputs": config.input_len or 0,
+        "outputs": config.output_len or 0,
+    }
+
+
+def _identifier_dict(slot: int, found: Identifier) -> dict[str, Any]:
+    return {
+        "slot": slot,
+        "name": None,
+        "config": found.octets.hex(),
+        "inputs": found.inputs,
+        "outputs": found.outputs,
+    }
+
+
+def _findings(
+    diagnosis: Diagnosis,
+    state: SlaveView,
+    slave: SlaveConfig | None,
+    config: Configuration | None,
+    texts: tuple[str, ...],
+) -> Iterator[str]:
+    """One line each; none where the station is in data exchange, as configured, and reports nothing."""
+    exchanging = state is SlaveView.DATA_EXCHANGE
+    if not exchanging:
+        yield _WAITS[state].format(master=diagnosis.master)
+    ident = None if slave is None else slave.params.ident
+    if ident is not None and ident != diagnosis.ident:
+        yield f"is another device: ident 0x{diagnosis.ident:04X} instead of 0x{ident:04X} of the configuration"
+    elif slave is not None and config is not None and config.octets != slave.params.config:
+        yield f"its configuration is another one: {_difference(slave.params.config, config.octets)}"
+    told = texts if diagnosis.ext_diag else ()
+    for flag in _conspicuous(diagnosis, exchanging=exchanging):
+        if not (told and flag.name == "ext_diag"):  # the texts say it
+            yield f"{flag.text} ({flag.name}): {flag.remedy}"
+    yield from told
+
+
+def _conspicuous(diagnosis: Diagnosis, *, exchanging: bool) -> Iterator[Flag]:
+    """The flags with a remedy that the slave itself sets, without those that only say that it waits for its master."""
+    for flag in diagnosis.findings:
+        waits = not exchanging and flag.name in ("prm_req", "station_not_ready")
+        if flag.remedy and flag.set_by is SetBy.SLAVE and not waits:
+            yield flag
+
+
+def _difference(wanted: bytes, real: bytes) -> str:
+    pairs = enumerate(zip(wanted, real, strict=False))
+    at = next((number for number, (one, other) in pairs if one != other), min(len(wanted), len(real)))
+    return (
+        f"octet {at + 1} differs, {octets_text(len(real))} {real.hex(' ').upper()} instead of {wanted.hex(' ').upper()}"
+    )

@@ -1,0 +1,186 @@
+"""``dpstack diag``: diagnosis, configuration, inputs and outputs of any station, in words."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from dpstack.api.bus.bus import Bus, open_bus
+from dpstack.api.bus.live_list import joined
+from dpstack.api.bus.virtual import World, simulate
+from dpstack.api.config.config import Config, load_config
+from dpstack.api.control.remote import reading_through_run
+from dpstack.api.slave.station_report import KnownDevices, StationReading, read_station, station_report
+from dpstack.cli import options
+from dpstack.cli.commands import on_bus
+from dpstack.cli.parser import Parser
+from dpstack.cli.terminal import output
+from dpstack.cli.terminal.signals import run_to_result
+from dpstack.errors import UsageError
+from dpstack.text import octets_text
+
+#: octets in one line, so that the line has fewer than 60 characters
+_IN_A_LINE = 16
+
+
+def add_to(parser: Parser) -> None:
+    parser.epilog = (
+        "examples: dpstack diag plant.toml valves\n"
+        "          dpstack diag plant.toml 8 --gsd plant/gsd\n"
+        "          dpstack diag --port /dev/ttyUSB0 --baud 500000 8"
+    )
+    parser.value(
+        "where", "CONFIG ADDRESS", "the configuration file (not needed with --port), and the station", nargs="+"
+    )
+    options.add_other_port(parser)
+    parser.value("--gsd", "DIR", "folder of GSD files: models, modules and texts by ident number")
+    parser.value(
+        "--address",
+        "A",
+        "without a run: ask from this address (default: the lowest not heard)",
+        type=options.address,
+    )
+    parser.run_by(execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """Exit code 1 where there is a finding, or no answer."""
+    config, station = _target(args)
+    slave = None if config is None else config.find(station)
+    address = slave.address if slave is not None else _address(station, config)
+    devices = KnownDevices(() if config is None else config.slaves, args.gsd, output.warn)
+    reading = run_to_result(_Request(args, config, address).read(), "the station was read")
+    report = station_report(reading, slave, devices)
+    if args.json:
+        output.json_line(report)
+    else:
+        for line in report_lines(report):
+            output.line(line)
+    return 0 if report["healthy"] else 1
+
+
+def _target(args: argparse.Namespace) -> tuple[Config | None, str]:
+    """The configuration, None with ``--port`` alone, and the station as typed. Raises UsageError, ConfigError."""
+    if len(args.where) > 2 or (len(args.where) == 1 and args.port is None):
+        raise UsageError("diag takes CONFIG ADDRESS, or --port P ADDRESS; for instance: dpstack diag plant.toml 8")
+    station = args.where[-1]
+    if len(args.where) == 2:
+        return load_config(args.where[0]).with_bus(port=args.port, baud=args.baud), station
+    on_bus.check_port(args)
+    return None, station
+
+
+def _address(station: str, config: Config | None) -> int:
+    try:
+        return options.slave_address(station)
+    except argparse.ArgumentTypeError:
+        names = "" if config is None else ", ".join(f"{one.name} ({one.address})" for one in config.slaves)
+        known = f"; the configuration has {names}" if names else ""
+        raise UsageError(f"{station!r} is no station: give its address, 0..126{known}") from None
+
+
+class _Request(NamedTuple):
+    """The reading of the station ``address``. ``config``: None where only the port is known."""
+
+    args: argparse.Namespace
+    config: Config | None
+    address: int
+
+    async def read(self) -> StationReading:
+        """Through the run that holds the port, else as master of class 2 beside all others."""
+        port = self.args.port if self.config is None else self.config.port
+        reading = await reading_through_run(port, self.config, str(self.address))
+        if reading is not None:
+            return reading
+        args, config = self.args, self.config
+        if config is None:
+            if args.baud is None:
+                args.baud = "auto"
+            baud = await on_bus.rate_of(args)
+            make_bus = on_bus.bus_maker(args, baud, read_only=True)
+            avoid = {self.address}
+        else:
+            make_bus = self._maker(config)
+            avoid = {self.address, config.bus.address, *(one.address for one in config.slaves)}
+        async with joined(make_bus, args.address, avoid=avoid) as bus:
+            return await read_station(bus.class2, self.address, bus.params.address, "class2", bus.snapshot.las)
+
+    def _maker(self, config: Config) -> Any:
+        """A function that makes read-only buses without slaves on the port of ``config``."""
+        on_bus.warn_of_simulation(config)
+        world = None
+        if config.virtual:
+            world = World()
+            simulate(world, config.slaves, baud=config.baud)
+
+        def make_bus(address: int) -> Bus:
+            settings = dataclasses.replace(
+                config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=(), read_only=True
+            )
+            alone = dataclasses.replace(config, bus=settings, slaves=())
+            return open_bus(alone, on_event=on_bus.once(on_bus.warn_of), world=world)
+
+        return make_bus
+
+
+# --- lines for people -------------------------------------------------------------------------------------------------
+
+
+def report_lines(report: Mapping[str, Any]) -> Iterator[str]:
+    """The report as lines for people."""
+    who = (
+        f"station {report['address']}" if report["slave"] is None else f"slave {report['address']} ({report['slave']})"
+    )
+    asked = f"asked by the run, master {report['own']}" if report["source"] == "run" else f"asked by {report['own']}"
+    yield f"{who}, {asked}"
+    if report["ident"] is not None:
+        device = " ".join(filter(None, (report["vendor"], report["model"]))) or "unknown device"
+        yield f"  {device}, ident {report['ident']}"
+        master = "no master" if report["master"] is None else f"master {report['master']}"
+        yield f"  {report['state']}, {master}"
+    diagnosis = report["diagnosis"]
+    if diagnosis is not None:
+        yield f"diagnosis: {', '.join(diagnosis['flags']) or 'no flag is set'}"
+        for text in diagnosis["texts"]:
+            yield f"  {text}"
+    if report["config"] is not None:
+        yield from _config_lines(report["config"])
+    for key in ("inputs", "outputs"):
+        if report[key] is not None:
+            yield from _data_lines(key, report[key])
+    for text in report["errors"].values() if report["diagnosis"] is not None else ():
+        yield f"not read: {text}"
+    if report["healthy"]:
+        yield "healthy: in data exchange, nothing reported"
+    for text in report["findings"]:
+        yield f"finding: {text}"
+
+
+def _config_lines(config: Mapping[str, Any]) -> Iterator[str]:
+    if config["finding"] is not None:
+        yield f"configuration: {_hex(config['octets'])}, which cannot be read: {config['finding']}"
+        return
+    yield f"configuration: {octets_text(config['input_len'])} of inputs, {octets_text(config['output_len'])} of outputs"
+    for module in config["modules"]:
+        name = {None: "", "": "empty"}.get(module["name"], module["name"])
+        place = f"{'identifier' if module['name'] is None else 'slot'} {module['slot']}"
+        data = [
+            f"{octets_text(module[key])} {way}" for key, way in (("inputs", "in"), ("outputs", "out")) if module[key]
+        ]
+        parts = [place, name, _hex(module["config"]), ", ".join(data)]
+        yield "  " + "  ".join(filter(None, parts))
+
+
+def _data_lines(key: str, data: Mapping[str, Any]) -> Iterator[str]:
+    octets = bytes.fromhex(data["octets"])
+    yield f"{key}: {octets_text(len(octets))}"
+    for at in range(0, len(octets), _IN_A_LINE):
+        yield f"  {at:3}  {octets[at : at + _IN_A_LINE].hex(' ').upper()}"
+    for name, value in data["fields"].items():
+        yield f"  {name} = {value}{data['units'].get(name, '') and ' '}{data['units'].get(name, '')}"
+
+
+def _hex(octets: str) -> str:
+    return bytes.fromhex(octets).hex(" ").upper()
