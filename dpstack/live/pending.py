@@ -34,7 +34,7 @@ class Pending:
             self._lost += len(self._events) == self._events.maxlen
             self._events.append(item)
         elif "plant" in item:
-            self._plant, self._snapshot = item, None
+            self._plant, self._snapshot, self._end = item, None, None  # a bus that runs again has not ended
         elif "lost" in item:
             self._lost += item["lost"]
         else:

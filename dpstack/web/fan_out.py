@@ -1,8 +1,8 @@
-"""One stream of items for any number of pages: what each page still has to get, merged where it does not read.
+"""One stream of items for any number of pages: what each still has to get is merged where it does not read.
 
-The items of the source change one :class:`~dpstack.live.state.LiveState`. Five times a second the fan-out hands what is
-new to its readers. A page that is up to date gets the same encoded text as all others. For one that is still reading,
-snapshots are merged and the events are kept, up to a number; those beyond it are counted as lost. So a page costs one
+The items of the source change one :class:`~dpstack.live.state.LiveState`. Five times a second the fan-out hands the new
+ones to its readers. A page that is up to date gets the same encoded texts as all others. For one that is still reading,
+snapshots are merged and events are kept, up to a number; those beyond it are counted as lost. So a page costs one
 plant, one whole snapshot and :data:`MOST_EVENTS` events at most, however long it does not read.
 """
 
@@ -11,81 +11,33 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
+from dpstack.live.pending import Pending, portions
+from dpstack.live.state import LiveState
 from dpstack.web.messages import encode
 
 Item = Mapping[str, Any]
 #: seconds between two portions for the pages
 TICK_S: Final = 0.2
 #: events that wait for a page
-MOST_EVENTS: Final = 200
+MOST_EVENTS: Final = 500
 #: answers that wait for a page; one with more is disconnected
 MOST_ANSWERS: Final = 64
 
 
-def merge(into: dict[str, Any], snapshot: Mapping[str, Any]) -> None:
-    """Merge ``snapshot`` into the earlier one ``into``: each new value of the bus and of a slave replaces the old."""
-    if snapshot.get("whole"):
-        into.clear()
-    into.update({key: value for key, value in snapshot.items() if key not in ("bus", "slaves", "whole")})
-    into["whole"] = bool(into.get("whole") or snapshot.get("whole"))
-    into.setdefault("bus", {}).update(snapshot.get("bus") or {})
-    slaves = into.setdefault("slaves", {})
-    for address, values in (snapshot.get("slaves") or {}).items():
-        slaves[address] = {**slaves.get(address, {}), **values}
-
-
 class Portion:
-    """The items that are new since the last portion."""
+    """Items for any number of readers, encoded once."""
 
-    def __init__(self) -> None:
-        self.plant: Item | None = None
-        self.snapshot: dict[str, Any] = {}
-        self.events: deque[Item] = deque()
-        self.lost = 0
-        self.end: Item | None = None
+    def __init__(self, items: Iterable[Item]) -> None:
+        self.items = tuple(items)
         self._texts: list[str] | None = None
 
-    def __bool__(self) -> bool:
-        return bool(self.plant is not None or self.snapshot or self.events or self.lost or self.end is not None)
-
-    def add(self, item: Item) -> None:
-        if "plant" in item:
-            self.plant, self.end, self.snapshot = item, None, {}
-        elif "snapshot" in item:
-            merge(self.snapshot, item["snapshot"])
-        elif "event" in item:
-            self.events.append(item)
-            if len(self.events) > MOST_EVENTS:
-                self.events.popleft()
-                self.lost += 1
-        elif "lost" in item:
-            self.lost += item["lost"]
-        elif "end" in item:
-            self.end = item
-
-    def merge(self, later: Portion) -> None:
-        if later.plant is not None:
-            self.add(later.plant)
-        if later.snapshot:
-            merge(self.snapshot, later.snapshot)
-        self.lost += later.lost
-        for event in later.events:
-            self.add(event)
-        if later.end is not None:
-            self.end = later.end
-
+    @property
     def texts(self) -> list[str]:
-        """The items as JSON, encoded once."""
         if self._texts is None:
-            items: list[Item] = [] if self.plant is None else [self.plant]
-            items += [{"snapshot": self.snapshot}] if self.snapshot else []
-            items += [{"lost": self.lost}] if self.lost else []
-            items += self.events
-            items += [] if self.end is None else [self.end]
-            self._texts = [encode(item) for item in items]
+            self._texts = [encode(part) for item in self.items for part in portions(dict(item))]
         return self._texts
 
 
@@ -94,21 +46,22 @@ class Reader:
 
     def __init__(self, first: Portion) -> None:
         self._portion: Portion | None = first
-        self._own = True  # the portion is this reader's: it may be changed
+        self._merged: Pending | None = None  # instead of the portion, once another one has come
         self._answers: deque[str] = deque()
         self._wake = asyncio.Event()
         self._wake.set()
 
     def put(self, portion: Portion) -> None:
-        """Hand it ``portion``, which is merged with what the page has not got yet."""
-        if self._portion is None:
-            self._portion, self._own = portion, False
+        """Hand it ``portion``, which is merged with the items that the page has not got yet."""
+        if self._merged is not None:
+            _put_all(self._merged, portion)
+        elif self._portion is not None:
+            self._merged = Pending(MOST_EVENTS)
+            _put_all(self._merged, self._portion)
+            _put_all(self._merged, portion)
+            self._portion = None
         else:
-            if not self._own:
-                mine = Portion()
-                mine.merge(self._portion)
-                self._portion, self._own = mine, True
-            self._portion.merge(portion)
+            self._portion = portion
         self._wake.set()
 
     def say(self, text: str) -> bool:
@@ -122,7 +75,7 @@ class Reader:
     @property
     def is_empty(self) -> bool:
         """Whether nothing waits for the page."""
-        return not self._answers and self._portion is None
+        return not self._answers and self._portion is None and self._merged is None
 
     def wake(self) -> None:
         """End the wait of :meth:`take`, also where there is nothing to send."""
@@ -134,9 +87,12 @@ class Reader:
         self._wake.clear()
         texts = list(self._answers)
         self._answers.clear()
+        merged, self._merged = self._merged, None
         portion, self._portion = self._portion, None
+        if merged is not None:
+            portion = Portion(_all_of(merged))
         if portion is not None:
-            texts += portion.texts()
+            texts += portion.texts
         return texts
 
 
@@ -144,49 +100,39 @@ class FanOut:
     """The state of the plant, and the readers."""
 
     def __init__(self) -> None:
-        self.state = Portion()  # all of it: a page that comes gets this
-        self._new = Portion()
+        self.state = LiveState()
+        self._new = Pending()
         self._readers: set[Reader] = set()
 
-    @property
-    def plant(self) -> Mapping[str, Any] | None:
-        return None if self.state.plant is None else self.state.plant["plant"]
-
     def put(self, item: Item) -> None:
-        """The next item of the source, or an event of the server."""
-        self.state.add(item)
-        self.state.lost = 0
-        self._new.add(item)
+        """The next item of the source, or an event of the server. Raises ValueError where it is none."""
+        self.state.apply(item)
+        self._new.put(dict(item))
 
     def forget(self) -> None:
         """There is no plant any more: a page that comes gets the events only."""
         events = self.state.events
-        self.state = Portion()
+        self.state = LiveState()
         self.state.events = events
 
     def join(self) -> Reader:
-        """A reader for a page that comes: plant, whole snapshot, the last events."""
+        """A reader for a page that comes: it gets plant, whole snapshot and the last events first."""
         self.hand_out()  # else it would get these items twice
-        first = Portion()
-        first.merge(self.state)
-        if first.snapshot:
-            first.snapshot["whole"] = True
-        reader = Reader(first)
+        known = self.state.whole() or [{"event": event} for event in self.state.events]
+        others = [item for item in known if "event" not in item]
+        events = [item for item in known if "event" in item][-MOST_EVENTS:]
+        end = [others.pop()] if others and "end" in others[-1] else []
+        reader = Reader(Portion([*others, *events, *end]))
         self._readers.add(reader)
         return reader
 
     def leave(self, reader: Reader) -> None:
         self._readers.discard(reader)
 
-    def say(self, text: str) -> None:
-        """Send ``text`` to all pages."""
-        for reader in self._readers:
-            reader.say(text)
-
     def hand_out(self) -> None:
-        """Hand the portion to all readers."""
-        portion, self._new = self._new, Portion()
-        if portion:
+        """Hand the new items to all readers."""
+        if self._new.waiting:
+            portion = Portion(_all_of(self._new))
             for reader in self._readers:
                 reader.put(portion)
 
@@ -197,3 +143,15 @@ class FanOut:
                 await asyncio.sleep(TICK_S)
                 self.hand_out()
         self.hand_out()
+
+
+def _put_all(pending: Pending, portion: Portion) -> None:
+    for item in portion.items:
+        pending.put(dict(item))
+
+
+def _all_of(pending: Pending) -> list[Item]:
+    items: list[Item] = []
+    while (item := pending.take()) is not None:
+        items.append(item)
+    return items

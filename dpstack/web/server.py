@@ -22,7 +22,7 @@ from dpstack.errors import DpError
 from dpstack.text import printable
 from dpstack.web.address import Listen, Origins, is_local, join
 from dpstack.web.asks import Asks
-from dpstack.web.fan_out import FanOut, Reader
+from dpstack.web.fan_out import FanOut, Item, Reader
 from dpstack.web.messages import MOST_OCTETS, Ask, Hello, MessageError, Order, answer, encode, parse
 from dpstack.web.orders import carry_out
 from dpstack.web.page_files import FOLDER, HEADERS, read_page
@@ -80,6 +80,7 @@ class WebServer:
         self._files = read_page(folder)
         self._pages: set[_Page] = set()
         self._strangers = 0
+        self._strange = ""  # the last error of an item
         self._tasks: set[asyncio.Task[None]] = set()
         self._runner: web.AppRunner | None = None
 
@@ -141,14 +142,22 @@ class WebServer:
         try:
             async with contextlib.aclosing(self.source.items()) as items:
                 async for item in items:
-                    if "source" in item:
-                        self._source_changed()
-                    elif "note" in item:
-                        self.tell(item["note"]["text"], item["note"]["severity"])
-                    else:
-                        self.fan_out.put(item)
+                    self._take(item)
         except DpError as error:
             self.tell(str(error), "error")
+
+    def _take(self, item: Item) -> None:
+        if "source" in item:
+            self._source_changed()
+        elif "note" in item:
+            self.tell(item["note"]["text"], item["note"]["severity"])
+        else:
+            try:
+                self.fan_out.put(item)
+            except ValueError as error:
+                if str(error) != self._strange:
+                    self._strange = str(error)
+                    self.tell(self._strange, "error")
 
     def _source_changed(self) -> None:
         self.fan_out.hand_out()
