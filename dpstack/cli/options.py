@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
+import importlib.util
 import math
 from collections.abc import Callable
 from typing import Final, TypeVar
 
 from dpstack.api.config.bus import AUTO
 from dpstack.cli.parser import Parser
+from dpstack.errors import UsageError
 from dpstack.text import decimal, shortened
 from dpstack.units import BAUD_RATES
 
@@ -21,6 +23,12 @@ def add_other_port(parser: Parser) -> None:
     """``--port`` and ``--baud`` instead of those of the configuration."""
     parser.value("--port", "P", "another port")
     parser.value("--baud", "B|auto", 'another rate; "auto": listens', type=baud_or_auto)
+
+
+def require(module: str, what: str, extra: str) -> None:
+    """Raises UsageError where the package ``module`` is not installed, which ``what`` needs and ``extra`` brings."""
+    if importlib.util.find_spec(module) is None:
+        raise UsageError(f"{what} needs {module}: pip install 'dpstack[{extra}]'")
 
 
 def baud(text: str) -> int:

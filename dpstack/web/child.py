@@ -35,13 +35,16 @@ _PATIENCE_S: Final = (15.0, 3.0, 1.0)
 class Child:
     """``dpstack ARGS...`` in a session of its own: a Ctrl-C on the terminal reaches the web server alone.
 
-    ``on_line`` gets each line of its standard error.
+    ``on_line`` gets each line of its standard error, ``on_output`` each of its standard output.
     """
 
-    def __init__(self, args: Sequence[str], on_line: Callable[[str], None]) -> None:
+    def __init__(
+        self, args: Sequence[str], on_line: Callable[[str], None], on_output: Callable[[str], None] = lambda _: None
+    ) -> None:
         self.text = "dpstack " + " ".join(args)
         self._args = args
         self._on_line = on_line
+        self._on_output = on_output
         self._lines: deque[str] = deque(maxlen=_KEPT)
         self._process: asyncio.subprocess.Process | None = None
         self._reading: asyncio.Future[tuple[None, None]] | None = None
@@ -60,7 +63,7 @@ class Child:
         )
         assert process.stdout is not None
         assert process.stderr is not None
-        self._reading = asyncio.gather(_drain(process.stdout), self._read(process.stderr))
+        self._reading = asyncio.gather(_read(process.stdout, self._on_output), _read(process.stderr, self._note))
 
     @property
     def runs(self) -> bool:
@@ -98,20 +101,21 @@ class Child:
                     await process.wait()
         await self.wait()
 
-    async def _read(self, stream: asyncio.StreamReader) -> None:
-        while True:
-            try:
-                line = await stream.readline()
-            except ValueError:  # a line without end
-                continue
-            if not line:
-                return
-            text = printable(line.decode(errors="replace").strip().removeprefix("dpstack: "))
-            if text:
-                self._lines.append(text)
-                self._on_line(text)
+    def _note(self, line: str) -> None:
+        text = printable(line.removeprefix("dpstack: "))
+        self._lines.append(text)
+        self._on_line(text)
 
 
-async def _drain(stream: asyncio.StreamReader) -> None:
-    while await stream.read(1 << 16):
-        pass
+async def _read(stream: asyncio.StreamReader, on_line: Callable[[str], None]) -> None:
+    """Read ``stream`` to its end, so that the process never waits for a reader."""
+    while True:
+        try:
+            line = await stream.readline()
+        except ValueError:  # a line without end
+            continue
+        if not line:
+            return
+        text = line.decode(errors="replace").strip()
+        if text:
+            on_line(text)

@@ -7,9 +7,10 @@ import json
 from collections.abc import AsyncGenerator, Callable
 from typing import Any, Final
 
-from dpstack.api.control.client import LONGEST_ANSWER, TIMEOUT_S, ControlClient
+from dpstack.api.control.client import LONGEST_ANSWER, TIMEOUT_S, ControlClient, connect
 from dpstack.api.control.errors import failure
 from dpstack.errors import DpError, PortError, UsageError
+from dpstack.ports.base import VIRTUAL
 from dpstack.web.fan_out import Item
 
 #: seconds between two snapshots of the run
@@ -98,7 +99,9 @@ class RunLink:
                 raise UsageError(f"{command}: the run that the page shows has ended, and another one is there now")
             return client.call(command, *args)
 
-        connection = _Connection(self._find)
+        name = str(self.about.get("name"))
+        # there may be several runs of one configuration on "virtual", each with a name of its own
+        connection = _Connection((lambda: connect(name)) if name.startswith(f"{VIRTUAL}:") else self._find)
         self._connections.add(connection)
         try:
             result = await connection.use(carry_out)

@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Final
 
 from dpstack.api.config.config import Config
-from dpstack.api.control.client import ControlClient, connect, find_run
+from dpstack.api.control.client import ControlClient, connect, find_run, is_same_file, running
 from dpstack.errors import BusError, DpError, PortError, UsageError
+from dpstack.ports.base import VIRTUAL
 from dpstack.web.child import Child
 from dpstack.web.fan_out import Item
 from dpstack.web.run_link import Find, RunLink
@@ -67,7 +68,11 @@ class RunSource(Source):
     @classmethod
     def of(cls, config: Config, *, control: bool = False, options: Sequence[str] = ()) -> RunSource:
         """The run with ``config``, which is from a file."""
-        return cls(lambda: find_run(config.port, config.file), config.file, control=control, options=options)
+
+        def find() -> ControlClient | None:
+            return _find_virtual(config.file) if config.port == VIRTUAL else find_run(config.port, config.file)
+
+        return cls(find, config.file, control=control, options=options)
 
     @classmethod
     def named(cls, name: str) -> RunSource:
@@ -246,6 +251,24 @@ class RunSource(Source):
                 self._note(f"{file} cannot be read any more", "warning")
             else:
                 self._note(f"{file} has changed: a run that is there keeps what it has read at its start", "warning")
+
+
+def _find_virtual(file: Path | None) -> ControlClient | None:
+    """Connect to the run on "virtual" with the configuration ``file``; others on it have nothing to do with it.
+
+    Raises UsageError where there are several.
+    """
+    names = [
+        one["name"]
+        for one in running()
+        if one["kind"] == "run" and one["port"] == VIRTUAL and is_same_file(one.get("config"), file)
+    ]
+    if len(names) > 1:
+        raise UsageError(
+            f'{len(names)} runs on "{VIRTUAL}" have the configuration {file}: {", ".join(names)}; join one by its '
+            f"name, for instance dpstack web --join {names[0]}"
+        )
+    return connect(names[0]) if names else None
 
 
 def _digest(file: Path) -> bytes | None:

@@ -281,7 +281,7 @@ def _client_with_file(clients: list[ControlClient], port: str, config: Path | No
     chosen = None
     try:
         runs = [(client, client.help()) for client in clients]
-        fitting = [client for client, one in runs if _is_file(one.get("config"), config)]
+        fitting = [client for client, one in runs if is_same_file(one.get("config"), config)]
         if len(fitting) != 1:
             raise UsageError(_mismatch_text([one for _, one in runs], len(fitting), port, config))
         chosen = fitting[0]
@@ -323,7 +323,7 @@ def _levels(answer: object) -> int:
     return count
 
 
-def _is_file(path: object, config: Path | None) -> bool:
+def is_same_file(path: object, config: Path | None) -> bool:
     """Whether ``path``, the answer of a run, is the file ``config``: by its name, or by the file itself."""
     if not isinstance(path, str) or config is None:
         return False

@@ -47,10 +47,15 @@ _Act = Callable[[Bench, int, list[str]], object]
 
 
 def control_run(
-    bus: Bus, port: str, feed: TapFeed | None = None, *, stop: Callable[[], None] | None = None
+    bus: Bus,
+    port: str,
+    feed: TapFeed | None = None,
+    *,
+    stop: Callable[[], None] | None = None,
+    kind: str = "run",
 ) -> ControlServer:
     """The control server of a master on ``port``; of one with a pty :meth:`ControlServer.move_to` its path. ``feed``:
-    of its tap, if there is one already; ``stop`` ends the program in order."""
+    of its tap, if there is one already; ``stop`` ends the program in order; ``kind``: of the program."""
 
     def end(_args: list[str]) -> None:
         if stop is None:
@@ -79,7 +84,7 @@ def control_run(
         handlers = slave_handlers(bus.bench, bus) | handlers
     # there may be several runs with a pty
     own, also = (f"{PTY}:{os.getpid()}", PTY) if port == PTY else (port, None)
-    return ControlServer("run", own, specs, handlers, also=also, config=bus.config.file)
+    return ControlServer(kind, own, specs, handlers, also=also, config=bus.config.file)
 
 
 def control_sim(simulation: Simulation, port: str) -> ControlServer:

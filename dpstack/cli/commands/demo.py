@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
+import json
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, field
 
 from rich.console import Console, Group
@@ -16,7 +18,7 @@ from dpstack.api.bus.bus import Bus, open_bus
 from dpstack.api.bus.compose import Case
 from dpstack.api.bus.virtual import run_virtual
 from dpstack.api.config.config import Config, make_config
-from dpstack.api.control.handlers import slave_handlers
+from dpstack.api.control.handlers import control_run, slave_handlers
 from dpstack.api.slave.drive import Drive
 from dpstack.cli import options
 from dpstack.cli.commands.demo_stories import OTHERS, STORIES
@@ -24,9 +26,11 @@ from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import drawing, output
 from dpstack.cli.terminal.report import Reporter, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
-from dpstack.errors import ConfigError, DpError
+from dpstack.errors import ConfigError, DpError, UsageError
 from dpstack.profile import registry
 from dpstack.text import printable
+from dpstack.web.address import DEFAULT, Listen
+from dpstack.web.child import Child
 
 _BAUD = 500_000
 _MASTER = 2
@@ -35,6 +39,8 @@ _PATIENCE_S = 120.0
 #: measured and planned rotation may differ by so much
 _TOLERANCE = 0.02
 _REFRESH_S = 0.1
+#: pause in s before a drive runs again
+_REST_S = 3.0
 #: lines of the stories under the live table, at most
 _SHOWN = 15
 #: half of the speed bar, in characters
@@ -42,15 +48,24 @@ _BAR = 6
 
 
 def add_to(parser: Parser) -> None:
-    parser.epilog = "example: dpstack demo --seconds 20"
+    parser.epilog = "example: dpstack demo --seconds 20\n         dpstack demo --web"
     parser.value("--seconds", "S", "go on for so long at least", type=options.seconds)
     parser.value("--baud", "B", f"the rate (default {_BAUD})", type=options.baud, default=_BAUD)
     parser.flag("--fast", "as fast as this computer can, not in real time")
+    parser.flag("--web", "serve a page that shows the plant in the browser, and go on until Ctrl-C")
+    parser.value("--listen", "HOST:PORT", f"the address of the page (default {DEFAULT})", default=None)
     parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:
     """Exit code 0 when every story ended and the measured rotation time is the planned one."""
+    if args.web:
+        options.require("aiohttp", "dpstack demo --web", "web")
+        Listen.parse(args.listen or DEFAULT)
+    if args.listen is not None and not args.web:
+        raise UsageError("demo: --listen is the address of the page; add --web")
+    if args.web and args.fast:
+        raise UsageError("demo: --fast is over before a page is open; leave out one of --web and --fast")
     return run_virtual(_demo(plant(args.baud), args), paced=not args.fast)
 
 
@@ -84,8 +99,11 @@ class _Stage:
     lines: deque[str] = field(default_factory=lambda: deque(maxlen=_SHOWN))
     ended: set[int] = field(default_factory=set)
     failures: list[str] = field(default_factory=list)
+    #: the address of the page, once it is served
+    url: str = ""
 
-    async def play(self, drive: Drive) -> None:
+    async def play(self, drive: Drive, *, again: bool = False) -> None:
+        """Play the story of ``drive``; with ``again`` let it run and stop without end afterwards."""
         address = drive.slave.address
         kind = drive.slave.config.profile
         story = STORIES.get(kind.name if kind else "", OTHERS)
@@ -94,13 +112,16 @@ class _Stage:
                 await drive.slave.ready(_PATIENCE_S)
                 self.tell(drive, "in data exchange")
                 await story.play(drive, lambda text: self.tell(drive, text), lambda code: self.trip(drive, code))
+            self.ended.add(address)
+            self.tell(drive, "the end")
+            while again:
+                await asyncio.sleep(_REST_S)
+                async with asyncio.timeout(_PATIENCE_S):
+                    await OTHERS.play(drive, lambda _: None, lambda _: None)
         except (DpError, TimeoutError) as error:
             text = str(error) or f"its story did not come to its end in {_PATIENCE_S:g} s"
             self.failures.append(text)
             self.tell(drive, text)
-            return
-        self.ended.add(address)
-        self.tell(drive, "the end")
 
     def trip(self, drive: Drive, code: str) -> None:
         """Inject a fault into the simulated drive, as ``dpstack ctl PORT trip`` does."""
@@ -129,9 +150,10 @@ class _Stage:
             rows.append((slave.address, drive.name, f"{state:<19}", f"{speed:<21}", slave.exchanges))
         console = Console()
         table = drawing.rich_table(title, ("address", "drive", "state", "speed", "exchanges"), rows, console.width)
-        room = min(_SHOWN, max(1, console.height - len(console.render_lines(table)) - 1))
+        page = [Text(f"the page is at {self.url}")] if self.url else []
+        room = min(_SHOWN, max(1, console.height - len(console.render_lines(table)) - 1 - len(page)))
         shown = [line for text in self.lines for line in Text(printable(text)).wrap(console, console.width)][-room:]
-        return Group(table, *shown, *[""] * (room - len(shown)))
+        return Group(table, *page, *shown, *[""] * (room - len(shown)))
 
 
 def _bar(speed: float) -> str:
@@ -150,10 +172,11 @@ async def _demo(config: Config, args: argparse.Namespace) -> int:
         try:
             await stop.or_done(bus.open())
             reporter.start()
-            if bus.is_open:
-                await bus.operate()
-                await stop.or_done(_play(stage, args.seconds))
-            stats, missing = bus.stats, not_exchanging(bus)
+            async with _page(stage, args, stop) if args.web and bus.is_open else contextlib.nullcontext():
+                if bus.is_open:
+                    await bus.operate()
+                    await stop.or_done(_play(stage, args.seconds, again=args.web))
+                stats, missing = bus.stats, not_exchanging(bus)
         finally:
             await bus.close()
     if stop.hurried:
@@ -166,7 +189,7 @@ async def _demo(config: Config, args: argparse.Namespace) -> int:
     if not args.json:
         output.line(f"planned {planned / 1e6:.3f} ms, measured {measured / 1e6:.3f} ms ({off:+.1%})", "bold")
     problems = [*stage.failures, *missing]
-    if stop.received and len(stage.ended) < len(bus.drives):
+    if stop.received and not args.web and len(stage.ended) < len(bus.drives):
         problems.append("interrupted before the stories came to their end")
     if not problems and abs(off) > _TOLERANCE:
         problems.append(f"the rotation is {off:+.1%} off the plan")
@@ -175,8 +198,39 @@ async def _demo(config: Config, args: argparse.Namespace) -> int:
     return 1 if problems else 0
 
 
-async def _play(stage: _Stage, seconds: float | None) -> None:
-    stories = [asyncio.ensure_future(stage.play(drive)) for drive in stage.bus.drives]
+@contextlib.asynccontextmanager
+async def _page(stage: _Stage, args: argparse.Namespace, stop: StopSignal) -> AsyncIterator[None]:
+    """Within, a web server shows the plant: a process of its own, which joins the demo through its control socket. The
+    demo ends where that cannot be."""
+
+    def note(line: str) -> None:
+        found = json.loads(line)
+        if found.get("event") == "listening":
+            stage.url = found["url"]
+            if args.json:
+                output.json_line(found)
+            elif not stage.live:
+                output.line(f"the page is at {stage.url}")
+
+    async def watch() -> None:
+        await server.wait()
+        stage.failures.append(f"the page: {server.last_line}")
+        stop.stop()
+
+    async with control_run(stage.bus, stage.bus.config.port, stop=stop.stop, kind="demo") as control:
+        words = ("web", "--join", control.name, "--listen", args.listen or DEFAULT, "--json")
+        server = Child(words, lambda _: None, note)
+        await server.start()
+        watching = asyncio.ensure_future(watch())
+        try:
+            yield
+        finally:
+            watching.cancel()
+            await server.end()
+
+
+async def _play(stage: _Stage, seconds: float | None, *, again: bool) -> None:
+    stories = [asyncio.ensure_future(stage.play(drive, again=again)) for drive in stage.bus.drives]
     if seconds is not None:
         stories.append(asyncio.ensure_future(asyncio.sleep(max(0.0, seconds - stage.bus.seconds))))
     try:

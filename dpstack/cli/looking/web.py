@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import importlib.util
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from dpstack.api.commissioning.commissioning import Commissioning
 from dpstack.api.config.config import load_config
+from dpstack.cli import options
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
@@ -22,8 +22,6 @@ from dpstack.web.run_source import RunSource
 
 if TYPE_CHECKING:
     from dpstack.web.source import Source
-
-_MISSING: Final = "the page needs aiohttp: pip install 'dpstack[web]'"
 
 
 def add_to(parser: Parser) -> None:
@@ -51,8 +49,7 @@ def add_to(parser: Parser) -> None:
 
 def execute(args: argparse.Namespace) -> int:
     """Exit code 0 at Ctrl-C or SIGTERM."""
-    if importlib.util.find_spec("aiohttp") is None:
-        raise UsageError(_MISSING)
+    options.require("aiohttp", "dpstack web", "web")
     source, config = _source(args)
     commissioning = None if config is None and args.gsd is None else Commissioning(config, args.gsd)
     listen = Listen.parse(args.listen)
