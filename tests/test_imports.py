@@ -229,7 +229,14 @@ ROOM = 22
 #: modules of at most so many lines that at most one other module uses, and how many of them there may be
 SMALL_LINES, SMALL_MODULES = 80, 15
 #: who imports by a name in a string: the lazy public names, the commands, optional packages, a drive's plugin
-BY_STRING = {"__init__", "api.bus.driver_choice", "cli.parser", "drivers.process.plugins", "ports.posix"}
+BY_STRING = {
+    "api.user_code",
+    "__init__",
+    "api.bus.driver_choice",
+    "cli.parser",
+    "drivers.process.plugins",
+    "ports.posix",
+}
 
 
 def dotted_of(path: Path) -> str:

@@ -13,4 +13,5 @@
 - ``gsd_folder``: The GSD files of a folder: found with limits, listed by ident number, read when they are needed
 - ``gsd_info``: GSD files from disk, and their contents as plain data
 - ``streams``: Event streams, waiters and ``on_event``: a slow reader never holds up the bus
+- ``user_code``: Objects in modules of the user, by ``module:name``: functions of simulated slaves, slaves of one's own
 """

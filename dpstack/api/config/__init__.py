@@ -4,6 +4,7 @@
 - ``config``: ``Config``: configuration files, read and checked
 - ``dpv1``: The table [slave.dpv1]: DPV1_Status, alarms, class 2 connections
 - ``gsd_choice``: A [[slave]] table from the modules and parameters chosen in a GSD file
+- ``simulate``: The table [slave.simulate]: inputs of a simulated slave from a recording or from a function
 - ``slave``: The [[slave]] table: keys, checks, changes while the bus runs
 - ``slave_source``: The base of a [[slave]] table: known drive, GSD file, both, or octets
 - ``table``: Typed reading of configuration tables, errors with file and line

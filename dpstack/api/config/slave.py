@@ -13,6 +13,7 @@ from operator import attrgetter
 from typing import Annotated, Any, Final, Literal, TypedDict
 
 from dpstack.api.config.dpv1 import read_dpv1
+from dpstack.api.config.simulate import SimulateConfig, read_simulate
 from dpstack.api.config.slave_source import Who, basis_of, modules_of, remarks
 from dpstack.api.config.table import Gsd, Key, Octets, Source, Table, as_given, keys_of
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap, with_scale
@@ -138,6 +139,7 @@ class SlaveKeys(TypedDict, total=False):
     reference_hz: the frequency at 100 % speed, if the drive has that option. Left out: the drive's
     reference_rpm: the speed in rpm at 100 %, if the drive has that option. Left out: the drive's
     options: options of the drive plugin, see [drives.md](drives.md)
+    simulate: the inputs of the simulated slave, [see below](#inputs-of-a-simulated-slave)
     simulated: for the simulated drive only: its options, and its parameters by name or number (`{ load = 0.8, 412 = 1
         }`), see [drives.md](drives.md)
     """
@@ -155,6 +157,7 @@ class SlaveKeys(TypedDict, total=False):
     reference_hz: Annotated[float, _PERCENT]
     reference_rpm: Annotated[float, _PERCENT]
     options: Mapping[str, object]
+    simulate: Mapping[str, object]
     simulated: Mapping[str, object]
 
 
@@ -219,6 +222,8 @@ class SlaveConfig:
     profile: DriveProfile | None = None
     telegram: str | None = None
     options: Mapping[str, object] = field(default_factory=dict)
+    #: where the inputs of the simulated slave come from; None: they are its outputs
+    simulate: SimulateConfig | None = None
     #: options and parameters by name that only its simulated drive has
     simulated: Mapping[str, object] = field(default_factory=dict)
     #: the simulated slave by its GSD file, None without one
@@ -272,7 +277,8 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     with table.blaming():
         params = dataclasses.replace(known, **changes)
     inputs, outputs = read_fields(table, params.input_len, params.output_len)
-    slave = dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs)
+    simulate = read_simulate(table, drive=slave.profile is not None)
+    slave = dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs, simulate=simulate)
     notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, "ident" in given) if note)
     return dataclasses.replace(slave, notes=tuple(notes))
 

@@ -19,6 +19,7 @@ from dpstack.api.config.table import Key, Source, Table
 from dpstack.api.control.commands import SLAVES, Spec
 from dpstack.api.control.server import Handler
 from dpstack.api.server.fault_steps import KINDS, Deed, End, Kind
+from dpstack.api.server.simulated_inputs import SimulatedInputs
 from dpstack.api.server.virtual_bench import Bench, ScenarioEvent
 from dpstack.errors import ConfigError, DpError
 from dpstack.trace import Event
@@ -305,3 +306,45 @@ class ScenarioRun:
                 lasts_s=None if step.for_ns is None else ns_to_s(step.for_ns),
             )
         )
+
+
+class SimulatedPlant:
+    """Scenario, recordings and functions of the slaves of ``bench``; None: no slave is simulated, nothing happens.
+
+    A context manager; :meth:`start` begins. ``scenario``: its file. Raises ConfigError for files and functions that
+    cannot be used, and for functions without ``allow_code``.
+    """
+
+    def __init__(
+        self,
+        bench: Bench | None,
+        publish: Callable[[Event], None],
+        handlers: Mapping[str, Handler],
+        *,
+        scenario: str | None,
+        allow_code: bool,
+    ) -> None:
+        self._run: ScenarioRun | None = None
+        self._inputs: SimulatedInputs | None = None
+        if bench is not None:
+            if scenario is not None:
+                self._run = ScenarioRun(load_scenario(scenario, bench, handlers), bench, publish)
+            self._inputs = SimulatedInputs(bench, publish, allow_code=allow_code)
+
+    def __enter__(self) -> SimulatedPlant:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the threads of the functions."""
+        if self._inputs is not None:
+            self._inputs.close()
+
+    def start(self, origin_ns: int) -> None:
+        """Begin; all times count from ``origin_ns`` on."""
+        if self._inputs is not None:
+            self._inputs.start(origin_ns)
+        if self._run is not None:
+            self._run.start(origin_ns)

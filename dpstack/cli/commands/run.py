@@ -10,7 +10,7 @@ from dpstack.api.bus.statistics import clear_since
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.control import arguments
 from dpstack.api.control.handlers import PTY, address_of, control_run, run_feed, slave_handlers
-from dpstack.api.control.scenario import ScenarioRun, load_scenario
+from dpstack.api.control.scenario import SimulatedPlant
 from dpstack.api.control.server import ControlServer
 from dpstack.api.listen.report_file import RunReport
 from dpstack.cli import options
@@ -50,6 +50,7 @@ def add_to(parser: Parser) -> None:
         "with --address beside the master that has the same file",
     )
     parser.value("--scenario", "FILE", 'faults and inputs of the simulated slaves in time, on the port "virtual"')
+    parser.flag("--allow-code", "load and call the functions of simulated slaves (key simulate)")
     parser.value("--report", "FILE.html", "write an acceptance report of what was on the bus, a new file")
     parser.run_by(execute)
 
@@ -92,7 +93,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
     report = None if args.report is None else RunReport(args.report, config)
     with report or contextlib.nullcontext(), StopSignal() as stop:
         bus = open_bus(config, on_event=lambda event: reporter.event(event))
-        scenario = _scenario_of(args.scenario, bus)
+        plant = _simulated_plant(bus, args)
         reporter = Reporter(bus, json=args.json)
         if bus.searching:
             reporter.searching()
@@ -110,13 +111,13 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                 return 1
             try:
                 reporter.start()
-                if scenario is not None:
-                    scenario.start(bus.started_ns)
+                plant.start(bus.started_ns)
                 if not (args.clear or config.bus.read_only):
                     await bus.operate()
                 await stop.or_done(_limit(bus, args.seconds, args.rotations))
                 stats, missing, held = bus.stats, not_exchanging(bus), clear_since(bus)
             finally:
+                plant.close()
                 if report is not None:
                     report.end()
                 await bus.close()
@@ -133,11 +134,11 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
     return 1 if missing or reporter.stalled or bus.end_failed else 0
 
 
-def _scenario_of(path: str | None, bus: Bus) -> ScenarioRun | None:
-    """The scenario in the file ``path`` for the slaves of ``bus``; None: there is none. Raises ConfigError."""
-    if path is None or bus.bench is None:
-        return None
-    return ScenarioRun(load_scenario(path, bus.bench, slave_handlers(bus.bench)), bus.bench, bus.publish)
+def _simulated_plant(bus: Bus, args: argparse.Namespace) -> SimulatedPlant:
+    """Scenario and inputs of the simulated slaves of ``bus``. Raises ConfigError."""
+    bench = None if bus.searching else bus.bench
+    handlers = {} if bench is None else slave_handlers(bench)
+    return SimulatedPlant(bench, bus.publish, handlers, scenario=args.scenario, allow_code=args.allow_code)
 
 
 def _write(report: RunReport) -> bool:

@@ -8,9 +8,8 @@ from typing import Literal
 
 from dpstack.api.config.config import AUTO, Config, load_config, make_config, slave_config
 from dpstack.api.control.handlers import control_sim, slave_handlers
-from dpstack.api.control.scenario import Scenario, ScenarioRun, load_scenario
+from dpstack.api.control.scenario import SimulatedPlant
 from dpstack.api.server.simulation import DEFAULT_BAUD, Simulation
-from dpstack.api.server.virtual_bench import Bench
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable
 from dpstack.cli.parser import Parser
@@ -45,6 +44,7 @@ def add_to(parser: Parser) -> None:
     parser.value("--port", "P", 'the port; "pty" makes one and prints its path', required=True)
     parser.value("--baud", "B|auto", "the rate, else the configuration's; auto: listens", type=options.baud_or_auto)
     parser.value("--scenario", "FILE", "faults and inputs in time: a TOML file of steps")
+    parser.flag("--allow-code", "load and call the functions that the configuration names (key simulate)")
     parser.value("--seconds", "S", "end after so many seconds", type=options.seconds)
     parser.run_by(execute)
 
@@ -79,7 +79,13 @@ def _config(args: argparse.Namespace) -> Config:
 async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Namespace) -> int:
     with StopSignal() as stop:
         simulation = Simulation(config, args.port, baud)
-        scenario = scenario_of(args.scenario, simulation)
+        plant = SimulatedPlant(
+            simulation,
+            simulation.publish,
+            slave_handlers(simulation),
+            scenario=args.scenario,
+            allow_code=args.allow_code,
+        )
         async with simulation, reachable(control_sim(simulation, args.port)):
             if args.port == "pty":
                 output.json_line({"port": simulation.port_name})
@@ -93,19 +99,14 @@ async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Names
                     f"a master needs t_sl = {simulation.t_sl} or more for these slaves: the adapter answers late"
                 )
             simulation.on_event = event_printer(simulation.started_ns, json=args.json)
-            if scenario is not None:
-                ScenarioRun(scenario, simulation, simulation.publish).start(simulation.started_ns)
-            await stop.or_done(simulation.failed(args.seconds))
+            with plant:
+                plant.start(simulation.started_ns)
+                await stop.or_done(simulation.failed(args.seconds))
             if simulation.never_found is not None:
                 output.warn(f"{args.port}: the baud rate was not found: {simulation.never_found}; or give the rate")
                 return 0 if stop.received else 1
             print_summary(simulation, args.json)
     return 0
-
-
-def scenario_of(path: str | None, bench: Bench) -> Scenario | None:
-    """The scenario in the file ``path``; None: there is none. Raises ConfigError."""
-    return None if path is None else load_scenario(path, bench, slave_handlers(bench))
 
 
 def print_summary(simulation: Simulation, json: bool) -> None:
