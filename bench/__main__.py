@@ -21,6 +21,10 @@ BENCHMARKS = {
     "gsd": ("bench.gsd", "reading a made-up set of 689 GSD files, and the largest ones"),
     "jitter": ("bench.jitter", "how late the rounds of a fixed cycle begin, beside an idle, blocking, busy program"),
     "listen": ("bench.listen", "cutting, counting, writing, reading and decoding of what is heard on a bus"),
+    "live": (
+        "bench.live",
+        "what readers of the live stream add to the CPU time of an exchange; snapshots of 125 slaves",
+    ),
     "loop": ("bench.loop", "how late an application's event loop is beside its bus, also one whose process is stopped"),
     "parameters": ("bench.parameters", "reading a device's own list of 1000 parameters over record 47"),
     "rotation": ("bench.rotation", "bus rotation time on a paced bus beside the time on the wire; CPU time there"),
