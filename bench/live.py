@@ -29,7 +29,7 @@ from bench.paired import interval
 from bench.report import Report
 from bench.rig import Process, Processors, available, bench, note_disturbance, pinned
 from dpstack import open_bus, run_virtual
-from dpstack.api.bus.live import slave_values
+from dpstack.api.bus.live import SlaveReader
 from dpstack.api.control.client import connect
 from dpstack.errors import PortError
 from dpstack.live.pending import portions
@@ -162,6 +162,7 @@ async def _stream_of(slaves: list[dict[str, Any]]) -> tuple[list[dict[str, Any]]
         await bus.operate()
         await bus.ready(60)
         number = 0
+        readers = [SlaveReader(bus, slave) for slave in bus.slaves]
         async for item in bus.live(interval=0.1):
             if "event" in item:
                 continue
@@ -170,8 +171,8 @@ async def _stream_of(slaves: list[dict[str, Any]]) -> tuple[list[dict[str, Any]]
             for slave in bus.slaves:
                 slave.outputs = bytes((number + n) & 0xFF for n in range(len(slave.outputs)))
             begun = time.process_time_ns()
-            for slave in bus.slaves:
-                slave_values(bus, slave)
+            for reader in readers:
+                reader.read(bus.snapshot)
             took.append((time.process_time_ns() - begun) / 1e6)
             if len(items) > _SNAPSHOTS:
                 break
@@ -224,8 +225,8 @@ class _Readers:
 
     async def _open_pages(self) -> None:
         import aiohttp
-        from dpstack.web.run_source import RunSource
 
+        from dpstack.web.run_source import RunSource
         from dpstack.web.server import serve
 
         server = await self._stack.enter_async_context(serve(RunSource.named(self._port)))

@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hashlib
 from collections.abc import AsyncGenerator, Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from dpstack.api.config.config import Config
+from dpstack.api.config.config import Config, file_digest
 from dpstack.api.control.client import ControlClient, connect, find_run, is_same_file, running
 from dpstack.errors import BusError, DpError, PortError, UsageError
 from dpstack.ports.base import VIRTUAL
@@ -64,6 +63,8 @@ class RunSource(Source):
         self._failures = 0  # of the run that only reads, one after the other
         self._again_at = 0.0  # time of the loop at which it may be started
         self._told = ""
+        #: path of the configuration of the run that is joined, and the digest of its text as the run has read it
+        self._read: tuple[str | None, str | None] = (None, None)
 
     @classmethod
     def of(cls, config: Config, *, control: bool = False, options: Sequence[str] = ()) -> RunSource:
@@ -173,6 +174,7 @@ class RunSource(Source):
                     silent = False
                     if "plant" in item:
                         self._set_kind(_kind_of(link, item))
+                        self._read = item["plant"].get("config"), item["plant"].get("config_digest")
                     if "end" in item:
                         end = item
                     else:
@@ -180,7 +182,7 @@ class RunSource(Source):
         except DpError as error:
             end = {"end": {"text": str(error)}}
         finally:
-            self._link = None
+            self._link, self._read = None, (None, None)
             link.close()
         self._put(end)
         self._set_kind("none")
@@ -236,21 +238,25 @@ class RunSource(Source):
             self._queue.put_nowait(error)
 
     async def _watch_file(self) -> None:
-        """Tell when the file of the configuration has another content than that of the run."""
-        file = self._file
-        if file is None:
-            return
-        known = await asyncio.to_thread(_digest, file)
+        """Tell when the file of the configuration is no longer the one that the run has read."""
+        told: tuple[str | None, str | None, str | None] = (None, None, None)
         while True:
             await asyncio.sleep(_FILE_S)
-            now = await asyncio.to_thread(_digest, file)
-            if now == known:
+            file, digest = self._read
+            if file is None or digest is None:
                 continue
-            known = now
+            now = await asyncio.to_thread(file_digest, file)
+            differs = now != digest
+            before, told = told, (file, digest, now)
+            if told == before or (not differs and before[:2] != (file, digest)):
+                continue  # told already, or a run that has just begun with this file
             if now is None:
-                self._note(f"{file} cannot be read any more", "warning")
+                self._note(f"{file} cannot be read any more; the run keeps what it has read", "warning")
+            elif differs:
+                text = "has changed since this run began; the run keeps what it has read: end it and start it again"
+                self._note(f"{file} {text}", "warning")
             else:
-                self._note(f"{file} has changed: a run that is there keeps what it has read at its start", "warning")
+                self._note(f"{file} is again as this run has read it")
 
 
 def _find_virtual(file: Path | None) -> ControlClient | None:
@@ -269,13 +275,6 @@ def _find_virtual(file: Path | None) -> ControlClient | None:
             f"name, for instance dpstack web --join {names[0]}"
         )
     return connect(names[0]) if names else None
-
-
-def _digest(file: Path) -> bytes | None:
-    try:
-        return hashlib.sha256(file.read_bytes()).digest()
-    except OSError:
-        return None
 
 
 def _kind_of(link: RunLink, item: Item) -> Kind:

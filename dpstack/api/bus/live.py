@@ -125,7 +125,8 @@ class LiveFeed:
         if self._plant is not None:
             stream.put(self._plant)
             stream.put(self._snapshot(self._now, whole=True))
-            stream.wake()
+            if self._now["bus"]:  # else the first round makes it whole, and wakes the stream
+                stream.wake()
         for event in self._bus.past_events():
             self._put_event(event, [stream])
         if self._end is not None:
@@ -295,6 +296,7 @@ def plant_of(bus: BusBase, started: float) -> dict[str, object]:
         "virtual": config.virtual,
         "paced": None,
         "config": None if config.file is None else str(config.file),
+        "config_digest": config.digest,
         "parameters": {},
         "plan": None,
         "slaves": {},

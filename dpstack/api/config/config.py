@@ -8,6 +8,7 @@ comes from the drive registry.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import itertools
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -94,6 +95,11 @@ class Config:
         return self.source.file
 
     @property
+    def digest(self) -> str | None:
+        """SHA-256 (hex) of the text of the configuration file as it was read; None where it was read from no file."""
+        return self.source.digest
+
+    @property
     def port(self) -> str:
         """The port. Raises ConfigError when there is none."""
         if self.bus.port is None:
@@ -168,7 +174,20 @@ def read_tables(text: str, name: str, file: Path | None = None) -> tuple[dict[st
     except TomlError as error:
         place = "" if error.column is None else f" at column {error.column}"
         raise ConfigError.at(name, error.line, f"not valid TOML{place}: {error.what}", "correct that line") from None
-    return data, Source(name, lines, file=file)
+    return data, Source(name, lines, file=file, digest=None if file is None else _digest(text))
+
+
+def file_digest(path: str | Path) -> str | None:
+    """The digest of a configuration file as it is now, for a comparison with :attr:`Config.digest`; None where it
+    cannot be read."""
+    try:
+        return _digest(read_text(path, "configuration file"))
+    except ConfigError:
+        return None
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def parse_config(text: str, name: str = "config", *, file: Path | None = None) -> Config:

@@ -66,12 +66,13 @@ def keys_of(table: type) -> dict[str, Key]:
 @dataclass(frozen=True, slots=True)
 class Source:
     """The source of a configuration: its name in messages, the line numbers of its keys (None: no text), and the
-    ``file`` as an absolute path without links (None: no file).
+    ``file`` as an absolute path without links (None: no file) with the ``digest`` of what was read (SHA-256, hex).
     """
 
     name: str
     lines: Mapping[KeyPath, int] | None = None
     file: Path | None = None
+    digest: str | None = None
 
     def error(self, path: KeyPath, what: str, todo: str) -> ConfigError:
         """The ConfigError ``file:line: what; todo``; without lines the name alone stands in front."""
