@@ -38,7 +38,8 @@ Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``, ``fuj
 ``ls_kit``; ``acyclic_kit`` (record 47).
 
 Plants with faults: ``fault_table`` (25 faults, healthy plants, pairs, each with seeds) on ``fault_plants`` (a plant and
-``bring``, which runs it) and ``fault_devices``; ``fault_proofs``: the facts that prove each trouble.
+``bring``, which runs it) and ``fault_devices``; ``fault_proofs``: the facts that prove each trouble; ``fault_score``:
+right and wrong causes, also as a program.
 
 Others: ``gsd_kit`` (GSD files), ``fc_octets`` (FC octets by hand), ``fault_steps`` (random trouble on a bus),
 ``linear_kit`` (linear time and memory), ``property_kit`` (number of examples of hypothesis).

@@ -422,17 +422,20 @@ def bus_jammed(seed: int) -> Plant:
 
 
 def answers_late(seed: int) -> Plant:
-    """The slave's answers begin after T_SL: a slow slave, or a radio link in front of it. In half of the seeds the
-    user has made T_SL shorter than the slave needs."""
-    plant = Plant("answers_late", seed, ["answers_late"])
+    """Most answers of the slave begin after T_SL, by more or less: a slow application, or a radio link in front of it.
+    Some are heard whole after the master has given up, some collide with its next telegram, some are in time. The user
+    has made T_SL longer already, and not long enough."""
+    plant = Plant("answers_late", seed, ["answers_late"], rates=SLOW)
     plant.ask(plant.made_up())
-    plant.neighbours()
+    plant.neighbours(1, 3)
     plant.real(t_sdr=11)
+    # as most plants have HSA: in the silence of GAP polls late answers are heard
+    plant.bus_keys |= {"t_sl": plant.rng.randint(500, 800), "hsa": 126, "gap": 1}
     params = plant.open().params
-    by = params.ns(params.t_sl + plant.rng.randint(20, 400))
-    share = Share(plant.rng, 1.0, plant.at)
-    plant.world.faults.delay(share, by, times=None)
-    plant.stretch = 2
+    for number in range(2):  # an answer may get both delays
+        by = params.ns(round(params.t_sl * plant.rng.uniform(0.7, 1.2) * (1 + number)))
+        plant.world.faults.delay(Share(plant.rng, plant.rng.uniform(0.4, 0.6), plant.at), by, times=None)
+    plant.stretch = 5
     return plant
 
 
