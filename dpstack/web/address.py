@@ -18,7 +18,7 @@ from dpstack.errors import PortError, UsageError
 
 DEFAULT: Final = "127.0.0.1:8470"
 _HOST: Final = "127.0.0.1"
-_LISTEN: Final = re.compile(r"(?:(?P<host>\[[0-9a-fA-F:.%\w]+\]|[^:\[\]\s/]+):)?(?P<port>\d{1,5})")
+_LISTEN: Final = re.compile(r"(?:(?P<host>\[[0-9a-fA-F:.]+(?:%\w+)?\]|[^:\[\]\s/]+):)?(?P<port>\d{1,5})")
 _HOST_HEADER: Final = re.compile(r"(?P<host>\[[0-9a-fA-F:.]+\]|[^:\[\]\s/@]+)(?::(?P<port>\d{1,5}))?")
 _BACKLOG: Final = 64
 

@@ -133,7 +133,7 @@ def read_tokens(path: Path) -> dict[str, str]:
     than 16 characters, or stands there twice. No message holds a token.
     """
     try:
-        with path.open("rb") as file:
+        with open(path, "rb", opener=_open_unless_waiting) as file:
             _check_private(path, os.fstat(file.fileno()))
             octets = file.read(_LONGEST_FILE + 1)
     except OSError as exc:
@@ -169,6 +169,11 @@ def read_tokens(path: Path) -> dict[str, str]:
     return tokens
 
 
+def _open_unless_waiting(path: str, flags: int) -> int:
+    """Open a file; a FIFO without waiting for its writer."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
 def _check_private(path: Path, info: os.stat_result) -> None:
     if not stat.S_ISREG(info.st_mode):
         raise ConfigError(f"{path}: is no file")
@@ -197,8 +202,9 @@ def tls_context(cert: Path, key: Path) -> tuple[ssl.SSLContext, frozenset[str]]:
                 text = file.read(_LONGEST_FILE)
         except OSError as exc:
             raise ConfigError(f"--tls: the {kind} {path} cannot be read: {exc.strerror or exc}") from None
-        if b"-----BEGIN " not in text:
-            raise ConfigError(f"--tls: {path} is no PEM file; the {kind} begins with -----BEGIN")
+        mark = b"-----BEGIN CERTIFICATE-----" if kind == "certificate" else b"PRIVATE KEY-----"
+        if mark not in text:
+            raise ConfigError(f"--tls: {path} has no {kind} in PEM; give --tls CERT KEY, in this order")
         if kind == "key" and os.name == "posix" and stat.S_IMODE(mode) & 0o007:
             raise ConfigError(f"--tls: the key {path} can be read by every user: `chmod o= {path}`")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -217,7 +223,7 @@ def tls_context(cert: Path, key: Path) -> tuple[ssl.SSLContext, frozenset[str]]:
         elif error.reason == "KEY_VALUES_MISMATCH":
             why = f"the key {key} does not belong to the certificate {cert}"
         else:
-            why = f"{cert} and {key} cannot be used ({error.reason or error}): give --tls CERT KEY, in this order"
+            why = f"{cert} and {key} cannot be read as PEM ({error.reason or error})"
         raise ConfigError(f"--tls: {why}") from None
     return context, _check_valid(context, cert)
 

@@ -1,0 +1,153 @@
+"""Nonsense from a page: it gets an error, its own connection lives for a while, and no other page notices."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import aiohttp
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from property_kit import examples
+from web_kit import PLANT, WHOLE, delta, page_of
+
+from dpstack.web.messages import MOST_OCTETS, Ask, Hello, MessageError, Order, answer, parse
+from dpstack.web.server import serve
+from dpstack.web.source import GivenItems
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
+    max_leaves=6,
+)
+BODIES = st.fixed_dictionaries(
+    {},
+    optional={
+        "id": st.integers() | JSON,
+        "what": st.sampled_from(["why", "toml", "match"]) | JSON,
+        "command": st.sampled_from(["operate", "set", "start"]) | JSON,
+        "args": st.lists(st.text() | JSON, max_size=5) | JSON,
+        "confirmed": st.booleans() | JSON,
+        "token": st.none() | st.text() | JSON,
+    },
+)
+MESSAGES = st.one_of(
+    st.text(),
+    JSON.map(json.dumps),
+    st.builds(lambda kind, body: json.dumps({kind: body}), st.sampled_from(["hello", "ask", "order"]), BODIES | JSON),
+)
+
+
+def parsed(text: str) -> Hello | Ask | Order | MessageError:
+    try:
+        return parse(text)
+    except MessageError as error:
+        return error
+
+
+@given(MESSAGES)
+@examples(25)
+def test_a_message_is_one_with_right_types_or_an_error_in_one_line(text: str) -> None:
+    message = parsed(text)
+    given_ = json.loads(text) if not isinstance(message, MessageError) else {}
+    match message:
+        case MessageError():
+            assert str(message).isprintable()
+            assert len(str(message)) < 300
+            json.loads(answer(message.id, error=str(message)).encode())
+        case Hello(token):
+            assert token is None or token.encode().decode() == token
+            assert given_["hello"].get("token") == token
+        case Ask(id, what, args):
+            assert (given_["ask"]["id"], given_["ask"]["what"]) == (id, what)
+            assert json.dumps(list(args)) == json.dumps(given_["ask"].get("args", []))
+            assert type(id) is int
+        case Order(id, command, order_args, confirmed):
+            assert (given_["order"]["id"], given_["order"]["command"]) == (id, command)
+            assert all(type(one) is str for one in order_args)
+            assert given_["order"].get("confirmed", False) is confirmed
+            assert message.text.isprintable()
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("[" * 100_000, "nested"),
+        ('{"ask":' * 13 + "1" + "}" * 13, "nested"),
+        ('{"ask":{"id":1,"what":"x","args":["' + "x" * MOST_OCTETS + '"]}}', "at most"),
+        ('{"order":{"id":1,"command":"set","args":["' + "x" * 5_000 + '"]}}', "4096"),
+        ('{"ask":{"id":' + "9" * 5_000 + ',"what":"x"}}', "JSON"),
+        ('{"ask":{"id":9007199254740992,"what":"x"}}', "whole number"),
+        ('{"ask":{"id":true,"what":"x"}}', "whole number"),
+        ('{"ask":{"id":1.0,"what":"x"}}', "whole number"),
+        ('{"ask":{"id":1,"what":"x","args":[NaN]}}', "JSON"),
+        ('{"ask":{"id":1,"what":"\\ud800"}}', "what"),
+        ('{"ask":{"id":1,"what":"x","args":[{"\\udfff":1}]}}', "no text"),
+        ('{"hello":{"token":"\\ud800"}}', "token"),
+        ('{"hello":{},"ask":{}}', "one key"),
+        ('{"__proto__":{}}', "not '__proto__'"),
+        ('{"order":{"id":1,"command":"set","args":[1],"confirmed":true}}', "texts"),
+        ('{"order":{"id":1,"command":"set","args":{"0":"x"}}}', "list"),
+        ('{"order":{"id":1,"command":"set","args":' + json.dumps(["x"] * 65) + "}}", "64"),
+        ("\ud800", "UTF-8"),
+    ],
+)
+def test_refused(text: str, why: str) -> None:
+    with pytest.raises(MessageError) as error:
+        parse(text)
+    assert why in str(error.value)
+
+
+def test_brackets_in_texts_are_no_levels() -> None:
+    text = json.dumps({"ask": {"id": 1, "what": "check", "args": ['[[["\\' * 50]}})
+    assert parse(text) == Ask(1, "check", ('[[["\\' * 50,))
+
+
+async def test_a_page_may_err_twenty_times_and_others_do_not_notice() -> None:
+    source = GivenItems([PLANT, WHOLE])
+    async with serve(source) as server, page_of(server) as other:
+        await other.until("snapshot")
+        async with page_of(server) as page:
+            await page.until("snapshot")
+            await page.ws.send_bytes(b"\0\xff")
+            assert await page.until("answer") == {"id": None, "ok": False, "error": "a message is a text"}
+            await page.send({"hello": {"token": None}})
+            assert (await page.until("answer"))["error"] == "hello comes once"
+            for _ in range(17):
+                await page.ws.send_str("{")
+                assert (await page.until("answer"))["id"] is None
+            assert (await page.ask("nothing"))["ok"] is False
+            await page.ws.send_str("{")
+            assert (await page.until("refused")) == "too many messages that are none"
+            assert (await page.ws.receive(timeout=5)).type is aiohttp.WSMsgType.CLOSE
+        source.put(delta(1, "set_prm"))
+        assert (await other.until("snapshot"))["t"] == 1
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        b"\x81\xff\x7f\xff\xff\xff\xff\xff\xff\xff\0\0\0\0",  # 2^63 octets
+        b"\x81\x83\0\0\0\0\xff\xfe\xfd",  # no UTF-8
+        b"\xf1\x82\0\0\0\0hi",  # reserved bits
+        b"\x83\x80\0\0\0\0",  # an operation that there is not
+        b"\x88\x81\0\0\0\0\x03",  # a close with half a code
+        b"GET / HTTP/1.1\r\n\r\n",
+    ],
+)
+async def test_wrong_frames_end_their_own_connection_only(frame: bytes) -> None:
+    source = GivenItems([PLANT])
+    async with serve(source) as server, page_of(server) as other:
+        await other.until("plant")
+        async with page_of(server) as page:
+            await page.until("plant")
+            connection: Any = page.ws._writer.transport
+            connection.write(frame)
+            while (await page.ws.receive(timeout=5)).type not in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSED):
+                pass
+        source.put(WHOLE)
+        assert (await other.until("snapshot"))["t"] == 0.1
+        while server.pages > 1:
+            source.put(WHOLE)
+            await other.until("snapshot")

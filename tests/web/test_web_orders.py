@@ -1,0 +1,165 @@
+"""Orders and asks of a page: who may give them, how the run carries them out, what everybody is told."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from typing import Any
+
+import pytest
+from web_kit import PLANT, WHOLE, page_of
+
+from dpstack.errors import BusError, UsageError
+from dpstack.web.orders import ORDERS
+from dpstack.web.rights import Rights
+from dpstack.web.server import serve
+from dpstack.web.source import GivenItems
+
+TOKEN = "anna-0123456789abcdef"
+RIGHTS = Rights(control=True, tokens={TOKEN: "anna"})
+
+
+class Run(GivenItems):
+    """A run that writes down its commands. ``refuse`` fails, ``hang`` never answers."""
+
+    def __init__(self) -> None:
+        super().__init__([PLANT, WHOLE])
+        self.commands: list[tuple[str, ...]] = []
+        self.ended = asyncio.Semaphore(0)
+
+    async def call(self, command: str, *args: str) -> object:
+        self.commands.append((command, *args))
+        if "refuse" in args:
+            raise UsageError("no slave <b>'refuse'</b> here")
+        if "defect" in args:
+            raise ZeroDivisionError("secret")
+        if "hang" in args:
+            try:
+                await asyncio.Event().wait()
+            finally:
+                self.ended.release()
+        return {"did": command}
+
+    async def start(self) -> object:
+        self.commands.append(("start",))
+        raise BusError("the port is held by another program")
+
+
+async def test_orders_become_commands_of_the_run_and_all_pages_are_told() -> None:
+    run, log = Run(), list[str]()
+    served = serve(run, rights=RIGHTS, log=log.append)
+    async with served as server, page_of(server, TOKEN) as page, page_of(server, TOKEN) as other:
+        orders: list[tuple[str, ...]] = [
+            ("operate",),
+            ("clear",),
+            ("stop",),
+            ("set", "valves.limit=on", "8.level=3"),
+            ("outputs", "9=00FF"),
+            ("drive", "hoist", "speed", "0.5"),
+            ("write", "8", "1", "47", "00FF"),
+        ]
+        for number, (command, *args) in enumerate(orders):
+            answer = await page.order(command, *args, id=number)
+            assert answer == {"id": number, "ok": True, "result": {"did": run.commands[-1][0]}}
+        assert run.commands == [*orders[:-1], ("acyclic", "8", "write", "1", "47", "00FF")]
+        refused = await page.order("set", "refuse", id=9)
+        assert refused == {"id": 9, "ok": False, "error": "no slave <b>'refuse'</b> here"}
+        assert "held by another" in (await page.order("start"))["error"]
+        told = [await other.until("event") for _ in range(9)]
+    assert told[3]["text"] == "order of anna: set valves.limit=on 8.level=3: done"
+    assert told[3] | {"time": "", "text": ""} == {
+        "event": "web",
+        "time": "",
+        "severity": "info",
+        "text": "",
+        "by": "anna",
+        "command": "set",
+        "args": ["valves.limit=on", "8.level=3"],
+        "ok": True,
+    }
+    assert [one["ok"] for one in told] == [True] * 7 + [False] * 2
+    assert [one["severity"] for one in told[7:]] == ["warning"] * 2
+    assert len(log) == 9
+    assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z order of anna: ", line) for line in log)
+
+
+@pytest.mark.parametrize("command", ORDERS)
+async def test_no_order_without_confirmation_or_without_rights(command: str) -> None:
+    run, log = Run(), list[str]()
+    async with serve(run, rights=RIGHTS, log=log.append) as server, page_of(server, TOKEN) as page:
+        assert "not confirmed" in (await page.order(command, confirmed=False))["error"]
+        await page.send({"order": {"id": 3, "command": command}})
+        assert "not confirmed" in (await page.until("answer"))["error"]
+        await page.send({"order": {"id": 3, "command": command, "confirmed": 1}})
+        assert "true or false" in (await page.until("answer"))["error"]
+    async with serve(run, log=log.append) as server, page_of(server, TOKEN) as page:
+        assert "--control" in (await page.order(command))["error"]
+    looking = Rights(tokens={TOKEN: "anna"})
+    async with serve(run, rights=looking, log=log.append) as server, page_of(server, TOKEN) as page:
+        assert "--control" in (await page.order(command))["error"]
+    assert run.commands == []
+    assert log == []
+
+
+async def test_other_commands_of_the_control_socket_are_no_orders_and_no_asks() -> None:
+    run = Run()
+    async with serve(run, rights=RIGHTS) as server, page_of(server, TOKEN) as page:
+        for command in ("power-off", "trip", "help", "tap", "live", "acyclic", "", "OPERATE", "__init__"):
+            assert "there is no order" in (await page.order(command, "3"))["error"]
+            assert "there is no ask" in (await page.ask(command, "3"))["error"]
+        assert "write takes" in (await page.order("write", "8", "1"))["error"]
+        for what in ("im", "records"):  # an ask never becomes a write
+            assert f"{what} takes SLAVE" in (await page.ask(what, "x", "write", "1", "47", "00"))["error"]
+        assert (await page.ask("records", "x", "write", "47"))["ok"] is True
+    assert run.commands == [("acyclic", "x", "read", "write", "47")]
+
+
+async def test_asks_of_the_run() -> None:
+    run = Run()
+    async with serve(run) as server, page_of(server) as page:
+        asks: list[tuple[Any, ...]] = [("why", "valves"), ("diag", 8), ("records", "8", 1, 47), ("im", 8), ("scan",)]
+        for what, *args in asks:
+            assert (await page.ask(what, *args))["ok"] is True
+        assert "takes SLAVE" in (await page.ask("why"))["error"]
+        assert "takes ADDRESS" in (await page.ask("diag", [1]))["error"]
+        assert "no recording" in (await page.ask("recording"))["error"]
+    assert run.commands == [
+        ("why", "valves"),
+        ("diag", "8"),
+        ("acyclic", "8", "read", "1", "47"),
+        ("acyclic", "8", "im"),
+        ("scan",),
+    ]
+
+
+async def test_a_defect_ends_no_page_and_tells_no_secret() -> None:
+    log: list[str] = []
+    async with serve(Run(), log=log.append) as server, page_of(server) as page:
+        answer = await page.ask("why", "defect")
+        assert answer["error"] == "failed by a defect, please report it: ZeroDivisionError"
+        assert (await page.ask("why", "valves"))["ok"] is True
+    assert "ZeroDivisionError: secret" in log[0]
+
+
+async def test_requests_under_way_are_bounded_and_end_with_their_page() -> None:
+    run = Run()
+    async with serve(run) as server, page_of(server) as other:
+        async with page_of(server) as page:
+            for number in range(4):
+                await page.send({"ask": {"id": number, "what": "why", "args": ["hang"]}})
+            await page.send({"ask": {"id": 4, "what": "why", "args": ["valves"]}})
+            answer = await page.until("answer")
+            assert (answer["id"], answer["ok"]) == (4, False)
+            assert "wait for an answer" in answer["error"]
+        for _ in range(4):
+            await asyncio.wait_for(run.ended.acquire(), 5)
+        assert (await other.ask("why", "valves"))["ok"] is True
+
+
+async def test_a_page_that_asks_too_often_is_told_and_goes_on() -> None:
+    async with serve(Run()) as server, page_of(server) as page:
+        for number in range(40):
+            await page.send({"ask": {"id": number, "what": "scan", "args": ["no"]}})
+        answers = [await page.until("answer") for _ in range(40)]
+        assert sorted(answer["id"] for answer in answers) == list(range(40))
+        assert sum("messages a second" in answer["error"] for answer in answers) >= 5
