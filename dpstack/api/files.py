@@ -13,6 +13,8 @@ from typing import BinaryIO, Final
 
 from dpstack.errors import UsageError
 
+#: flags of os.open for a file that is written
+NEW_FILE: Final = os.O_WRONLY | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _KINDS: Final = (
     (stat.S_ISFIFO, "a pipe"),
     (stat.S_ISSOCK, "a socket"),
@@ -44,6 +46,38 @@ def _check_ordinary(found: os.stat_result, path: str | Path) -> None:
 
 def _kind(found: os.stat_result) -> str:
     return next((name for check, name in _KINDS if check(found.st_mode)), "something else")
+
+
+def open_new(path: Path, otherwise: str = "") -> int:
+    """Make a file, or take an empty one; its descriptor. ``otherwise``: further advice in place of a device.
+
+    Raises UsageError, also where there is a file of that name already.
+    """
+    try:
+        with contextlib.suppress(FileNotFoundError):
+            _check_new(path, os.stat(path), otherwise)  # first: a serial port must not even be opened
+        fd = os.open(path, NEW_FILE | getattr(os, "O_NONBLOCK", 0), 0o666)
+    except ValueError as error:  # a path with a zero octet
+        raise UsageError(f"{path}: {error}; name a file") from None
+    except OSError as error:
+        why = error.strerror or error
+        raise UsageError(f"{path}: cannot be written ({why}); name a file in a directory of yours") from None
+    try:
+        _check_new(path, os.fstat(fd), otherwise)  # again: it may be another one by now
+    except UsageError:
+        os.close(fd)
+        raise
+    return fd
+
+
+def _check_new(path: Path, found: os.stat_result, otherwise: str) -> None:
+    """Raises UsageError where ``path`` is anything but an empty file."""
+    if stat.S_ISDIR(found.st_mode):
+        raise UsageError(f"{path}: is a directory; name a file")
+    if not stat.S_ISREG(found.st_mode):
+        raise UsageError(f"{path}: is a device or a pipe; name an ordinary file{otherwise}")
+    if found.st_size:
+        raise UsageError(f"{path}: there is a file of that name; give the name of a new file")
 
 
 class AtomicFile:

@@ -71,7 +71,8 @@ class Recording:
         self._heads = [_read_head(part) for part in self.parts]
         #: all columns by name
         self.columns: Mapping[str, Column] = unique([column for head in self._heads for column in head.columns])
-        about = self._heads[0].about
+        #: the description in the first file; empty where it has none
+        self.about = about = self._heads[0].about
         config = about.get("config")
         self.config = config if isinstance(config, str) else None
         #: whether rows were written on change only, so that a value holds until the next row
@@ -222,11 +223,16 @@ def _csv_row(line: bytes, head: _Head) -> _Cells | None:
     time, t = seconds_of(cells[0]), _number(cells[1])
     if time is None or t is None:
         return None
-    note = cells[-1] if len(cells) == len(head.columns) + 3 else ""
-    if note.startswith("{") and _about_of(note) is not None:
-        told = json.loads(note).get(NOTE)
-        note = told if isinstance(told, str) else ""
+    note = _note_of(cells[-1]) if len(cells) == len(head.columns) + 3 else ""
     return time, t, {c.name: _cell(text, c) for c, text in zip(head.columns, cells[2:], strict=False)}, note
+
+
+def _note_of(text: str) -> str:
+    """The note in a cell, which may also describe the columns."""
+    if not text.startswith("{") or _about_of(text) is None:
+        return text
+    told = json.loads(text).get(NOTE)
+    return told if isinstance(told, str) else ""
 
 
 def _json_row(line: bytes, head: _Head) -> _Cells | None:
@@ -348,4 +354,4 @@ def _parquet_rows(path: Path, head: _Head) -> Iterator[_Cells]:
                 cells = {c.name: columns[place + 2][number] for place, c in enumerate(head.columns)}
                 seconds = time.timestamp() if isinstance(time, datetime) else seconds_of(time)
                 if seconds is not None:
-                    yield seconds, float(t), cells, (notes[number] or "") if notes else ""
+                    yield seconds, float(t), cells, _note_of(notes[number] or "") if notes else ""

@@ -18,13 +18,15 @@ _QUOTED: Final = frozenset(',"')
 class Sample(NamedTuple):
     """The process data of one round. ``t_ns``: since the start; ``wall_ns``: since 1970.
 
-    ``sources``: for each block of the layout its octets, state or quantities; None: not valid.
+    ``sources``: for each block of the layout its octets, state or quantities; None: not valid. ``lost``: rounds before
+    it that are missing.
     """
 
     layout: Layout
     t_ns: int
     wall_ns: int
     sources: tuple[object, ...]
+    lost: int = 0
 
 
 class _Cells:
@@ -51,21 +53,22 @@ _NOTHING: Final = object()
 
 
 class Rows:
-    """The lines of one file with the columns of ``layout``. ``form``: "csv" or "jsonl".
+    """The lines of one file with the columns of ``layout``. ``form``: "csv" or "jsonl". ``described``: a row of the
+    file has the description of the columns already.
 
     Every sample makes a row; with ``layout.on_change`` only one in which a value has left the ``dead_band`` around its
     value in the last row (in the unit of the column; the column's own one if it is greater).
     """
 
-    def __init__(self, layout: Layout, form: str, dead_band: float = 0.0) -> None:
+    def __init__(self, layout: Layout, form: str, dead_band: float = 0.0, *, described: bool = False) -> None:
         self.layout = layout
+        self.form = form
         self._csv = form == "csv"
         self._dead_band = dead_band
         self._cells = [_Cells(block) for block in layout.blocks]
-        self._described = not self._csv
+        self._described = described or not self._csv
         self._second = -1  # of the last row, since 1970
         self._second_text = ""
-        self._last: Sample | None = None
 
     def head(self) -> bytes:
         """The first line: the titles of a CSV file, or the description of the columns."""

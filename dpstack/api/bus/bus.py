@@ -16,6 +16,7 @@ from dpstack.api.bus.find_baud import rate_of, require_wire
 from dpstack.api.bus.live import LiveFeed, LiveStream, checked_interval
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.bus.plan_checks import new_plan_texts
+from dpstack.api.bus.recording import Recording
 from dpstack.api.bus.ring_entry import OtherMasterNotices, join, listening_report
 from dpstack.api.bus.shutdown import OrderedEnd
 from dpstack.api.bus.statistics import BusStats, bus_figures
@@ -79,6 +80,7 @@ class Bus(Sealed, BusBase):
         self._ordered_end = OrderedEnd(self, self.close, self.hurry)
         self._joined_ns = 0  # machine time of the first token
         self._cycles = Cycles(self)
+        self._recordings: list[Recording] = []
         self._live = LiveFeed(self)
         #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
         self.class2 = Class2(self, self._slaves, self.slave)
@@ -191,6 +193,8 @@ class Bus(Sealed, BusBase):
             finally:
                 self._fail_all_calls(UsageError("the bus is closed"))
                 await self._ordered_end.unwatch()
+                for recording in self._recordings:
+                    await recording.stop()
 
     # --- orders -------------------------------------------------------------------------------------------------
 
@@ -372,6 +376,32 @@ class Bus(Sealed, BusBase):
         that the body has set before it begins. Ends with the bus.
         """
         return self._cycles.read()
+
+    def record(
+        self,
+        path: str | Path | Recording,
+        *,
+        on_change: bool = False,
+        dead_band: float = 0.0,
+        rotate: str | None = None,
+    ) -> Recording:
+        """Keep named values, states and drive quantities of every round in the file ``path``, which ends in .csv,
+        .jsonl or .parquet (docs/record.md). Recording begins at once, and never delays the bus.
+
+        ``on_change``: only rounds in which a value has changed by more than its ``dead_band`` (here: of all numbers, in
+        their units; the key ``dead_band`` of a field if it is greater). ``rotate``: a new file after a size or a time,
+        "100MB" or "1h". It ends with ``await recording.stop()``, with its ``async with`` block, or with the bus.
+        ``paths``, ``rows``, ``lost`` and ``troubles`` tell how far it is.
+
+        Raises UsageError for a file that is there already or cannot be made, for .parquet without pyarrow, on a bus
+        that is not open, and on a read-only one.
+        """
+        self.check_open()
+        if not isinstance(path, Recording):
+            path = Recording(path, on_change=on_change, dead_band=dead_band, rotate=rotate)
+        path.start(self)
+        self._recordings.append(path)
+        return path
 
     @property
     def stats(self) -> BusStats:

@@ -21,6 +21,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Final
 
+from dpstack.api.files import NEW_FILE, open_new
 from dpstack.errors import CaptureFileError, UsageError
 from dpstack.units import NS_PER_S
 
@@ -142,7 +143,7 @@ class CaptureFile:
                 with contextlib.suppress(FileNotFoundError):
                     self.paths[0].unlink()
                 del self.paths[0]
-            self._fd = os.open(path, _FLAGS | os.O_EXCL, 0o666)
+            self._fd = os.open(path, NEW_FILE | os.O_EXCL, 0o666)
         except OSError as error:
             raise _write_error(str(path), error) from None
         self.paths.append(path)
@@ -191,7 +192,6 @@ class CaptureFile:
 
 
 _OR_STDOUT: Final = ", or - for standard output"
-_FLAGS: Final = os.O_WRONLY | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 
 
 def _in_thread(work: Callable[[], None]) -> asyncio.Future[None]:
@@ -237,38 +237,6 @@ def _files_of_ring(path: Path) -> list[Path]:
 
 def _number_of(path: Path) -> int:
     return int(path.stem.rsplit("_", 2)[1])
-
-
-def open_new(path: Path, otherwise: str = "") -> int:
-    """Make a file, or take an empty one; its descriptor. ``otherwise``: further advice in place of a device.
-
-    Raises UsageError, also where there is a file of that name already.
-    """
-    try:
-        with contextlib.suppress(FileNotFoundError):
-            _check_new(path, os.stat(path), otherwise)  # first: a serial port must not even be opened
-        fd = os.open(path, _FLAGS | getattr(os, "O_NONBLOCK", 0), 0o666)
-    except ValueError as error:  # a path with a zero octet
-        raise UsageError(f"{path}: {error}; name a file") from None
-    except OSError as error:
-        why = error.strerror or error
-        raise UsageError(f"{path}: cannot be written ({why}); name a file in a directory of yours") from None
-    try:
-        _check_new(path, os.fstat(fd), otherwise)  # again: it may be another one by now
-    except UsageError:
-        os.close(fd)
-        raise
-    return fd
-
-
-def _check_new(path: Path, found: os.stat_result, otherwise: str) -> None:
-    """Raises UsageError where ``path`` is anything but an empty file."""
-    if stat.S_ISDIR(found.st_mode):
-        raise UsageError(f"{path}: is a directory; name a file")
-    if not stat.S_ISREG(found.st_mode):
-        raise UsageError(f"{path}: is a device or a pipe; name an ordinary file{otherwise}")
-    if found.st_size:
-        raise UsageError(f"{path}: there is a file of that name; give the name of a new file")
 
 
 def _write_error(name: str, error: OSError) -> CaptureFileError:

@@ -14,7 +14,7 @@ from dpstack import __version__
 from dpstack.api.bus.bus import Bus
 from dpstack.api.config.config import Config
 from dpstack.api.control.tap_feed import TapFeed
-from dpstack.api.listen.capture_file import open_new
+from dpstack.api.files import open_new
 from dpstack.api.listen.own_tap import OwnTap
 from dpstack.api.listen.plant_files import load_devices
 from dpstack.capture.timing import TAP, LineTiming

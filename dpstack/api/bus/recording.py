@@ -1,0 +1,247 @@
+"""``bus.record()``: process data of each round into files. The bus only appends to a queue; a thread writes."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from dpstack.api.bus.parts import BusBase
+from dpstack.api.recording.record_file import RecordFile
+from dpstack.api.recording.rotation import Rotation
+from dpstack.api.recording.writer_thread import WriterThread
+from dpstack.api.slave.drive import Drive
+from dpstack.api.slave.slave import Slave
+from dpstack.dp.master.commands import Mode
+from dpstack.dp.master.events import SlaveState
+from dpstack.drivers.futures import wait_through_cancellation
+from dpstack.errors import UsageError
+from dpstack.record.columns import Layout, RecordedSlave
+from dpstack.record.rows import Sample
+from dpstack.trace import Severity
+from dpstack.units import NS_PER_MS, NS_PER_S
+
+#: rounds that wait for the disk at most: 20 s of a cycle of 1 ms
+MOST_WAITING: Final = 20_000
+#: without a round for so long the values are not valid; then a row a second
+_SILENT_NS: Final = 500 * NS_PER_MS
+_LOOK_S: Final = 0.25
+_ROW_NS: Final = NS_PER_S
+#: a drive whose inputs and outputs stay the same is read so often
+_DRIVE_NS: Final = 50 * NS_PER_MS
+#: seconds to wait at the end for a disk that does not answer
+_PATIENCE_S: Final = 5.0
+_EXCHANGING: Final = SlaveState.DATA_EXCHANGE.value
+
+
+class Recording:
+    """A recording of a running bus, made by ``bus.record()``. It ends with :meth:`stop`, its block, or the bus."""
+
+    def __init__(
+        self, path: str | Path, *, on_change: bool = False, dead_band: float = 0.0, rotate: str | None = None
+    ) -> None:
+        """Makes the file; :meth:`start` begins. Raises UsageError as ``bus.record()`` does."""
+        if not 0 <= dead_band < float("inf"):
+            raise UsageError(f"dead_band = {dead_band}; give a number of 0 or more, in the unit of the values")
+        rotation = Rotation() if rotate is None else Rotation.parse(rotate)
+        self._file = RecordFile(path, rotation, dead_band, self._tell)
+        self._on_change = on_change
+        self._bus: BusBase | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._writer: WriterThread[Sample] | None = None
+        self._sources: list[_Source] = []
+        self._layout = Layout(())
+        self._published = 0
+        self._missed = 0  # rounds that this process did not see
+        self._lost = 0  # rounds that are missing before the next sample
+        self._last_ns = 0  # the last sample, bus time
+        self._is_silent = False
+        self._watching = contextlib.ExitStack()
+        self._timer: asyncio.TimerHandle | None = None
+        self._stopping: asyncio.Task[None] | None = None
+        #: lines about troubles, the latest last
+        self.troubles: list[str] = []
+
+    async def __aenter__(self) -> Recording:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.stop()
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The files, the present one last."""
+        return tuple(self._file.paths)
+
+    @property
+    def rows(self) -> int:
+        """Rows in the files. The thread writes five times a second."""
+        return self._file.rows_written
+
+    @property
+    def lost(self) -> int:
+        """Rounds that are missing: this computer or its disk was too slow, or the disk was full."""
+        return self._missed + self._file.rows_lost + (0 if self._writer is None else self._writer.lost)
+
+    # --- from beginning to end ---
+    def start(self, bus: BusBase) -> None:
+        """Begin to record ``bus``. Raises UsageError for one that is not open, or read-only."""
+        bus.check_open()
+        if bus.view.read_only:
+            raise UsageError("a read-only bus reads no process data: nothing can be recorded; leave read_only out")
+        self._bus = bus
+        self._loop = asyncio.get_running_loop()
+        self._writer = WriterThread("recording", self._file, MOST_WAITING)
+        self._set_layout(bus)
+        cycle = bus.view.cycle
+        self._published = 0 if cycle is None else cycle.published
+        self._watching.enter_context(bus.rounds.watched(self._on_round))
+        self._last_ns = bus.runtime.now()
+        self._timer = self._loop.call_later(_LOOK_S, self._look)
+
+    async def stop(self) -> None:
+        """End the recording: the rest is written and the file closed. May be repeated.
+
+        Waits for the disk, but at most 5 s for one that does not answer.
+        """
+        if self._bus is None:
+            self._file.close(0)
+            return
+        if self._stopping is None:
+            self._stopping = asyncio.create_task(self._stop())
+        await wait_through_cancellation(self._stopping)
+        self._stopping.result()
+
+    async def _stop(self) -> None:
+        self._watching.close()
+        if self._timer is not None:
+            self._timer.cancel()
+        writer = self._writer
+        assert writer is not None
+        writer.finish()
+        ended = await asyncio.get_running_loop().run_in_executor(None, writer.join, _PATIENCE_S)
+        if not ended:
+            self._trouble(f"{self._file.path}: the disk does not answer; the last rows may be missing")
+
+    # --- samples ---
+    def _set_layout(self, bus: BusBase) -> None:
+        drives = {drive.address: drive for drive in bus.drives}
+        self._sources = [_Source(bus, slave, drives.get(slave.address)) for slave in bus.slaves]
+        started = time.time_ns() - (bus.runtime.now() - bus.started_ns)
+        self._layout = Layout(
+            tuple(source.described for source in self._sources),
+            round(started / NS_PER_S, 3),
+            bus.config.source.name if bus.config.source.file is not None else None,
+            self._on_change,
+        )
+
+    def _on_round(self) -> None:
+        bus = self._bus
+        assert bus is not None
+        data = bus.view.cycle
+        if data is None or data.published == self._published:
+            return  # no slave had its turn in this round
+        if self._published and data.published - self._published > 1:
+            missed = data.published - self._published - 1
+            self._missed += missed
+            self._lost += missed
+        self._published = data.published
+        self._is_silent = False
+        self._take(bus, data.inputs, data.t_ns)
+
+    def _take(self, bus: BusBase, inputs: Mapping[int, bytes], t_ns: int) -> None:
+        now = bus.runtime.now()
+        self._last_ns = now
+        mode = bus.mode
+        sources: list[object] = []
+        for source in self._sources:
+            source.add(sources, inputs.get(source.address), mode, now)
+        wall_ns = time.time_ns() - max(0, now - t_ns)
+        assert self._writer is not None
+        sample = Sample(self._layout, t_ns - bus.started_ns, wall_ns, tuple(sources), self._lost)
+        self._lost = 0 if self._writer.put(sample) else self._lost + 1
+
+    def _look(self) -> None:
+        """Now and then: other slaves, no rounds, a thread that ended."""
+        bus, loop, writer = self._bus, self._loop, self._writer
+        assert bus is not None
+        assert loop is not None
+        assert writer is not None
+        if writer.failure is not None:
+            self._trouble(f"{self._file.path}: the recording ended early ({writer.failure!r}); please report it")
+            return
+        if tuple(source.slave.config for source in self._sources) != tuple(slave.config for slave in bus.slaves):
+            self._set_layout(bus)
+        now = bus.runtime.now()
+        if now - self._last_ns > (_ROW_NS if self._is_silent else _SILENT_NS):
+            self._take(bus, {}, now)
+            self._is_silent = True
+        self._timer = loop.call_later(_LOOK_S, self._look)
+
+    # --- troubles ---
+    def _tell(self, text: str) -> None:
+        """From the writer thread, or before the start."""
+        if self._loop is None:
+            self._trouble(text)
+        else:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                self._loop.call_soon_threadsafe(self._trouble, text)
+
+    def _trouble(self, text: str) -> None:
+        self.troubles.append(text)
+        if self._bus is not None:
+            self._bus.notice("record", text, Severity.WARNING)
+
+
+class _Source:
+    """One slave: what a round adds to a sample."""
+
+    __slots__ = ("_before", "_bus", "_drive", "_key", "_read_ns", "_status", "address", "described", "slave")
+
+    def __init__(self, bus: BusBase, slave: Slave, drive: Drive | None) -> None:
+        self.slave = slave
+        self.address = slave.address
+        config = slave.config
+        self.described = RecordedSlave(
+            slave.address, slave.name, config.input_fields, config.output_fields, drive is not None
+        )
+        self._bus = bus
+        self._drive = drive
+        self._status: tuple[object, ...] | None = None
+        self._key: object = None
+        self._before: object = None
+        self._read_ns = 0
+
+    def add(self, sources: list[object], octets: bytes | None, mode: Mode, now: int) -> None:
+        """Append state, inputs, outputs and drive, those that there are; ``octets``: None outside data exchange."""
+        described = self.described
+        sources.append(self.slave.state.value if octets is None else _EXCHANGING)
+        if described.inputs:
+            sources.append(octets)
+        if not described.outputs and self._drive is None:
+            return
+        held = b"" if octets is None else self._bus.view.image(self.slave.setup).outputs
+        if described.outputs:
+            sources.append(None if octets is None else self._sent(held, mode))
+        if self._drive is not None:
+            sources.append(None if octets is None else self._quantities(self._drive, (octets, held), now))
+
+    def _sent(self, held: bytes, mode: Mode) -> bytes | None:
+        if mode is Mode.OPERATE:
+            return held
+        return bytes(len(held)) if mode is Mode.CLEAR and not self.slave.setup.fail_safe else None
+
+    def _quantities(self, drive: Drive, key: object, now: int) -> tuple[object, ...]:
+        """The status of the drive. Its plugin sees inputs one round after they came."""
+        if self._status is None or key != self._key or key != self._before or now - self._read_ns > _DRIVE_NS:
+            status = drive.status
+            self._status = (
+                *(str(status.state), status.setpoint, status.speed, status.frequency_hz),
+                *(status.current, status.torque, status.fault, status.warning),
+            )
+            self._read_ns = now
+        self._before, self._key = self._key, key
+        return self._status
