@@ -93,6 +93,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("api/lists",),
     ("api/server",),
     ("api/slave",),
+    ("api/recording",),
     ("api/bus",),
     ("api/commissioning",),
     ("api/control",),

@@ -166,6 +166,8 @@ class Bus(Sealed, BusBase):
         bus can still send them, then the port is released. Call it in the bus's event loop; ``close()`` waits for it.
         """
         self._ordered_end.hurry()
+        for recording in self._recordings:
+            recording.hurry()
         if self.is_open:
             self._begin_end()
 

@@ -9,7 +9,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+from dpstack.api.bus.events_json import event_json, severity_of
 from dpstack.api.bus.parts import BusBase
+from dpstack.api.recording.event_log import EventLog
 from dpstack.api.recording.record_file import RecordFile
 from dpstack.api.recording.rotation import Rotation
 from dpstack.api.recording.writer_thread import WriterThread
@@ -21,8 +23,8 @@ from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.errors import UsageError
 from dpstack.record.columns import Layout, RecordedSlave
 from dpstack.record.rows import Sample
-from dpstack.trace import Severity
-from dpstack.units import NS_PER_MS, NS_PER_S
+from dpstack.trace import Event, Severity
+from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
 
 #: rounds that wait for the disk at most: 20 s of a cycle of 1 ms
 MOST_WAITING: Final = 20_000
@@ -62,7 +64,8 @@ class Recording:
         self._watching = contextlib.ExitStack()
         self._timer: asyncio.TimerHandle | None = None
         self._stopping: asyncio.Task[None] | None = None
-        #: lines about troubles, the latest last
+        self._hurried = False
+        #: lines about troubles, the latest last; those before the end are events, too
         self.troubles: list[str] = []
 
     async def __aenter__(self) -> Recording:
@@ -70,6 +73,11 @@ class Recording:
 
     async def __aexit__(self, *_: object) -> None:
         await self.stop()
+
+    @property
+    def path(self) -> Path:
+        """The path as given; of a rotated recording the name of the set."""
+        return self._file.path
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -85,6 +93,10 @@ class Recording:
     def lost(self) -> int:
         """Rounds that are missing: this computer or its disk was too slow, or the disk was full."""
         return self._missed + self._file.rows_lost + (0 if self._writer is None else self._writer.lost)
+
+    def as_dict(self) -> dict[str, object]:
+        """As in the summary of ``run --json``."""
+        return {"files": [str(path) for path in self.paths], "rows": self.rows, "lost": self.lost}
 
     # --- from beginning to end ---
     def start(self, bus: BusBase) -> None:
@@ -108,7 +120,7 @@ class Recording:
         Waits for the disk, but at most 5 s for one that does not answer.
         """
         if self._bus is None:
-            self._file.close(0)
+            self.discard()
             return
         if self._stopping is None:
             self._stopping = asyncio.create_task(self._stop())
@@ -122,9 +134,23 @@ class Recording:
         writer = self._writer
         assert writer is not None
         writer.finish()
-        ended = await asyncio.get_running_loop().run_in_executor(None, writer.join, _PATIENCE_S)
-        if not ended:
-            self._trouble(f"{self._file.path}: the disk does not answer; the last rows may be missing")
+        loop, steps, idle = asyncio.get_running_loop(), -1, 0.0
+        while not await loop.run_in_executor(None, writer.ended, _LOOK_S):
+            idle = 0.0 if self._file.converting or writer.steps != steps else idle + _LOOK_S
+            steps = writer.steps
+            if idle >= _PATIENCE_S or self._hurried:
+                text = "is still being written" if self._hurried else "the disk does not answer"
+                self._trouble(f"{self._file.path}: {text}; the last rows may be missing")
+                return
+
+    def discard(self) -> None:
+        """Remove the file of a recording that was never started."""
+        if self._bus is None:
+            self._file.close(0)
+
+    def hurry(self) -> None:
+        """Do not wait for the disk at the end."""
+        self._hurried = True
 
     # --- samples ---
     def _set_layout(self, bus: BusBase) -> None:
@@ -192,8 +218,49 @@ class Recording:
 
     def _trouble(self, text: str) -> None:
         self.troubles.append(text)
-        if self._bus is not None:
+        if self._bus is not None and self._stopping is None:
             self._bus.notice("record", text, Severity.WARNING)
+
+
+class RunFiles:
+    """The files of ``dpstack run``: a recording, and a log of events. Leaving closes the log.
+
+    Making it makes the files. Raises UsageError as :class:`Recording` and :class:`EventLog` do.
+    """
+
+    def __init__(
+        self, record: str | None, log: str | None, *, on_change: bool = False, rotate: str | None = None
+    ) -> None:
+        if record is None and (on_change or rotate is not None):
+            option = "--on-change" if on_change else "--rotate"
+            raise UsageError(f"{option} is about a recording: add --record FILE, or leave it out")
+        self.recording = None if record is None else Recording(record, on_change=on_change, rotate=rotate)
+        self._log = None if log is None else EventLog(log)
+
+    def __enter__(self) -> RunFiles:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.recording is not None:
+            self.recording.discard()
+        if self._log is not None:
+            self._log.close()
+
+    def event(self, bus: BusBase, event: Event) -> None:
+        """Write ``event`` into the log."""
+        if self._log is None:
+            return
+        line = event_json(event, ns_to_s(event.t_ns - bus.started_ns))
+        if line is not None:
+            self._log.put({**line, "severity": severity_of(event).value, "text": event.text})
+
+    def summary(self) -> str:
+        """One line on the recording; empty without one."""
+        found = self.recording
+        if found is None:
+            return ""
+        files = str(found.paths[-1]) if len(found.paths) == 1 else f"{len(found.paths)} files of {found.path}"
+        return f"recording: {files}, {found.rows} rows" + (f", {found.lost} rounds lost" if found.lost else "")
 
 
 class _Source:

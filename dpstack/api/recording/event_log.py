@@ -54,7 +54,7 @@ class EventLog:
     def close(self) -> bool:
         """Write the rest. False where the disk did not answer, or lines are lost for another reason."""
         self._thread.finish()
-        return self._thread.join(_PATIENCE_S) and not self._thread.lost and not self._sink.lost
+        return self._thread.ended(_PATIENCE_S) and not self._thread.lost and not self._sink.lost
 
 
 class _LogFiles:

@@ -43,6 +43,8 @@ class RecordFile:
         #: complete files and the present one, the latest last
         self.paths: list[Path] = []
         self._rows_before = 0  # in complete files
+        #: a complete file becomes Parquet, which takes its time
+        self.converting = False
         #: rows that found no room on the disk
         self.rows_lost = 0
         self._rotation = rotation
@@ -189,7 +191,9 @@ class RecordFile:
         if not file.size:
             self.paths.pop()
         elif self._suffix == PARQUET:
+            self.converting = True
             why = convert(file.path, target)
+            self.converting = False
             if why is not None:
                 self._tell(f"{target}: {why}; the rows are in {file.path.name}")
                 self.paths[-1] = file.path

@@ -61,13 +61,15 @@ class WriterThread(Generic[T]):
         """Have the thread write the rest and end."""
         self._end.set()
 
-    def join(self, patience_s: float) -> bool:
-        """Wait until the thread has ended; False when it has not come further for ``patience_s`` (a dead disk)."""
-        before = -1
-        while self._thread.is_alive() and self._rounds != before:
-            before = self._rounds
-            self._thread.join(patience_s)
+    def ended(self, wait_s: float) -> bool:
+        """Whether the thread has ended within ``wait_s``."""
+        self._thread.join(wait_s)
         return not self._thread.is_alive()
+
+    @property
+    def steps(self) -> int:
+        """Counts what the thread does: it stands still while a disk does not answer."""
+        return self._rounds
 
     def _run(self) -> None:
         try:

@@ -6,6 +6,8 @@ import argparse
 import contextlib
 
 from dpstack.api.bus.bus import Bus, open_bus
+from dpstack.api.bus.events_json import Event
+from dpstack.api.bus.recording import RunFiles
 from dpstack.api.bus.statistics import clear_since
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.control import arguments
@@ -51,6 +53,12 @@ def add_to(parser: Parser) -> None:
     )
     parser.value("--scenario", "FILE", 'faults and inputs of the simulated slaves in time, on the port "virtual"')
     parser.flag("--allow-code", "load and call the functions of simulated slaves (key simulate)")
+    parser.value(
+        "--record", "FILE", "keep named values, states and drive quantities, a new file: .csv, .jsonl or .parquet"
+    )
+    parser.flag("--on-change", "with --record: only rows in which a value has left its dead band")
+    parser.value("--rotate", "SIZE|TIME", "with --record: a new file after so much (100MB, 1GB) or so long (30min, 1h)")
+    parser.value("--log", "FILE", "write events with wall clock, JSON if it ends in .jsonl; 10 MB, then a new file")
     parser.value("--report", "FILE.html", "write an acceptance report of what was on the bus, a new file")
     parser.run_by(execute)
 
@@ -69,6 +77,8 @@ def execute(args: argparse.Namespace) -> int:
     refuse_application_watchdog(config, "run")
     if config.bus.read_only and given:
         raise UsageError("--outputs on a read-only bus: nothing is written there; leave one of the two out")
+    if config.bus.read_only and args.record is not None:
+        raise UsageError("--record on a read-only bus: it reads no process data; leave one of the two out")
     if args.scenario is not None and not config.virtual:
         raise UsageError(f'--scenario on {config.port}: only simulated slaves have one; take "virtual", or dpstack sim')
     names = {slave.address: slave.name for slave in config.slaves}
@@ -91,8 +101,14 @@ def _config_and_outputs(args: argparse.Namespace) -> tuple[str, list[str]]:
 
 async def _run(config: Config, args: argparse.Namespace) -> int:
     report = None if args.report is None else RunReport(args.report, config)
-    with report or contextlib.nullcontext(), StopSignal() as stop:
-        bus = open_bus(config, on_event=lambda event: reporter.event(event))
+    files = RunFiles(args.record, args.log, on_change=args.on_change, rotate=args.rotate)
+    with files, report or contextlib.nullcontext(), StopSignal() as stop:
+
+        def on_event(event: Event) -> None:
+            files.event(bus, event)
+            reporter.event(event)
+
+        bus = open_bus(config, on_event=on_event)
         plant = _simulated_plant(bus, args)
         reporter = Reporter(bus, json=args.json)
         if bus.searching:
@@ -111,6 +127,8 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                 return 1
             try:
                 reporter.start()
+                if files.recording is not None:
+                    bus.record(files.recording)
                 plant.start(bus.started_ns)
                 if not (args.clear or config.bus.read_only):
                     await bus.operate()
@@ -124,7 +142,12 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                 written = report is None or stop.hurried or _write(report)
         if stop.hurried:
             return INTERRUPTED
-    reporter.summary(stats, **({"clear": held} if held else {}))
+    recorded = {} if files.recording is None else {"recording": files.recording.as_dict()}
+    reporter.summary(stats, **({"clear": held} if held else {}), **recorded)
+    if files.recording is not None and not args.json:
+        output.line(files.summary())
+    for text in () if files.recording is None else files.recording.troubles:
+        output.warn(text)
     if report is not None and written and not args.json:
         output.line(f"report: {args.report}")
     if held:
