@@ -71,8 +71,12 @@ class Field:
     dead_band: float = 0
     #: decimal places of a scaled whole number, None where rounding to them changes nothing
     _places: int | None = field(default=None, init=False, repr=False, compare=False)
+    #: the codec of a number; None for others
+    _codec: struct.Struct | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        if self.type in _NUMBERS:
+            object.__setattr__(self, "_codec", struct.Struct(("<" if self.little else ">") + _NUMBERS[self.type]))
         if self.is_scaled and not self.type.startswith("f"):
             places = max(_places(self.scale), _places(self.offset))
             object.__setattr__(self, "_places", places if places <= _MOST_PLACES else None)
@@ -133,18 +137,14 @@ class Field:
             return 1 << (8 * self.octet + self.bit)
         return ((1 << 8 * self.length) - 1) << 8 * self.octet
 
-    @property
-    def _format(self) -> str:
-        return ("<" if self.little else ">") + _NUMBERS[self.type]
-
     def get(self, octets: bytes) -> Value:
         """The value of the field in ``octets``, which must be long enough."""
+        if self._codec is not None:
+            value: int | float = self._codec.unpack_from(octets, self.octet)[0]
+            return value if self.scale == 1 and self.offset == 0 else self._scaled(value)
         if self.bit is not None:
             return bool(octets[self.octet] >> self.bit & 1)
-        if self.type == "bytes":
-            return octets[self.octet : self.octet + self.length]
-        value: int | float = struct.unpack_from(self._format, octets, self.octet)[0]
-        return self._scaled(value) if self.is_scaled else value
+        return octets[self.octet : self.octet + self.length]
 
     def _scaled(self, raw: float) -> float:
         value = raw * self.scale + self.offset
@@ -161,13 +161,13 @@ class Field:
         return octets[: self.octet] + self._octets(value) + octets[self.octet + self.length :]
 
     def _octets(self, value: object) -> bytes:
-        if self.type == "bytes":
+        if self._codec is None:
             if not isinstance(value, (bytes, bytearray)) or len(value) != self.length:
                 given = f"{len(value)} octets" if isinstance(value, (bytes, bytearray)) else repr(value)
                 raise ValueError(f"{self.name} has {self.length} octets: {given} cannot be put there")
             return bytes(value)
         if self.type.startswith("f"):
-            return self._float_octets(value)
+            return self._float_octets(value, self._codec)
         if self.is_scaled:
             raw = self._nearest_raw(value)
         elif isinstance(value, bool) or not isinstance(value, int):
@@ -177,7 +177,7 @@ class Field:
         low, high = self._raw_limits
         if not low <= raw <= high:
             raise ValueError(f"{self.name} = {value} is outside {self._range(low, high)}")
-        return struct.pack(self._format, raw)
+        return self._codec.pack(raw)
 
     @property
     def _raw_limits(self) -> tuple[int, int]:
@@ -203,13 +203,13 @@ class Field:
             raise ValueError(f"{self.name} is {self.type}, a number: {value!r} is none")
         return value
 
-    def _float_octets(self, value: object) -> bytes:
+    def _float_octets(self, value: object, codec: struct.Struct) -> bytes:
         raw = self._number(value)
         try:
             if self.is_scaled:
                 raw = (raw - self.offset) / self.scale
             if math.isfinite(raw):
-                return struct.pack(self._format, raw)
+                return codec.pack(raw)
         except OverflowError:
             pass
         raise ValueError(f"{self.name} = {value!r} is no number that {self.type} can hold{self._scale_text}")

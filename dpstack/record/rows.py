@@ -140,12 +140,13 @@ def csv_text(text: str) -> str:
 
 def csv_cell(value: Cell) -> str:
     """A value as a cell: numbers, true and false, octets as hex; empty where it is not valid."""
+    kind = type(value)
+    if kind is float:
+        return repr(value) if math.isfinite(value) else ""  # type: ignore[arg-type]
+    if kind is bool:
+        return "true" if value else "false"
     if value is None:
         return ""
-    if value is True or value is False:
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else ""
     if isinstance(value, bytes):
         return value.hex()
     return csv_text(value) if isinstance(value, str) else str(value)

@@ -401,7 +401,11 @@ class Bus(Sealed, BusBase):
         self.check_open()
         if not isinstance(path, Recording):
             path = Recording(path, on_change=on_change, dead_band=dead_band, rotate=rotate)
-        path.start(self)
+        try:
+            path.start(self)
+        except BaseException:
+            path.discard()
+            raise
         self._recordings.append(path)
         return path
 
@@ -430,6 +434,9 @@ class Bus(Sealed, BusBase):
             self._ordered_end.on_event(event)
             if self.services.handle_event(event):  # only the caller that awaits this service gets it
                 continue
+            if isinstance(event, ModeChanged):
+                for recording in self._recordings:
+                    recording.mode = event.mode
             match event:
                 case DriveEvent(address=address, payload=payload):
                     drive = self._drives.get(address)

@@ -52,6 +52,8 @@ class Recording:
         self._file = RecordFile(path, rotation, dead_band, self._tell)
         self._on_change = on_change
         self._bus: BusBase | None = None
+        #: the mode of the master, as its events have it
+        self.mode = Mode.OFFLINE
         self._loop: asyncio.AbstractEventLoop | None = None
         self._writer: WriterThread[Sample] | None = None
         self._sources: list[_Source] = []
@@ -105,6 +107,7 @@ class Recording:
         if bus.view.read_only:
             raise UsageError("a read-only bus reads no process data: nothing can be recorded; leave read_only out")
         self._bus = bus
+        self.mode = bus.mode
         self._loop = asyncio.get_running_loop()
         self._writer = WriterThread("recording", self._file, MOST_WAITING)
         self._set_layout(bus)
@@ -181,7 +184,7 @@ class Recording:
     def _take(self, bus: BusBase, inputs: Mapping[int, bytes], t_ns: int) -> None:
         now = bus.runtime.now()
         self._last_ns = now
-        mode = bus.mode
+        mode = self.mode
         sources: list[object] = []
         for source in self._sources:
             source.add(sources, inputs.get(source.address), mode, now)
@@ -266,7 +269,19 @@ class RunFiles:
 class _Source:
     """One slave: what a round adds to a sample."""
 
-    __slots__ = ("_before", "_bus", "_drive", "_key", "_read_ns", "_status", "address", "described", "slave")
+    __slots__ = (
+        "_before",
+        "_drive",
+        "_has_inputs",
+        "_has_outputs",
+        "_key",
+        "_read_ns",
+        "_status",
+        "_view",
+        "address",
+        "described",
+        "slave",
+    )
 
     def __init__(self, bus: BusBase, slave: Slave, drive: Drive | None) -> None:
         self.slave = slave
@@ -275,7 +290,9 @@ class _Source:
         self.described = RecordedSlave(
             slave.address, slave.name, config.input_fields, config.output_fields, drive is not None
         )
-        self._bus = bus
+        self._view = bus.view
+        self._has_inputs = bool(config.input_fields)
+        self._has_outputs = bool(config.output_fields)
         self._drive = drive
         self._status: tuple[object, ...] | None = None
         self._key: object = None
@@ -284,14 +301,13 @@ class _Source:
 
     def add(self, sources: list[object], octets: bytes | None, mode: Mode, now: int) -> None:
         """Append state, inputs, outputs and drive, those that there are; ``octets``: None outside data exchange."""
-        described = self.described
         sources.append(self.slave.state.value if octets is None else _EXCHANGING)
-        if described.inputs:
+        if self._has_inputs:
             sources.append(octets)
-        if not described.outputs and self._drive is None:
+        if not self._has_outputs and self._drive is None:
             return
-        held = b"" if octets is None else self._bus.view.image(self.slave.setup).outputs
-        if described.outputs:
+        held = b"" if octets is None else self._view.image(self.slave.setup).outputs
+        if self._has_outputs:
             sources.append(None if octets is None else self._sent(held, mode))
         if self._drive is not None:
             sources.append(None if octets is None else self._quantities(self._drive, (octets, held), now))

@@ -1,0 +1,194 @@
+"""``bus.record()``: rows against the program's own cycles, slaves that go and change, the cost of a round."""
+
+from __future__ import annotations
+
+import asyncio
+import csv
+import json
+import math
+import sys
+from pathlib import Path
+from types import CodeType, FrameType
+
+import pytest
+from api_kit import HOIST, RAW, bench_of, bus_of, in_virtual_time, operating
+
+import dpstack
+
+VALVES: dict[str, object] = {
+    **RAW,
+    "name": "valves",
+    "address": 8,
+    "config": "23 13",
+    "inputs": {"limit": "bool@0.3", "level": {"at": "i16@2", "scale": 0.1, "unit": "bar", "dead_band": 0.5}},
+    "outputs": {"open": "bool@0.3", "target": {"at": "i16@2", "scale": 0.1, "unit": "bar"}},
+}
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+@in_virtual_time
+async def test_every_cycle_is_a_row(tmp_path: Path) -> None:
+    path = tmp_path / "plant.csv"
+    seen: list[tuple[float, float]] = []
+    async with operating(VALVES) as bus:
+        async with bus.record(path) as recording:
+            async for cycle in bus.cycles():
+                level = cycle["valves"]["level"]
+                assert isinstance(level, float)
+                assert cycle.skipped == 0
+                seen.append((round((cycle.t_ns - bus.started_ns) / 1e9, 6), level))
+                bus.slave("valves")["target"] = len(seen) / 10
+                if len(seen) == 30:
+                    break
+        assert (recording.paths, recording.lost, recording.troubles) == ((path,), 0, [])
+    rows = read_csv(path)
+    assert list(rows[0]) == [
+        *("time", "t", "valves.state", "valves.limit", "valves.level [bar]", "valves.open", "valves.target [bar]"),
+        "note",
+    ]
+    *rows, last = rows
+    assert last["note"] == f"end of the recording: {len(rows)} rows"
+    recorded = {float(row["t"]): float(row["valves.level [bar]"]) for row in rows}
+    assert {t: recorded[t] for t, _ in seen} == dict(seen)
+    assert max(recorded.values()) == max(level for _, level in seen) > 2.0
+    assert {row["valves.state"] for row in rows} == {"data_exchange"}
+
+
+@in_virtual_time
+async def test_values_are_empty_while_they_are_not_valid(tmp_path: Path) -> None:
+    path = tmp_path / "plant.csv"
+    async with operating(VALVES, cycle_ms=20) as bus:
+        bus.slave("valves").update({"open": True, "target": 12.0})
+        await asyncio.sleep(0.05)
+        async with bus.record(path):
+            await asyncio.sleep(0.05)
+            await bus.clear()
+            await asyncio.sleep(0.05)
+            bench_of(bus).power(8, on=False)
+            await asyncio.sleep(3)
+    rows = [(row["valves.state"], row["valves.level [bar]"], row["valves.target [bar]"]) for row in read_csv(path)]
+    *_, last = rows
+    assert last == ("", "", "")
+    assert ("data_exchange", "12.0", "12.0") in rows
+    assert ("data_exchange", "0.0", "0.0") in rows  # Clear: the zeros that are on the wire, and the slave mirrors them
+    gone = [row for row in rows if row[0] not in ("data_exchange", "")]
+    assert {row[1:] for row in gone} == {("", "")}
+    assert len(gone) >= 2  # a row a second, where no slave is in data exchange
+
+
+@in_virtual_time
+async def test_the_quantities_of_a_drive(tmp_path: Path) -> None:
+    path = tmp_path / "plant.jsonl"
+    hoist = {**HOIST, "options": {"set_412": True}}
+    async with operating(hoist, cycle_ms=20) as bus, bus.record(path):
+        drive = bus.drive("hoist")
+        await drive.start()
+        drive.speed = 0.25
+        await drive.reached()
+        await asyncio.sleep(0.05)
+        status = drive.status
+    head, *rows = (json.loads(line) for line in path.read_text().splitlines())
+    assert head["recording"]["version"] == 1
+    *_, row, _ = rows
+    assert (row["hoist.drive_state"], row["hoist.setpoint"]) == ("running", 0.25)
+    assert status.speed is not None
+    assert row["hoist.speed"] == pytest.approx(status.speed, abs=1e-6)
+    speeds = [row["hoist.speed"] for row in rows if row.get("hoist.speed") is not None]
+    assert len(set(speeds)) > 5  # it ramps
+
+
+@in_virtual_time
+async def test_on_change_with_the_dead_band_of_the_field(tmp_path: Path) -> None:
+    path = tmp_path / "plant.csv"
+    async with operating(VALVES) as bus, bus.record(path, on_change=True):
+        await asyncio.sleep(0.1)
+        for target in (0.4, 0.5, 0.6, 0.7, 5.0):
+            bus.slave("valves")["target"] = target
+            await asyncio.sleep(0.05)
+    rows = read_csv(path)
+    targets = [row["valves.target [bar]"] for row in rows]
+    assert list(dict.fromkeys(targets)) == ["0.0", "0.4", "0.5", "0.6", "0.7", "5.0", ""]
+    assert rows[-2]["valves.level [bar]"] == "5.0"
+    assert len(rows) < 12
+
+
+@in_virtual_time
+async def test_a_slave_that_is_added_begins_a_new_file(tmp_path: Path) -> None:
+    async with operating(VALVES, cycle_ms=20) as bus, bus.record(tmp_path / "plant.csv") as recording:
+        await asyncio.sleep(0.05)
+        await bus.add_slave({**VALVES, "name": "more", "address": 9})
+        await asyncio.sleep(1)
+    first, second = recording.paths
+    assert first == tmp_path / "plant.csv"
+    assert second.name.startswith("plant_00001_")
+    assert "more.level [bar]" not in read_csv(first)[0]
+    assert "more.level [bar]" in read_csv(second)[0]
+
+
+@in_virtual_time
+async def test_what_cannot_be_recorded(tmp_path: Path) -> None:
+    path = tmp_path / "plant.csv"
+    path.write_text("mine")
+    bus = bus_of(VALVES)
+    with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+        bus.record(tmp_path / "other.csv")
+    async with bus:
+        with pytest.raises(dpstack.UsageError, match="there is a file of that name"):
+            bus.record(path)
+        with pytest.raises(dpstack.UsageError, match=r"dead_band = -1; give a number of 0 or more"):
+            bus.record(tmp_path / "a.csv", dead_band=-1)
+        with pytest.raises(dpstack.UsageError, match="dead_band = nan"):
+            bus.record(tmp_path / "a.csv", dead_band=math.nan)
+    assert path.read_text() == "mine"
+    async with bus_of(VALVES, read_only=True) as bus:
+        with pytest.raises(dpstack.UsageError, match="a read-only bus reads no process data"):
+            bus.record(tmp_path / "b.csv")
+    assert [one.name for one in tmp_path.iterdir()] == ["plant.csv"]
+
+
+class _Calls:
+    """Counts the Python functions that are called in modules of recordings and rounds, by file."""
+
+    def __init__(self) -> None:
+        self.codes: list[CodeType] = []
+
+    def profile(self, frame: FrameType, event: str, _argument: object) -> None:
+        if event == "call":
+            self.codes.append(frame.f_code)
+
+    def in_file(self, name: str) -> list[str]:
+        return [code.co_name for code in self.codes if code.co_filename.endswith(name)]
+
+
+async def _calls_of_some_rounds(bus: dpstack.Bus) -> tuple[_Calls, int]:
+    calls = _Calls()
+    before = bus.view.rotations
+    sys.setprofile(calls.profile)
+    await asyncio.sleep(0.4)
+    sys.setprofile(None)
+    return calls, bus.view.rotations - before
+
+
+@in_virtual_time
+async def test_the_cost_of_a_round(tmp_path: Path) -> None:
+    """Ten slaves with named inputs: two calls a round, and one for each slave; without a recording none."""
+    slaves = [{**VALVES, "name": f"v{n}", "address": n + 10, "outputs": {}} for n in range(10)]
+    async with operating(*slaves) as bus:
+        calls, rounds = await _calls_of_some_rounds(bus)
+        assert rounds > 20
+        assert calls.in_file("api/bus/recording.py") == []
+        assert "_on_round" not in calls.in_file("api/streams.py")
+        without = len(calls.codes) / rounds
+        async with bus.record(tmp_path / "plant.csv"):
+            calls, rounds = await _calls_of_some_rounds(bus)
+        of_recording = calls.in_file("api/bus/recording.py")
+        rounds = of_recording.count("_on_round")
+        assert rounds > 20
+        assert (of_recording.count("_take"), of_recording.count("add")) == (rounds, rounds * len(slaves))
+        assert len(of_recording) - rounds * (2 + len(slaves)) < 100  # a look four times a second
+        # all of it together: the round's own picture of inputs, properties of the bus, the queue
+        assert len(calls.codes) / rounds - without < 50
