@@ -6,6 +6,7 @@
 - ``control/``: Orders to running programs over a Unix socket with JSON lines
 - ``listen/``: Listening to a bus without sending: on an own port, or through the program that holds it
 - ``lists/``: Parameter lists in files: dumped from a drive or device, loaded, compared
+- ``recording/``: Files of a running bus: recordings of process data, logs of events, written by threads
 - ``server/``: Slaves in this program: the user's own, and simulated ones
 - ``slave/``: ``Slave`` and ``Drive`` of the public API
 - ``doctor``: Checks of this computer: adapters, permissions, latency, rates, real-time rights, and advice

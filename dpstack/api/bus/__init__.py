@@ -11,6 +11,7 @@
 - ``parts``: Base class of ``Bus``: the objects behind a bus (created once the baud rate is known), slaves, commands,
   waiting
 - ``plan_checks``: Inputs of the plan from the configuration, and the refusal of impossible cycles
+- ``recording``: ``bus.record()``: process data of each round into files, and the files of ``dpstack run``
 - ``ring_entry``: Joining the token ring of other masters: time limit, failure texts, notices
 - ``shutdown``: The ordered end of a bus: cancellation, signals, finaliser, fork
 - ``statistics``: Counters and rotation times of a bus
