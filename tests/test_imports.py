@@ -49,7 +49,8 @@ MAY: dict[str, set[str]] = {
     "api": DP | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor", "record", "live", "why"},
     "wireshark": {"api", "capture"} | PURE_BASE,
     "web": {"api", "live", "ports", "record"} | PURE_BASE,
-    "cli": {"api", "capture", "decode", "monitor", "record", "web", "wireshark", "gsd", "profile", "trace"} | PURE_BASE,
+    "cli": {"api", "capture", "decode", "monitor", "why", "record", "web", "wireshark", "gsd", "profile", "trace"}
+    | PURE_BASE,
     "__init__": {"api", "errors", "profile", "dp", "dpv1", "trace"},
 }
 #: Rooms from the ground up: each imports from lower floors only; rooms of one floor not from one another.

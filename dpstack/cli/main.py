@@ -29,6 +29,7 @@ _COMMANDS = {
     "acyclic": "records of a slave (DP-V1): through the run that holds the port, otherwise as master in the foreground",
     "scan": "who is on the bus: stations 0-126 with type, ident number, state and owner; changes nothing",
     "diag": "diagnosis, configuration, inputs and outputs of any station, beside its own master; writes nothing",
+    "why": "why a slave is not in data exchange: its last bring-up step by step, likely causes, what to try next",
     "address": "gives a slave that no master owns another station address (Set_Slave_Add) and verifies it",
     "plan": "bus parameters, rotation times, watchdogs, and what does not fit together",
     "baud": "finds the baud rate of a bus by listening only",
@@ -44,7 +45,7 @@ _COMMANDS = {
 #: those whose modules stand in the room ``listening``
 _LISTENING = ("baud", "capture", "decode", "monitor", "wireshark")
 #: and in the room ``looking``
-_LOOKING = ("diag", "web")
+_LOOKING = ("diag", "web", "why")
 _INTERRUPTED = 130
 #: environment variable; any value: errors are printed with their traceback
 _DEBUG = "DPSTACK_DEBUG"

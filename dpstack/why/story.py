@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any, Final
 
+from dpstack.dp.master.scanner import Found, SlaveView
+from dpstack.fdl.telegram import StationType
 from dpstack.text import printable
 from dpstack.why.causes import Cause
 from dpstack.why.evidence import Evidence
@@ -13,6 +16,8 @@ from dpstack.why.facts import Facts
 from dpstack.why.judge import Finding, judge
 from dpstack.why.steps import as_dict, words
 
+#: the cause of a slave that nothing speaks against
+HEALTHY: Final = Cause.HEALTHY.value
 #: causes with less confidence are left out, unless no other is left
 _LEAST = 0.2
 _MOST = 6
@@ -88,8 +93,8 @@ def cause_line(cause: str, confidence: float, meaning: str) -> str:
     return f"{cause} ({round(100 * confidence)} %): {meaning}"
 
 
-def story_lines(story: dict[str, object], width: int = 80) -> list[str]:
-    """The story in ``why --json`` for people, at most ``width`` columns wide."""
+def story_lines(story: Mapping[str, Any], width: int = 80, *, steps: bool = True) -> list[str]:
+    """The story in ``why --json`` for people, at most ``width`` columns wide; without ``steps`` the causes only."""
     lines: list[str] = []
 
     def add(text: str, first: str = "", rest: str = "") -> None:
@@ -98,14 +103,13 @@ def story_lines(story: dict[str, object], width: int = 80) -> list[str]:
         )
         lines.extend(wrapped or [first.rstrip()])
 
-    add(f"slave {story['address']} ({story['slave']}): {story['state']}, asked by {_SOURCES[str(story['source'])]}")
-    steps = story["steps"]
-    if isinstance(steps, list) and steps:
-        lines.append("last bring-up:")
-        for step in steps:
+    asked = _SOURCES.get(str(story["source"]), str(story["source"]))
+    add(f"slave {story['address']} ({story['slave']}): {story['state']}, seen by {asked}")
+    if steps and story["steps"]:
+        add("last bring-up:")
+        for step in story["steps"]:
             add(f"{step['t']:.3f} s  {step['text']}", "  ", "    ")
-    causes = story["causes"]
-    for number, one in enumerate(causes if isinstance(causes, list) else [], 1):
+    for number, one in enumerate(story["causes"], 1):
         add(cause_line(one["cause"], one["confidence"], one["meaning"]), f"{number}. ", "   ")
         for text in one["for"]:
             add(text, "   + ", "     ")
@@ -117,6 +121,29 @@ def story_lines(story: dict[str, object], width: int = 80) -> list[str]:
 
 
 _SOURCES = {"run": "its own master", "class2": "a class 2 master beside it"}
+
+
+def glance(found: Found) -> str:
+    """The likely cause why a slave that a scan ``found`` is not in data exchange, as far as its diagnosis says; empty
+    where it is, and for other stations."""
+    diagnosis = found.diagnosis
+    if found.kind is not StationType.SLAVE or found.state is SlaveView.DATA_EXCHANGE:
+        return ""
+    if diagnosis is None:
+        return f"{Cause.SERVICE_REFUSED.value}: it does not answer Slave_Diag"
+    if diagnosis.not_supported:
+        return f"{Cause.NOT_SUPPORTED.value}: Not_Supported after Set_Prm"
+    if diagnosis.prm_fault:
+        return f"{Cause.USER_PARAMETER.value}: it refuses its parameters (Prm_Fault)"
+    if diagnosis.cfg_fault:
+        return f"{Cause.MODULE_TYPE.value}: it refuses its configuration (Cfg_Fault)"
+    if diagnosis.stat_diag and not diagnosis.prm_req:
+        return f"{Cause.STATIC_DIAGNOSIS.value}: it cannot give valid data (Stat_Diag)"
+    if diagnosis.prm_req or diagnosis.master is None:
+        return "it waits for parameters: no master has it"
+    if diagnosis.not_ready:
+        return f"{Cause.NOT_READY.value}: master {diagnosis.master} has parameterised it, it is not ready"
+    return ""
 
 
 def tell(evidence: Evidence) -> Story:

@@ -21,7 +21,7 @@ from dpstack.api.bus.ring_entry import OtherMasterNotices, join, listening_repor
 from dpstack.api.bus.shutdown import OrderedEnd
 from dpstack.api.bus.statistics import BusStats, bus_figures
 from dpstack.api.bus.sync_freeze import Group, Groups, send_control
-from dpstack.api.bus.why import why
+from dpstack.api.bus.why import gather
 from dpstack.api.config.config import Config, load_config, make_config, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.class2 import Class2
@@ -51,7 +51,7 @@ from dpstack.fdl.telegram import StationType
 from dpstack.sim.world import World
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
-from dpstack.why.story import Story
+from dpstack.why.story import Story, tell
 
 
 class BusFailed(Notice):
@@ -343,17 +343,22 @@ class Bus(Sealed, BusBase):
         self.unreadable = frozenset(result.unreadable)
         return tuple(_with_state_of(found, mine.get(found.address), own) for found in result.found)
 
-    async def why(self, slave: Slave | str | int, *, scan: bool = True) -> Story:
+    async def why(
+        self, slave: Slave | str | int, *, ask: bool = True, scan: bool = True, master: int | None = None
+    ) -> Story:
         """The story of a slave: its last bring-up step by step, and the likely causes why it is not in data exchange.
 
-        Asks by class 2 services, which change nothing in a slave. ``scan``: where nobody, or another device, answers at
-        its address, it asks the other addresses too, for 20 s at most. Raises UsageError for an unknown slave.
+        ``ask``: send it Slave_Diag and Get_Cfg, which change nothing; without it, only what was seen so far counts.
+        ``scan``: where nobody, or another device, answers at its address, ask the other addresses, for 20 s at most.
+        ``master``: the address that the master of the slave should have, on a read-only bus (default: the one that it
+        names). Raises UsageError for an unknown slave.
         """
 
         def asked(addresses: Iterable[int]) -> Awaitable[tuple[Found, ...]]:
             return self.scan(configs=True, addresses=addresses)
 
-        return await why(self, slave if isinstance(slave, Slave) else self.slave(slave), asked if scan else None)
+        found = slave if isinstance(slave, Slave) else self.slave(slave)
+        return tell(await gather(self, found, asked if scan else None, ask=ask, master=master))
 
     def events(self) -> EventStream:
         """The events since the start of the bus, an async iterator. It keeps 1000; ``dropped`` counts the lost ones."""

@@ -15,6 +15,7 @@ from dpstack.fdl.telegram import MAX_DATA, StationType
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION
 from dpstack.profile import DriveProfile, registry
+from dpstack.why.story import glance
 
 _FIRST_MASTER: Final = 2
 #: occupied addresses after which the user has to name a free one
@@ -61,11 +62,17 @@ class LiveListResult:
         """As ``scan --json`` prints it."""
         return {
             "baud": self.baud,
-            "stations": [found.as_dict() for found in self.stations],
+            "stations": [found.as_dict() | cause_dict(found) for found in self.stations],
             "address": self.address,
             "unreadable": list(self.unreadable),
             "notes": list(self.notes),
         }
+
+
+def cause_dict(found: Found) -> dict[str, object]:
+    """``cause``: the likely cause why a slave is not in data exchange, as far as a scan knows; empty for others."""
+    cause = glance(found)
+    return {"cause": cause} if cause else {}
 
 
 async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: bool = False) -> LiveListResult:

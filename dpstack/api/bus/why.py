@@ -17,6 +17,7 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.errors import DpError, GsdError
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.gsd.prm import UserPrm
+from dpstack.params import MAX_STATION
 from dpstack.units import NS_PER_S
 from dpstack.why.evidence import CLASS2, RUN, Evidence, Line, Neighbour, Ring
 from dpstack.why.facts import Facts
@@ -40,27 +41,35 @@ _FAILED: Final = {
 }
 
 
-async def why(bus: BusBase, slave: Slave, scan: Scan | None, *, master: int | None = None) -> Story:
-    """The story of ``slave``. ``master``: the address of its master by the configuration, None: this station.
+async def gather(
+    bus: BusBase, slave: Slave, scan: Scan | None, *, ask: bool = True, master: int | None = None
+) -> Evidence:
+    """All that is known about ``slave``; with ``ask`` also its answers to class 2 services, while the bus is in the
+    ring. ``master``: the address of its master by the configuration, None: this station.
 
     ``scan`` is called where nobody, or another device, answers at the address of the slave; None: never.
     """
-    evidence = await gather(bus, slave, scan, master=master)
-    return tell(evidence)
-
-
-async def gather(bus: BusBase, slave: Slave, scan: Scan | None, *, master: int | None = None) -> Evidence:
-    """All that is known about ``slave``, and what class 2 services tell of it while the bus is in the ring."""
     history = History()
     with contextlib.suppress(DpError):  # a bus process that has ended
         history = await bus.view.history(slave.address)
     evidence = _evidence(bus, slave, history, bus.params.address if master is None else master)
-    if not (bus.is_open and bus.runtime.not_running is None and bus.snapshot.in_ring) or slave.deactivated:
+    running = bus.is_open and bus.runtime.not_running is None and bus.snapshot.in_ring
+    if not (ask and running) or slave.deactivated:
         return evidence
     evidence = await _asked(bus, evidence)
+    owner = None if evidence.diagnosis is None else evidence.diagnosis.master
+    if master is None and evidence.read_only and owner is not None and owner <= MAX_STATION:  # nobody says who it is
+        evidence = dataclasses.replace(evidence, ring=dataclasses.replace(evidence.ring, own=owner))
     facts = Facts(evidence)
     lost = not facts.exchanging and (facts.silent_now or facts.garbled_now or facts.wrong_ident is not None)
     return await _scanned(bus, evidence, scan) if scan is not None and lost else evidence
+
+
+def untold(bus: BusBase, slave: Slave, master: int, refused: str) -> Story:
+    """The story of ``slave`` on a ``bus`` whose ring could not be joined, because of ``refused``."""
+    evidence = _evidence(bus, slave, History(), master)
+    ring = dataclasses.replace(evidence.ring, joined=False, refused=refused)
+    return tell(dataclasses.replace(evidence, ring=ring, state=SlaveState.OFFLINE))
 
 
 def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evidence:

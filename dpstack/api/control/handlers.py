@@ -76,6 +76,7 @@ def control_run(
         "diag": lambda args: _diag(bus, args[0]),
         "stats": lambda _: bus.stats.summary(),
         "scan": ScanOrder(bus),
+        "why": lambda args: _why(bus, args),
         "tap": (feed or run_feed(bus)).handler,
         "live": lambda args: live_items(bus, args),
     }
@@ -280,6 +281,16 @@ def _diag(bus: Bus, where: str) -> LongCommand:
 
 
 _STATION: Final = "ADDRESS: write the address of a station, 0..126, or the name of a slave"
+
+
+def _why(bus: Bus, args: list[str]) -> LongCommand:
+    """The story of a slave. A scan of the bus may take some seconds."""
+    slave = _slave_of(bus, args[0])
+
+    async def tell() -> dict[str, object]:
+        return (await bus.why(slave)).as_dict()
+
+    return lambda send: kept_alive(tell(), lambda: {"state": slave.state.value}, send)
 
 
 def _slave_of(bus: Bus, where: str) -> Slave:

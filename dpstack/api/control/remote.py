@@ -136,6 +136,42 @@ class StationAnswer(TypedDict):
     reading: ReadingAnswer
 
 
+class WhyStep(TypedDict):
+    """A step of a :class:`WhyAnswer`."""
+
+    t: float
+    asked: str
+    sent: Hex
+    answered: str
+    received: Hex
+    text: str
+
+
+#: ``for`` is no name of a field
+WhyCause = TypedDict(
+    "WhyCause",
+    {
+        "cause": str,
+        "confidence": float,
+        "meaning": str,
+        "for": list[str],
+        "against": list[str],
+        "next": str,
+    },
+)
+
+
+class WhyAnswer(TypedDict):
+    """``why`` of a slave."""
+
+    slave: str
+    address: int
+    source: str
+    state: str
+    steps: list[WhyStep]
+    causes: Annotated[list[WhyCause], msgspec.Meta(min_length=1)]
+
+
 _OF_RECORDS: Final[dict[str, type]] = {
     "read": RecordAnswer,
     "transport": RecordAnswer,
@@ -205,6 +241,22 @@ async def reading_through_run(port: str, config: Config | None, station: str) ->
             client.close()
             raise
     return StationReading.of(answer["reading"])
+
+
+async def why_through_run(config: Config, slave: int) -> dict[str, Any] | None:
+    """The story that the run with the port and the file of ``config`` tells about ``slave``; None where no run answers
+    for the port. Raises as :func:`through_run`.
+    """
+    client = await asyncio.to_thread(find_run, config.port, config.file)
+    if client is None:
+        return None
+    with client:
+        try:
+            answer = await asyncio.to_thread(client.call, "why", str(slave), kind=WhyAnswer)
+        except asyncio.CancelledError:
+            client.close()
+            raise
+    return dict(answer)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -94,7 +94,7 @@ def execute(args: argparse.Namespace) -> int:
     order = parse_order(word, texts, class2=args.master == 2)
     if args.all and args.order != COMPARE:
         raise UsageError(f"--all is for {COMPARE}: leave it out")
-    request = _Request(config, _slave_of(config, args.slave), order, args.order, args.master, args.address)
+    request = _Request(config, on_bus.slave_of(config, args.slave), order, args.order, args.master, args.address)
     if args.order == DUMP:
         with RecordList.file(path, request.slave.name) as file:
             answer = request.answer()
@@ -240,12 +240,3 @@ def _im_text(name: str, value: Any) -> str:
             return f"{', '.join(there) or 'I&M0 only'} (0x{value:04X})"
         case _:
             return str(value)
-
-
-def _slave_of(config: Config, name: str) -> SlaveConfig:
-    """Raises UsageError naming the slaves there are."""
-    slave = config.find(name)
-    if slave is not None:
-        return slave
-    known = ", ".join(f"{slave.address} ({slave.name})" for slave in config.slaves) or "none"
-    raise UsageError(f"no slave {name!r} in this configuration; there are: {known}")

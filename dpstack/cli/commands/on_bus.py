@@ -12,6 +12,7 @@ from dpstack.api.bus.events_json import AddressCollision, Event, MasterSeen, Not
 from dpstack.api.bus.find_baud import find_baud
 from dpstack.api.bus.live_list import MakeBus
 from dpstack.api.config.config import AUTO, Config, make_config
+from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.server import ControlServer
 from dpstack.cli import options
 from dpstack.cli.parser import Parser
@@ -90,6 +91,15 @@ def once(tell: Callable[[Event], None]) -> Callable[[Event], None]:
             tell(event)
 
     return shown
+
+
+def slave_of(config: Config, name: str) -> SlaveConfig:
+    """The slave ``name`` (or address) of ``config``. Raises UsageError naming the slaves there are."""
+    slave = config.find(name)
+    if slave is not None:
+        return slave
+    known = ", ".join(f"{slave.address} ({slave.name})" for slave in config.slaves) or "none"
+    raise UsageError(f"no slave {name!r} in this configuration; there are: {known}")
 
 
 def nobody_text(baud: int) -> str:

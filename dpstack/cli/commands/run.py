@@ -18,7 +18,7 @@ from dpstack.api.listen.report_file import RunReport
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable, refuse_application_watchdog
 from dpstack.cli.parser import Parser
-from dpstack.cli.terminal import output
+from dpstack.cli.terminal import causes, output
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.report import Reporter, clear_text, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
@@ -107,10 +107,12 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         def on_event(event: Event) -> None:
             files.event(bus, event)
             reporter.event(event)
+            lines.event(event)
 
         bus = open_bus(config, on_event=on_event)
         plant = _simulated_plant(bus, args)
         reporter = Reporter(bus, json=args.json)
+        lines = causes.CauseLines(bus, quiet=args.json)
         if bus.searching:
             reporter.searching()
         # `dpstack ctl` also works while the bus searches its rate or joins the ring; a held port is reported once
@@ -134,6 +136,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                     await bus.operate()
                 await stop.or_done(_limit(bus, args.seconds, args.rotations))
                 stats, missing, held = bus.stats, not_exchanging(bus), clear_since(bus)
+                stories = await lines.stories()
             finally:
                 plant.close()
                 if report is not None:
@@ -143,7 +146,9 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         if stop.hurried:
             return INTERRUPTED
     recorded = {} if files.recording is None else {"recording": files.recording.as_dict()}
-    reporter.summary(stats, **({"clear": held} if held else {}), **recorded)
+    reporter.summary(stats, **({"clear": held} if held else {}), **recorded, **causes.as_json(stories))
+    if not args.json:
+        causes.show(stories)
     if files.recording is not None and not args.json:
         output.line(files.summary())
     for text in () if files.recording is None else files.recording.troubles:

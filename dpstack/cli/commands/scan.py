@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Mapping
 
 from dpstack.api.bus.events_json import Found
-from dpstack.api.bus.live_list import LiveListResult, config_skeleton, drive_of, scan_port
+from dpstack.api.bus.live_list import LiveListResult, cause_dict, config_skeleton, drive_of, scan_port
 from dpstack.api.commissioning.candidates import chosen_keys
 from dpstack.api.gsd_folder import GsdFolder
 from dpstack.cli.commands import on_bus
@@ -60,6 +60,9 @@ def _show(
         title = f"{len(result.stations)} stations at {baud_text(result.baud)}, asked by {result.address}"
         columns = ("address", "type", "ident", "state", "master", "device")
         output.table(title, columns, [_row(found) for found in result.stations])
+        waiting = [(found.address, cause_dict(found)["cause"]) for found in result.stations if cause_dict(found)]
+        if waiting:
+            output.table("Not in data exchange", ("address", "likely cause"), waiting)
     for note in result.notes:
         output.warn(note)
 

@@ -2,4 +2,5 @@
 
 - ``diag``: ``dpstack diag``: diagnosis, configuration, inputs and outputs of any station
 - ``web``: ``dpstack web``: the page in the browser
+- ``why``: ``dpstack why``: why a slave is not in data exchange
 """

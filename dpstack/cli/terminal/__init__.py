@@ -1,5 +1,6 @@
 """Terminal of the commands: output, reports, signals.
 
+- ``causes``: Likely causes of slaves that are not in data exchange, in the output of ``dpstack run``
 - ``drawing``: Lines, tables and bars of progress as rich draws them on a terminal
 - ``nonblocking_stdout``: Standard streams that never block the program: a thread writes the queued output
 - ``output``: Words, tables, JSON lines, warnings; standard streams that are closed, lost or full

@@ -98,8 +98,9 @@ def test_a_silent_bus(tmp_path: Path, capsys: pytest.CaptureFixture[str], cli: C
     assert out.count("\n") == 1
     told: dict[str, Any] = json.loads(out)
     assert told["baud"] == 500_000
+    cause = "it waits for parameters: no master has it"
     assert told["stations"] == [
-        {"address": address, "type": "slave", "ident": ident, "state": "wait_prm", "master": None}
+        {"address": address, "type": "slave", "ident": ident, "state": "wait_prm", "master": None, "cause": cause}
         for address, (ident, _) in zip((3, 4, 9), SLAVES, strict=True)
     ]
     code, out, err = scan(capsys, PORT, "--config")

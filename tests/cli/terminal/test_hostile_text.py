@@ -199,6 +199,8 @@ NAMES = [
     ["drive", "CONFIG", "hoist", EVIL],
     ["drive", "CONFIG", "hoist", "compare", EVIL],
     ["acyclic", "CONFIG", EVIL, "im"],
+    ["why", EVIL, "8"],
+    ["why", "CONFIG", EVIL],
     ["acyclic", "CONFIG", "8", EVIL],
     ["acyclic", "CONFIG", "8", "read", EVIL, "1"],
     ["acyclic", "CONFIG", "8", "compare", EVIL],

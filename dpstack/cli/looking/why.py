@@ -1,0 +1,58 @@
+"""``dpstack why``: why a slave is not in data exchange."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import Any
+
+from dpstack.api.bus.why_beside import why_beside
+from dpstack.api.config.config import Config, load_config
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.control.remote import why_through_run
+from dpstack.cli import options
+from dpstack.cli.commands import on_bus
+from dpstack.cli.parser import Parser
+from dpstack.cli.terminal import output
+from dpstack.cli.terminal.causes import columns
+from dpstack.cli.terminal.signals import run_to_result
+from dpstack.why.story import HEALTHY, story_lines
+
+
+def add_to(parser: Parser) -> None:
+    parser.epilog = (
+        "example: dpstack why plant.toml valves\n"
+        "It asks through the run that holds the port, otherwise as a class 2 master beside the others. It never "
+        "parameterises."
+    )
+    parser.value("config", "CONFIG", "configuration file")
+    parser.value("slave", "NAME", "the slave, by its name or address there")
+    parser.value(
+        "--address",
+        "A",
+        "without a run: ask from this address (default: the lowest not heard)",
+        type=options.address,
+    )
+    options.add_other_port(parser)
+    parser.run_by(execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """Exit code 1 unless the slave is healthy."""
+    config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
+    slave = on_bus.slave_of(config, args.slave)
+    story = run_to_result(_ask(config, slave, args.address), "the slave was asked")
+    if args.json:
+        output.json_line(story)
+    else:
+        for line in story_lines(story, columns()):
+            output.line(line)
+    return 0 if story["causes"][0]["cause"] == HEALTHY else 1
+
+
+async def _ask(config: Config, slave: SlaveConfig, address: int | None) -> Mapping[str, Any]:
+    story = await why_through_run(config, slave.address)
+    if story is not None:
+        return story
+    on_bus.warn_of_simulation(config)
+    return (await why_beside(config, slave, address=address, on_event=on_bus.once(on_bus.warn_of))).as_dict()

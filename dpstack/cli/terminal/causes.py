@@ -1,0 +1,88 @@
+"""Likely causes of slaves that are not in data exchange, in the output of ``dpstack run``.
+
+They are told from what the master has seen; nothing is asked of a slave, and the end of the run waits for nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import shlex
+import shutil
+from collections.abc import Mapping
+from typing import Any, Final
+
+from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.events_json import Event, SlaveFaulted
+from dpstack.cli.terminal import output
+from dpstack.errors import DpError
+from dpstack.units import ns_to_s
+from dpstack.why.story import HEALTHY, Story, story_lines
+
+#: short lines for one slave at most: a slave that is brought up again and again would fill the screen
+_MOST_LINES: Final = 3
+#: time limit in s for the last bring-ups of all slaves: a bus process that does not answer must not delay the end
+_LIMIT_S: Final = 0.5
+#: columns of lines that go into a pipe or a file
+WIDTH: Final = 100
+
+
+def columns() -> int:
+    """Columns of a line of text."""
+    return shutil.get_terminal_size().columns if output.on_terminal() else WIDTH
+
+
+class CauseLines:
+    """Short lines for people after faults of slaves, and the stories of those missing at the end of the run."""
+
+    def __init__(self, bus: Bus, *, quiet: bool) -> None:
+        self._bus = bus
+        self._quiet = quiet
+        self._told: dict[int, set[str]] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def event(self, event: Event) -> None:
+        """Write a short line after a fault of a slave: its likeliest cause, and the command that says more."""
+        if self._quiet or not isinstance(event, SlaveFaulted) or len(self._told.get(event.address, ())) >= _MOST_LINES:
+            return
+        with contextlib.suppress(RuntimeError):  # no loop: the bus ends by itself
+            task = asyncio.get_running_loop().create_task(self._tell(event))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _tell(self, event: SlaveFaulted) -> None:
+        with contextlib.suppress(DpError):  # it was removed, or the bus has ended
+            story = await self._bus.why(event.address, ask=False)
+            told = self._told.setdefault(event.address, set())
+            if story.first.cause == HEALTHY or story.first.cause in told:
+                return
+            told.add(story.first.cause)
+            file = self._bus.config.file
+            config = "CONFIG" if file is None else shlex.quote(str(file))
+            t = ns_to_s(event.t_ns - self._bus.started_ns)
+            likely = f"{story.first.cause} ({round(100 * story.first.confidence)} %)"
+            output.line(f"{t:9.3f} s  {event.who}: likely {likely}; dpstack why {config} {shlex.quote(event.name)}")
+
+    async def stories(self) -> Mapping[int, Story]:
+        """The story of each slave that is not in data exchange, by address."""
+        for task in self._tasks:
+            task.cancel()
+        found: dict[int, Story] = {}
+        missing = [slave for slave in self._bus.slaves if not (slave.ready_now or slave.deactivated)]
+        with contextlib.suppress(TimeoutError, DpError):
+            async with asyncio.timeout(_LIMIT_S):
+                for slave in missing:
+                    found[slave.address] = await self._bus.why(slave, ask=False)
+        return found
+
+
+def show(stories: Mapping[int, Story]) -> None:
+    """Write the causes of each story."""
+    for story in stories.values():
+        for line in story_lines(story.as_dict(), columns(), steps=False):
+            output.line(line)
+
+
+def as_json(stories: Mapping[int, Story]) -> dict[str, Any]:
+    """The key ``why`` of the summary, by address; empty where no slave is missing."""
+    return {"why": {str(address): story.as_dict() for address, story in stories.items()}} if stories else {}
