@@ -195,7 +195,7 @@ class Plant:
         return modules
 
     def hoist(self, **keys: object) -> Table:
-        return self._named({"drive": "demag-dedrive", **keys})
+        return self._named({"drive": "demag-dedrive", "options": {"set_412": True}, **keys})
 
     def _named(self, table: Table) -> Table:
         kind = str(table.get("drive") or Path(str(table.get("gsd", "raw"))).stem)
@@ -369,10 +369,14 @@ async def bring(plant: Plant) -> AsyncIterator[dpstack.Bus]:
             plant.failure = error
             return
         await bus.operate()
-        if plant.driven:
-            bus.drive(plant.driven).speed = 0.3
         for order in plant.orders:
             await order(bus)
+        if plant.driven:
+            drive = bus.drive(plant.driven)
+            drive.speed = 0.3
+            with contextlib.suppress(DpError):  # on a bad line it may not start in time
+                await drive.slave.ready()
+                await drive.start()
 
     opening = asyncio.create_task(program())
     try:

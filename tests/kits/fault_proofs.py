@@ -15,6 +15,7 @@ from fault_plants import Plant, Unit
 
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.params import BusParams
+from dpstack.profile import DriveDevice
 
 Proof = Callable[[Plant], None]
 PROOFS: Final[dict[str, Proof]] = {}
@@ -329,3 +330,6 @@ def well(plant: Plant) -> None:
     diagnosis = unit.app.diagnosis(plant.world.now)
     assert not diagnosis.status1 & 0x4E
     assert not diagnosis.status2 & 0x03
+    if plant.fault == "healthy_drive":
+        assert isinstance(unit.app.device, DriveDevice)
+        assert unit.app.device.motor.speed > 0

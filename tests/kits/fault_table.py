@@ -616,11 +616,12 @@ def healthy_beside_a_fault(seed: int) -> Plant:
 
 def healthy_drive(seed: int) -> Plant:
     """A drive that runs."""
-    plant = Plant("healthy_drive", seed, ["healthy"])
+    plant = Plant("healthy_drive", seed, ["healthy"], rates=SLOW[1:3])
     plant.ask(plant.hoist())
     plant.driven = plant.name
     plant.neighbours()
     plant.real()
+    plant.least_s = 1.5
     return plant
 
 
