@@ -80,6 +80,11 @@ export class Live {
     return (this.plant?.started ?? 0) + t;
   }
 
+  /** Seconds since the start of the bus; an event of the server itself has only its wall clock. */
+  eventT(event) {
+    return typeof event.t === "number" ? event.t : this.eventWall(event) - (this.plant?.started ?? 0);
+  }
+
   /** Wall clock of an event in seconds since 1970. */
   eventWall(event) {
     const ms = Date.parse(event.time ?? "");

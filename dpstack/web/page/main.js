@@ -86,6 +86,9 @@ class App {
     this.welcome = welcome;
     this.refusal = null;
     byId("token").close();
+    if (welcome.source === "replay" && !this.recording) {
+      this.link.ask("recording").then((about) => { this.recording = about; }, () => {});
+    }
     this.route(true);
     this.paintHeader();
   }
@@ -159,8 +162,9 @@ class App {
     const silent = performance.now() - this.snapshotAt > SILENT_MS;
     let text = null;
     if (this.refusal) text = `Not connected: ${this.refusal}`;
-    else if (live.end) text = `The program has ended: ${live.end.text ?? live.end}`;
+    else if (live.end) text = this.welcome?.source === "replay" ? `The recording is over: ${live.end.text ?? live.end}.` : `The program has ended: ${live.end.text ?? live.end}.`;
     else if (link.state === "lost" || !link.welcomed) text = this.snapshotAt ? "The connection to the server is lost; the page tries again." : "Connecting to the server …";
+    else if (this.welcome?.source === "none" && !this.snapshotAt) text = this.orders.shown ? "There is no run of this configuration. Start one, or wait for one." : "There is no run of this configuration; the page waits for one.";
     else if (!this.snapshotAt) text = "Connected; waiting for the first values …";
     else if (silent) text = "The server has sent no values for more than 2 s.";
     else if (live.bus.stale) text = "The bus has stopped answering the server: its counters are stale.";
@@ -197,7 +201,7 @@ class App {
     if (document.title !== title) document.title = title;
     const replay = welcome?.source === "replay";
     const badges = [
-      replay ? ["warn", "Replay of a recording: this is no live bus"] : null,
+      replay ? ["warn", `Replay of a recording${this.recording ? `, ${this.recording.file}, ${duration(this.recording.seconds)}` : ""}: no live bus`] : null,
       welcome?.source === "demo" || plant?.virtual ? ["info", "Simulated slaves"] : null,
       plant?.read_only && !replay ? ["info", "Read-only"] : null,
       welcome && !welcome.control && !replay && !plant?.read_only ? ["info", "No orders from this page"] : null,
@@ -218,14 +222,15 @@ class App {
   paintOrders() {
     const { orders, live, welcome } = this;
     const reading = live.plant?.read_only === true;
-    const key = [orders.allowed, reading, live.bus.mode, welcome?.control];
+    const key = [orders.allowed, orders.canStart, reading, live.bus.mode];
     refill(byId("orders"), key, () => {
-      if (!welcome?.control || welcome.source === "replay") return [];
+      if (!orders.shown) return [];
       const button = (command, text, kind, off) => el("button", {
         type: "button", class: kind, "data-key": command, text, disabled: off || !orders.allowed,
         on: { click: () => orders.give(command) },
       });
-      if (reading) return [button("start", "Start …", "danger", false)];
+      if (orders.canStart) return [el("button", { type: "button", class: "danger", "data-key": "start", text: "Start …", on: { click: () => orders.give("start") } })];
+      if (reading || !live.plant) return [];
       return [
         button("operate", "Operate …", "danger", live.bus.mode === "operate"),
         button("clear", "Clear …", null, live.bus.mode === "clear"),

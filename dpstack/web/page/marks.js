@@ -96,11 +96,18 @@ export const MACHINES = {
   },
 };
 
+// A drive whose status tells no ramp down.
+MACHINES.switched = {
+  columns: 3,
+  at: { not_ready: [0, 0], ready: [1, 0], running: [2, 0], fault: [0, 1] },
+  arrows: [["not_ready", "ready"], ["ready", "not_ready"], ["ready", "running"], ["running", "ready"], ["fault", "ready"]],
+};
+
 const FAMILY = {
   "demag-dedrive": "drivecom",
   "fuji-frenic": "profidrive",
   "ls-s100": "profidrive",
-  "imo-hd2": "simple",
+  "imo-hd2": "switched",
   "keb-f5": "simple",
 };
 
@@ -164,7 +171,6 @@ export class MachinePicture {
       const middle = y + HIGH / 2 - (lines.length - 1) * 7.5;
       const node = svg("g", { class: "node" },
         svg("rect", { x, y, width: WIDE, height: HIGH, rx: 6 }),
-        svg("path", { class: "here", d: `M${x + 6} ${y + 5}l6 4-6 4z` }),
         ...lines.map((line, n) => svg("text", { x: x + WIDE / 2, y: middle + n * 15, text: line })));
       this.boxes.set(state, node);
       return node;

@@ -12,8 +12,8 @@ export function describe(live, command, args) {
       return {
         title: "Start the bus",
         lines: [
-          "A master of the configuration starts on this bus. It parameterises the slaves.",
-          `It starts in Clear: ${all} ${count === 1 ? "gets" : "get"} safe values until you order Operate.`,
+          "A master starts on this bus, and parameterises the slaves of the configuration.",
+          "It starts in Clear: the slaves get safe values until you order Operate.",
         ],
         danger: true,
       };
@@ -22,7 +22,7 @@ export function describe(live, command, args) {
     case "clear":
       return { title: "Clear", lines: [`The master sends safe values to ${all} and goes on reading their inputs.`, "Drives stop."] };
     case "stop":
-      return { title: "Stop", lines: [`The master sends safe values and Clear to ${all}.`, "Then it ends the cyclic exchange."] };
+      return { title: "Stop", lines: [`The run ends in order: the master sends safe values and Clear to ${all}, then it leaves the bus.`, "Drives stop. This page shows old values until a run is there again."], danger: true };
     case "set":
       return { title: "Set named outputs", lines: args.map((one) => `Set ${one}.`), danger: true, mode: true };
     case "outputs":
@@ -59,18 +59,33 @@ export class Orders {
     this.dialog = document.getElementById("confirm");
   }
 
+  /** Whether this page may give orders at all: there are buttons for them. */
+  get shown() {
+    return this.app.welcome?.control === true && this.app.welcome.source !== "replay";
+  }
+
+  /** Whether an order can be given now: never while the page shows old values. */
   get allowed() {
-    return this.app.welcome?.control === true && this.app.welcome.source !== "replay" && !this.app.dead;
+    return this.shown && !this.app.dead;
+  }
+
+  /** Without a run there is one order: to start one. */
+  get canStart() {
+    return this.shown && this.app.welcome.source === "none" && this.app.link.welcomed;
+  }
+
+  may(command) {
+    return command === "start" ? this.canStart : this.allowed;
   }
 
   /** Show the dialog; the order is sent when the user confirms. Resolves to the result, or null when it is not sent. */
   async give(command, args = []) {
-    if (!this.allowed) return null;
+    if (!this.may(command)) return null;
     const { live, welcome } = this.app;
     const about = describe(live, command, args);
     if (!(await this.confirmed(about, live, welcome))) return null;
-    if (!this.allowed) {
-      this.app.say("The order was not sent: the connection was lost.", "bad");
+    if (!this.may(command)) {
+      this.app.say("The order was not sent: the page shows old values.", "bad");
       return null;
     }
     try {

@@ -167,9 +167,9 @@ export class BusPage {
     this.chart?.destroy();
     const line = (n, dash) => ({ stroke: colour(`--trace-${n}`), width: 1.8, dash, points: { show: false } });
     this.chart = new uPlot({
-      width: Math.max(200, this.plotBox.clientWidth), height: 230, legend: { show: false }, ms: 1, pxAlign: 0,
+      width: Math.max(200, this.plotBox.clientWidth), height: 230, legend: { show: false }, ms: 1, pxAlign: 0, padding: [null, 30, null, null],
       scales: { x: { time: false }, y: { range: (_, low, high) => (low === null ? [0, 1] : [Math.max(0, low - (high - low) * 0.1 - 1), high + (high - low) * 0.1 + 1]) } },
-      axes: [axis({ values: (_, all) => all.map((t) => clock(this.app.live.wall(t))), space: 80 }), axis({ size: 66, values: (_, all) => all.map((one) => micros(Number(one.toPrecision(6)))) })],
+      axes: [axis({ size: 32, values: (_, all) => all.map((t) => clock(this.app.live.wall(t))), space: 80 }), axis({ size: 66, values: (_, all) => all.map((one) => micros(Number(one.toPrecision(6)))) })],
       cursor: { show: false },
       series: [{}, line(0, []), line(2, [8, 4]), line(3, [2, 3])],
       hooks: { drawAxes: [(chart) => this.heat(chart)] },
@@ -256,13 +256,14 @@ export class BusPage {
     for (const [name, y] of Object.entries(lanes)) {
       drawing.append(svg("path", { class: "lane", d: `M64 ${y}H${wide - 8}` }), svg("text", { x: 4, y: y + 4, text: words(name) }));
     }
-    for (let n = 0; n <= 4; n += 1) {
-      const t = from + (this.view.span * n) / 4;
-      drawing.append(svg("text", { x: x(t), y: 80, class: n === 0 ? "start" : n === 4 ? "stop" : "middle", text: clock(live.wall(t)) }));
+    const parts = wide < 500 ? 2 : 4;
+    for (let n = 0; n <= parts; n += 1) {
+      const t = from + (this.view.span * n) / parts;
+      drawing.append(svg("text", { x: x(t), y: 80, class: n === 0 ? "start" : n === parts ? "stop" : "middle", text: clock(live.wall(t)) }));
     }
     const used = new Set();
     for (const one of this.wanted()) {
-      const t = one.t ?? 0;
+      const t = live.eventT(one);
       if (t < from || t > to) continue;
       const at = Math.round(x(t));
       const key = `${one.severity}${Math.round(at / 3)}`;

@@ -246,6 +246,17 @@ export class CommissioningPage {
     });
   }
 
+  /** Check the text as the user has changed it. */
+  async check(text) {
+    try {
+      this.kept.made = { ...(await this.app.link.ask("check", text)), toml: text };
+      this.paintMade();
+      document.getElementById("toml")?.focus();
+    } catch (error) {
+      this.app.say(error.message, "bad");
+    }
+  }
+
   paintMade() {
     const { made } = this.kept;
     if (!made) {
@@ -256,9 +267,10 @@ export class CommissioningPage {
     const findings = made.plan?.findings ?? [];
     const kind = errors.length ? "bad" : findings.length ? "warn" : "good";
     const us = made.plan?.rotation_us;
+    const text = el("textarea", { class: "toml", id: "toml", spellcheck: "false", autocomplete: "off", value: made.toml ?? "", on: { input: () => { made.toml = text.value; } } });
     const copy = async () => {
       try {
-        await navigator.clipboard.writeText(made.toml);
+        await navigator.clipboard.writeText(text.value);
         this.app.say("Copied", "good");
       } catch {
         this.app.say("The browser does not allow to copy here: mark the text and copy it.", "bad");
@@ -269,10 +281,11 @@ export class CommissioningPage {
       errors.length ? el("ul", { class: "plain errors" }, ...errors.map((one) => el("li", { class: "bad" }, one.line ? `line ${one.line}: ` : "", one.text, one.suggestion ? el("span", { class: "faint", text: ` – ${one.suggestion}` }) : null))) : null,
       findings.length ? el("ul", { class: "plain" }, ...findings.map((one) => el("li", { text: typeof one === "string" ? one : one.text ?? JSON.stringify(one) }))) : null,
       us ? pairs([["Rotation time, shortest", micros(us.min)], ["typical", micros(us.typical)], ["longest", micros(us.max)]], "pairs numbers") : null,
+      el("label", { for: "toml", text: "The configuration; further keys may be added here" }), text,
       el("div", { class: "buttons" },
-        el("button", { type: "button", text: "Save plant.toml", on: { click: () => download("plant.toml", made.toml, "application/toml") } }),
+        el("button", { type: "button", text: "Check this text", on: { click: () => this.check(text.value) } }),
+        el("button", { type: "button", text: "Save plant.toml", on: { click: () => download("plant.toml", text.value, "application/toml") } }),
         el("button", { type: "button", text: "Copy", on: { click: copy } })),
-      el("pre", { class: "toml", tabindex: "0", "aria-label": "The configuration", id: "toml", text: made.toml ?? "" }),
     ].filter(Boolean));
   }
 }

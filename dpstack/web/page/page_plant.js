@@ -227,12 +227,12 @@ export class DriveCard {
       lost && !faults ? el("span", { class: "bad" }, mark("bad"), lost) : null,
     ]);
     const { orders } = this.app;
-    refill(this.orders, [orders.allowed, this.app.welcome?.control === true, state], () => this.buttons());
+    refill(this.orders, [orders.allowed, this.app.orders.shown, state], () => this.buttons());
   }
 
   buttons() {
     const { app, name } = this;
-    if (!app.welcome?.control || app.welcome.source === "replay" || app.live.plant?.read_only) return [];
+    if (!app.orders.shown || app.live.plant?.read_only) return [];
     const disabled = !app.orders.allowed;
     const button = (order, text, kind = null) => el("button", {
       type: "button", class: kind, disabled, "data-key": order, text, on: { click: () => app.orders.give("drive", [name, order]) },

@@ -55,7 +55,7 @@ export class ScopePage {
             this.sourceBox, this.levelBox, this.eventBox),
           el("p", {}, this.again, el("label", { for: "trigger-again", text: " arm again after each picture" })),
           el("div", { class: "buttons" }, this.arm),
-          el("p", { class: "faint", text: "A picture has 30 % of the window before the trigger. Times are those of the snapshots, about ten a second: faster changes are not seen." })),
+          el("p", { class: "faint", text: "A picture has 30 % of the window before the trigger. Times are those of the snapshots, about five a second: faster changes are not seen." })),
         el("section", { class: "card", "aria-labelledby": "h-signals" }, el("h2", { id: "h-signals", text: "Signals" }),
           el("label", { for: "signal-filter", class: "visually-hidden", text: "Find a signal" }), this.search, this.list)));
     this.watcher = new ResizeObserver(() => this.resize());
@@ -168,7 +168,7 @@ export class ScopePage {
   }
 
   happened(event) {
-    if (this.scope.armed) this.scope.trigger?.happened({ ...event, t: event.t ?? this.app.live.t });
+    if (this.scope.armed) this.scope.trigger?.happened({ ...event, t: this.app.live.eventT(event) });
   }
 
   /** Show the new samples to the trigger; hold the picture once the time after the trigger is over. */
@@ -231,7 +231,7 @@ export class ScopePage {
     const units = [...new Set(signals.map((one) => (one.kind === "bool" ? "bool" : one.unit || "value")))];
     const scales = Object.fromEntries(units.map((unit) => [unit, unit === "bool" ? { range: () => [-0.15, 1.15] }
       : { range: (_, low, high) => (low === null ? [0, 1] : low === high ? [low - 1, high + 1] : uPlot.rangeNum(low, high, 0.08, true)) }]));
-    const axes = [axis({ values: (_, all) => all.map((t) => clock(app.live.wall(t))), space: 80 })];
+    const axes = [axis({ size: 32, values: (_, all) => all.map((t) => clock(app.live.wall(t))), space: 80 })];
     units.slice(0, 3).forEach((unit, n) => {
       axes.push(axis({
         scale: unit, side: n === 1 ? 1 : 3, size: 58, label: unit === "bool" ? "off / on" : unit, labelSize: 18,
@@ -241,7 +241,7 @@ export class ScopePage {
     });
     const steps = uPlot.paths.stepped({ align: 1 });
     this.chart = new uPlot({
-      width: Math.max(200, this.plotBox.clientWidth), height: this.height(), legend: { show: false }, pxAlign: 0, ms: 1,
+      width: Math.max(200, this.plotBox.clientWidth), height: this.height(), legend: { show: false }, pxAlign: 0, ms: 1, padding: [null, 26, null, null],
       scales: { x: { time: false }, ...scales }, axes,
       cursor: { drag: { x: false, y: false }, points: { size: 6 } },
       series: [{}, ...signals.map((one, n) => ({ label: one.label, scale: one.kind === "bool" ? "bool" : one.unit || "value", width: 1.8, ...trace(n), paths: steps, points: { show: false } }))],

@@ -119,7 +119,7 @@ export class SlavePage {
     const name = String(address);
     this.orderBox = el("div", { class: "orders-box" });
     this.orderMake = () => {
-      if (!app.welcome?.control || app.welcome.source === "replay" || app.live.plant?.read_only || about.drive) return [];
+      if (!app.orders.shown || app.live.plant?.read_only || about.drive) return [];
       const disabled = !app.orders.allowed;
       const boxes = [];
       for (const field of about.outputs ?? []) {
@@ -169,7 +169,7 @@ export class SlavePage {
       if (!valid() || !/^([0-9a-f]{2})+$/i.test(hex)) this.app.say("Give slot, index, and octets as hex, such as 00FF", "bad");
       else this.app.orders.give("write", [String(this.address), slot.value.trim(), index.value.trim(), hex]);
     };
-    const control = this.app.welcome?.control && this.app.welcome.source !== "replay" && !this.app.live.plant?.read_only;
+    const control = this.app.orders.shown && !this.app.live.plant?.read_only;
     return [
       about.dpv1 ? null : el("p", { class: "faint", text: "This slave is configured without DP-V1: a record can only be read over a class 2 connection, where the slave has one." }),
       el("form", { class: "inline", on: { submit: read } },
@@ -223,7 +223,7 @@ export class SlavePage {
     if (!this.there) return;
     const { app, address } = this;
     const { live } = app;
-    refill(this.orderBox, [app.orders.allowed, app.welcome?.control === true, live.plant?.read_only], this.orderMake);
+    refill(this.orderBox, [app.orders.allowed, app.orders.shown, live.plant?.read_only], this.orderMake);
     this.paintHistory(live);
     if (!changed.has(address)) return;
     const slave = live.slaves.get(address);
@@ -298,10 +298,15 @@ export function whyStory(story) {
     el("ol", { class: "causes" }, ...causes.map((one) => el("li", {},
       el("div", { class: "cause" }, el("strong", { text: words(one.cause) }),
         el("meter", { min: 0, max: 1, value: one.confidence, "aria-label": "confidence" }), el("span", { class: "figure", text: `${number(Math.round(one.confidence * 100))} %` })),
+      one.meaning ? el("p", { text: one.meaning }) : null,
       ...list("Speaks for it", one.for, "for"), ...list("Speaks against it", one.against, "against"),
       one.next ? el("p", { class: "next" }, el("strong", { text: "Next: " }), one.next) : null))),
-    steps.length ? table("The last bring-up", [["s", "n"], ["Asked"], ["Sent"], ["Answer"], ["Received"]],
-      steps.map((one) => el("tr", {}, cell(typeof one.t === "number" ? one.t.toFixed(3) : "", "n"), cell(String(one.asked ?? "")), cell(el("code", { text: one.sent ? octets(one.sent, 24) : "" })), cell(String(one.answered ?? "")), cell(el("code", { text: one.received ? octets(one.received, 24) : "" }))))) : null,
+    steps.length ? el("h3", { text: "The last bring-up" }) : null,
+    el("ol", { class: "steps" }, ...steps.map((one) => el("li", {},
+      el("span", { class: "faint figure", text: typeof one.t === "number" ? `${one.t.toFixed(3)} s` : "" }),
+      el("div", {}, el("p", { text: one.text ?? [one.asked, one.answered].filter(Boolean).join(": ") }),
+        one.sent ? el("code", { class: "octets" }, el("span", { class: "faint", text: "sent " }), octets(one.sent, 40)) : null,
+        one.received ? el("code", { class: "octets" }, el("span", { class: "faint", text: "received " }), octets(one.received, 40)) : null)))),
     story.text ? el("p", { text: story.text }) : null,
   ];
 }

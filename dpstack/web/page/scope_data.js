@@ -115,7 +115,7 @@ export class Store {
   }
 
   event(live, event) {
-    this.events.push({ t: event.t ?? live.t ?? 0, event: event.event, address: event.address ?? null, text: event.text ?? "", severity: event.severity ?? "info" });
+    this.events.push({ t: live.eventT(event), event: event.event, address: event.address ?? null, text: event.text ?? "", severity: event.severity ?? "info" });
     if (this.events.length > 2200) this.events.splice(0, this.events.length - 2000);
   }
 
