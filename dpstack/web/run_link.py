@@ -54,7 +54,8 @@ class RunLink:
         return f"{self.about['kind']} on {self.about.get('name', self.about['port'])} (pid {self.about['pid']})"
 
     async def items(self) -> AsyncGenerator[Item | None]:
-        """The items of the run until its end. None: it has sent nothing for 10 s (it is stopped, or busy).
+        """The items of the run until it has ended, and can be found no more. None: it has sent nothing for 10 s (it is
+        stopped, or busy).
 
         Raises the error of the run, PortError where it is no dpstack.
         """
@@ -76,9 +77,8 @@ class RunLink:
                 answer = self._client.parsed(line)
                 if answer.get("ok") is False:
                     raise failure(answer)
-                if "item" not in answer:
-                    return
-                yield answer["item"]
+                if "item" in answer:
+                    yield answer["item"]
         except DpError:  # some of them are OSErrors, too
             raise
         except ValueError:  # a line without end

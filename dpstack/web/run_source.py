@@ -160,7 +160,7 @@ class RunSource(Source):
         self._joined_another = self._joined_another or self._child is None
         self._failures = 0
         self._note(f"joined the {link.text}")
-        end: Item = {"end": {"text": "the run has ended"}}
+        end: Item | None = {"end": {"text": "the run has ended"}}
         silent = False
         self._link = link
         try:
@@ -176,15 +176,15 @@ class RunSource(Source):
                         self._set_kind(_kind_of(link, item))
                         self._read = item["plant"].get("config"), item["plant"].get("config_digest")
                     if "end" in item:
-                        end = item
-                    else:
-                        self._put(item)
+                        end = self._link = None  # it takes no more commands
+                    self._put(item)
         except DpError as error:
-            end = {"end": {"text": str(error)}}
+            end = end and {"end": {"text": str(error)}}
         finally:
             self._link, self._read = None, (None, None)
             link.close()
-        self._put(end)
+        if end is not None:
+            self._put(end)
         self._set_kind("none")
         self._note(f"the {link.text} has ended")
         if self._child is not None:

@@ -1,0 +1,276 @@
+"""The run behind the page: joined, waited for, or started; orders and asks reach it, and no other one."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+from collections.abc import AsyncIterator, Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from web_kit import PLANT, WHOLE, Page, delta, page_of
+
+import dpstack
+from dpstack.api.config.config import load_config
+from dpstack.api.control.commands import KINDS
+from dpstack.api.control.handlers import control_run
+from dpstack.api.control.server import ControlServer, Handler
+from dpstack.web import run_link, run_source
+from dpstack.web.child import Child
+from dpstack.web.rights import Rights
+from dpstack.web.run_source import RunSource
+from dpstack.web.server import serve
+
+TOKEN = "anna-0123456789abcdef"
+RIGHTS = Rights(control=True, tokens={TOKEN: "anna"})
+SLAVES = """
+[[slave]]
+name = "raw"
+address = 9
+ident = 0x1234
+config = "20 10"
+outputs = { lamp = "bool@0.3" }
+"""
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("_LOOK_S", "_SOON_S"):
+        monkeypatch.setattr(run_source, name, 0.01)
+    monkeypatch.setattr(run_source, "_AGAIN_S", (0.02,))
+
+
+def plant_file(folder: Path, port: object = "COM7") -> Path:
+    path = folder / "plant.toml"
+    path.write_text(f'[bus]\nport = "{port}"\nbaud = 500000\n{SLAVES}', encoding="utf-8")
+    return path
+
+
+class FakeRun:
+    """A run with the configuration ``file`` on COM7: literal items, and the commands that came."""
+
+    def __init__(self, file: Path, **plant: object) -> None:
+        self.commands: list[list[str]] = []
+        self.over = asyncio.Event()
+        self.more: asyncio.Queue[object] = asyncio.Queue()
+        self._plant = {"plant": {**PLANT["plant"], **plant}}
+        handlers: dict[str, Handler] = {
+            "live": lambda _: self._live,
+            "operate": lambda _: self.commands.append(["operate"]),
+        }
+        self.control = ControlServer("run", "COM7", KINDS["run"], handlers, config=file)
+
+    async def _live(self, send: Any) -> None:
+        await send(self._plant)
+        await send(WHOLE)
+        while not self.over.is_set():
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(0.01):
+                    await send(await self.more.get())
+        await send({"end": {"text": "the run was ended"}})
+
+    async def __aenter__(self) -> FakeRun:
+        await self.control.__aenter__()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.over.set()
+        await asyncio.sleep(0.02)
+        await self.control.__aexit__()
+
+
+class FakeChild(Child):
+    """A child that is no process; ``code`` as given, None: it runs until it is ended."""
+
+    def __init__(self, args: Sequence[str], on_line: Callable[[str], None], code: int | None = None) -> None:
+        super().__init__(args, on_line)
+        self.args = list(args)
+        self._on = on_line
+        self._code = code
+        self._over = asyncio.Event()
+
+    async def start(self) -> None:
+        if self._code is not None:
+            self._note("dpstack: COM7 is held by another program")
+            self._over.set()
+
+    @property
+    def code(self) -> int | None:
+        return self._code
+
+    async def wait(self) -> None:
+        await self._over.wait()
+
+    async def end(self) -> None:
+        self._code = 0
+        self._over.set()
+
+
+class Children:
+    """Makes fake children, and knows them."""
+
+    def __init__(self, code: int | None = None) -> None:
+        self.made: list[FakeChild] = []
+        self._code = code
+
+    def __call__(self, args: Sequence[str], on_line: Callable[[str], None]) -> Child:
+        self.made.append(FakeChild(args, on_line, self._code))
+        return self.made[-1]
+
+
+def source_of(file: Path, children: Children, *, control: bool = False) -> RunSource:
+    made = RunSource.of(load_config(file), control=control)
+    made._make_child = children
+    return made
+
+
+async def told(page: Page, part: str) -> None:
+    while part not in (await page.until("event"))["text"]:
+        pass
+
+
+async def test_a_run_is_joined_and_the_next_one_too_and_the_port_is_not_taken_between(tmp_path: Path) -> None:
+    file, children = plant_file(tmp_path), Children()
+    first = FakeRun(file)
+    async with first, serve(source_of(file, children)) as server, page_of(server) as page:
+        while (await page.until("welcome"))["source"] != "run":
+            pass
+        assert (await page.until("snapshot"))["whole"] is True
+        await first.__aexit__()
+        assert (await page.until("end"))["text"] == "the run was ended"
+        assert (await page.until("welcome"))["source"] == "none"
+        async with page_of(server) as late:
+            assert (await late.until("welcome"))["source"] == "none"
+        async with FakeRun(file, read_only=True, port="again"):
+            assert (await page.until("welcome"))["source"] == "read-only"
+            assert (await page.until("plant"))["port"] == "again"
+            assert (await page.until("snapshot"))["whole"] is True
+    assert children.made == []
+
+
+async def test_without_a_run_one_that_only_reads_is_started_again_and_again(tmp_path: Path) -> None:
+    file, children = plant_file(tmp_path), Children(code=1)
+    async with serve(source_of(file, children)) as server, page_of(server) as page:
+        await told(page, f"starts dpstack run {file} --read-only")
+        await told(page, "has ended with exit code 1: COM7 is held by another program")
+        await told(page, f"starts dpstack run {file} --read-only")
+        assert "there is no run" in (await page.ask("why", "raw"))["error"]
+        assert "--control" in (await page.order("start"))["error"]
+    assert {tuple(child.args) for child in children.made} == {("run", str(file), "--read-only", "--json")}
+
+
+async def test_with_control_nothing_starts_by_itself_and_a_started_run_is_in_clear(tmp_path: Path) -> None:
+    file, children = plant_file(tmp_path), Children()
+    async with serve(source_of(file, children, control=True), rights=RIGHTS) as server, page_of(server, TOKEN) as page:
+        assert (await page.until("welcome"))["source"] == "none"
+        await asyncio.sleep(0.03)  # several looks for a run
+        assert children.made == []
+        assert "start it first" in (await page.order("operate"))["error"]
+        await page.send({"order": {"id": 5, "command": "start", "confirmed": True}})
+        await told(page, "starts dpstack run")
+        assert [child.args for child in children.made] == [["run", str(file), "--clear", "--json"]]
+        async with FakeRun(file) as run:
+            assert (await page.until("answer"))["result"]["mode"] == "clear"
+            assert (await page.order("start"))["ok"] is False
+            assert (await page.order("operate"))["ok"] is True
+            assert run.commands == [["operate"]]
+            await children.made[0].end()
+        await told(page, "has ended")
+        await asyncio.sleep(0.05)
+        assert len(children.made) == 1
+
+
+async def test_a_run_that_does_not_come_up_says_why(tmp_path: Path) -> None:
+    file, children = plant_file(tmp_path), Children(code=1)
+    async with serve(source_of(file, children, control=True), rights=RIGHTS) as server, page_of(server, TOKEN) as page:
+        assert (await page.order("start"))["error"] == "start: COM7 is held by another program"
+
+
+async def test_what_was_started_ends_with_the_server_and_what_was_joined_goes_on(tmp_path: Path) -> None:
+    file, children = plant_file(tmp_path), Children()
+    async with serve(source_of(file, children)) as server, page_of(server) as page:
+        await told(page, "starts dpstack run")
+    assert [child.code for child in children.made] == [0]
+    async with FakeRun(file) as run, serve(source_of(file, children)) as server, page_of(server) as page:
+        await page.until("snapshot")
+        await server.close()
+        assert not run.over.is_set()
+
+
+async def test_another_run_on_the_port_gets_no_order_of_this_page(tmp_path: Path) -> None:
+    file = plant_file(tmp_path)
+    run = FakeRun(file)
+    served = serve(source_of(file, Children()), rights=RIGHTS)
+    async with run, served as server, page_of(server, TOKEN) as page:
+        await page.until("snapshot")
+        about: Any = run.control._help([])
+        run.control._handlers["help"] = lambda _: {**about, "pid": os.getpid() + 1}
+        assert "another one is there now" in (await page.order("operate"))["error"]
+        assert run.commands == []
+
+
+async def test_a_run_with_another_file_is_told_and_not_joined(tmp_path: Path) -> None:
+    file, children = plant_file(tmp_path), Children()
+    other = tmp_path / "other.toml"
+    async with FakeRun(other), serve(source_of(file, children)) as server, page_of(server) as page:
+        await told(page, f"has the configuration {other}, not {file}")
+    assert children.made == []
+
+
+async def test_a_run_that_is_stopped_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_link, "TIMEOUT_S", 0.02)
+    file = plant_file(tmp_path)
+    async with FakeRun(file) as run, serve(source_of(file, Children())) as server, page_of(server) as page:
+        await told(page, "is it stopped, or busy?")
+        run.more.put_nowait(delta(1, "set_prm"))
+        assert (await page.until("snapshot"))["t"] == 1
+
+
+@contextlib.asynccontextmanager
+async def bus_with_page(tmp_path: Path) -> AsyncIterator[tuple[dpstack.Bus, Page, asyncio.Event]]:
+    """A bus on "virtual" in this loop, with its control socket, and a page that may give orders."""
+    file = plant_file(tmp_path, "virtual")
+    stopped = asyncio.Event()
+    async with dpstack.open_bus(file) as bus, control_run(bus, "virtual", stop=stopped.set):
+        source = RunSource.of(load_config(file), control=True)
+        async with serve(source, rights=RIGHTS) as server, page_of(server, TOKEN) as page:
+            yield bus, page, stopped
+
+
+async def test_orders_and_asks_reach_a_bus(tmp_path: Path) -> None:
+    async with bus_with_page(tmp_path) as (bus, page, stopped):
+        assert (await page.until("plant"))["slaves"]["9"]["name"] == "raw"
+        assert (await page.order("set", "raw.lamp=on"))["ok"] is True
+        assert bus.slave(9).outputs == b"\x08"
+        assert bus.mode.name == "CLEAR"
+        assert (await page.order("operate"))["ok"] is True
+        while (await page.until("snapshot"))["bus"].get("mode") != "operate":
+            pass
+        assert bus.mode.name == "OPERATE"
+        assert (await page.order("outputs", "9=zz"))["ok"] is False
+        assert "no slave" in (await page.order("outputs", "77=00"))["error"]
+        diag = await page.ask("diag", 9)
+        assert diag["ok"] is True, diag
+        assert (await page.order("stop"))["ok"] is True
+        assert stopped.is_set()
+
+
+async def test_the_web_server_opens_no_port_and_only_this_computer_reaches_it(tmp_path: Path) -> None:
+    master, slave = os.openpty()
+    try:
+        path, children = os.ttyname(slave), Children()
+        file = plant_file(tmp_path, path)
+        async with serve(source_of(file, children)) as server, page_of(server) as page:
+            await told(page, "starts dpstack run")
+            held = [os.readlink(f"/proc/self/fd/{fd}") for fd in os.listdir("/proc/self/fd") if _is_link(fd)]
+            assert held.count(path) == 1  # that of this test
+            assert [one.getsockname()[0] for one in server._sockets] == ["127.0.0.1"]
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+def _is_link(fd: str) -> bool:
+    return os.path.islink(f"/proc/self/fd/{fd}")
