@@ -435,7 +435,7 @@ def answers_late(seed: int) -> Plant:
     for number in range(2):  # an answer may get both delays
         by = params.ns(round(params.t_sl * plant.rng.uniform(0.7, 1.2) * (1 + number)))
         plant.world.faults.delay(Share(plant.rng, plant.rng.uniform(0.4, 0.6), plant.at), by, times=None)
-    plant.stretch = 5
+    plant.stretch = 9
     return plant
 
 
