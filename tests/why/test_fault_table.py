@@ -17,7 +17,7 @@ FOUND = 0.9
 #: so many of the 25 faults must be found, and of all 30
 OF_25, OF_30 = 23, 28
 #: of the share, so many may be wrong
-MAY_FAIL = 4
+MAY_FAIL = 3
 
 
 def check(outcomes: Iterable[Outcome], found: float) -> None:
@@ -34,8 +34,8 @@ def check(outcomes: Iterable[Outcome], found: float) -> None:
 
 
 def test_causes_of_a_share() -> None:
-    """One seed of every third plant; the others in the long runs."""
-    outcomes = [outcome_of(fault, number % len(SEEDS)) for number, fault in enumerate(ALL) if number % 3 == 1]
+    """One seed of every fourth plant; the others in the long runs."""
+    outcomes = [outcome_of(fault, number % len(SEEDS)) for number, fault in enumerate(ALL) if number % 4 == 1]
     wrong = [(one.fault, one.seed, one.causes[:3]) for one in outcomes if not one.is_right]
     assert len(wrong) <= MAY_FAIL, wrong
 
