@@ -36,6 +36,7 @@ _COMMANDS = {
     "capture": "listens to a bus and keeps the telegrams in a pcapng file, or explains them; never sends",
     "monitor": "judges a bus by listening, live or from a capture file: stations, masters, verdicts with reasons",
     "decode": "explains telegrams to the bit: of a pcapng file, or octets in hex",
+    "plot": "a recording of `run --record` drawn over wall clock, in a window or as SVG, PNG, PDF",
     "web": "the page in the browser: joins the run that holds the port, else reads only",
     "wireshark": "dissector and extcap program for the Wireshark that is there: install, remove, where",
     "ports": "serial adapters with their lasting path, chip and holder",
@@ -45,7 +46,7 @@ _COMMANDS = {
 #: those whose modules stand in the room ``listening``
 _LISTENING = ("baud", "capture", "decode", "monitor", "wireshark")
 #: and in the room ``looking``
-_LOOKING = ("diag", "web", "why")
+_LOOKING = ("diag", "plot", "web", "why")
 _INTERRUPTED = 130
 #: environment variable; any value: errors are printed with their traceback
 _DEBUG = "DPSTACK_DEBUG"

@@ -193,6 +193,8 @@ NAMES = [
     ["sim", "--drive", EVIL, "--address", "3", "--port", "pty"],
     ["segment", "--dir", f"/proc/self/{EVIL}"],
     ["segment", "--baud", EVIL],
+    ["plot", EVIL],
+    ["plot", f"{EVIL}.csv"],
     ["ctl", EVIL, EVIL, EVIL],
     ["drive", EVIL, "x", "status"],
     ["drive", "CONFIG", EVIL, "status"],
