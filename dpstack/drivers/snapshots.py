@@ -120,6 +120,9 @@ class View(Protocol):
     def counters(self) -> Counters:
         """A copy of all counters."""
 
+    def counted(self) -> Counters:
+        """All counters, for a reader that takes what it needs at once: they may go on changing."""
+
     @property
     def link(self) -> LinkStats:
         """The counters of the link layer, to be read only."""

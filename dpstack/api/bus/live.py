@@ -151,8 +151,7 @@ class LiveFeed:
             return
         self._end = {"end": {"text": why}}
         if self._readers and self._plant is not None:
-            for slave in list(self._bus.slaves):
-                self._hand_out(self._slave_changes(slave))
+            self._hand_out(self._slave_changes(self._bus.slaves))
             self._figures = {}
             self._hand_out(self._bus_changes())
         for stream in list(self._readers):
@@ -188,10 +187,11 @@ class LiveFeed:
         if self._bus.searching:
             self._hand_out({"bus": {}, "slaves": {}})  # a sign of life
             return
-        for count, slave in enumerate(self._bus.slaves, 1):
-            self._hand_out(self._slave_changes(slave))
-            if not count % _STEP:
+        slaves = self._bus.slaves
+        for first in range(0, len(slaves), _STEP):
+            if first:
                 await asyncio.sleep(_PAUSE_S)
+            self._hand_out(self._slave_changes(slaves[first : first + _STEP]))
         self._hand_out(self._bus_changes())
 
     def _describe(self) -> None:
@@ -211,27 +211,32 @@ class LiveFeed:
             stream.put(self._plant)
             stream.put(whole)
 
-    def _slave_changes(self, slave: Slave) -> dict[str, Any]:
-        key, reader = str(slave.address), self._slaves.get(slave.address)
-        if reader is None:
-            reader = self._slaves[slave.address] = SlaveReader(self._bus, slave)
-        values = reader.read(self._bus.snapshot)
-        if self._end is not None:  # nothing of an ended bus is alive
-            values |= {"state": SlaveState.OFFLINE.value, "inputs_valid": False}
-        changes = difference(self._now["slaves"].get(key, {}), values)
-        self._now["slaves"][key] = values
-        return {"bus": {}, "slaves": {key: changes} if changes else {}}
+    def _slave_changes(self, slaves: Iterable[Slave]) -> dict[str, Any]:
+        now, found = self._bus.snapshot, {}
+        for slave in slaves:
+            key, reader = str(slave.address), self._slaves.get(slave.address)
+            if reader is None:
+                reader = self._slaves[slave.address] = SlaveReader(self._bus, slave)
+                self._now["slaves"][key] = reader.values
+            changes = reader.read(now)
+            if self._end is not None:  # nothing of an ended bus is alive
+                changes |= reader.put({"state": SlaveState.OFFLINE.value, "inputs_valid": False})
+            if changes:
+                found[key] = changes
+        return {"bus": {}, "slaves": found}
 
     def _bus_changes(self) -> dict[str, Any]:
         bus, at = self._bus, asyncio.get_running_loop().time()
         if not self._figures or at - self._figures_at >= _FIGURES_S:
             self._figures_at = at
-            self._figures = bus_figures(bus).summary() | {"histogram": histogram(bus.view.counters().rotation)}
+            counters = bus.view.counted()
+            self._figures = bus_figures(bus, (), counters).summary() | {"histogram": histogram(counters.rotation)}
             del self._figures["slaves"]
+        ring = bus.snapshot
         values = self._figures | {
             "mode": bus.mode.name.lower(),
-            "in_ring": bus.snapshot.in_ring,
-            "masters": sorted(bus.snapshot.las),
+            "in_ring": ring.in_ring,
+            "masters": sorted(ring.las),
             "clear": clear_since(bus) or None,
         }
         changes = difference(self._now["bus"], values)
@@ -377,37 +382,44 @@ def _field(field: Field) -> dict[str, object]:
 
 
 class SlaveReader:
-    """Reads state and values of ``slave``; what has not changed since the last time is not made anew."""
+    """Reads state and values of ``slave``; what has not changed since the last time is not made anew.
+
+    ``values``: all keys of a slave in a snapshot; None stands for nothing.
+    """
 
     def __init__(self, bus: BusBase, slave: Slave) -> None:
+        self.values: dict[str, Any] = {}
         self._bus = bus
         self._slave = slave
         self._seen: object = None
-        self._state: dict[str, Any] = {}
         self._octets: object = None
-        self._values: dict[str, Any] = {}
+
+    def put(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Take ``values``. Returns those that have changed."""
+        changes = difference(self.values, values)
+        self.values.update(changes)
+        return changes
 
     def read(self, now: BusSnapshot) -> dict[str, Any]:
-        """All keys of a slave in a snapshot; None stands for nothing. ``now``: the snapshot of the bus."""
+        """The values that have changed since the last time. ``now``: the snapshot of the bus."""
         bus, slave = self._bus, self._slave
         snapshot, image = slave.snapshot, bus.view.image(slave.setup)
         found = None if now.found is None else now.found.get(slave.address)
         seen = snapshot, now.mode, found, now.found_all, bus.runtime.not_running
+        changes: dict[str, Any] = {}
         if seen != self._seen:
             self._seen, self._octets = seen, None
-            self._state = self._read_state(snapshot, found)
+            changes = self.put(self._read_state(snapshot, found))
         octets = image.inputs, image.outputs
         if octets != self._octets:
             self._octets = octets
-            self._values = self._read_octets(image)
+            changes |= self.put(self._read_octets(image))
         age_ns = max(0, bus.runtime.now() - image.input_time) if image.input_time else None
         limit_ns = inputs_limit_ns(snapshot.watchdog_ns, bus.poll_interval_ns(slave.setup))
-        ready = self._state["state"] == SlaveState.DATA_EXCHANGE.value
+        ready = self.values["state"] == SlaveState.DATA_EXCHANGE.value
         valid = inputs_are_valid(exchanging=image.valid and ready, age_ns=age_ns, limit_ns=limit_ns)
         link, drive = bus.view.link.station(slave.address), bus.find_drive(slave.address)
-        return {
-            **self._state,
-            **self._values,
+        varying = {
             **inputs_dict(valid, None if age_ns is None else ns_to_s(age_ns)),
             "drive": None if drive is None else drive_dict(bus, drive),
             "exchanges": image.exchanges,
@@ -419,6 +431,7 @@ class SlaveReader:
             "bad": dict(link.bad),
             "injected": [] if bus.bench is None else bus.bench.injected(slave.address),
         }
+        return changes | self.put(varying)
 
     def _read_state(self, snapshot: SlaveSnapshot, found: Found | None) -> dict[str, Any]:
         slave = self._slave

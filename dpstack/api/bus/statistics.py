@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 from dpstack.dp.master.fixed_cycle import CycleStats
 from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.dp.process_data import as_json
+from dpstack.drivers.snapshots import Counters
 from dpstack.fdl.interface import LinkStats, StationStats
 from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s
 
@@ -213,10 +214,11 @@ def clear_since(bus: BusBase) -> dict[str, object]:
     return {"since": round(ns_to_s(event.t_ns - bus.started_ns), 3), "because": event.why}
 
 
-def bus_figures(bus: BusBase, slaves: Iterable[Slave] = ()) -> BusStats:
-    """A copy of the counters of this moment, with those of ``slaves``. Never waits for a bus process."""
+def bus_figures(bus: BusBase, slaves: Iterable[Slave] = (), counters: Counters | None = None) -> BusStats:
+    """The counters of this moment, with those of ``slaves``. Never waits for a bus process. ``counters``: those of the
+    bus where the caller has them; else a copy."""
     view, now = bus.view, bus.runtime.now()
-    counters = view.counters()
+    counters = view.counters() if counters is None else counters
     age_ns = max(0, now - counters.t_ns) if counters.t_ns else 0
     link = counters.link
     drives = {drive.address: drive_dict(bus, drive) for drive in bus.drives} if slaves else {}

@@ -127,6 +127,8 @@ def masters_view(read: Diagnosis | None, state: SlaveState, fault: Fault | None)
     if name is not None:
         flag = FLAG[name]
         status[flag.octet] |= flag.mask
+    if read is not None and (read.status1, read.status2) == (status[1], status[2]):
+        return read
     return replace(basis, status1=status[1], status2=status[2])
 
 

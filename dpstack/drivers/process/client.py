@@ -281,6 +281,8 @@ class ProcessRuntime:
             self._counters = self._image.counters.read_new() or self._counters
         return self._counters
 
+    counted = counters
+
     @property
     def link(self) -> LinkStats:
         return self.counters().link
