@@ -35,7 +35,7 @@ def check(outcomes: Iterable[Outcome], found: float) -> None:
 
 def test_causes_of_a_share() -> None:
     """One seed of every fourth plant; the others in the long runs."""
-    outcomes = [outcome_of(fault, number % len(SEEDS)) for number, fault in enumerate(ALL) if number % 4 == 1]
+    outcomes = [outcome_of(fault, number % len(SEEDS)) for number, fault in enumerate(ALL) if number % 4 == 3]
     wrong = [(one.fault, one.seed, one.causes[:3]) for one in outcomes if not one.is_right]
     assert len(wrong) <= MAY_FAIL, wrong
 
