@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from dpstack.dp.slave.events import DeviceFailed, RequestRefused
     from dpstack.dpv1.pdu.im import Im0, Im1, Im2, Im3, Im4
     from dpstack.dpv1.pdu.ms2 import InitiateReq
-    from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule
+    from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule, SlaveParameter
     from dpstack.dpv1.slave.user_slave import DpSlave
     from dpstack.errors import (
         AcyclicError,
@@ -122,6 +122,7 @@ __all__ = [
     "SlaveError",
     "SlaveFault",
     "SlaveModule",
+    "SlaveParameter",
     "SlaveServer",
     "SlaveState",
     "SlaveTimeout",
@@ -169,7 +170,7 @@ dp.slave.application SlaveApp SlaveAppState
 dp.slave.events DeviceFailed RequestRefused
 dpv1.pdu.im Im0 Im1 Im2 Im3 Im4
 dpv1.pdu.ms2 InitiateReq
-dpv1.slave.description SlaveDescription SlaveModule
+dpv1.slave.description SlaveDescription SlaveModule SlaveParameter
 dpv1.slave.user_slave DpSlave
 profile DriveStatus
 trace Event

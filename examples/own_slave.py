@@ -1,6 +1,7 @@
 """A slave of one's own, a tank with a valve, and a master that fills it: both in one simulated bus.
 
-On a real bus the slave is the same; only ``world=world`` becomes ``port="/dev/ttyUSB0", baud=500_000``.
+On a real bus the slave is the same; only ``world=world`` becomes ``port="/dev/ttyUSB0", baud=500_000``. For the
+engineering tool of a PLC ``dpstack gsd write examples/own_slave.py:TYPE tank.gsd`` writes its GSD file.
 """
 
 import asyncio
@@ -10,6 +11,9 @@ from dpstack import DpSlave, SlaveAppState, SlaveDescription, UserDiag, channel_
 
 NS_PER_S = 1_000_000_000
 OVERFLOW = 7  # channel related diagnosis: upper limit exceeded
+
+
+TYPE = SlaveDescription.simple(0x4711, inputs=2, outputs=1, name="tank")
 
 
 class Tank:
@@ -30,7 +34,7 @@ class Tank:
 
 async def main() -> None:
     tank = Tank()
-    slave = DpSlave(SlaveDescription.simple(0x4711, inputs=2, outputs=1, name="tank"), tank.cycle)
+    slave = DpSlave(TYPE, tank.cycle)
     world = dpstack.World()
     async with (
         dpstack.serve_slave(slave, world=world, address=9) as server,

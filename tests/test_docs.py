@@ -122,7 +122,7 @@ def test_the_program_with_a_gsd_file_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(ROOT)
-    ((_, text),) = blocks(ROOT / "docs" / "gsd.md", "python")
+    (text,) = [text for mark, text in blocks(ROOT / "docs" / "gsd.md", "python") if mark != "run"]
     program = tmp_path / "program.py"
     program.write_text(text, encoding="utf-8")
     runpy.run_path(str(program))

@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Final
 
 from dpstack.api.files import AtomicFile, read_file
+from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.description_from_gsd import slave_description
+from dpstack.dpv1.slave.description_to_gsd import as_gsd_file, gsd_octets
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
 from dpstack.gsd.identifiers import io_lengths
@@ -81,6 +84,23 @@ def copy_gsd(drive: str, target: str | Path) -> None:
         raise ConfigError(f"no GSD file was written for {drive!r}; there is one for {', '.join(bundled()) or 'none'}")
     with AtomicFile(target) as file:
         file.keep(_bundled_octets(drive))
+
+
+def write_gsd(slave: SlaveDescription, target: str | Path, *, replace: bool = False) -> tuple[str, ...]:
+    """Write the GSD file of ``slave`` to the new file ``target``, with ``replace`` over an existing one.
+
+    Returns remarks about what a GSD file cannot say of it. Raises ConfigError for a slave that cannot have a GSD file,
+    UsageError where the file cannot be written.
+    """
+    said, remarks = as_gsd_file(slave)
+    octets = gsd_octets(slave)
+    read = slave_description(load_gsd(octets, str(target)).device)
+    if read != said:
+        differing = [one.name for one in dataclasses.fields(said) if getattr(read, one.name) != getattr(said, one.name)]
+        raise ConfigError(f"slave {slave.name}: a GSD file would be read with another {differing[0]}; simplify it")
+    with AtomicFile(target, (lambda _: True) if replace else None) as file:
+        file.keep(octets)
+    return remarks
 
 
 def check_gsd(path: str | Path) -> tuple[Diagnostic, ...]:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final, Self, TypeAlias, TypeVar
 
-from dpstack.gsd.lexer import Statement, first_number, number, numbers, ranges, ranges_only, string
+from dpstack.gsd.lexer import Statement, first_number, lex, number, numbers, ranges, ranges_only, string
 from dpstack.gsd.model import (
     MAX_USER_PRM,
     Diagnosis,
@@ -206,6 +206,17 @@ class ParameterBlock(NumberedBlock):
         **dict.fromkeys((*_WHOLE, "bit", "bitarea"), typed),
         **dict.fromkeys(("prm_text_ref", "prmtextref", "changeable", "visible"), setting),
     }
+
+
+def prm_type_of(text: str) -> PrmType | None:
+    """The type in ``text`` as a file writes it: ``Unsigned8``, ``Bit(3)``, ``BitArea(0-3)``; None for anything else."""
+    statement = lex(text)
+    if statement is None or statement.equals or statement.value:
+        return None
+    known = _WHOLE.get(statement.keyword)
+    if known is not None:
+        return known if statement.index is None else None
+    return _bits(statement) if statement.keyword in ("bit", "bitarea") else None
 
 
 def _type_item(statement: Statement) -> _TypeItem | str:

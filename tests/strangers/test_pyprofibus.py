@@ -299,3 +299,55 @@ def test_its_parser_reads_our_gsd_files_as_we_do(path: Path) -> None:
     assert f"Ident {shown['ident']}".lower() in summary.stdout.lower()
     for module in shown["modules"]:
         assert f'Available module:  "{module["name"]}"' in summary.stdout
+
+
+#: a slave of one's own, and what its parser makes of the written file
+OWN: Final = """
+from dpstack import SlaveDescription
+from dpstack.dpv1.slave.description import SlaveModule, SlaveParameter
+from dpstack.gsd.model import DiagText
+
+TANK = SlaveDescription(
+    ident=0x4711, name="Tank 3000", vendor="Nobody & Sons", configs=(b"\\x11\\x20",), user_prm_len=(5, 20), dpv1=True,
+    alarms=("process",), ms2=2, rates={500_000: 100}, parameters=(SlaveParameter("Delay", 3, "Unsigned16", 500),),
+    diag_texts=(DiagText("channel", None, None, 17, "valve stuck", "clean it"),),
+)
+RACK = SlaveDescription(
+    ident=0x4712, name="Rack", modules=(SlaveModule("8 DI", b"\\x10"), SlaveModule("8 DO", b"\\x20")), max_modules=5
+)
+"""
+READ: Final = {
+    "TANK": (
+        "'Ident_Number' : 18193",
+        "'Vendor_Name' : 'Nobody & Sons'",
+        "'Model_Name' : 'Tank 3000'",
+        "'DPV1_Slave' : True",
+        "'500_supp' : True",
+        "'12M_supp' : False",
+        "'MaxTsdr_500' : 100",
+        "'Max_User_Prm_Data_Len' : 20",
+        "ExtUserPrmDataConst(0, b'\\x80\\x00\\x00\\x01\\xf4')",
+        "ExtUserPrmDataRef(3, 1)",
+        "Module('2 octets in, 1 octet out', b'\\x11 ', fields={'Preset' : True",
+    ),
+    "RACK": (
+        "'Ident_Number' : 18194",
+        "'Modular_Station' : True",
+        "'Max_Module' : 5",
+        "Module('8 DI', b'\\x10'",
+        "Module('8 DO', b' '",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", READ)
+def test_its_parser_reads_a_file_of_gsd_write(name: str, tmp_path: Path) -> None:
+    assert importlib.util.find_spec("pyprofibus"), MISSING
+    (tmp_path / "own.py").write_text(OWN, encoding="utf-8")
+    made = [sys.executable, "-m", "dpstack.cli.main", "gsd", "write", f"own.py:{name}", "own.gsd"]
+    subprocess.run(made, cwd=tmp_path, timeout=HANG_S, check=True)
+    dump = subprocess.run(
+        [tool("gsdparser"), "-D", str(tmp_path / "own.gsd")], capture_output=True, text=True, timeout=HANG_S, check=True
+    )
+    assert [text for text in READ[name] if text not in dump.stdout] == []
+    assert dump.stderr == ""

@@ -1,4 +1,4 @@
-"""``dpstack gsd``: shows, checks, configures and copies GSD files."""
+"""``dpstack gsd``: shows, checks, configures, copies and writes GSD files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ from dpstack.api.gsd_info import (
     module_lengths,
     module_prm,
     read_gsd,
+    write_gsd,
 )
+from dpstack.api.user_code import load_description
 from dpstack.cli.commands import gsd_configure
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
@@ -85,6 +87,15 @@ def add_to(parser: Parser) -> None:
     copier.value("drive", "DRIVE", "name of the drive, or io-station")
     copier.value("file", "FILE", "where to; a new file")
     copier.run_by(copy, json=False)
+    writer = command(
+        "write",
+        "write a GSD file for a slave of your own, so that the tool of a PLC knows it; loads (runs) the module",
+        "write tank.py:TYPE tank.gsd",
+    )
+    writer.value("slave", "MODULE:NAME", "a SlaveDescription or a DpSlave, in a module or a file tank.py")
+    writer.value("file", "FILE", "where to; a new file")
+    writer.flag("--force", "write over an existing file")
+    writer.run_by(write, json=False)
 
 
 def show(args: argparse.Namespace) -> int:
@@ -102,6 +113,13 @@ def configure(args: argparse.Namespace) -> int:
 
 def copy(args: argparse.Namespace) -> int:
     copy_gsd(args.drive, args.file)
+    return 0
+
+
+def write(args: argparse.Namespace) -> int:
+    """Remarks go to standard error; they do not change the exit code."""
+    for remark in write_gsd(load_description(args.slave), args.file, replace=args.force):
+        output.warn(remark)
     return 0
 
 

@@ -3,6 +3,8 @@
 - ``alarms``: Alarms and status messages of a slave: raised by its application, shown in the diagnosis
 - ``description``: The description of a type of slave; the checks of Set_Prm and Chk_Cfg follow from it
 - ``description_from_gsd``: The description of a slave from its GSD file
+- ``description_to_gsd``: The GSD file of a slave by its description, so that the engineering tool of a PLC knows the
+  slave
 - ``device``: The base class of a device with DP-V1: its records, alarms and class 2 connections
 - ``loopback_device``: Devices that mirror their outputs to their inputs: the simulation of a slave without a drive
 - ``ms2_states``: The states of one class 2 connection at the slave as a table: trigger, action, source

@@ -20,7 +20,7 @@ from dpstack.dpv1.slave.resource_manager import check_ms2
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import config_for, io_lengths
-from dpstack.gsd.model import MAX_USER_PRM
+from dpstack.gsd.model import MAX_USER_PRM, DiagText, Ranges
 
 #: the octet of Set_Prm that a first block begins with, from 1 on
 _FIRST_BLOCK: Final = 11
@@ -37,6 +37,24 @@ class SlaveModule:
         if not self.config:
             raise ConfigError(f"module {self.name}: no identifier octets")
         io_lengths(self.config)
+
+
+@dataclass(frozen=True, slots=True)
+class SlaveParameter:
+    """A user parameter by name [ExtUserPrmData]: its place begins in ``octet`` of the user parameters, from 0 (of a
+    DP-V1 slave the octets 0..2 are DPV1_Status).
+
+    ``type``: "Unsigned8", "Signed16" and the like with 8, 16 or 32 bits, high octet first; "Bit(3)"; "BitArea(0-3)".
+    ``allowed``: ranges with both ends, empty for all values. ``texts``: value -> text. Only a GSD file of the slave
+    has it; the slave itself checks its parameters by ``on_prm``.
+    """
+
+    name: str
+    octet: int
+    type: str = "Unsigned8"
+    default: int = 0
+    allowed: Ranges = ()
+    texts: Mapping[int, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +76,10 @@ class SlaveDescription:
     ``ms2``: connections of class 2 [C2_Read_Write_supp, C2_Max_Count_Channels], ``ms2_max_len``: octets in one of their
     services [C2_Max_Data_Len], ``ms2_max_initiate``: octets of an Initiate [Max_Initiate_PDU_Length];
     ``rates``: baud rate -> MaxTsdr in bit times, empty for all; ``min_slave_interval_ns`` [Min_Slave_Intervall], for
-    the master. Raises ConfigError.
+    the master.
+
+    For its GSD file alone: ``vendor`` [Vendor_Name], ``revision`` [Revision]; ``parameters``: its user parameters by
+    name; ``diag_texts``: texts for its diagnosis [Unit_Diag_Bit, Channel_Diag ...]. Raises ConfigError.
     """
 
     ident: int
@@ -89,6 +110,10 @@ class SlaveDescription:
     max_diag_len: int = MAX_LEN
     rates: Mapping[int, int] = field(default_factory=dict)
     min_slave_interval_ns: int = 0
+    vendor: str = ""
+    revision: str = ""
+    parameters: tuple[SlaveParameter, ...] = ()
+    diag_texts: tuple[DiagText, ...] = ()
 
     @classmethod
     def simple(

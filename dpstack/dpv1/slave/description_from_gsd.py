@@ -10,7 +10,7 @@ from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, DPV1_STATUS_LEN
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.slave_params import INTERVAL_UNIT
 from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
-from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule
+from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule, SlaveParameter
 from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
@@ -19,7 +19,7 @@ from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import MAX_USER_PRM, Device, alarm_kinds
 
 #: what stands for an empty slot of a modular station
-_EMPTY_SLOT: Final = b"\0"
+EMPTY_SLOT: Final = SlaveModule("empty slot", b"\0")
 
 
 def slave_description(
@@ -45,12 +45,16 @@ def slave_description(
     presets = fixed_modules(device) if chosen is None else ()
     if presets and len(presets) == len(device.modules):
         chosen, presets = plug(device, presets), ()
+    configs: tuple[bytes, ...] = () if chosen is None else (chosen.config,)
+    modules = _modules(device) if chosen is None else ()
+    if compact and modules:  # it accepts any one of them
+        configs, modules, presets = tuple(dict.fromkeys(module.config for module in modules)), (), ()
     structured = gsd.prm_block_structure or gsd.prm_block_structure_required
     return SlaveDescription(
         ident=number,
         name=name or device.model or "slave",
-        configs=() if chosen is None else (chosen.config,),
-        modules=_modules(device) if chosen is None else (),
+        configs=configs,
+        modules=modules,
         presets=tuple(SlaveModule(m.name, m.config) for m in presets if m.config),
         max_modules=1 if compact else device.max_module or MAX_DATA,
         # a compact station has no need of these keywords: they count for a modular one
@@ -75,6 +79,20 @@ def slave_description(
         max_diag_len=max(FIXED_LEN, _within(device.max_diag_data_len, MAX_LEN)),
         rates={speed.baud: speed.max_tsdr or 0 for speed in device.speeds},
         min_slave_interval_ns=(device.min_slave_interval or 0) * INTERVAL_UNIT,
+        vendor=device.vendor,
+        revision=device.revision,
+        parameters=_parameters(device),
+        diag_texts=device.diagnosis.texts,
+    )
+
+
+def _parameters(device: Device) -> tuple[SlaveParameter, ...]:
+    """The user parameters of the device itself, not those of its modules."""
+    placed = ((ref.offset, device.parameters.get(ref.number)) for ref in device.prm.refs)
+    return tuple(
+        SlaveParameter(one.name, offset, one.type.text, one.default, one.allowed, one.texts)
+        for offset, one in placed
+        if one is not None
     )
 
 
@@ -101,7 +119,7 @@ def _modules(device: Device) -> tuple[SlaveModule, ...]:
     )
     if not usable:
         raise ConfigError(f"{device.model or 'the GSD file'} has no module with identifier octets")
-    return (*usable, SlaveModule("empty slot", _EMPTY_SLOT)) if device.modular else usable
+    return (*usable, EMPTY_SLOT) if device.modular else usable
 
 
 def _possible(config: bytes) -> bool:

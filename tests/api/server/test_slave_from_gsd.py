@@ -135,7 +135,7 @@ def test_a_compact_station_takes_one_of_its_modules() -> None:
     compact = made('Max_Input_Len = 0\nModule = "a" 0x10\nEndModule\nModule = "b" 0x21\nEndModule\n').device
     found = slave_description(compact)
     assert (found.check_cfg(b"\x10"), found.check_cfg(b"\x21")) == (None, None)
-    assert found.check_cfg(b"\x10\x21") == "2 modules, 1 are possible"
+    assert found.check_cfg(b"\x10\x21") == "configuration 10 21 is not 10 or 21"
     assert found.check_cfg(b"\x00") is not None  # no slots, so none is empty
 
 
