@@ -19,6 +19,7 @@ from aiohttp import WSMsgType, web
 from dpstack import __version__
 from dpstack.api.commissioning.commissioning import Commissioning
 from dpstack.errors import DpError
+from dpstack.record.rows import iso_time
 from dpstack.text import printable
 from dpstack.web.address import Listen, Origins, is_local, join
 from dpstack.web.asks import Asks
@@ -44,6 +45,8 @@ _BURST: Final = 30.0
 #: messages of a page that are none before it is disconnected
 _MOST_NONSENSE: Final = 20
 _PING_S: Final = 20.0
+#: times beyond it, in s since 1970, are no times (year 4000)
+_LATEST: Final = 64e9
 #: seconds at the end for pages that do not answer
 _GOODBYE_S: Final = 1.0
 
@@ -83,6 +86,8 @@ class WebServer:
         self._strange = ""  # the last error of an item
         self._tasks: set[asyncio.Task[None]] = set()
         self._runner: web.AppRunner | None = None
+        #: what the clock of the stream is ahead of the time of the loop, in s; None: there is no stream
+        self._clock: float | None = None
 
     @property
     def url(self) -> str:
@@ -130,10 +135,11 @@ class WebServer:
         return task
 
     def tell(self, text: str, severity: str = "info", **more: object) -> None:
-        """An event of the server itself, on all pages and in the log."""
-        time = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        """An event of the server itself, on all pages and in the log. The log has the clock of this computer, the
+        pages that of the stream: it goes on evenly, also where somebody has set the clock since the run began."""
         text = printable(text)
-        self.log(f"{time} {text}")
+        self.log(f"{_now()} {text}")
+        time = _now() if self._clock is None else iso_time(self._clock + asyncio.get_running_loop().time())
         self.fan_out.put({"event": {"event": "web", "time": time, "severity": severity, "text": text, **more}})
 
     # --- the source -----------------------------------------------------------------------------------------------
@@ -154,15 +160,25 @@ class WebServer:
         else:
             try:
                 self.fan_out.put(item)
+                self._set_clock(item)
             except ValueError as error:
                 if str(error) != self._strange:
                     self._strange = str(error)
                     self.tell(self._strange, "error")
 
+    def _set_clock(self, item: Item) -> None:
+        state = self.fan_out.state
+        started = None if state.plant is None or self.source.kind == "replay" else state.plant.get("started")
+        if not isinstance(started, (int, float)) or not 0 <= started < _LATEST:
+            self._clock = None
+        elif "snapshot" in item and state.t >= 0:
+            self._clock = started + state.t - asyncio.get_running_loop().time()
+
     def _source_changed(self) -> None:
         self.fan_out.hand_out()
         if self.source.kind == "none":
             self.fan_out.forget()
+            self._clock = None
         for page in self._pages:
             page.welcome()
 

@@ -85,3 +85,21 @@ async def test_the_end_of_the_server_is_told_to_its_pages() -> None:
         assert (await page.until("end"))["text"] == "the web server ends"
         assert (await page.ws.receive(timeout=5)).type is aiohttp.WSMsgType.CLOSE
         await ending
+
+
+async def test_events_of_the_server_have_the_clock_of_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody has set the clock of this computer years ahead since the run began; the log has the new time."""
+    source, log = GivenItems([PLANT, WHOLE]), list[str]()
+    async with serve(source, log=log.append) as server, page_of(server) as page:
+        await page.until("snapshot")
+        server.tell("an order")
+        assert (await page.until("event"))["time"].startswith(
+            "2025-11-22T16:46:4"
+        )  # 1763830000.1 s since 1970, and a moment
+        assert log[-1].endswith("Z an order")
+        assert not log[-1].startswith("2025-11-22T16:46:4")
+        source.put({"plant": {**PLANT["plant"], "started": 1e300}})
+        source.put(WHOLE)
+        await page.until("snapshot")
+        server.tell("another one")
+        assert (await page.until("event"))["time"] == log[-1].split()[0]

@@ -11,7 +11,6 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import AsyncIterator, Iterable, Mapping
-from datetime import UTC, datetime
 from time import time
 from typing import Any, Final, Self
 
@@ -29,6 +28,7 @@ from dpstack.errors import UsageError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.live.pending import Pending
 from dpstack.live.state import Item, difference
+from dpstack.record.rows import iso_time
 from dpstack.stats import Histogram
 from dpstack.trace import Event
 from dpstack.units import NS_PER_US, ns_to_s
@@ -263,15 +263,10 @@ class LiveFeed:
         line = event_json(event, t)
         if line is None:
             return
-        more = {"time": wall_time(self._started + t), "severity": severity_of(event).value, "text": event.text}
+        more = {"time": iso_time(self._started + t), "severity": severity_of(event).value, "text": event.text}
         item = {"event": line | more}
         for stream in readers:
             stream.put(item)
-
-
-def wall_time(seconds: float) -> str:
-    """ISO 8601 in UTC with ms; ``seconds`` since 1970."""
-    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def checked_interval(interval: float) -> float:
