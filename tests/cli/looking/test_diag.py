@@ -269,6 +269,21 @@ async def test_any_station_through_the_run(plant: Path) -> None:
 
 
 @in_virtual_time
+async def test_through_a_run_that_only_reads(plant: Path) -> None:
+    plant.write_text(PLANT.replace("/dev/ttyNone", "/dev/plant").replace("cycle_ms = 10.0\n", ""), encoding="utf-8")
+    config = load_config(plant).with_bus(read_only=True)
+    world = dpstack.World(referee=False)
+    station = OctetStation(8, {60: bytes.fromhex("00 0C 00 06 10D5"), 59: b"\x10\x51", 56: bytes(5)})
+    world.add(station)
+    async with dpstack.open_bus(config, world=world) as bus, control_run(bus, "/dev/plant"):
+        reading = await reading_through_run("/dev/plant", config, "io")
+    assert reading is not None
+    assert (reading.config, reading.inputs, set(reading.errors)) == (b"\x10\x51", bytes(5), {"RD_Outp"})
+    assert station_report(reading, config.slaves[0])["healthy"]
+    assert {dsap for _, _, dsap in station.asked} == {60, 59, 56, 57}
+
+
+@in_virtual_time
 async def test_no_run_answers(plant: Path) -> None:
     assert await reading_through_run("/dev/ttyNone", load_config(plant), "8") is None
     assert await reading_through_run("/dev/ttyNone", None, "8") is None
