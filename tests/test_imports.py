@@ -49,7 +49,21 @@ MAY: dict[str, set[str]] = {
     "api": DP | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor", "record", "live", "why"},
     "wireshark": {"api", "capture"} | PURE_BASE,
     "web": {"api", "live", "ports", "record"} | PURE_BASE,
-    "cli": {"api", "capture", "decode", "monitor", "why", "record", "web", "wireshark", "gsd", "profile", "trace"}
+    "screen": {"api", "live", "why"} | PURE_BASE,
+    "cli": {
+        "api",
+        "capture",
+        "decode",
+        "monitor",
+        "why",
+        "record",
+        "screen",
+        "web",
+        "wireshark",
+        "gsd",
+        "profile",
+        "trace",
+    }
     | PURE_BASE,
     "__init__": {"api", "errors", "profile", "dp", "dpv1", "trace"},
 }
@@ -99,7 +113,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("api/commissioning",),
     ("api/control",),
     ("api/listen",),
-    ("wireshark", "web"),
+    ("screen", "wireshark", "web"),
     ("cli/terminal",),
     ("cli",),
     ("cli/commands", "cli/listening"),

@@ -32,6 +32,7 @@ PROGRAMS: Final[Mapping[str, str]] = {
     "lua5.4": "lua5.4",
     "pdfinfo": "poppler-utils",
     "pdftotext": "poppler-utils",
+    "tmux": "tmux",
 }
 #: Python packages of the extra ``strangers`` whose module has another name
 MODULES: Final[Mapping[str, str]] = {"python-pcapng": "pcapng"}

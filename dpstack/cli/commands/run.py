@@ -19,9 +19,11 @@ from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable, refuse_application_watchdog
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import causes, output
+from dpstack.cli.terminal.live_screen import live_screen
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.report import Reporter, clear_text, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
+from dpstack.cli.terminal.suspension import Suspension
 from dpstack.errors import UsageError
 
 
@@ -59,6 +61,7 @@ def add_to(parser: Parser) -> None:
     parser.flag("--on-change", "with --record: only rows in which a value has left its dead band")
     parser.value("--rotate", "SIZE|TIME", "with --record: a new file after so much (100MB, 1GB) or so long (30min, 1h)")
     parser.value("--log", "FILE", "write events with wall clock, JSON if it ends in .jsonl; 10 MB, then a new file")
+    parser.flag("--plain", "plain lines on a terminal, too, instead of the live screen")
     parser.value("--report", "FILE.html", "write an acceptance report of what was on the bus, a new file")
     parser.run_by(execute)
 
@@ -102,7 +105,7 @@ def _config_and_outputs(args: argparse.Namespace) -> tuple[str, list[str]]:
 async def _run(config: Config, args: argparse.Namespace) -> int:
     report = None if args.report is None else RunReport(args.report, config)
     files = RunFiles(args.record, args.log, on_change=args.on_change, rotate=args.rotate)
-    with files, report or contextlib.nullcontext(), StopSignal() as stop:
+    with files, report or contextlib.nullcontext(), StopSignal() as stop, contextlib.ExitStack() as stack:
 
         def on_event(event: Event) -> None:
             files.event(bus, event)
@@ -118,6 +121,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         # `dpstack ctl` also works while the bus searches its rate or joins the ring; a held port is reported once
         feed = run_feed(bus)
         control = control_run(bus, config.port, feed, stop=stop.stop)
+        suspension = stack.enter_context(Suspension(bus))  # before a bus process is started
         async with reachable(control, quiet=True) as unreachable:
             if report is not None:
                 report.begin(bus, feed)
@@ -127,22 +131,23 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
             if not bus.is_open:
                 output.warn(f"ended before the {'baud rate was found' if bus.searching else 'token ring was joined'}")
                 return 1
-            try:
-                reporter.start()
-                if files.recording is not None:
-                    bus.record(files.recording)
-                plant.start(bus.started_ns)
-                if not (args.clear or config.bus.read_only):
-                    await bus.operate()
-                await stop.or_done(_limit(bus, args.seconds, args.rotations))
-                stats, missing, held = bus.stats, not_exchanging(bus), clear_since(bus)
-                stories = await lines.stories()
-            finally:
-                plant.close()
-                if report is not None:
-                    report.end()
-                await bus.close()
-                written = report is None or stop.hurried or _write(report)
+            reporter.start()
+            async with live_screen(bus, stop, reporter, suspension, wanted=not (args.json or args.plain)):
+                try:
+                    if files.recording is not None:
+                        bus.record(files.recording)
+                    plant.start(bus.started_ns)
+                    if not (args.clear or config.bus.read_only):
+                        await bus.operate()
+                    await stop.or_done(_limit(bus, args.seconds, args.rotations))
+                    stats, missing, held = bus.stats, not_exchanging(bus), clear_since(bus)
+                    stories = await lines.stories()
+                finally:
+                    plant.close()
+                    if report is not None:
+                        report.end()
+                    await bus.close()
+                    written = report is None or stop.hurried or _write(report)
         if stop.hurried:
             return INTERRUPTED
     recorded = {} if files.recording is None else {"recording": files.recording.as_dict()}

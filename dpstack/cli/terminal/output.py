@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import codecs
 import contextlib
+import errno
 import io
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -63,12 +65,23 @@ def nowhere(fd: int) -> None:
 
 
 def lose(error: OSError) -> None:
-    """Record that nothing can be written to standard output any more."""
+    """Record that nothing can be written to standard output any more.
+
+    A lost terminal counts as its SIGHUP: where that is ignored (nohup), the program goes on without output.
+    """
+    if error.errno == errno.EIO and hangup_is_ignored():
+        return
     lost.error = error
     if not isinstance(error, BrokenPipeError):  # a reader may end at any time
         warn(f"standard output cannot be written ({error.strerror}): give it another place")
     if lost.on_lost is not None:
         lost.on_lost()
+
+
+def hangup_is_ignored() -> bool:
+    """Whether the program goes on without its terminal: under nohup, and on systems without SIGHUP."""
+    number = getattr(signal, "SIGHUP", None)
+    return number is None or signal.getsignal(number) is signal.SIG_IGN
 
 
 def warn(text: str) -> None:

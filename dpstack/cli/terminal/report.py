@@ -64,7 +64,8 @@ class Reporter:
     def __init__(self, bus: Bus, *, json: bool, quiet: bool = False) -> None:
         self._bus = bus
         self._json = json
-        self._quiet = quiet
+        #: no lines for people, for instance while a live screen shows the events
+        self.quiet = quiet
         self._started = False
         #: by address: the last reported diagnosis and drive status
         self._diagnoses: dict[int, str] = {}
@@ -79,7 +80,7 @@ class Reporter:
 
     def searching(self) -> None:
         """Report that the baud rate is being searched."""
-        if not self._json and not self._quiet:
+        if not self._json and not self.quiet:
             output.line(f"{SEARCHING} on {self._bus.config.port}")
 
     def start(self) -> None:
@@ -91,7 +92,7 @@ class Reporter:
         if self._json:
             now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
             output.json_line({"event": "start", "time": now, "port": name, "baud": rate, "driver": bus.driver})
-        elif not self._quiet:
+        elif not self.quiet:
             output.line(f"master {bus.params.address} on {name} at {baud_text(rate)}", "bold")
 
     def event(self, event: Event) -> None:
@@ -101,7 +102,7 @@ class Reporter:
             line = event_json(event, self._seconds_of(event))
             if line is not None:
                 output.json_line(line)
-        elif not self._quiet:
+        elif not self.quiet:
             self._for_people(event)
 
     def _seconds_of(self, event: Event) -> float:

@@ -32,6 +32,9 @@ _SAME_AGAIN_S: Final = 0.1
 #: after this time (s) a hurried end is abandoned
 _HURRIED_S: Final = 1.0
 
+#: called before the program leaves without any clean-up: gives a terminal back
+before_leaving: Final[list[Callable[[], None]]] = []
+
 _LATE: Final = "the end was not over within a second after the second signal, so it was left"
 _LEFT: Final = "left at once, by a third signal"
 _WATCHDOGS: Final = "what was not sent to slaves is made safe by their watchdogs (off: not at all)"
@@ -135,6 +138,9 @@ def run_to_result(work: Coroutine[object, object, _T], before: str) -> _T:
 
 def _leave(why: str) -> None:
     """Leave without any clean-up: it might block again."""
+    for call in before_leaving:
+        with contextlib.suppress(Exception):
+            call()
     with contextlib.suppress(OSError):
         os.write(2, f"dpstack: {why}; {_WATCHDOGS}\n".encode())
     os._exit(INTERRUPTED)
@@ -149,5 +155,4 @@ def _alarm(seconds: float, handler: Callable[[int, FrameType | None], object] | 
 
 def _hangup() -> list[signal.Signals]:
     """SIGHUP, the terminal's end; not where it is ignored (nohup), nor on systems without it."""
-    number = getattr(signal, "SIGHUP", None)
-    return [] if number is None or signal.getsignal(number) is signal.SIG_IGN else [number]
+    return [] if output.hangup_is_ignored() else [signal.SIGHUP]

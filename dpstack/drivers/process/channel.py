@@ -373,9 +373,13 @@ class Channel:
 def _started(sock: int, memory: int) -> subprocess.Popen[bytes]:
     """Start the bus process with two inherited file descriptors and the module path of this process.
 
-    Signals of the terminal stay blocked until the bus process has set its handlers.
+    Signals of the terminal stay blocked until the bus process has set its handlers. Ctrl-Z stays blocked for good where
+    the application has a handler for it: that decides when both are stopped (by SIGSTOP), for instance after Clear.
     """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, FROM_TERMINALS)
+    blocked = set(FROM_TERMINALS)
+    if callable(signal.getsignal(signal.SIGTSTP)):
+        blocked.add(signal.SIGTSTP)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, blocked)
     try:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", "dpstack.drivers.process", str(sock), str(memory), str(os.getpid())],

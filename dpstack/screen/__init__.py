@@ -1,0 +1,13 @@
+"""The live screen of ``dpstack run``: a process of its own that owns the terminal's drawing and keys.
+
+``run`` must not draw in the loop that drives a port. It sends the items of the live stream (:mod:`dpstack.live.state`)
+as JSON lines over a socket pair; the screen sends orders of the person at the keys back.
+
+- ``__main__``: The process: its signals, its end of the socket pair
+- ``app``: The pages, dialogs and keys (textual)
+- ``lines``: Lines as pieces of text with a style, cut and wrapped by terminal cells
+- ``one_slave``: Lines of the page of one slave, and the story why it is not in data exchange
+- ``overview``: Lines of the first page: state of the bus, one line a slave, events
+- ``process``: The end of ``run``: starts the process, sends items to it, receives orders
+- ``view``: The plant as shown: is it fresh, which slaves are alive, changed values, filter
+"""

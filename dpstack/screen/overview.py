@@ -1,0 +1,253 @@
+"""Lines of the first page: state of the bus, one line a slave, the last events. They fit into 40 cells and more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Final
+
+from dpstack.screen.lines import Line, Piece, cut_line, padded, piece, width_of
+from dpstack.screen.view import View, clock_text
+from dpstack.units import baud_text
+
+_BARS: Final = "▁▂▃▄▅▆▇█"
+_EVENT_STYLES: Final = {"warning": "warn", "error": "bad"}
+_MODES: Final = {"operate": "good", "clear": "warn"}
+_GAP: Final = 1
+
+
+# --- the bus ----------------------------------------------------------------------------------------------------------
+
+
+def head(view: View, width: int, *, paused: str = "", note: str = "") -> list[Line]:
+    """State of the bus, rotation time with histogram, counters; then what is not as it should be, a line each."""
+    lines = [_title(view, width), *_figures(view, width)]
+    lines += [cut_line([piece(text, style)], width) for text, style in notices(view, paused=paused, note=note)]
+    return lines
+
+
+def _title(view: View, width: int) -> Line:
+    state = view.state
+    plant, bus = state.plant or {}, state.bus
+    mode = str(bus.get("mode", "starting"))
+    clock = ""
+    if state.t >= 0 and plant:
+        clock = datetime.fromtimestamp(plant["started"] + state.t).strftime("%H:%M:%S")
+    baud = plant.get("baud")
+    where: Line = [
+        (f" {mode.capitalize()} ", f"{_MODES.get(mode, 'bad')}" if view.fresh else "stale"),
+        piece(f"{clock} ", "" if view.fresh else "stale"),
+        piece(f"master {plant.get('address', '?')} on {plant.get('port', '?')}", "bold"),
+        piece(f" at {baud_text(baud)}" if baud else ""),
+        piece(", read-only" if plant.get("read_only") else ""),
+    ]
+    others = [str(master) for master in bus.get("masters", []) if master != plant.get("address")]
+    if others:
+        where.append(piece(f", other masters {', '.join(others)}"))
+    return cut_line(where, width)
+
+
+def _figures(view: View, width: int) -> list[Line]:
+    bus = view.state.bus
+    style = "" if view.fresh else "stale"
+    rotation = bus.get("rotation_us") or {}
+    counters: Line = [piece(f"{bus.get('telegrams', 0)} telegrams", style)]
+    for key, name in (("retries", "retries"), ("timeouts", "time-outs"), ("late", "late answers"), ("stray", "stray")):
+        count = bus.get(key) or 0
+        counters.append(piece(f"  {count} {name}", style or ("warn" if count else "")))
+    damaged = sum((bus.get("bad") or {}).values())
+    counters.append(piece(f"  {damaged} damaged", style or ("warn" if damaged else "")))
+    if not rotation.get("max"):
+        return [cut_line([("no rotation yet", "stale")], width), cut_line(counters, width)]
+    times = f"rotation {_us(rotation['p50'])}, 99 % {_us(rotation['p99'])}, longest {_us(rotation['max'])}"
+    first: Line = [piece(times, style)]
+    classes = bus.get("histogram") or []
+    room = min(24, width - width_of(first) - 2)
+    if classes and room >= 6:
+        first += [("  ", ""), (bars(classes, room), style or "label")]
+    return [cut_line(first, width), cut_line(counters, width)]
+
+
+def _us(us: float) -> str:
+    return f"{us / 1000:.3g} ms" if us >= 1000 else f"{us:.0f} us"
+
+
+def bars(classes: Sequence[Sequence[float]], room: int) -> str:
+    """A histogram in at most ``room`` cells. A class with any count has at least the lowest bar; empty ones a blank."""
+    limits = [limit for limit, _ in classes]
+    low, high = limits[0], limits[-1]
+    room = min(room, len(limits)) if high <= low else room
+    counts = [0.0] * room
+    for limit, count in classes:
+        counts[0 if high <= low else min(room - 1, int((limit - low) / (high - low) * room))] += count
+    most = max(counts) or 1
+    return "".join(_BARS[min(7, int(8 * count / most))] if count else " " for count in counts)
+
+
+def notices(view: View, *, paused: str = "", note: str = "") -> list[tuple[str, str]]:
+    """What keeps the page from being the plant of this moment, and the master from letting outputs out."""
+    state, found = view.state, []
+    bus = state.bus
+    if paused:
+        found.append((f"PAUSED at {paused}: everything here is of that time; space goes on", "title"))
+    if note:
+        found.append((note, "warn"))
+    if state.end is not None:
+        found.append((f"ended: {state.end}", "bad"))
+    elif view.silent_s >= SHOWN_SILENT_S:
+        found.append((f"no news from the bus for {view.silent_s:.0f} s: nothing here is of this moment", "bad"))
+    if view.process_silent:
+        found.append(("the bus process is silent: nothing here is of this moment", "bad"))
+    elif bus.get("stale") and state.end is None:
+        age = (bus.get("age_ms") or 0) / 1000
+        found.append((f"the counters are {age:.1f} s old: nothing here is of this moment", "bad"))
+    if bus and not bus.get("in_ring") and state.end is None:
+        found.append(("this master is not in the token ring", "bad"))
+    held, port = bus.get("clear"), (state.plant or {}).get("port")
+    if held:
+        found.append(
+            (
+                f"in Clear since {held['since']} s: {held['because']}; dpstack ctl {port} operate lets outputs out",
+                "warn",
+            )
+        )
+    elif bus.get("mode") == "clear" and not (state.plant or {}).get("read_only"):
+        found.append((f"in Clear: no outputs go out; dpstack ctl {port} operate lets them out", "warn"))
+    if state.lost:
+        found.append((f"{state.lost} events did not get here", "warn"))
+    return found
+
+
+#: from here on the silence of `run` is shown; the values count as old a moment later
+SHOWN_SILENT_S: Final = 1.5
+
+
+# --- slaves -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Widths of the table of slaves for ``width`` cells; 0: left out."""
+
+    name: int
+    state: int
+    counters: int
+    values: int
+
+    @classmethod
+    def fitting(cls, width: int) -> Columns:
+        name = 10 if width < 60 else 14 if width < 80 else 18 if width < 120 else 24
+        state = 9 if width < 60 else 13
+        counters = 0 if width < 72 else 6
+        fixed = 2 + 4 + name + _GAP + state + _GAP + 2 * (counters + _GAP if counters else 0)
+        return cls(name, state, counters, max(0, width - fixed))
+
+
+def slaves_head(width: int) -> Line:
+    c = Columns.fitting(width)
+    line: Line = [(f"  {'adr':>3} {padded('name', c.name)} {padded('state', c.state)} ", "label")]
+    if c.counters:
+        line.append((f"{padded('retry', c.counters, right=True)} {padded('late', c.counters, right=True)} ", "label"))
+    return cut_line([*line, ("values", "label")], width)
+
+
+def slave_line(view: View, address: str, width: int) -> Line:
+    """One slave: sign, address, name, state, repetitions, late answers, its remark and its values."""
+    c = Columns.fitting(width)
+    values = view.state.slaves.get(address, {})
+    alive = view.alive(address)
+    sign, style = view.mark(address)
+    quiet = "" if alive else "stale"
+    line: Line = [
+        (f"{sign} ", style),
+        (f"{padded(address, 3, right=True)} ", quiet),
+        (padded(view.name(address), c.name) + " ", "bold" if alive else "stale"),
+        (padded(view.state_text(address), c.state) + " ", "good" if alive else "bad"),
+    ]
+    if c.counters:
+        late = (values.get("late") or 0) + (values.get("wrong") or 0)
+        for count in (values.get("retries") or 0, late):
+            line.append((padded(count, c.counters, right=True) + " ", quiet or ("warn" if count else "")))
+    rest: Line = []
+    remark, how = view.remark(address)
+    if remark:
+        rest += [piece(remark, how), ("  ", "")]
+    if not alive and values:
+        age = view.age_s(address)
+        rest.append(("old: " if age is None else f"old {age:.1f} s: ", "stale"))
+    rest += drive_pieces(view, address) if values.get("drive") else values_pieces(view, address)
+    return line + cut_line(rest, c.values)
+
+
+def drive_pieces(view: View, address: str) -> Line:
+    """State, speed, set point and actual values of a drive."""
+    drive: Mapping[str, Any] = view.state.slaves[address]["drive"]
+    style = "" if view.alive(address) else "stale"
+    found: Line = [
+        piece(str(drive.get("state")).replace("_", " "), style or ("good" if drive.get("running") else "")),
+        piece(f"  {percent(drive.get('speed'))}", style or "bold"),
+        piece(f" set {percent(drive.get('setpoint'))}", style),
+    ]
+    if drive.get("frequency_hz") is not None:
+        found.append(piece(f"  {drive['frequency_hz']:.1f} Hz", style))
+    for key in ("current", "torque"):
+        if drive.get(key) is not None:
+            found.append(piece(f"  {key} {percent(drive[key])}", style))
+    return found
+
+
+def percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f} %"
+
+
+def values_pieces(view: View, address: str) -> Line:
+    """Named values with units; without names the octets."""
+    values, plant = view.state.slaves.get(address, {}), view.slave_plant(address)
+    style = "" if view.alive(address) else "stale"
+    found: Line = []
+    for direction, label in (("inputs", ""), ("outputs", "out ")):
+        fields = plant.get(direction) or []
+        if fields:
+            found.append(piece(label, "label"))
+            for field in fields:
+                found += [*field_pieces(view, address, field, style), ("  ", "")]
+        elif values.get(direction):
+            found += [("in " if direction == "inputs" else "out ", "label"), piece(octets(values[direction]), style)]
+            found.append(("  ", ""))
+    if values.get("held") is not None:
+        found.append(("not sent: ", "warn"))
+        held = values.get("held_fields") or {}
+        found.append(piece(", ".join(f"{k} {shown(v)}" for k, v in held.items()) or octets(values["held"]), "stale"))
+    return found
+
+
+def field_pieces(view: View, address: str, field: Mapping[str, Any], style: str) -> list[Piece]:
+    """``name value unit``; marked for a moment where the value has just changed."""
+    name = str(field["name"])
+    value = (view.state.slaves.get(address, {}).get("fields") or {}).get(name)
+    unit = f" {field['unit']}" if field.get("unit") else ""
+    changed = not style and view.just_changed(address, name)
+    return [piece(f"{name} ", style or "label"), piece(shown(value) + unit, "changed" if changed else style)]
+
+
+def shown(value: object) -> str:
+    """A value for people: ``on``, ``3.4``, ``-``."""
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return "-" if value is None else str(value)
+
+
+def octets(digits: str) -> str:
+    """Hex digits, a blank after every two octets."""
+    return " ".join(digits[at : at + 4] for at in range(0, len(digits), 4))
+
+
+# --- events -----------------------------------------------------------------------------------------------------------
+
+
+def event_line(event: Mapping[str, Any]) -> Line:
+    style = _EVENT_STYLES.get(str(event.get("severity")), "")
+    return [piece(f"{clock_text(event)} ", "label"), piece(event.get("text", ""), style)]

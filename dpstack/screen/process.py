@@ -1,0 +1,188 @@
+"""The end of ``dpstack run``: starts the process of the screen, sends items to it, receives orders of the person.
+
+It never draws and never waits for the screen: items that the screen does not read are merged (:mod:`dpstack.live`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import termios
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from typing import Any, Final
+
+from dpstack.api.bus.live import LiveStream
+from dpstack.live.pending import portions
+from dpstack.text import json_text
+
+#: octets of the longest line to the screen: the plant of 125 slaves has some 4 MB
+LONGEST: Final = 64 << 20
+#: exit code of a screen whose terminal is lost
+GONE: Final = 3
+#: octets that may wait for the screen before its items are merged
+_MOST_UNREAD: Final = 1 << 16
+#: octets of the longest order
+_LONGEST_ORDER: Final = 1 << 12
+#: s until the screen must have left the terminal, and its process must have ended
+_LEAVE_S: Final = 2.0
+#: signals that a terminal sends to the whole group: `run` decides, and tells the screen
+_FROM_TERMINALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
+#: what a screen that was killed has left switched on: mouse, focus, paste, key protocol, alternate screen, no cursor
+_RESET: Final = b"".join(
+    b"\x1b[" + code for code in b"?1000l ?1003l ?1015l ?1006l ?1004l ?2004l ?2048l <u ?7h ?1049l ?25h 0m".split()
+)
+
+
+def is_installed() -> bool:
+    """Whether textual is there (the extra ``screen``); it is not imported here."""
+    return find_spec("textual") is not None
+
+
+class Terminal:
+    """The state of the terminal ``fd`` at this moment, to set it back."""
+
+    def __init__(self, fd: int) -> None:
+        self.fd = fd
+        self._attributes = termios.tcgetattr(fd)
+
+    @property
+    def in_foreground(self) -> bool:
+        try:
+            return os.tcgetpgrp(self.fd) == os.getpgrp()
+        except OSError:
+            return False
+
+    def restore(self) -> None:
+        """Echo and lines as before, the normal screen, a cursor. Never waits for the terminal."""
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGTTOU,))
+        try:
+            with contextlib.suppress(OSError, termios.error):
+                termios.tcsetattr(self.fd, termios.TCSANOW, self._attributes)
+                blocking = os.get_blocking(self.fd)
+                os.set_blocking(self.fd, False)
+                try:
+                    os.write(self.fd, _RESET)
+                finally:
+                    os.set_blocking(self.fd, blocking)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class ScreenProcess:
+    """The process of the screen on ``terminal``. ``on_order`` gets each order, a dict with ``order``."""
+
+    def __init__(self, terminal: Terminal, on_order: Callable[[Mapping[str, Any]], None]) -> None:
+        self._terminal = terminal
+        self._on_order = on_order
+        self._process: subprocess.Popen[bytes] | None = None
+        self._reader: asyncio.StreamReader | None = None
+        self._writer: asyncio.StreamWriter | None = None
+        self._left = asyncio.Event()
+
+    async def start(self) -> None:
+        """Start the process. Raises OSError."""
+        ours, theirs = socket.socketpair()
+        try:
+            # in a thread, because fork and exec would stop the loop of the bus for some ms
+            self._process = await asyncio.to_thread(_started, self._terminal.fd, theirs)
+            self._reader, self._writer = await asyncio.open_connection(sock=ours, limit=_LONGEST_ORDER)
+            self._writer.transport.set_write_buffer_limits(high=_MOST_UNREAD)
+        except OSError:
+            ours.close()
+            raise
+        finally:
+            theirs.close()
+
+    async def show(self, stream: LiveStream) -> None:
+        """Send the items of ``stream`` until the screen ends."""
+        assert self._reader is not None
+        sending = asyncio.create_task(self._send(stream))
+        try:
+            while line := await self._reader.readline():
+                order = json.loads(line)
+                if isinstance(order, dict):
+                    self._take(order)
+        except (OSError, ValueError):
+            pass  # it has ended, or sends nonsense: then it is ended
+        finally:
+            sending.cancel()
+            stream.close()
+
+    async def _send(self, stream: LiveStream) -> None:
+        assert self._writer is not None
+        with contextlib.suppress(OSError):
+            async for item in stream:
+                for portion in portions(item):
+                    self.tell(portion)
+                    await self._writer.drain()
+                    await asyncio.sleep(0)  # the bus has its turn
+
+    def _take(self, order: Mapping[str, Any]) -> None:
+        if order.get("order") == "left":
+            self._left.set()
+        else:
+            self._on_order(order)
+
+    def tell(self, message: Mapping[str, Any]) -> None:
+        """Send one message: an item, an order to the screen or an answer. Without effect once it has ended."""
+        if self._writer is not None and not self._writer.is_closing():
+            self._writer.write(json_text(message).encode() + b"\n")
+
+    async def leave(self) -> None:
+        """Make the screen leave the terminal; it goes on to receive items."""
+        self._left.clear()
+        self.tell({"screen": "leave"})
+        try:
+            async with asyncio.timeout(_LEAVE_S):
+                await self._left.wait()
+        except TimeoutError:
+            self._terminal.restore()
+
+    def come_back(self) -> None:
+        """Let the screen have the terminal again."""
+        self.tell({"screen": "return"})
+
+    async def end(self) -> int:
+        """End the process and restore the terminal. Returns its exit code, negative for a signal."""
+        if self._writer is not None:
+            self._writer.close()
+        code = 0
+        if self._process is not None:
+            try:
+                code = await asyncio.to_thread(self._process.wait, _LEAVE_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                code = await asyncio.to_thread(self._process.wait)
+        self._terminal.restore()
+        return code
+
+    def kill(self) -> None:
+        """End the process at once and restore the terminal, outside of the event loop."""
+        if self._process is not None:
+            self._process.kill()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(0.2)
+        self._terminal.restore()
+
+
+def _started(terminal: int, link: socket.socket) -> subprocess.Popen[bytes]:
+    """The process has the terminal as its three standard streams: textual reads one and draws on another."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _FROM_TERMINALS)
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", "dpstack.screen", str(link.fileno())],
+            stdin=terminal,
+            stdout=terminal,
+            stderr=terminal,
+            pass_fds=(link.fileno(),),
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
+        )
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

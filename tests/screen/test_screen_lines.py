@@ -1,0 +1,185 @@
+"""Lines of the live screen: they fit every width, nothing foreign is markup, and nothing old looks fresh."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.cells import cell_len
+from screen_kit import LONG, event, field, plant, slave_plant, snapshot, some_plant
+
+from dpstack.live.state import Item
+from dpstack.screen.lines import STYLES, Line, cut, padded, width_of, wrapped
+from dpstack.screen.one_slave import page
+from dpstack.screen.overview import bars, event_line, head, notices, slave_line, slaves_head
+from dpstack.screen.view import View
+
+
+def view_of(items: list[Item], now: float = 10.0) -> View:
+    view = View()
+    for item in items:
+        view.apply(item, now)
+    return view
+
+
+def text_of(line: Line) -> str:
+    return "".join(text for text, _ in line)
+
+
+def all_lines(view: View, width: int) -> list[Line]:
+    lines = [*head(view, width, paused="12:00:00", note=LONG), slaves_head(width)]
+    for address in view.addresses():
+        lines += [slave_line(view, address, width), *page(view, address, width, LONG)]
+    return lines
+
+
+@pytest.mark.parametrize("width", [40, 59, 60, 80, 119, 200])
+def test_every_line_fits_and_is_plain_text(width: int) -> None:
+    view = view_of(some_plant())
+    for line in all_lines(view, width):
+        assert width_of(line) <= width
+        assert text_of(line).isprintable()
+        assert {style for _, style in line} <= set(STYLES)
+    assert text_of(event_line(view.state.events[-1])).isprintable()
+
+
+def test_a_slave_shows_names_values_and_units() -> None:
+    view = view_of(some_plant())
+    text = text_of(slave_line(view, "3", 120))
+    assert " ".join(text.split()) == "* 3 valves data exchange 3 0 level 3.4 bar limit on out target 5"
+    drive = text_of(slave_line(view, "4", 160))
+    assert "drive fault: F2100 overload" in drive
+    assert "12.3 % set 50.0 %  6.2 Hz  current 42.0 %" in drive
+    assert "1500" not in drive
+    assert "185 rpm" in "\n".join(map(text_of, page(view, "4", 80)))
+
+
+def test_markup_of_a_device_stays_text() -> None:
+    assert "module 2 [red]missing[/]" in "\n".join(map(text_of, page(view_of(some_plant()), "8", 80)))
+    assert "[bold red]x[/]" in text_of(slave_line(view_of(some_plant()), "125", 100))
+
+
+NOT_ALIVE: dict[str, list[Item]] = {
+    "the slave left data exchange": [snapshot({"3": {"state": "set_prm"}}, whole=False)],
+    "its inputs are not valid": [snapshot({"3": {"inputs_valid": False}}, whole=False)],
+    "the counters are stale": [snapshot({}, whole=False, stale=True)],
+    "the bus process is silent": [{"event": {"event": "bus_process", "silent": True, "text": "silent"}}],
+    "the bus has ended": [{"end": {"text": "closed"}}],
+    "nothing comes any more": [],
+}
+
+
+@pytest.mark.parametrize("case", NOT_ALIVE)
+def test_old_values_never_look_fresh(case: str) -> None:
+    view = view_of([*some_plant(), *NOT_ALIVE[case]])
+    view.now += 2.5 if case == "nothing comes any more" else 0
+    line = slave_line(view, "3", 120)
+    assert line[0][0] == "- "
+    shown = [(text, style) for text, style in line if "3.4" in text or text.startswith("on")]
+    assert len(shown) == 2
+    assert {style for _, style in shown} == {"stale"}
+    assert "old" in text_of(line)
+    assert "data exchange" not in text_of(line)
+    lines = page(view, "3", 100)
+    assert "not alive" in "\n".join(map(text_of, lines))
+    for one in lines:
+        assert not any("3.4" in text and style != "stale" for text, style in one)
+
+
+def test_silence_of_the_bus_process_ends_with_its_return() -> None:
+    silent = {"event": {"event": "bus_process", "silent": True, "text": "silent"}}
+    back = {"event": {"event": "bus_process", "silent": False, "text": "back"}}
+    assert any("bus process is silent" in text for text, _ in notices(view_of([*some_plant(), silent])))
+    assert view_of([*some_plant(), silent, back]).alive("3")
+
+
+def test_what_is_not_as_it_should_be_is_said() -> None:
+    held = {"since": 3.5, "because": "stall"}
+    view = view_of([*some_plant(), snapshot({}, whole=False, mode="clear", clear=held, in_ring=False), {"lost": 7}])
+    texts = "\n".join(text for text, _ in notices(view))
+    for expected in ("in Clear since 3.5 s: stall", "not in the token ring", "7 events"):
+        assert expected in texts
+    assert "12:00" not in texts
+    clear = notices(view_of([*some_plant(), snapshot({}, whole=False, mode="clear")]))
+    assert clear == [("in Clear: no outputs go out; dpstack ctl /dev/ttyUSB0 operate lets them out", "warn")]
+    assert not notices(view_of(some_plant()))
+
+
+def test_outputs_that_are_not_sent_are_marked() -> None:
+    text = text_of(slave_line(view_of(some_plant()), "125", 400))
+    assert "out 0000" in text
+    assert "not sent: 0005" in text
+
+
+def test_the_filter_takes_words_of_address_name_state_and_remark() -> None:
+    view = view_of(some_plant())
+    assert view.addresses() == ["3", "4", "8", "125"]
+    assert view.addresses("TANK refused") == ["8"]
+    assert view.addresses("f2100") == ["4"]
+    assert view.addresses("nobody") == []
+    assert view.addresses(conspicuous=True) == ["4", "8", "125"]
+
+
+def test_a_changed_value_is_marked_for_a_second() -> None:
+    view = view_of(some_plant())
+    view.apply(snapshot({"3": {"fields": {"level": 3.5, "limit": True, "target": 5}}}, whole=False), 11.0)
+    assert [text for text, style in slave_line(view, "3", 120) if style == "changed"] == ["3.5 bar"]
+    view.apply(snapshot({}, whole=False), 12.5)
+    assert not [text for text, style in slave_line(view, "3", 120) if style == "changed"]
+
+
+def test_a_drive_that_repeats_its_state_fills_no_events() -> None:
+    again = [event("drive 4 (hoist): running", 4, kind="drive")] * 50
+    view = view_of([*some_plant(), *again, event("slave 3: diagnosis", 3), *again])
+    assert [one["text"] for one in view.events_of("4")] == ["drive 4 (hoist): running"]
+    assert [one["text"] for one in view.events_of()][-2:] == ["drive 4 (hoist): running", "slave 3: diagnosis"]
+
+
+def test_a_paused_view_stands_still() -> None:
+    view = view_of(some_plant())
+    still = view.frozen()
+    view.apply(snapshot({"3": {"fields": {"level": 99.0, "limit": True, "target": 5}}}, whole=False), 10.1)
+    assert "3.4 bar" in text_of(slave_line(still, "3", 120))
+    assert "99 bar" in text_of(slave_line(view, "3", 120))
+
+
+def test_a_histogram_shows_even_a_single_late_rotation() -> None:
+    drawn = bars([[1000, 20], [1200, 400], [4012, 1]], 20)
+    assert len(drawn) == 20
+    assert drawn[-1] == "▁"
+    assert drawn.count("█") == 1
+    assert bars([[1130.0, 9]], 20) == "█"
+
+
+def test_why_is_told_as_the_command_tells_it() -> None:
+    story = {
+        "slave": "tank", "address": 8, "source": "run", "state": "fault",
+        "steps": [{"t": 0.1, "text": "Set_Prm: acknowledged"}],
+        "causes": [{"cause": "module_order", "confidence": 0.9, "meaning": "another order [b]",
+                    "for": ["module 2 is module 1"], "against": [], "next": "change the order"}],
+    }  # fmt: skip
+    text = "\n".join(map(text_of, page(view_of(some_plant()), "8", 60, story)))
+    for expected in ("Set_Prm: acknowledged", "module_order (90 %): another order [b]", "next: change the order"):
+        assert expected in text
+
+
+@settings(max_examples=30)
+@given(st.text(), st.integers(1, 50))
+def test_cut_and_padded_keep_their_cells(text: str, width: int) -> None:
+    assert cell_len(cut(text, width)) <= width
+    assert cell_len(padded(text, width)) == width
+
+
+@settings(max_examples=30)
+@given(st.text(st.characters(exclude_categories=["C", "M"]), max_size=200), st.integers(12, 60))
+def test_wrapped_lines_fit_and_lose_no_letter(text: str, width: int) -> None:
+    lines = wrapped([(text, "")], width, 2)
+    assert all(width_of(line) <= width for line in lines)
+    assert "".join(map(text_of, lines)).replace(" ", "") == text.replace(" ", "")
+
+
+def test_a_slave_without_any_values_yet() -> None:
+    view = view_of([plant({"5": slave_plant(5, "new", inputs=[field("x")])}), snapshot({})])
+    assert "unknown" in text_of(slave_line(view, "5", 80))
+    assert "nothing is known" in "\n".join(map(text_of, page(view, "5", 80)))
+    assert all_lines(view_of([]), 80)
