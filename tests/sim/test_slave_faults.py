@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from octet_wire import BIT
+from octet_wire import BIT, PARAMS
+from property_kit import examples
 from simulated_kit import SC, VALVES, Asked
 
 from dpstack.dp.pdu.diag_blocks import UserDiag
+from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.telegram import Resp
 from dpstack.sim.slave_faults import (
     Fault,
@@ -137,6 +141,58 @@ def _noisy(seed: int) -> list[str]:
     return found
 
 
+def test_behind_a_port_late_answers_come_at_their_time_unless_the_slave_is_off() -> None:
+    """All slaves of a port are one machine, which sends the late answer by itself."""
+    asked = Asked()
+    unit = asked.unit
+    port = Multidrop([unit.station], PARAMS)
+    unit.faults.connect(lambda octets, at: port.send_at(unit.station, octets, at))
+    asked.wire.station = port  # type: ignore[assignment]
+    asked.unit.faults.begin(LateAnswers(400 * BIT))
+    assert asked.exchange("12 34") == GOOD  # the wire waits for 500 bits
+    begun, _ = asked.wire.out[0]
+    assert begun == asked.wire.now >= 400 * BIT
+    asked.unit.faults.begin(LateAnswers(2_000_000))
+    assert asked.exchange("12 34") == ""
+    port.silence(8)
+    asked.wire.pass_time(3_000_000)
+    assert asked.wire.out == []
+    port.resume(8)
+    assert asked.exchange("56 78") == ""
+    asked.wire.pass_time(3_000_000)
+    assert [octets.hex(" ").upper() for _, octets in asked.wire.out] == ["68 05 05 68 02 08 08 56 78 E0 16"]
+
+
+def calls_of(asked: Asked) -> int:
+    """Python calls of one exchange, with the telegram of the master read octet by octet."""
+    asked.exchange("12 34")
+    count = 0
+
+    def counted(_frame: object, event: str, _argument: object) -> None:
+        nonlocal count
+        count += event == "call"
+
+    sys.setprofile(counted)
+    try:
+        asked.exchange("12 34")
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+def test_a_slave_without_faults_costs_no_call_more() -> None:
+    plain = calls_of(Asked())
+    assert plain <= 33
+    asked = Asked()
+    late(asked)
+    for fault in (LateAnswers(1), Refusals(), StubNoise(1e-9)):
+        asked.unit.faults.begin(fault)
+        asked.exchange("12 34")
+        asked.unit.faults.end(fault)
+    assert calls_of(asked) == plain
+
+
+@examples(10)
 @given(
     st.lists(
         st.sampled_from(

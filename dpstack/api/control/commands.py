@@ -74,14 +74,14 @@ SLAVES: Final = (
     Spec(
         "parameter-error", "SLAVE ERROR [TIMES]", "the next accesses to its parameters end with this error", "4 104 3"
     ),
-    Spec("input", "SLAVE [SLOT] HEX", "inputs of a simulated slave, or of a module of the I/O station", "8 01FF"),
+    Spec("input", "SLAVE [SLOT] HEX", "inputs of a simulated slave, or of one module", "8 01FF"),
     Spec("set", "SLAVE.FIELD=VALUE...", "named inputs of simulated slaves, and no other bits", "8.level=1200"),
     Spec("mirror", "SLAVE", "its inputs are its outputs again", "8"),
     Spec("wire-break", "SLAVE SLOT CHANNEL on|off", "the wire of an analogue input of it", "io 3 0 on"),
     Spec("pull", "SLAVE SLOT", "takes a module out of it", "io 2"),
     Spec("plug", "SLAVE SLOT [MODULE]", "puts it in again, or another one", "io 2"),
     Spec("parameter", "SLAVE SLOT HEX", "parameters of a module, changed at the device", "io 1 03"),
-    Spec("fault", "SLAVE KIND [KEY=VALUE]...", "a fault as in a scenario", "3 late_answers by_ms=20 for=3"),
+    Spec("fault", "SLAVE KIND [KEY=VALUE]...", "a fault as in a scenario", "3 late_answers by_ms=20 for=3s"),
     Spec("normal", "SLAVE", "ends the faults of it that `fault` began", "3"),
     Spec("silence", "SLAVE [TIME]", "deaf and mute for a time, else until resume", "3 2s"),
     Spec("resume", "SLAVE", "ends a silence", "3"),

@@ -442,13 +442,14 @@ def _publish(bench: Bench, program: Bus | Simulation | None, command: str, addre
 
 
 def _input(bench: Bench, address: int, args: list[str]) -> object:
-    """Set all inputs of a slave, or those of a module of the I/O station."""
-    if len(args) > 1:
-        if not isinstance(bench.device(address), IoStation):
-            raise UsageError(f"{bench.units[address].who}: a slot without an I/O station; write `input SLAVE HEX`")
+    """Set all inputs of a slave, or those of a module."""
+    unit = bench.units[address]
+    if len(args) > 1 and isinstance(unit.device, IoStation):
         return _OF_SLOT(bench, address, args)
-    octets = arguments.hex_octets(args[0], "write for instance 01FF")
-    remark = bench.units[address].set_inputs(octets)
+    octets = arguments.hex_octets(args[-1], "write for instance 01FF")
+    if len(args) > 1:
+        octets = unit.with_module_inputs(arguments.whole_number(args[0]), octets)
+    remark = unit.set_inputs(octets)
     return None if remark is None else f"done, without an alarm: {remark}"
 
 

@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from dpstack.api.config.config import read_tables, read_text
 from dpstack.api.config.table import Key, Source, Table
+from dpstack.api.control.arguments import time_ns
 from dpstack.api.control.commands import SLAVES, Spec
 from dpstack.api.control.server import Handler
 from dpstack.api.server.fault_steps import KINDS, Deed, End, Kind
@@ -131,8 +132,8 @@ def read_fault(args: Sequence[str], bench: Bench, address: int) -> tuple[Deed, i
     for text in options:
         key, equals, value = text.partition("=")
         if not equals:
-            raise ConfigError(f"fault: {text!r} is not KEY=VALUE; write for instance by_ms=20 for=3")
-        data[key] = _value(value)
+            raise ConfigError(f"fault: {text!r} is not KEY=VALUE; write for instance by_ms=20 for=3s")
+        data[key] = ns_to_s(time_ns(value)) if key == "for" else _value(value)
     table = Table(Source("fault"), (), data, do)
     do = do.strip().lower().replace("-", "_")
     kind = _kind(table, do, {})

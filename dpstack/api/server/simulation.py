@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Final, Literal
 
 from dpstack.api.config.config import AUTO, ECHO, Config, port_of, rate_findings
@@ -71,7 +72,7 @@ class Simulation(Bench):
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._line = Multidrop([slave.station for slave in self.slaves], params, patience=patience)
         for slave in self.slaves:
-            slave.faults.connect(self._line.send_at)
+            slave.faults.connect(partial(self._send_at, slave))
         self._search: SearchingPort | None = None
         self._was_found = False
         if baud == AUTO:
@@ -150,6 +151,9 @@ class Simulation(Bench):
 
     def call_at(self, at_ns: int, callback: Callable[[], None]) -> None:
         asyncio.get_running_loop().call_later(max(0.0, ns_to_s(at_ns - self.now)), self._call, callback)
+
+    def _send_at(self, slave: SimulatedSlave, octets: bytes, at_ns: int) -> None:
+        self._line.send_at(slave.station, octets, at_ns)
 
     def _call(self, callback: Callable[[], None]) -> None:
         if not self._is_over:

@@ -18,6 +18,7 @@ from dpstack.dpv1.slave.loopback_device import HeldInputs, MirrorDevice, mirror_
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import BusStation
 from dpstack.fdl.passive.station import PassiveStation
+from dpstack.gsd.identifiers import io_lengths
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
@@ -206,6 +207,25 @@ class SimulatedSlave:
         if octets is None:
             raise UsageError(f"{self.who}: the I/O station mirrors nothing; give the octets of its inputs")
         return device.set_inputs(octets)
+
+    def with_module_inputs(self, slot: int, octets: bytes) -> bytes:
+        """The inputs with ``octets`` as those of the module in ``slot``, counted as its GSD file does.
+
+        Raises UsageError with the slots that have inputs.
+        """
+        modules, device = self.config.modules, self.config.device
+        if modules is None or device is None:
+            raise UsageError(f"{self.who}: no GSD file says what its slots are; write `input SLAVE HEX`")
+        at, known = 0, []
+        for number, module in enumerate(modules, device.first_slot):
+            length = 0 if module is None else io_lengths(module.config)[0]
+            if number == slot and length == len(octets):
+                return self.inputs[:at] + octets + self.inputs[at + length :]
+            if length:
+                known.append(f"slot {number}: {octets_text(length)}")
+            at += length
+        there = ", ".join(known) or "none"
+        raise UsageError(f"{self.who}: slot {slot} has no {octets_text(len(octets))} of inputs; there are: {there}")
 
     def input_field(self, name: str) -> Field:
         """The declaration of a named input. Raises UsageError with the known ones."""

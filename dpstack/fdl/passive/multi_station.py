@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from bisect import insort
 from collections.abc import Iterable
+from typing import NamedTuple
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.commands import AtStation
@@ -19,6 +20,18 @@ from dpstack.params import BROADCAST, BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
 from dpstack.units import NEVER
+
+
+class _Unasked(NamedTuple):
+    """Octets that a faulty station sends at ``at`` (ns)."""
+
+    at: int
+    octets: bytes
+    station: PassiveStation
+
+
+def _at_of(unasked: _Unasked) -> int:
+    return unasked.at
 
 
 class Multidrop(PassiveReceiver):
@@ -35,7 +48,7 @@ class Multidrop(PassiveReceiver):
         self._index: dict[int, PassiveStation] = {}  # by address
         self._silent: dict[PassiveStation, int] = {}  # silenced stations with the end of their silence, in ns
         self._answering: PassiveStation | None = None
-        self._unasked: list[tuple[int, bytes]] = []  # octets of faulty stations with their times in ns, the first first
+        self._unasked: list[_Unasked] = []  # of faulty stations, the first one first
         self.set_params(params)
         for station in stations:
             self.add(station)
@@ -75,9 +88,10 @@ class Multidrop(PassiveReceiver):
         """End of a station's silence in ns; None when it is not silenced. Raises UsageError."""
         return self._silent.get(self._station(address))
 
-    def send_at(self, octets: bytes, at: int) -> None:
-        """Send ``octets`` at ``at`` (ns), whatever is on the line then: a faulty station does not ask."""
-        insort(self._unasked, (at, octets))
+    def send_at(self, station: PassiveStation, octets: bytes, at: int) -> None:
+        """Send ``octets`` of a faulty ``station`` at ``at`` (ns), whatever is on the line then, unless the station is
+        taken off the line or silenced before."""
+        insort(self._unasked, _Unasked(at, octets, station), key=_at_of)
 
     def poke(self) -> None:
         """Read the address and the deadline of every station anew."""
@@ -117,8 +131,8 @@ class Multidrop(PassiveReceiver):
 
     def take_tx(self, now: int) -> bytes | None:
         """The answer that waits, once its T_SDR is over; octets of :meth:`send_at` at their time."""
-        if self._unasked and self._unasked[0][0] <= now:
-            return self._unasked.pop(0)[1]
+        if self._unasked and self._unasked[0].at <= now:
+            return self._unasked.pop(0).octets
         station = self._answering
         if station is None or self.decoder.pending:
             return None
@@ -135,8 +149,8 @@ class Multidrop(PassiveReceiver):
             own = self._answering.answer_at()
         else:
             own = self._next
-        if self._unasked and self._unasked[0][0] < own:
-            own = self._unasked[0][0]
+        if self._unasked and self._unasked[0].at < own:
+            own = self._unasked[0].at
         return own if own < self._next else self._next
 
     def take_events(self) -> list[Event]:
@@ -202,6 +216,7 @@ class Multidrop(PassiveReceiver):
         station.command(LineDown("off the line"), self.line.idle_since)
         if self._answering is station:
             self._answering = None
+        self._unasked = [one for one in self._unasked if one.station is not station]
         return station
 
     def _station(self, address: int) -> PassiveStation:

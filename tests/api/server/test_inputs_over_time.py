@@ -12,10 +12,11 @@ from api_kit import bench_of, bus_of, in_virtual_time
 
 import dpstack
 from dpstack.api.config.config import parse_config
+from dpstack.api.server import simulated_inputs
 from dpstack.api.server.simulated_inputs import SimulatedInputs
 from dpstack.errors import ConfigError
 
-HEAD = '[bus]\nport = "virtual"\nbaud = 500000\ncycle_ms = 5\n'
+HEAD = '[bus]\nport = "virtual"\nbaud = 93750\ncycle_ms = 10\n'
 TANK = (
     HEAD + '[[slave]]\nname = "tank"\naddress = 8\nident = 0x1234\nconfig = "11 20"\n'
     'inputs = { level = { at = "u16@0", scale = 0.1, unit = "bar" } }\noutputs = { valve = "bool@0.0" }\n'
@@ -157,10 +158,13 @@ async def test_an_ill_function_is_told_once_and_the_last_inputs_stay(tmp_path: P
 
 
 @in_virtual_time
-async def test_a_function_that_never_returns_does_not_hold_the_bus(tmp_path: Path) -> None:
+async def test_a_function_that_never_returns_does_not_hold_the_bus(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(simulated_inputs, "PATIENCE_S", 0.03)
     module = functions(tmp_path, "tank_slow")
     given = f'function = "{module}:slow", period_ms = 50'
-    found, told = await inputs_at(tmp_path, given, (0.08, 0.3, 2.0))
+    found, told = await inputs_at(tmp_path, given, (0.08, 0.3, 0.6))
     assert found == ["0046"] * 3
     assert told == [f"slave 8 (tank): function {module}:slow: takes longer than its period; the last inputs stay"]
     thread = next(one for one in threading.enumerate() if one.name == f"{module}:slow")

@@ -8,8 +8,12 @@ import pytest
 from api_kit import FAN, in_virtual_time, operating
 from simulated_kit import Asked
 
+from dpstack.api.config.config import slave_config
 from dpstack.api.control.handlers import control_run, slave_handlers
+from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.errors import UsageError
+from dpstack.params import BusParams
+from dpstack.sim.world import World
 
 IO: dict[str, object] = {
     "name": "io",
@@ -55,7 +59,7 @@ def test_inputs_replace_the_mirrored_outputs_until_they_are_mirrored_again() -> 
         ("set fan.level=1", "there are: 8 .valves"),
         ("set level", "write it as 8.limit=on"),
         ("input valves 01", "2 octets of inputs, 1 octet given"),
-        ("input valves 1 01", "a slot without an I/O station; write `input SLAVE HEX`"),
+        ("input valves 1 01", "no GSD file says what its slots are; write `input SLAVE HEX`"),
         ("input valves xy", "no hex digit"),
     ],
 )
@@ -67,6 +71,18 @@ def test_wrong_inputs_change_nothing(order: str, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         orders[name]([*(["valves.level=1"] if name == "set" else []), *args])
     assert asked.inputs("00 00") == "00 09"
+
+
+def test_inputs_of_one_module() -> None:
+    bench = VirtualBench(World(), BusParams.preset(500_000))
+    terminal = {"gsd": "examples/terminal.gsd", "modules": ["8 DI", "8 DO", "", "4 AI"]}
+    bench.add(slave_config({"name": "io", "address": 8, **terminal}))
+    orders = slave_handlers(bench)
+    orders["input"](["io", "4", "00 01 00 02 00 03 00 04"])
+    orders["input"](["io", "1", "7F"])
+    assert bench.units[8].inputs.hex() == "7f0001000200030004"
+    with pytest.raises(UsageError, match="no 1 octet of inputs; there are: slot 1: 1 octet, slot 4: 8 octets"):
+        orders["input"](["io", "2", "01"])
 
 
 @in_virtual_time

@@ -30,7 +30,7 @@ def test_the_example_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, cli: 
     (tmp_path / "faults.toml").write_text(text, encoding="utf-8")
     monkeypatch.setattr(asyncio, "run", loop.run)
     plant = tmp_path / "plant.toml"
-    plant.write_text(PLANT.read_text(encoding="utf-8").replace("[bus]", "[bus]\ncycle_ms = 20"), encoding="utf-8")
+    plant.write_text(PLANT.read_text(encoding="utf-8").replace("500000", "93750\ncycle_ms = 40"), encoding="utf-8")
     told = cli.jsons("run", str(plant), "--scenario", str(tmp_path / "faults.toml"), "--seconds", "3")
     steps = [(line["t"], line["step"], line["state"]) for line in told if line["event"] == "scenario"]
     assert steps == [

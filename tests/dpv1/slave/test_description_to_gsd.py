@@ -285,7 +285,7 @@ def descriptions(draw: st.DrawFn) -> SlaveDescription:
     )
 
 
-@examples(25)
+@examples(8)
 @given(descriptions())
 def test_reading_a_file_gives_the_slave_again(slave: SlaveDescription) -> None:
     said, _ = as_gsd_file(slave)
