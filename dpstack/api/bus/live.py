@@ -36,8 +36,12 @@ from dpstack.units import NS_PER_US, ns_to_s
 #: slaves in one step of a snapshot, about 0.2 ms, and the pause between two steps
 _STEP: Final = 8
 _PAUSE_S: Final = 0.002
+#: a snapshot takes one in so many parts of the time at most: that of 125 slaves, or on a busy computer, comes later,
+#: by so many s at most
+_SHARE: Final = 25
+_LONGEST_S: Final = 0.5
 #: counters and rotation times of the bus are read no more often
-_FIGURES_S: Final = 0.5
+_FIGURES_S: Final = 1.0
 #: shortest interval of snapshots in s
 _SHORTEST_S: Final = 0.02
 #: classes of the rotation times in a snapshot, at most
@@ -115,8 +119,9 @@ class LiveFeed:
         self._known: tuple[object, ...] = ()
         self._now: dict[str, Any] = {"bus": {}, "slaves": {}}
         self._slaves: dict[int, SlaveReader] = {}
-        self._figures: dict[str, object] = {}
         self._figures_at = 0.0
+        #: time of the loop that the present snapshot has taken, in s
+        self._busy = 0.0
 
     def join(self, interval: float) -> LiveStream:
         """A new reader. Call it in the event loop of the bus."""
@@ -143,7 +148,7 @@ class LiveFeed:
         if not self._readers:
             self._stop()
             # a later reader must not get an old snapshot
-            self._plant, self._now, self._figures = None, {"bus": {}, "slaves": {}}, {}
+            self._plant, self._now = None, {"bus": {}, "slaves": {}}
 
     def end(self, why: str) -> None:
         """The bus has ended: hand out its last snapshot, and the end."""
@@ -152,7 +157,7 @@ class LiveFeed:
         self._end = {"end": {"text": why}}
         if self._readers and self._plant is not None:
             self._hand_out(self._slave_changes(self._bus.slaves))
-            self._figures = {}
+            self._figures_at = -math.inf
             self._hand_out(self._bus_changes())
         for stream in list(self._readers):
             stream.put(self._end)
@@ -170,7 +175,7 @@ class LiveFeed:
     async def _run(self) -> None:
         loop = asyncio.get_running_loop()
         while True:
-            begun = loop.time()
+            begun, self._busy = loop.time(), 0.0
             with contextlib.suppress(UsageError):  # the bus was closed, or a slave removed, during the pauses
                 await self._round()
             now = loop.time()
@@ -179,7 +184,8 @@ class LiveFeed:
                     self._readers[stream] = max(now, due + stream.interval)
                     stream.wake()
             shortest = min((stream.interval for stream in self._readers), default=_SHORTEST_S)
-            await asyncio.sleep(max(_PAUSE_S, begun + shortest - loop.time()))
+            period = max(shortest, min(_SHARE * self._busy, _LONGEST_S))
+            await asyncio.sleep(max(_PAUSE_S, begun + period - loop.time()))
 
     async def _round(self) -> None:
         """One snapshot, a few slaves at a time."""
@@ -187,12 +193,16 @@ class LiveFeed:
         if self._bus.searching:
             self._hand_out({"bus": {}, "slaves": {}})  # a sign of life
             return
-        slaves = self._bus.slaves
+        loop, slaves = asyncio.get_running_loop(), self._bus.slaves
+        since = loop.time()
         for first in range(0, len(slaves), _STEP):
             if first:
+                self._busy += loop.time() - since
                 await asyncio.sleep(_PAUSE_S)
+                since = loop.time()
             self._hand_out(self._slave_changes(slaves[first : first + _STEP]))
         self._hand_out(self._bus_changes())
+        self._busy += loop.time() - since
 
     def _describe(self) -> None:
         """Hand out the plant where it is new, with an empty whole snapshot, which the rest of this round fills."""
@@ -227,20 +237,20 @@ class LiveFeed:
 
     def _bus_changes(self) -> dict[str, Any]:
         bus, at = self._bus, asyncio.get_running_loop().time()
-        if not self._figures or at - self._figures_at >= _FIGURES_S:
+        ring, values = bus.snapshot, dict[str, Any]()
+        if not self._now["bus"] or at - self._figures_at >= _FIGURES_S:
             self._figures_at = at
             counters = bus.view.counted()
-            self._figures = bus_figures(bus, (), counters).summary() | {"histogram": histogram(counters.rotation)}
-            del self._figures["slaves"]
-        ring = bus.snapshot
-        values = self._figures | {
+            values = bus_figures(bus, (), counters).summary() | {"histogram": histogram(counters.rotation)}
+            del values["slaves"]
+        values |= {
             "mode": bus.mode.name.lower(),
             "in_ring": ring.in_ring,
             "masters": sorted(ring.las),
             "clear": clear_since(bus) or None,
         }
         changes = difference(self._now["bus"], values)
-        self._now["bus"] = values
+        self._now["bus"].update(changes)
         return {"bus": changes, "slaves": {}}
 
     def _hand_out(self, changes: dict[str, Any]) -> None:
