@@ -77,7 +77,7 @@ def bench_with(*tables: Mapping[str, object]) -> VirtualBench:
 @in_virtual_time
 async def test_steps_happen_in_the_order_of_their_times_and_end() -> None:
     events: list[dpstack.Event] = []
-    async with operating(VALVES, RAW, on_event=events.append, cycle_ms=25, baud=45_450) as bus:
+    async with operating(VALVES, RAW, on_event=events.append, baud=45_450) as bus:
         bench = bench_of(bus)
         scenario = parse_scenario("repeat = 5.0\n" + STEPS, bench, slave_handlers(bench))
         origin = bus.runtime.now()
