@@ -58,8 +58,7 @@ class Line:
     """Counters of the whole line. ``bad``: damaged telegrams and octets outside of telegrams, by cause.
 
     ``longest_ns``: the longest time between two rounds that was measured, 0: none. ``planned_ns``: the longest one of
-    the plan. ``slot_bits``: T_SL, ``min_tsdr``: the
-    earliest answer that the master takes, both in bit times.
+    the plan. ``slot_bits``: T_SL; ``min_tsdr``: the earliest answer that the master takes; both in bit times.
     """
 
     baud: int
@@ -79,10 +78,12 @@ class Evidence:
     """All that is known about the slave with ``setup``.
 
     ``device``, ``modules``: of its GSD file, where it has one. ``expected_prm``: the user parameters that this file
-    gives for these modules. ``rates``: baud rates that the device knows, empty: not known. ``config``: the identifier
-    octets that the slave says to have (Get_Cfg), None: not asked, or not answered. ``found``: the stations of a scan,
-    None: the bus was not scanned. ``unreadable``: addresses whose answers the scan could not read. ``asked``: services
-    that were asked for this story, as steps. ``read_only``: the asking station is no class 1 master of the slave.
+    gives for these modules, or the plugin of its drive. ``exchanged_ns``: time of its last good Data_Exchange, 0: none.
+    ``rates``: baud rates that the device knows, empty: not known. ``config``: the identifier octets that the slave says
+    to have (Get_Cfg), None: not asked, or not answered. ``found``: the stations of a scan, None: the bus was not
+    scanned; ``found_all``: of all addresses. ``unreadable``: addresses whose answers the scan could not read.
+    ``asked``: services that were asked for this story, as steps. ``read_only``: the asking station is no class 1 master
+    of the slave.
     """
 
     setup: SlaveParams
@@ -98,6 +99,7 @@ class Evidence:
     link: StationStats = field(default_factory=StationStats)
     neighbours: tuple[Neighbour, ...] = ()
     watchdog_ns: int = 0
+    exchanged_ns: int = 0
     device: Device | None = None
     modules: tuple[Module | None, ...] = ()
     expected_prm: bytes | None = None
@@ -105,6 +107,7 @@ class Evidence:
     config: bytes | None = None
     found: tuple[Found, ...] | None = None
     unreadable: frozenset[int] = frozenset()
+    found_all: bool = True
     asked: tuple[Step, ...] = ()
     read_only: bool = False
 

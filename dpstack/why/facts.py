@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from functools import cached_property
 from typing import Final
 
+from dpstack.dp.acyclic.job import ATTEMPTS
 from dpstack.dp.master.bring_ups import DAMAGED, DATA_EXCHANGE, NOTHING, SLAVE_DIAG, Loss, Step
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
@@ -13,7 +14,7 @@ from dpstack.dp.master.verdicts import foreign_owner
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.fdl.interface import StationStats
 from dpstack.fdl.telegram import StationType
-from dpstack.units import NS_PER_MS, bits_to_ns
+from dpstack.units import BITS_PER_CHAR, NS_PER_MS, NS_PER_S, bits_to_ns
 from dpstack.why.evidence import CLASS2, Evidence, Neighbour
 from dpstack.why.modules import Comparison, Difference, compare
 from dpstack.why.parameters import ParameterFacts, parameter_facts
@@ -21,9 +22,22 @@ from dpstack.why.steps import CHK_CFG, SET_PRM
 
 #: requests from which a share of failures says something
 ENOUGH: Final = 20
-#: share of attempts that fail from which a line is disturbed, and failures that must have happened
+#: share of damaged answers from which a line is disturbed, and where there was only one
 _DISTURBED: Final = 0.004
-_FAILURES: Final = 4
+_ONCE: Final = 0.03
+#: late answers, and their share of the failures, from which a slave is late
+_LATE: Final = 2
+_LATE_SHARE: Final = 0.05
+#: failures from which their kind says something
+_MISSING: Final = 6
+#: share of unreadable answers among all, and their number, from which a second station is likelier than noise
+_ALL_DAMAGED: Final = 0.85
+_ALWAYS_DAMAGED: Final = 8
+#: a state is out of date where the last good Data_Exchange is older than so many of the longest times between two
+_STALE: Final = 4
+#: share of the time that a station takes that sends without end, at least
+_JAM_LOAD: Final = 0.4
+_STALE_NS: Final = 200 * NS_PER_MS
 
 
 def attempts(link: StationStats) -> int:
@@ -44,9 +58,21 @@ def share(link: StationStats) -> float:
     return failures(link) / max(1, attempts(link))
 
 
-def is_disturbed(link: StationStats) -> bool:
-    """Answers fail now and then: too often for a good line, and not always."""
-    return link.answers > 0 and failures(link) >= _FAILURES and share(link) >= _DISTURBED
+def is_disturbed(link: StationStats, lost: int = 0) -> bool:
+    """Octets that are no telegram came for the answers of a station: more often than on a good line, and not always.
+
+    ``lost``: times it fell silent; a station that loses its power may break off in its answer.
+    """
+    harm = damaged(link) - lost
+    return link.answers > 0 and harm >= 1 and harm >= (_DISTURBED if harm > 1 else _ONCE) * attempts(link)
+
+
+def is_late(link: StationStats) -> bool:
+    """Readable answers came when nobody waited for them any more: neither noise nor a missing station does that."""
+    late, failed = link.late + link.wrong - link.early, failures(link)
+    if late >= _LATE and late >= _LATE_SHARE * failed:
+        return True
+    return late >= 1 and failed >= _MISSING and 2 * damaged(link) <= failed
 
 
 class Facts:
@@ -103,7 +129,17 @@ class Facts:
             if found is None or found.master is None:
                 return False
             return not (found.prm_req or found.not_ready or found.prm_fault or found.cfg_fault)
-        return self.evidence.state is SlaveState.DATA_EXCHANGE
+        return self.evidence.state is SlaveState.DATA_EXCHANGE and not self.stale
+
+    @cached_property
+    def stale(self) -> bool:
+        """Its master is out of the ring, or has not exchanged data with it for long: its state is of the past."""
+        evidence = self.evidence
+        if not evidence.ring.joined:
+            return True
+        age = evidence.now_ns - evidence.exchanged_ns
+        limit = max(_STALE_NS, _STALE * evidence.line.longest_ns * self.setup.every)
+        return bool(evidence.exchanged_ns) and evidence.source != CLASS2 and age > limit
 
     @cached_property
     def present(self) -> bool:
@@ -112,15 +148,17 @@ class Facts:
 
     @cached_property
     def answers_now(self) -> bool:
-        """The last thing that was asked was answered."""
+        """The last request was answered, or one of those that were asked now."""
         last = self.last_step
+        if any(step.answered not in (NOTHING, DAMAGED) for step in self.evidence.asked):
+            return True
         return self.exchanging or (last is not None and last.answered not in (NOTHING, DAMAGED))
 
     @cached_property
     def silent_now(self) -> bool:
-        """The last request was not answered, and nothing unreadable came either."""
+        """The last request was not answered, and nothing unreadable came either; nor was any that was asked now."""
         last = self.last_step
-        if self.exchanging:
+        if self.exchanging or any(step.answered not in (NOTHING, DAMAGED) for step in self.evidence.asked):
             return False
         if last is None:
             return self.evidence.state is SlaveState.OFFLINE and not self.present and attempts(self.link) > 0
@@ -128,8 +166,30 @@ class Facts:
 
     @cached_property
     def garbled_now(self) -> bool:
+        """The last answers could not be read."""
         last = self.last_step
-        return not self.exchanging and last is not None and last.answered == DAMAGED
+        if self.exchanging or any(step.answered not in (NOTHING, DAMAGED) for step in self.evidence.asked):
+            return False
+        return last is not None and last.answered == DAMAGED
+
+    @cached_property
+    def mixed(self) -> bool:
+        """Good, missing and unreadable answers come in turn."""
+        kinds = {step.answered in (NOTHING, DAMAGED) for step in self.steps}
+        return len(kinds) > 1 and any(step.answered == DAMAGED for step in self.steps)
+
+    @cached_property
+    def all_damaged(self) -> int:
+        """The number of unreadable answers to the services of the last bring-up, where nearly all of them are; else 0.
+
+        A class 2 service has several attempts.
+        """
+        weights = [
+            (step.times * (ATTEMPTS if step in self.evidence.asked else 1), step.answered) for step in self.steps
+        ]
+        unreadable = sum(weight for weight, answered in weights if answered == DAMAGED)
+        every = sum(weight for weight, _ in weights)
+        return unreadable if unreadable >= _ALWAYS_DAMAGED and unreadable >= _ALL_DAMAGED * every else 0
 
     @cached_property
     def garbled_polls(self) -> int:
@@ -208,12 +268,30 @@ class Facts:
 
     @cached_property
     def damage(self) -> int:
-        """Damaged telegrams and octets on the whole line."""
-        return sum(self.evidence.line.bad.values())
+        """Damaged telegrams, and octets outside of telegrams, on the whole line."""
+        return sum(count for cause, count in self.evidence.line.bad.items() if cause not in ("skipped", "doubtful"))
+
+    @cached_property
+    def load(self) -> float:
+        """The share of the time that unreadable octets take on the line."""
+        line, seconds = self.evidence.line, max(1, self.evidence.now_ns - self.evidence.started_ns) / NS_PER_S
+        octets = sum(count for cause, count in line.bad.items() if cause == "skipped" or cause.startswith("uart_"))
+        return octets * BITS_PER_CHAR / line.baud / seconds
+
+    @cached_property
+    def foreign_rate(self) -> bool:
+        """Nothing was ever understood, and the octets come with pauses, as from stations at another rate."""
+        ring, line = self.evidence.ring, self.evidence.line
+        return not (line.heard or ring.tokens or self.present) and self.load < _JAM_LOAD
 
     @cached_property
     def damage_here(self) -> int:
         return sum(self.link.bad.values())
+
+    @cached_property
+    def late_neighbours(self) -> tuple[Neighbour, ...]:
+        """Slaves whose late answers fall into the exchanges of others."""
+        return tuple(one for one in self.neighbours if is_late(one.link))
 
     @cached_property
     def superfluous(self) -> int:

@@ -18,14 +18,12 @@ from dpstack.text import octets_text
 from dpstack.units import NS_PER_S, baud_text, ms_text
 from dpstack.why.causes import Cause
 from dpstack.why.evidence import CLASS2
-from dpstack.why.facts import ENOUGH, Facts, attempts, damaged, failures, share
+from dpstack.why.facts import ENOUGH, Facts, attempts, damaged, failures, is_disturbed, is_late, share
 from dpstack.why.modules import Difference
 from dpstack.why.steps import CHK_CFG, SET_PRM, hex_text
 
 #: damaged octets and telegrams on a line that nobody can use
 _JAMMED: Final = 40
-#: polls in a row whose answers could not be read, from which a second station is likelier than noise
-_ALWAYS_DAMAGED: Final = 5
 #: answers in a row of two devices
 _ALTERNATING: Final = 2
 #: waiting time after Chk_Cfg from which a slave counts as not ready
@@ -72,8 +70,11 @@ def _weighed(f: Facts, found: list[Finding]) -> list[Finding]:
     of_bus = max((causes.get(cause, 0.0) for cause in _OF_BUS), default=0.0)
     weighed = []
     for one in found:
-        if one.cause in (Cause.NOT_THERE, Cause.RATE_MISMATCH) and of_bus >= 0.7:
+        if one.cause in _BY_BUS and of_bus >= 0.7:
             one = one.less(0.3, "The master could hardly ask: the bus itself has a fault.")
+        noise = max(causes.get(Cause.NOISE_ON_STUB, 0.0), causes.get(Cause.NOISE_ON_SEGMENT, 0.0))
+        if one.cause in (Cause.REBOOTS, Cause.NOT_THERE, Cause.WATCHDOG_SHORT, Cause.MIN_TSDR) and noise >= 0.7:
+            one = one.less(0.5, "Its answers are disturbed: requests and answers get lost by that, too.")
         if one.cause is Cause.NOT_THERE and causes.get(Cause.WRONG_ADDRESS, 0.0) >= 0.6:
             one = one.less(0.45, "A station with its ident answers at another address.")
         if one.cause is Cause.NOISE_ON_STUB and causes.get(Cause.DUPLICATE_ADDRESS, 0.0) >= 0.7:
@@ -83,6 +84,15 @@ def _weighed(f: Facts, found: list[Finding]) -> list[Finding]:
 
 
 _OF_BUS: Final = (Cause.NO_TOKEN, Cause.SECOND_MASTER_SAME_ADDRESS, Cause.BUS_JAMMED)
+#: explained by a fault of the bus
+_BY_BUS: Final = (
+    Cause.NOT_THERE,
+    Cause.NOISE_ON_STUB,
+    Cause.NOISE_ON_SEGMENT,
+    Cause.REBOOTS,
+    Cause.WATCHDOG_SHORT,
+    Cause.DUPLICATE_ADDRESS,
+)
 
 
 # --- the master and the ring ------------------------------------------------------------------------------------------
@@ -96,42 +106,68 @@ def _deactivated(f: Facts) -> Findings:
 def _ring(f: Facts) -> Findings:
     ring, line = f.evidence.ring, f.evidence.line
     if ring.collision:
-        yield Finding(
-            Cause.SECOND_MASTER_SAME_ADDRESS,
-            0.88,
-            [f"Telegrams with this master's own address {ring.own} came that it has not sent: {ring.collision}."],
-        )
-    jammed = f.damage >= _JAMMED and f.damage > line.heard // 4
-    if jammed and not (f.anybody and f.present):
-        heard = f"{f.damage} damaged telegrams and octets outside of telegrams, {line.heard} readable telegrams."
-        lost = [f"The token was lost {ring.tokens_lost} times."] if ring.tokens_lost else []
-        if not ring.joined:
-            lost.append("The master cannot join the ring: the line is never quiet long enough.")
-        sure = 0.85 if not ring.joined or ring.tokens_lost > 2 or f.damage > 10 * line.heard else 0.65
-        against = ["Other slaves answer."] if f.anybody else []
-        yield Finding(Cause.BUS_JAMMED, 0.6 if against else sure, [heard, *lost], against)
+        said = f"Telegrams with this master's own address {ring.own} came that it has not sent: {ring.collision}."
+        yield Finding(Cause.SECOND_MASTER_SAME_ADDRESS, 0.88, [said])
+    jammed = f.damage >= _JAMMED and f.damage > line.heard // 4 and not f.foreign_rate
+    if jammed and not f.exchanging:
+        yield _jam(f)
     if f.exchanging or ring.collision:
         return
     if not ring.joined:
-        others = sorted(ring.masters - {ring.own})
-        said = [f"The master (address {ring.own}) is not in the token ring."]
-        if ring.refused:
-            said.append(f"Joining failed: {ring.refused}.")
-        if others:
-            said.append(f"Masters in the ring: {', '.join(map(str, others))}.")
-        yield Finding(Cause.NO_TOKEN, 0.5 if jammed else 0.86, said)
+        yield from _out_of_ring(f, jammed=jammed)
     elif f.evidence.source == CLASS2 and f.diagnosis is not None:
         if ring.own not in ring.masters and f.diagnosis.prm_req and f.owner is None and f.wrong_ident is None:
-            said = [
+            facts = [
                 f"The slave answers and waits for parameters, and no master {ring.own} is in the token ring.",
                 "No other master owns it.",
             ]
-            yield Finding(
-                Cause.NO_TOKEN, 0.85, said, next=f"start the master with address {ring.own} (`dpstack run CONFIG`)"
-            )
+            todo = f"start the master with address {ring.own} (`dpstack run CONFIG`)"
+            yield Finding(Cause.NO_TOKEN, 0.85, facts, next=todo)
     elif not (ring.tokens or attempts(f.link) or f.steps or f.evidence.read_only):
-        said = ["This master was not given the token so far, so it has asked nobody."]
-        yield Finding(Cause.NO_TOKEN, 0.8, said, next="run longer; then look at HSA and the GAP of the other masters")
+        facts = ["This master was not given the token so far, so it has asked nobody."]
+        yield Finding(Cause.NO_TOKEN, 0.8, facts, next="run longer; then look at HSA and the GAP of the other masters")
+
+
+def _jam(f: Facts) -> Finding:
+    ring, line = f.evidence.ring, f.evidence.line
+    said = [f"{f.damage} damaged telegrams and octets outside of telegrams came, {line.heard} readable telegrams."]
+    if ring.tokens_lost:
+        said.append(f"The token was lost {ring.tokens_lost} times.")
+    if not ring.joined:
+        said.append("The master is out of the ring: the line is never quiet long enough for it.")
+        return Finding(Cause.BUS_JAMMED, 0.87 if f.damage > line.heard else 0.7, said)
+    others = [one.name for one in f.neighbours if one.state is SlaveState.DATA_EXCHANGE]
+    if others:
+        return Finding(Cause.BUS_JAMMED, 0.3, said, [f"Others are in data exchange: {_some(others)}."])
+    sure = 0.8 if f.damage > 10 * line.heard or ring.tokens_lost > 2 else 0.6
+    return Finding(Cause.BUS_JAMMED, sure, said)
+
+
+def _out_of_ring(f: Facts, *, jammed: bool) -> Findings:
+    ring, line = f.evidence.ring, f.evidence.line
+    others = sorted(ring.masters - {ring.own})
+    said = [f"The master (address {ring.own}) is not in the token ring."]
+    if ring.refused:
+        said.append(f"Joining failed: {ring.refused}.")
+    if others:
+        said.append(f"Masters in the ring: {', '.join(map(str, others))}.")
+    waited = f.evidence.now_ns - f.evidence.started_ns
+    unreadable = not (line.heard or ring.tokens or others) and waited > _CLAIMS * f.slot_ns
+    if unreadable:  # a silent line would have been claimed
+        why = [
+            f"Nothing could be read at {baud_text(line.baud)} in {waited / NS_PER_S:.1f} s.",
+            "The line is not silent, else the master would have claimed the token.",
+            "Another master at another rate looks like this.",
+        ]
+        if f.damage:
+            why.append(f"{f.damage} octets came that are no telegrams, with pauses: {f.load:.0%} of the time.")
+        yield Finding(Cause.RATE_MISMATCH, 0.5 if jammed else 0.8, why)
+    against = ["No other master was understood."] if unreadable else []
+    yield Finding(Cause.NO_TOKEN, 0.5 if jammed or unreadable else 0.86, said, against)
+
+
+#: T_TO in slot times of the highest address is 6 + 2 x 126; after so many a silent line is claimed for sure
+_CLAIMS: Final = 2 * (6 + 2 * 126)
 
 
 # --- nobody answers ---------------------------------------------------------------------------------------------------
@@ -258,11 +294,9 @@ def _doubled(f: Facts) -> Findings:
         idents = " and ".join(f"0x{one:04X}" for one in f.evidence.history.idents[:3])
         said.append(f"Diagnoses of two devices came in turn from address {address}: ident {idents}.")
         confidence = 0.89
-    last = f.last_step
-    in_row = 0 if last is None or not f.garbled_now else last.times
-    if in_row >= _ALWAYS_DAMAGED or f.garbled_polls >= 2 * _ALWAYS_DAMAGED:
-        said.append(f"The last {max(in_row, f.garbled_polls)} answers came, and none of them could be read.")
-        confidence = max(confidence, 0.8 if f.anybody or not f.neighbours else 0.5)
+    if f.all_damaged:
+        said.append(f"Answers came, and {f.all_damaged} of them could not be read: nearly all.")
+        confidence = max(confidence, 0.82 if f.anybody or not f.neighbours else 0.5)
     elif address in f.evidence.unreadable:
         said.append("The scan got an answer from it that could not be read.")
         confidence = max(confidence, 0.6)
@@ -278,65 +312,70 @@ def _doubled(f: Facts) -> Findings:
     yield Finding(Cause.DUPLICATE_ADDRESS, confidence, said, against)
 
 
-def is_disturbed(f: Facts) -> bool:
-    """Answers of the slave fail now and then, more often than its losses explain."""
-    link = f.link
-    retried = link.retries - 3 * f.lost
-    tries = attempts(link)
-    if not link.answers or link.late > 0.3 * failures(link):
-        return False
-    by_retries = retried >= 4 and retried >= 0.004 * tries
-    return by_retries or (f.damage_here >= 3 and f.damage_here >= 0.004 * tries)
+def _retried(f: Facts) -> bool:
+    """Answers of the slave are missing now and then, more often than its losses explain."""
+    retried = f.link.retries - 3 * f.lost
+    return f.link.answers > 0 and retried >= 4 and retried >= 0.004 * attempts(f.link)
 
 
 def _noise(f: Facts) -> Findings:
-    damage = sum(step.times for step in f.steps if step.answered == "damaged")
-    if not (is_disturbed(f) or damage >= 3):
-        return
     link = f.link
+    harmed = is_disturbed(link, f.lost) or (f.mixed and damaged(link) > f.lost)
+    if not (harmed or (_retried(f) and not f.exchanging)):
+        return
     said = [f"{failures(link)} of {attempts(link)} requests had no good answer, {damaged(link)} of them a damaged one."]
     lost = [f"It was lost {f.lost} times by that."] if f.lost_damaged else []
-    weak = not f.damage_here
-    against = ["No damaged octets came, answers are only missing."] if weak else []
+    most = 0.87
+    against = []
+    if not harmed:
+        against.append("No damaged octets came, answers are only missing.")
+        most = 0.5
+    if is_late(link):
+        against.append("Its answers come late, and late answers run into other telegrams.")
+        most = min(most, 0.4)
+    if f.late_neighbours:
+        names = _some(one.name for one in f.late_neighbours)
+        against.append(f"Late answers of {names} run into other telegrams.")
+        most = min(most, 0.5)
     bad = f.disturbed_neighbours
     clean = [one for one in f.answering if one not in bad]
+    tokens = f.evidence.ring.token_retries
+    if tokens >= 3:
+        said.append(f"The token had to be sent again {tokens} times.")
+    too = [f"Answers of {_some(one.name for one in bad)} are damaged, too."] if bad else []
+    quiet = [f"Others are undisturbed: {_some(one.name for one in clean)}."] if clean else []
     if bad and len(bad) >= len(clean):
-        names = _some(one.name for one in bad)
-        of_others = [f"Answers of {names} are damaged, too."]
-        yield Finding(Cause.NOISE_ON_SEGMENT, 0.87 if not weak else 0.6, [*said, *of_others, *lost], against)
-        yield Finding(Cause.NOISE_ON_STUB, 0.3, said, [*against, *of_others])
-        return
-    if bad:
-        some = [f"Answers of {_some(one.name for one in bad)} are damaged, too."]
-        yield Finding(Cause.NOISE_ON_SEGMENT, 0.5, [*said, *some], [f"{len(clean)} others are undisturbed."])
-        yield Finding(Cause.NOISE_ON_STUB, 0.6, [*said, *lost], [*against, *some])
-        return
-    if clean:
-        quiet = [f"Others are undisturbed: {_some(one.name for one in clean)}."]
-        yield Finding(Cause.NOISE_ON_STUB, 0.86 if not weak else 0.55, [*said, *quiet, *lost], against)
-        yield Finding(Cause.NOISE_ON_SEGMENT, 0.15, said, [*against, *quiet])
-        return
-    yield Finding(Cause.NOISE_ON_STUB, 0.65, [*said, *lost], [*against, "No other slave answers to compare it with."])
-    yield Finding(Cause.NOISE_ON_SEGMENT, 0.6, said, against)
+        yield Finding(Cause.NOISE_ON_SEGMENT, most, [*said, *too, *lost], [*against, *quiet])
+        yield Finding(Cause.NOISE_ON_STUB, min(0.3, most), said, [*against, *too])
+    elif bad:
+        yield Finding(Cause.NOISE_ON_STUB, min(0.6, most), [*said, *quiet, *lost], [*against, *too])
+        yield Finding(Cause.NOISE_ON_SEGMENT, min(0.5, most), [*said, *too], [*against, *quiet])
+    elif clean:
+        yield Finding(Cause.NOISE_ON_STUB, most, [*said, *quiet, *lost], against)
+        yield Finding(Cause.NOISE_ON_SEGMENT, min(0.15, most), said, [*against, *quiet])
+    else:
+        alone = ["No other slave answers to compare it with."]
+        yield Finding(Cause.NOISE_ON_STUB, min(0.6, most), [*said, *lost], [*against, *alone])
+        yield Finding(Cause.NOISE_ON_SEGMENT, min(0.65 if tokens >= 3 else 0.5, most), said, against)
 
 
 def _late(f: Facts) -> Findings:
     link, slot = f.link, f.evidence.line.slot_bits
-    late = link.late + link.wrong
+    late = link.late + link.wrong - link.early
     min_tsdr = f.setup.min_tsdr
     slow = min_tsdr > slot - _USUAL_MIN_TSDR
     begins = f"min_tsdr is {min_tsdr} bit times, the slot time (T_SL) {slot}."
-    if link.early >= 3 and link.early >= 0.3 * failures(link):
+    if link.early >= 2 and link.early >= 0.3 * failures(link):
         bits = f.evidence.line.min_tsdr
         said = [f"{link.early} of its answers began before min T_SDR, which this bus has at {bits} bit times."]
         if bits > min_tsdr:
             said.append(f"Set_Prm tells the slave min T_SDR {min_tsdr}: it may answer after that time.")
         yield Finding(Cause.MIN_TSDR, 0.89, said)
-        late -= link.early
-    unreadable = f.garbled_now and f.garbled_polls >= _ALWAYS_DAMAGED
-    if late >= 3 and late >= 0.3 * failures(link) and f.superfluous < ENOUGH // 2 and not unreadable:
+    if is_late(link) and f.superfluous < ENOUGH // 2 and not f.all_damaged:
         said = [f"{late} of its answers came after the slot time of {slot} bit times ({ms_text(f.slot_ns)})."]
         against = [begins + " The answers are late by order of the master."] if slow else []
+        if 2 * damaged(link) <= failures(link):
+            said.append("Most of its missing answers left no damaged octets.")
         limit = f.setup.max_tsdr.get(f.evidence.line.baud)
         if limit is not None and limit >= slot:
             said.append(f"Its GSD file says max_Tsdr = {limit} bit times at this rate.")
@@ -344,7 +383,7 @@ def _late(f: Facts) -> Findings:
     if slow and not f.exchanging and (f.silent_after_prm or late >= 3):
         said = [begins, "It answers before Set_Prm, and too late or not at all after it."]
         yield Finding(Cause.MIN_TSDR, 0.91, said)
-    elif f.silent_after_prm:
+    elif f.silent_after_prm and not is_late(link) and not link.early:
         said = ["It answered Slave_Diag before Set_Prm, and nothing after it."]
         odd = min_tsdr != _USUAL_MIN_TSDR
         said += [f"min_tsdr in Set_Prm is {min_tsdr} bit times, not the usual {_USUAL_MIN_TSDR}."] if odd else []
@@ -356,7 +395,7 @@ def _late(f: Facts) -> Findings:
 
 
 def _locked(f: Facts) -> Findings:
-    if f.owner is None or f.wrong_ident is not None:
+    if f.owner is None:
         return
     ring = f.evidence.ring
     said = [f"Octet 4 of its diagnosis names master {f.owner}; this master is {ring.own}."]
@@ -391,35 +430,36 @@ def _parameters(f: Facts) -> Findings:
         else ["It never acknowledges Set_Prm, and answers Slave_Diag: some devices drop what they cannot accept."]
     )
     if f.diagnosis is not None and f.diagnosis.ext:
-        texts = f.setup.block_texts(f.diagnosis)
-        begin.append(
-            f"Its extended diagnosis says {hex_text(f.diagnosis.ext)}" + "".join(f"; {one}" for one in texts[:2])
-        )
+        texts_of = "".join(f"; {one}" for one in f.setup.block_texts(f.diagnosis)[:2])
+        begin.append(f"Its extended diagnosis says {hex_text(f.diagnosis.ext)}{texts_of}.")
     if silent and not f.prm_fault:
         yield Finding(Cause.SERVICE_REFUSED, 0.4, begin)
-    yield from _dpv1(f, begin)
-    sent = octets_text(len(known.sent))
+    mismatch = list(_dpv1(f, begin))
+    yield from mismatch
+    # a length or a value that the GSD file excludes is wrong for sure; DP-V1 alone may be the reason, too
+    other = max((one.confidence for one in mismatch), default=0.0)
     if known.wrong_length:
-        said = [*begin, f"It was sent {sent} of user parameters, its GSD file has {known.wanted} for these modules."]
-        yield Finding(Cause.USER_PARAMETER_LENGTH, 0.9, said)
+        sent = octets_text(len(known.sent))
+        said = [*begin, f"It was sent {sent} of user parameters; its GSD file or drive profile has {known.wanted}."]
+        yield Finding(Cause.USER_PARAMETER_LENGTH, 0.89, said)
         yield Finding(Cause.USER_PARAMETER, 0.3, begin, ["Their number is wrong already."])
         return
     if not known.sent:
         said = [*begin, "It was sent no user parameters at all, so no value of them can be wrong."]
-        yield Finding(Cause.USER_PARAMETER_LENGTH, 0.8, said)
+        yield Finding(Cause.USER_PARAMETER_LENGTH, 0.85, said)
         return
     where = f"Octets {SET_PRM_LEN + 1} to {SET_PRM_LEN + len(known.sent)} of Set_Prm are user parameters."
-    if known.impossible:
-        yield Finding(Cause.USER_PARAMETER, 0.92, [*begin, *known.impossible])
-    elif known.wanted is not None:
+    if known.wanted is not None:
         fits = f"Their number ({len(known.sent)}) is that of the GSD file."
-        changed = list(known.changed)
-        yield Finding(Cause.USER_PARAMETER, 0.86 if changed else 0.75, [*begin, *changed, fits])
+        found = [*known.impossible, *known.changed]
+        sure = 0.91 if known.impossible else 0.86 if found else 0.5 if other >= 0.4 else 0.75
+        none = [] if found else ["All of them are those of the GSD file."]
+        yield Finding(Cause.USER_PARAMETER, sure, [*begin, *found, fits], none)
         yield Finding(Cause.USER_PARAMETER_LENGTH, 0.25, begin, [fits])
     else:
         against = ["No GSD file is configured: neither values nor their number can be checked."]
         yield Finding(Cause.USER_PARAMETER, 0.3 if known.only_status else 0.6, [*begin, where], against)
-        yield Finding(Cause.USER_PARAMETER_LENGTH, 0.5, begin, against)
+        yield Finding(Cause.USER_PARAMETER_LENGTH, 0.3 if known.only_status else 0.5, begin, against)
 
 
 def _dpv1(f: Facts, begin: list[str]) -> Findings:
@@ -429,7 +469,7 @@ def _dpv1(f: Facts, begin: list[str]) -> Findings:
     off = "set dpv1 = false in its configuration"
     if known.dpv1 and said is not None and not said.slave:
         why = "DPV1_Enable is set (octet 8 bit 7 of Set_Prm), and its GSD file says that it is no DP-V1 slave."
-        yield Finding(Cause.DPV1_MISMATCH, 0.9, [*begin, why], next=off)
+        yield Finding(Cause.DPV1_MISMATCH, 0.89, [*begin, why], next=off)
     elif known.dpv1:
         why = "DPV1_Enable is set (octet 8 bit 7 of Set_Prm)."
         only = "There are no other user parameters than DPV1_Status that could be wrong."
@@ -439,9 +479,12 @@ def _dpv1(f: Facts, begin: list[str]) -> Findings:
             backed = ["Its GSD file says that it is a DP-V1 slave."] if said is not None else []
             yield Finding(Cause.DPV1_MISMATCH, 0.35 if backed else 0.5, [*begin, why], backed, next=off)
     elif said is not None and said.slave:
-        required = said.c1_read_write_required or said.fail_safe_required or said.prm_block_structure_required
         why = "Its GSD file says that it is a DP-V1 slave, and the configuration switches DP-V1 off."
-        yield Finding(Cause.DPV1_MISMATCH, 0.85 if required else 0.4, [*begin, why], next="leave dpv1 out of its table")
+        others = bool(known.impossible or known.changed or known.wrong_length)
+        against = ["Other parameters are not those of the GSD file either."] if others else []
+        alone = [] if others else ["Nothing else in Set_Prm differs from the GSD file."]
+        todo = "leave dpv1 out of its table"
+        yield Finding(Cause.DPV1_MISMATCH, 0.4 if others else 0.8, [*begin, why, *alone], against, next=todo)
 
 
 def _drops(f: Facts, service: str) -> bool:
@@ -462,12 +505,9 @@ _BY_DIFFERENCE: Final = {
 
 
 def _modules(f: Facts) -> Findings:
-    if f.exchanging or f.wrong_ident is not None or f.owner is not None:
-        return
     compared = f.comparison
-    refused = f.cfg_fault or _drops(f, CHK_CFG)
-    unready = f.is_fault("not_ready", "wrong_length")
-    if not (refused or (f.differs and unready) or (f.differs and f.evidence.source == CLASS2)):
+    refused = (f.cfg_fault or _drops(f, CHK_CFG)) and f.wrong_ident is None and f.owner is None
+    if f.exchanging or not (refused or f.differs):
         return
     begin = ["It refuses Chk_Cfg: Cfg_Fault (octet 1 bit 2 of its diagnosis)."] if f.cfg_fault else []
     if not f.cfg_fault and refused:
@@ -486,9 +526,11 @@ def _modules(f: Facts) -> Findings:
         return
     cause, confidence = _BY_DIFFERENCE[compared.kind]
     said = [*begin, *compared.sentences, f"Chk_Cfg and Get_Cfg differ from octet {compared.octet} on."]
+    against = []
     if not refused:
-        confidence = 0.6
-    yield Finding(cause, confidence, said)
+        against = ["It has not refused Chk_Cfg (yet)."]
+        confidence = 0.6 if f.evidence.source == CLASS2 or f.is_fault("not_ready", "wrong_length") else 0.5
+    yield Finding(cause, confidence, said, against)
 
 
 def _lengths(f: Facts) -> Findings:
@@ -550,8 +592,9 @@ def _readiness(f: Facts) -> Findings:
         said = ["It accepted Set_Prm and Chk_Cfg, and Station_Not_Ready (octet 1 bit 1) stays set."]
         if waited:
             said.append(f"It has not been ready for {waited / NS_PER_S:.1f} s.")
-        sure = f.is_fault("not_ready") or waited >= _READY_NS
-        yield Finding(Cause.NOT_READY, 0.6 if f.differs else 0.91 if sure else 0.6, said)
+        clear = all(step.answered == "DL" for step in f.after(CHK_CFG))
+        sure = f.is_fault("not_ready") or (waited >= _READY_NS and clear and f.evidence.state is SlaveState.WAIT_READY)
+        yield Finding(Cause.NOT_READY, 0.6 if f.differs else 0.91 if sure else 0.55 if clear else 0.3, said)
 
 
 def _watchdog(f: Facts) -> Findings:
@@ -603,9 +646,9 @@ def _restarts(f: Facts) -> Findings:
         said = [f"It fell silent once, for {away[0]:.1f} s, and came back without parameters."]
         yield Finding(Cause.REBOOTS, 0.6, said)
     kept = [loss for loss in silent if loss.back_ns and not loss.prm_req]
-    if kept and not back:
+    if kept and not back and not is_late(f.link):
         said = [f"It fell silent {len(kept)} times and kept its parameters: it had power meanwhile."]
-        yield Finding(Cause.NOISE_ON_STUB, 0.6, [*said, "That is a loose contact rather than a restart."])
+        yield Finding(Cause.NOISE_ON_STUB, 0.55, [*said, "That is a loose contact rather than a restart."])
 
 
 # --- healthy ----------------------------------------------------------------------------------------------------------

@@ -70,7 +70,8 @@ def _named(evidence: Evidence, setup: SlaveParams, expected: bytes) -> tuple[tup
                     impossible.append(f"{where}: {own.value} is not allowed by the GSD file.")
                 elif own.value != usual.value:
                     changed.append(f"{where}: {own.text} instead of the default {usual.text}.")
-    status = DPV1_STATUS_LEN if setup.dpv1 is not None or setup.fail_safe_told or setup.wd_base_1ms else 0
+    has_status = setup.dpv1 is not None or (evidence.device is not None and evidence.device.dpv1.slave)
+    status = DPV1_STATUS_LEN if has_status or setup.fail_safe_told or setup.wd_base_1ms else 0
     for at, (octet, default) in enumerate(zip(setup.user_prm, expected, strict=True)):
         if octet != default and at not in covered and at >= status:
             where = f"Octet {SET_PRM_LEN + 1 + at} of Set_Prm"

@@ -281,7 +281,9 @@ class Plant:
         own = self.free_master() if address is None else address
         params = self.params(baud, address=own, **{"hsa": HSA, "gap": 1, "t_tr": T_TR, **given})
         mine = slave_config(self.made_up()).params
-        self.unit(device_of(slave_config({"name": "m", "address": mine.address} | _octets(mine))), mine.address)
+        self.unit(
+            device_of(slave_config({"name": "m", "address": mine.address} | _octets(mine))), mine.address, baud=baud
+        )
         master = Master(params, [mine, *slaves], MasterSettings(watchdog_ms=watchdog_ms))
         other = OtherMaster(add_station(self.world, params, master), master)
         self.masters.append(other)

@@ -20,7 +20,7 @@ from dpstack.gsd.prm import UserPrm
 from dpstack.params import MAX_STATION
 from dpstack.units import NS_PER_S
 from dpstack.why.evidence import CLASS2, RUN, Evidence, Line, Neighbour, Ring
-from dpstack.why.facts import Facts
+from dpstack.why.facts import Facts, failures
 from dpstack.why.story import Story, tell
 
 if TYPE_CHECKING:
@@ -30,8 +30,13 @@ if TYPE_CHECKING:
 #: asks the addresses for their stations, with identifier octets
 Scan = Callable[[list[int]], Awaitable[tuple[Found, ...]]]
 
-#: time limit in s of the scan for stations at other addresses
-_SCAN_S: Final = 20.0
+#: time limit in s of the scan for stations at other addresses, and addresses that it asks in one go
+_SCAN_S: Final = 30.0
+_SCAN_PART: Final = 16
+#: a slave whose answers fail is asked so often at most, until so many good answers came, and for so long
+_PROBES: Final = 6
+_GOOD: Final = 3
+_PROBE_NS: Final = 3 * NS_PER_S
 _ASK_NS: Final = 2 * NS_PER_S
 _FAILED: Final = {
     ServiceFailure.SILENT: NOTHING,
@@ -49,20 +54,27 @@ async def gather(
 
     ``scan`` is called where nobody, or another device, answers at the address of the slave; None: never.
     """
-    history = History()
-    with contextlib.suppress(DpError):  # a bus process that has ended
-        history = await bus.view.history(slave.address)
-    evidence = _evidence(bus, slave, history, bus.params.address if master is None else master)
-    running = bus.is_open and bus.runtime.not_running is None and bus.snapshot.in_ring
-    if not (ask and running) or slave.deactivated:
+    own = bus.params.address if master is None else master
+    evidence = _evidence(bus, slave, await _history(bus, slave), own)
+    if not (ask and _can_ask(bus)) or slave.deactivated:
         return evidence
-    evidence = await _asked(bus, evidence)
+    evidence = await _asked(bus, slave, evidence)
     owner = None if evidence.diagnosis is None else evidence.diagnosis.master
     if master is None and evidence.read_only and owner is not None and owner <= MAX_STATION:  # nobody says who it is
         evidence = dataclasses.replace(evidence, ring=dataclasses.replace(evidence.ring, own=owner))
     facts = Facts(evidence)
     lost = not facts.exchanging and (facts.silent_now or facts.garbled_now or facts.wrong_ident is not None)
     return await _scanned(bus, evidence, scan) if scan is not None and lost else evidence
+
+
+def _can_ask(bus: BusBase) -> bool:
+    return bus.is_open and bus.runtime.not_running is None and bus.snapshot.in_ring
+
+
+async def _history(bus: BusBase, slave: Slave) -> History:
+    with contextlib.suppress(DpError):  # a bus process that has ended
+        return await bus.view.history(slave.address)
+    return History()
 
 
 def untold(bus: BusBase, slave: Slave, master: int, refused: str) -> Story:
@@ -78,7 +90,7 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
     link = counters.link
     texts, device = setup.texts, slave.config.device
     modules = () if texts is None else texts.modules
-    expected = None
+    expected = None if slave.config.profile is None else slave.config.known.user_prm
     if device is not None:
         with contextlib.suppress(GsdError):
             expected = UserPrm(device, modules).octets()
@@ -101,6 +113,7 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
         link=link.station(slave.address),
         neighbours=tuple(neighbours),
         watchdog_ns=slave.snapshot.watchdog_ns,
+        exchanged_ns=view.image(setup).input_time,
         device=device,
         modules=modules,
         expected_prm=expected,
@@ -132,23 +145,33 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
     )
 
 
-async def _asked(bus: BusBase, evidence: Evidence) -> Evidence:
-    """``evidence`` with the answers of the slave to Slave_Diag (beside its master only) and Get_Cfg."""
-    address, steps = evidence.setup.address, []
-    if evidence.read_only:
-        steps.append(await _ask(bus, address, Service.DIAGNOSIS))
-    facts = Facts(dataclasses.replace(evidence, asked=tuple(steps)))
+async def _asked(bus: BusBase, slave: Slave, before: Evidence) -> Evidence:
+    """``before`` with the answers of the slave to Slave_Diag and Get_Cfg, and with the counters after them.
+
+    A slave in data exchange with this master is not asked: Slave_Diag would take its flag for a new diagnosis away. One
+    whose answers fail is asked several times, so that its counters say something.
+    """
+    address = before.setup.address
+    steps: list[Step] = []
+    facts = Facts(before)
+    if before.read_only or (not facts.exchanging and (not facts.answers_now or failures(before.link))):
+        good = 0
+        until = bus.runtime.now() + _PROBE_NS
+        while len(steps) < _PROBES and good < _GOOD and _can_ask(bus) and (not steps or bus.runtime.now() < until):
+            steps.append(await _ask(bus, address, Service.DIAGNOSIS))
+            good += steps[-1].diagnosis is not None
+            if before.read_only and good:
+                break
     config = None
-    if (facts.answers_now or (facts.present and not facts.silent_now)) and not (facts.exchanging and not steps):
+    facts = Facts(dataclasses.replace(before, asked=tuple(steps)))
+    if not facts.silent_now and not facts.garbled_now and (before.read_only or not facts.exchanging) and _can_ask(bus):
         step = await _ask(bus, address, Service.CONFIG)
         config = step.received or None
-        if evidence.read_only:
-            steps.append(step)
-    diagnosis = next((one for step in steps if (one := step.diagnosis) is not None), evidence.diagnosis)
-    state = evidence.state
-    if evidence.read_only:
-        state = _state_of(facts, diagnosis)
-    return dataclasses.replace(evidence, asked=tuple(steps), config=config, diagnosis=diagnosis, state=state)
+        steps.append(step)
+    after = _evidence(bus, slave, before.history, before.ring.own)
+    diagnosis = next((one for step in reversed(steps) if (one := step.diagnosis) is not None), after.diagnosis)
+    state = _state_of(facts, diagnosis) if before.read_only else after.state
+    return dataclasses.replace(after, asked=tuple(steps), config=config, diagnosis=diagnosis, state=state)
 
 
 def _state_of(facts: Facts, diagnosis: Diagnosis | None) -> SlaveState:
@@ -186,9 +209,15 @@ async def _scanned(bus: BusBase, evidence: Evidence, scan: Scan) -> Evidence:
     addresses = [address for address in ALL_ADDRESSES if address not in taken]
     if evidence.read_only:
         addresses += [one.address for one in evidence.neighbours]
-    found: tuple[Found, ...]
-    try:
-        found = await asyncio.wait_for(scan(addresses), _SCAN_S)
-    except (TimeoutError, DpError):
+    found: list[Found] = []
+    unreadable: set[int] = set()
+    whole = False
+    with contextlib.suppress(TimeoutError, DpError):
+        async with asyncio.timeout(_SCAN_S):
+            for at in range(0, len(addresses), _SCAN_PART):
+                found += await scan(addresses[at : at + _SCAN_PART])
+                unreadable |= bus.unreadable
+            whole = True
+    if not whole and not found:
         return evidence
-    return dataclasses.replace(evidence, found=found, unreadable=bus.unreadable)
+    return dataclasses.replace(evidence, found=tuple(found), unreadable=frozenset(unreadable), found_all=whole)
