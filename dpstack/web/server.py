@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import socket
 import ssl
+import weakref
 from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,7 +20,7 @@ from aiohttp import WSMsgType, web
 
 from dpstack import __version__
 from dpstack.api.commissioning.commissioning import Commissioning
-from dpstack.errors import DpError
+from dpstack.errors import DpError, PortError
 from dpstack.record.rows import iso_time
 from dpstack.text import printable
 from dpstack.web.address import Listen, Origins, is_local, join
@@ -33,9 +35,11 @@ from dpstack.web.source import Source
 #: writes a line of the log
 Log = Callable[[str], None]
 
-#: pages at the same time, and connections that have not said hello
+#: pages at the same time, WebSockets that have not said hello, connections of all kinds
 _MOST_PAGES: Final = 64
 _MOST_STRANGERS: Final = 32
+_MOST_CONNECTIONS: Final = 256
+_BACKLOG: Final = 64
 #: seconds for the first message
 _HELLO_S: Final = 10.0
 #: asks and orders of one page under way, and messages a second of it, after a burst
@@ -88,6 +92,8 @@ class WebServer:
         self._runner: web.AppRunner | None = None
         #: what the clock of the stream is ahead of the time of the loop, in s; None: there is no stream
         self._clock: float | None = None
+        self._listening: list[asyncio.Server] = []
+        self._answered: weakref.WeakSet[asyncio.BaseTransport] = weakref.WeakSet()
 
     @property
     def url(self) -> str:
@@ -103,11 +109,23 @@ class WebServer:
         app = web.Application(client_max_size=1024)
         app.router.add_route("*", "/{path:.*}", self._respond)
         self._runner = web.AppRunner(
-            app, access_log=None, handle_signals=False, shutdown_timeout=_GOODBYE_S, max_line_size=4096
+            app,
+            access_log=None,
+            handle_signals=False,
+            shutdown_timeout=_GOODBYE_S,
+            keepalive_timeout=_HELLO_S,
+            max_line_size=4096,
+            logger=_quiet_logger(),
         )
         await self._runner.setup()
-        for one in self._sockets:
-            await web.SockSite(self._runner, one, ssl_context=self._tls).start()
+        loop = asyncio.get_running_loop()
+        try:
+            self._listening = [
+                await loop.create_server(self._accept, sock=one, ssl=self._tls, backlog=_BACKLOG)
+                for one in self._sockets
+            ]
+        except OSError as exc:  # somebody else has begun to listen there
+            raise PortError(f"{self._base}: {exc.strerror or exc}; give another address with --listen") from None
         self.spawn(self._follow_source())
         self.spawn(self.fan_out.run())
 
@@ -124,6 +142,8 @@ class WebServer:
             task.cancel()
         if tasks:
             await asyncio.wait(tasks)
+        for one in self._listening:
+            one.close()
         if self._runner is not None:
             await self._runner.cleanup()
 
@@ -184,7 +204,25 @@ class WebServer:
 
     # --- requests -------------------------------------------------------------------------------------------------
 
+    def _accept(self) -> asyncio.Protocol:
+        """The protocol of a connection. One without a request within 10 s is closed, and one too many at once."""
+        assert self._runner is not None
+        server = self._runner.server
+        assert server is not None
+        if len(server.connections) >= _MOST_CONNECTIONS:
+            return _Refused()
+        handler = server()
+        asyncio.get_running_loop().call_later(_HELLO_S, self._drop_silent, handler)
+        return handler
+
+    def _drop_silent(self, handler: web.RequestHandler) -> None:
+        transport = handler.transport
+        if transport is not None and transport not in self._answered:
+            transport.close()
+
     async def _respond(self, request: web.Request) -> web.StreamResponse:
+        if request.transport is not None:
+            self._answered.add(request.transport)
         host = request.headers.get("Host")
         if not self._origins.is_own_host(host):
             return _refusal(421, "this server is not the one of that name: open the address that it has printed")
@@ -253,6 +291,21 @@ class WebServer:
             else:
                 await _refuse(ws, "the token is wrong")
         return visitor
+
+
+class _Refused(asyncio.Protocol):
+    """Closes its connection at once."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        transport.close()
+
+
+def _quiet_logger() -> logging.Logger:
+    """The logger for aiohttp, which would write octets of strangers to the terminal."""
+    logger = logging.getLogger("dpstack.web.aiohttp")
+    logger.propagate = False
+    logger.addHandler(logging.NullHandler())
+    return logger
 
 
 def _now() -> str:

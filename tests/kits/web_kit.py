@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import aiohttp
+from far_ends import HANG_S
 
 from dpstack.web.server import WebServer
 
@@ -40,7 +41,7 @@ def event(text: str) -> dict[str, Any]:
 
 
 class Page:
-    """An open page. Its methods fail after 5 s."""
+    """An open page. Its methods fail after :data:`~far_ends.HANG_S`."""
 
     def __init__(self, ws: aiohttp.ClientWebSocketResponse) -> None:
         self.ws = ws
@@ -50,7 +51,7 @@ class Page:
 
     async def item(self) -> dict[str, Any]:
         """The next message."""
-        item = await self.ws.receive_json(timeout=5)
+        item = await self.ws.receive_json(timeout=HANG_S)
         assert isinstance(item, dict)
         return item
 

@@ -20,6 +20,7 @@ from web_kit import Page
 
 from dpstack.api.control.client import running
 from dpstack.cli.main import main
+from dpstack.cli.terminal import signals
 
 
 def url_of(program: Program) -> str:
@@ -96,14 +97,31 @@ def test_the_command_serves_until_a_signal(
         async with aiohttp.ClientSession() as session, session.ws_connect(base + "ws", origin=base.rstrip("/")) as ws:
             await ws.send_json({"hello": {"token": secret}})
             seen.append(await Page(ws).item())
-            os.kill(os.getpid(), signal.SIGTERM)
+            terminate()
             seen.append(await Page(ws).item())
 
+    def look_in_thread() -> None:
+        try:
+            asyncio.run(look(urls.get(timeout=HANG_S)))
+        finally:
+            terminate()
+
+    def terminate() -> None:
+        if not ended.is_set():
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    ended = threading.Event()
     monkeypatch.setattr("dpstack.cli.terminal.output.json_line", lambda found: urls.put(found["url"]))
-    looking = threading.Thread(target=lambda: asyncio.run(look(urls.get(timeout=HANG_S))))
-    looking.start()
-    code = main(["web", str(plant_of(tmp_path)), "--listen", "0", "--control", "--json"])
-    looking.join()
+    looking = threading.Thread(target=look_in_thread)
+    monkeypatch.setattr(signals, "_SAME_S", 600.0)  # the second signal is the first one
+    before = signal.signal(signal.SIGTERM, lambda *_: None)  # where nothing is served
+    try:
+        looking.start()
+        code = main(["web", str(plant_of(tmp_path)), "--listen", "0", "--control", "--json"])
+        ended.set()
+        looking.join()
+    finally:
+        signal.signal(signal.SIGTERM, before)
     assert code == 0
     assert (seen[0]["welcome"]["control"], seen[0]["welcome"]["source"]) == (True, "none")
     assert seen[1] == {"end": {"text": "the web server ends"}}

@@ -103,3 +103,35 @@ async def test_events_of_the_server_have_the_clock_of_the_stream(monkeypatch: py
         await page.until("snapshot")
         server.tell("another one")
         assert (await page.until("event"))["time"] == log[-1].split()[0]
+
+
+async def test_octets_of_strangers_reach_no_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+    async with serve(GivenItems([PLANT])) as server, page_of(server) as page:
+        host, port = server.url.removeprefix("http://").rstrip("/").split(":")
+        for octets in (
+            b"\x1b[2J\r\n\r\n",
+            b"GET / HTTP/9.9\r\n\r\n",
+            b"GET /\x1b[31m HTTP/1.1\r\nHost: x\r\n\r\n",
+            b"\0" * 9000,
+        ):
+            reader, writer = await asyncio.open_connection(host, int(port))
+            writer.write(octets)
+            assert b"HTTP/1.1 2" not in await asyncio.wait_for(reader.read(64), 5)
+            writer.close()
+        await page.until("plant")
+    assert capfd.readouterr() == ("", "")
+
+
+async def test_connections_without_a_request_are_closed_and_their_number_is_bounded(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("dpstack.web.server._HELLO_S", 0.05)
+    monkeypatch.setattr("dpstack.web.server._MOST_CONNECTIONS", 3)
+    async with serve(GivenItems([PLANT])) as server, page_of(server) as page:
+        host, port = server.url.removeprefix("http://").rstrip("/").split(":")
+        opened = [await asyncio.open_connection(host, int(port)) for _ in range(4)]
+        for reader, writer in opened:
+            assert await asyncio.wait_for(reader.read(), 5) == b""
+            writer.close()
+        await page.until("plant")
+        assert (await page.ask("nothing"))["ok"] is False

@@ -51,7 +51,7 @@ def execute(args: argparse.Namespace) -> int:
     """Exit code 0 at Ctrl-C or SIGTERM."""
     options.require("aiohttp", "dpstack web", "web")
     source, config = _source(args)
-    commissioning = None if config is None and args.gsd is None else Commissioning(config, args.gsd)
+    commissioning = Commissioning(config, args.gsd)
     listen = Listen.parse(args.listen)
     tokens = None if args.token is None else read_tokens(args.token)
     context, names = tls_context(*args.tls) if args.tls else (None, frozenset())
