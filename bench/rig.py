@@ -6,6 +6,7 @@ import contextlib
 import importlib.util
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -212,6 +213,10 @@ class Bench:
         took = [_cpu_of(pid) - cpu for pid, cpu in zip(pids, before, strict=True)]
         return sum(took), sum(took[1:] or took), exchanges
 
+    def record(self, *, on: bool) -> None:
+        """Have a master with ``recording`` begin one, or end it."""
+        os.kill(self._master.pid, signal.SIGUSR1 if on else signal.SIGUSR2)
+
     def opened_at(self) -> int:
         """When the master's port was opened, in ns; only with a probe."""
         found = [path.read_bytes()[8:16] for path in self._folder.iterdir() if path.name.isdigit()]
@@ -301,13 +306,15 @@ def bench(
     ident: int = IDENT,
     records: int = 0,
     control: bool = False,
+    recording: bool = False,
 ) -> Iterator[Bench]:
     """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind,
     MasterFailedError when it does not get its slaves into data exchange.
 
     ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted;
     ``ident``: what the slaves are, of which the masters believe IDENT. ``records``: the master reads records of so many
-    octets from all slaves without end, 0: none. ``control``: it has a control socket, as a ``run`` has.
+    octets from all slaves without end, 0: none. ``control``: it has a control socket, as a ``run`` has. ``recording``:
+    its slaves have named values, and :meth:`Bench.record` makes it keep them.
     """
     refused = unavailable(kind, cycle_ms)
     if refused:
@@ -324,6 +331,8 @@ def bench(
             words += ["--records", str(records)]
         if control:
             words.append("--control")
+        if recording:
+            words += ["--recordings", str(folder)]
         if cycle_ms is not None:
             words += ["--cycle-ms", str(cycle_ms)]
         if kind == "bare" and paced:

@@ -158,7 +158,7 @@ class Recording:
     # --- samples ---
     def _set_layout(self, bus: BusBase) -> None:
         drives = {drive.address: drive for drive in bus.drives}
-        self._sources = [_Source(bus, slave, drives.get(slave.address)) for slave in bus.slaves]
+        self._sources = [_Source(slave, drives.get(slave.address)) for slave in bus.slaves]
         started = time.time_ns() - (bus.runtime.now() - bus.started_ns)
         self._layout = Layout(
             tuple(source.described for source in self._sources),
@@ -184,10 +184,23 @@ class Recording:
     def _take(self, bus: BusBase, inputs: Mapping[int, bytes], t_ns: int) -> None:
         now = bus.runtime.now()
         self._last_ns = now
-        mode = self.mode
+        mode, view = self.mode, bus.view
+        operating = self.mode is Mode.OPERATE
         sources: list[object] = []
         for source in self._sources:
-            source.add(sources, inputs.get(source.address), mode, now)
+            octets = inputs.get(source.address)
+            if octets is None:
+                source.add_invalid(sources)
+                continue
+            sources.append(_EXCHANGING)
+            if source.has_inputs:
+                sources.append(octets)
+            if source.has_outputs or source.drive is not None:
+                held = view.image(source.slave.setup).outputs
+                if source.has_outputs:
+                    sources.append(held if operating else source.outputs_in(mode, held))
+                if source.drive is not None:
+                    sources.append(source.quantities(source.drive, (octets, held), now))
         wall_ns = time.time_ns() - max(0, now - t_ns)
         assert self._writer is not None
         sample = Sample(self._layout, t_ns - bus.started_ns, wall_ns, tuple(sources), self._lost)
@@ -267,57 +280,38 @@ class RunFiles:
 
 
 class _Source:
-    """One slave: what a round adds to a sample."""
+    """One slave of a recording."""
 
     __slots__ = (
-        "_before",
-        "_drive",
-        "_has_inputs",
-        "_has_outputs",
-        "_key",
-        "_read_ns",
-        "_status",
-        "_view",
-        "address",
-        "described",
+        *("_before", "_key", "_read_ns", "_status", "address", "described", "drive", "has_inputs", "has_outputs"),
         "slave",
     )
 
-    def __init__(self, bus: BusBase, slave: Slave, drive: Drive | None) -> None:
+    def __init__(self, slave: Slave, drive: Drive | None) -> None:
         self.slave = slave
+        self.drive = drive
         self.address = slave.address
         config = slave.config
+        self.has_inputs = bool(config.input_fields)
+        self.has_outputs = bool(config.output_fields)
         self.described = RecordedSlave(
             slave.address, slave.name, config.input_fields, config.output_fields, drive is not None
         )
-        self._view = bus.view
-        self._has_inputs = bool(config.input_fields)
-        self._has_outputs = bool(config.output_fields)
-        self._drive = drive
         self._status: tuple[object, ...] | None = None
         self._key: object = None
         self._before: object = None
         self._read_ns = 0
 
-    def add(self, sources: list[object], octets: bytes | None, mode: Mode, now: int) -> None:
-        """Append state, inputs, outputs and drive, those that there are; ``octets``: None outside data exchange."""
-        sources.append(self.slave.state.value if octets is None else _EXCHANGING)
-        if self._has_inputs:
-            sources.append(octets)
-        if not self._has_outputs and self._drive is None:
-            return
-        held = b"" if octets is None else self._view.image(self.slave.setup).outputs
-        if self._has_outputs:
-            sources.append(None if octets is None else self._sent(held, mode))
-        if self._drive is not None:
-            sources.append(None if octets is None else self._quantities(self._drive, (octets, held), now))
+    def add_invalid(self, sources: list[object]) -> None:
+        """Append the state of a slave that is not in data exchange; nothing else of it is valid."""
+        sources.append(self.slave.state.value)
+        sources.extend((None,) * (self.has_inputs + self.has_outputs + (self.drive is not None)))
 
-    def _sent(self, held: bytes, mode: Mode) -> bytes | None:
-        if mode is Mode.OPERATE:
-            return held
+    def outputs_in(self, mode: Mode, held: bytes) -> bytes | None:
+        """The outputs on the wire in another mode than Operate."""
         return bytes(len(held)) if mode is Mode.CLEAR and not self.slave.setup.fail_safe else None
 
-    def _quantities(self, drive: Drive, key: object, now: int) -> tuple[object, ...]:
+    def quantities(self, drive: Drive, key: object, now: int) -> tuple[object, ...]:
         """The status of the drive. Its plugin sees inputs one round after they came."""
         if self._status is None or key != self._key or key != self._before or now - self._read_ns > _DRIVE_NS:
             status = drive.status
