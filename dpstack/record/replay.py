@@ -91,7 +91,9 @@ class Replay:
             slaves[str(self._addresses[name])] = {
                 "name": name,
                 "address": self._addresses[name],
-                **dict.fromkeys(("ident", "vendor", "model", "gsd", "safe", "watchdog_ms", "every"), None),
+                **dict.fromkeys(("ident", "gsd", "watchdog_ms"), None),
+                **dict.fromkeys(("vendor", "model", "safe"), ""),
+                "every": 1,
                 "modules": [],
                 "groups": [],
                 "dpv1": False,
@@ -111,6 +113,7 @@ class Replay:
             "virtual": False,
             "paced": True,
             "config": self._recording.config,
+            "config_digest": None,
             "parameters": {},
             "plan": {"rotation_us": None, "cycle_us": None},
             "slaves": slaves,
@@ -189,7 +192,7 @@ def _shown(cell: Cell) -> str:
 def _field(column: Column) -> dict[str, Any]:
     return {
         "name": column.field,
-        "type": column.at.partition("@")[0] or column.type,
+        "type": column.at.partition("@")[0].removesuffix("le") or column.type,
         "at": column.at,
         "scale": column.scale,
         "offset": column.offset,
@@ -207,6 +210,10 @@ def _drive(values: Mapping[str, Cell]) -> dict[str, Any]:
         "running": state == "running",
         "faults": [fault] if fault else [],
         "warnings": [warning] if warning else [],
+        **dict.fromkeys(("reached", "remote", "settings")),
+        "words": [],
+        "bits": [],
+        "settings_texts": [],
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import csv
 import io
 import json
@@ -9,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from api_kit import RAW, operating, virtual
 from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
 from dpstack.dp.process_data import Field, FieldMap, with_scale
 from dpstack.errors import UsageError
+from dpstack.live.state import LiveState
 from dpstack.record.columns import Column, Layout, RecordedSlave
 from dpstack.record.reader import Recording
 from dpstack.record.replay import Item, replay_items
@@ -290,3 +293,53 @@ async def test_replay_from_the_middle(tmp_path: Path) -> None:
     path.write_bytes(Rows(layout(), "csv").head())
     with pytest.raises(UsageError, match="has no rows"):
         await _items(path)
+
+
+async def test_a_replay_feeds_the_state_of_any_face(tmp_path: Path) -> None:
+    path = tmp_path / "plant.csv"
+    plant = layout(boiler(), RecordedSlave(3, "hoist", is_drive=True))
+    rows = Rows(plant, "csv")
+    status = ("running", 0.5, 0.25, 12.5, None, None, None, "hot")
+    lines = [
+        rows.row(sample(plant, 0, "data_exchange", bytes(4), "offline", None)),
+        rows.row(sample(plant, 400, "data_exchange", b"\0\1\0\1", "data_exchange", status)),
+    ]
+    path.write_bytes(rows.head() + b"".join(filter(None, lines)))
+    state = LiveState()
+    for item in (await _items(path))[0]:
+        state.apply(item)
+    assert state.plant is not None
+    assert (state.plant["source"], state.t) == ("replay", 0.4)
+    assert state.end == "end of the recording plant.csv"
+    assert state.slaves["12"]["fields"] == {"level": 0.1, "burner": True}
+    drive = state.slaves["3"]["drive"]
+    assert (drive["state"], drive["running"], drive["speed"], drive["warnings"]) == ("running", True, 0.25, ["hot"])
+    assert [event["text"] for event in state.events][1:] == [
+        "hoist: state data_exchange",
+        "hoist: drive_state running",
+        "hoist: warning hot",
+    ]
+
+
+async def test_a_replay_has_the_keys_of_a_live_stream(tmp_path: Path) -> None:
+    path = tmp_path / "plant.csv"
+    write(path, layout(), [(0, 1)])
+    items, _ = await _items(path)
+    live: list[Item] = []
+
+    async def of_a_bus() -> None:
+        async with operating({**RAW, "config": "23 13", "inputs": {"level": "i16@2"}}) as bus:
+            async for item in bus.live():
+                live.append(item)
+                if "snapshot" in item:
+                    break
+
+    await asyncio.to_thread(virtual, of_a_bus())
+    (plant,), (same,) = _of(live, "plant"), _of(items, "plant")
+    assert same.keys() - {"source"} == plant.keys()
+    (slave,), (other,) = plant["slaves"].values(), same["slaves"].values()
+    assert other.keys() == slave.keys()
+    assert other["inputs"][0].keys() == slave["inputs"][0].keys()
+    snapshot, mine = _of(live, "snapshot")[0], _of(items, "snapshot")[0]
+    (slave,), (other,) = snapshot["slaves"].values(), mine["slaves"].values()
+    assert other.keys() == slave.keys()

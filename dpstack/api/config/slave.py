@@ -61,7 +61,8 @@ class FieldKeys(TypedDict, total=False):
     scale: the value of one step; not 0. A field that is no number (bool, bytes) has none of these keys. Left out: 1
     offset: the value for the number 0 in the octets. Left out: 0
     unit: the unit of the value, for people, up to 20 characters. Left out: none
-    dead_band: a recording on change leaves out changes up to so much. Left out: 0, every change counts
+    dead_band: a [recording on change](record.md#on-change) leaves out changes up to so much. Left out: 0, every change
+        counts
     """
 
     at: str
@@ -92,6 +93,10 @@ def _scaled_field(table: Table, name: str, length: int, what: str) -> Field:
         keys.fail(None, "no at", 'add type and place, for instance at = "i16@2"')
     if len(given.get("unit", "")) > _UNIT_LENGTH:
         keys.fail("unit", f"unit has {len(given['unit'])} characters", f"at most {_UNIT_LENGTH} fit into a table")
+    if any(letter in given.get("unit", "") for letter in "[]"):
+        keys.fail(
+            "unit", f"unit = {given['unit']!r} has a bracket", "leave it out: it stands in brackets in recordings"
+        )
     keys.title = table.title  # messages about a field begin with its name
     with keys.blaming("at"):
         found = field_of(name, given.pop("at"), length, what)

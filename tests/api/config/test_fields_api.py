@@ -94,6 +94,10 @@ def test_a_configuration() -> None:
             f'inputs = {{ level = {{ at = "i16@2", unit = "{"x" * 21}" }} }}\n',
             "plant.toml:10: [[slave]] raw: inputs: level: unit has 21 characters; at most 20 fit into a table",
         ),
+        (
+            'inputs = { level = { at = "i16@2", unit = "[bar]" } }\n',
+            "plant.toml:10: [[slave]] raw: inputs: level: unit = '[bar]' has a bracket; leave it out",
+        ),
         ('inputs = { a = "" }\n', "plant.toml:10: [[slave]] raw: inputs: a is empty; give it a value or leave it out"),
     ],
 )
