@@ -20,6 +20,7 @@ from dpstack.api.slave.slave import Slave
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.drivers.futures import wait_through_cancellation
+from dpstack.drivers.snapshots import View
 from dpstack.errors import UsageError
 from dpstack.record.columns import Layout, RecordedSlave
 from dpstack.record.rows import Sample
@@ -52,6 +53,8 @@ class Recording:
         self._file = RecordFile(path, rotation, dead_band, self._tell)
         self._on_change = on_change
         self._bus: BusBase | None = None
+        self._view: View | None = None
+        self._started_ns = 0
         #: the mode of the master, as its events have it
         self.mode = Mode.OFFLINE
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -107,6 +110,8 @@ class Recording:
         if bus.view.read_only:
             raise UsageError("a read-only bus reads no process data: nothing can be recorded; leave read_only out")
         self._bus = bus
+        self._view = bus.view
+        self._started_ns = bus.started_ns
         self.mode = bus.mode
         self._loop = asyncio.get_running_loop()
         self._writer = WriterThread("recording", self._file, MOST_WAITING)
@@ -168,9 +173,10 @@ class Recording:
         )
 
     def _on_round(self) -> None:
-        bus = self._bus
+        bus, view = self._bus, self._view
         assert bus is not None
-        data = bus.view.cycle
+        assert view is not None
+        data = view.cycle
         if data is None or data.published == self._published:
             return  # no slave had its turn in this round
         if self._published and data.published - self._published > 1:
@@ -179,12 +185,11 @@ class Recording:
             self._lost += missed
         self._published = data.published
         self._is_silent = False
-        self._take(bus, data.inputs, data.t_ns)
+        self._take(view, data.inputs, data.t_ns, bus.runtime.now())
 
-    def _take(self, bus: BusBase, inputs: Mapping[int, bytes], t_ns: int) -> None:
-        now = bus.runtime.now()
+    def _take(self, view: View, inputs: Mapping[int, bytes], t_ns: int, now: int) -> None:
         self._last_ns = now
-        mode, view = self.mode, bus.view
+        mode = self.mode
         operating = self.mode is Mode.OPERATE
         sources: list[object] = []
         for source in self._sources:
@@ -203,7 +208,7 @@ class Recording:
                     sources.append(source.quantities(source.drive, (octets, held), now))
         wall_ns = time.time_ns() - max(0, now - t_ns)
         assert self._writer is not None
-        sample = Sample(self._layout, t_ns - bus.started_ns, wall_ns, tuple(sources), self._lost)
+        sample = Sample(self._layout, t_ns - self._started_ns, wall_ns, tuple(sources), self._lost)
         self._lost = 0 if self._writer.put(sample) else self._lost + 1
 
     def _look(self) -> None:
@@ -219,7 +224,7 @@ class Recording:
             self._set_layout(bus)
         now = bus.runtime.now()
         if now - self._last_ns > (_ROW_NS if self._is_silent else _SILENT_NS):
-            self._take(bus, {}, now)
+            self._take(bus.view, {}, now, now)
             self._is_silent = True
         self._timer = loop.call_later(_LOOK_S, self._look)
 

@@ -194,6 +194,6 @@ def test_the_cost_of_a_round(outputs: bool, per_slave: int, tmp_path: Path) -> N
         assert of_recording.count("_take") == rounds
         assert len(of_recording) - 2 * rounds < 100  # a look four times a second
         # the picture of the inputs that the master makes, its way here, time, the queue
-        assert len(calls.codes) / rounds - without < 30 + per_slave * len(slaves)
+        assert len(calls.codes) / rounds - without < 24 + per_slave * len(slaves)
 
     virtual(measure())
