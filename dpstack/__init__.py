@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from dpstack.api.bus.cycles import Cycle
     from dpstack.api.bus.find_baud import BaudReport, find_baud
     from dpstack.api.bus.virtual import IoStation, World, run_virtual, simulate
+    from dpstack.api.commissioning.commissioning import Commissioning
     from dpstack.api.config.config import Config, load_config
     from dpstack.api.lists.parameter_list import ParameterPlace
     from dpstack.api.server.server import SlaveServer, serve_slave, serve_slaves, slave_from_gsd
@@ -80,6 +81,7 @@ __all__ = [
     "BaudReport",
     "Bus",
     "BusError",
+    "Commissioning",
     "Config",
     "ConfigError",
     "Connection",
@@ -154,6 +156,7 @@ api.bus.bus Bus open_bus
 api.bus.cycles Cycle
 api.bus.find_baud BaudReport find_baud
 api.bus.virtual run_virtual simulate World IoStation
+api.commissioning.commissioning Commissioning
 api.config.config Config load_config
 api.lists.parameter_list ParameterPlace
 api.server.server SlaveServer serve_slave serve_slaves slave_from_gsd

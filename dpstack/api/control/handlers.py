@@ -357,15 +357,10 @@ class ScanOrder:
         return {
             "baud": bus.params.baud,
             "address": bus.params.address,
-            "stations": [_found_dict(one, names.get(one.address)) for one in found],
+            "stations": [{"config": None, **one.as_dict(), "name": names.get(one.address)} for one in found],
             "unreadable": sorted(unreadable),
             "notes": list(answer_notes(found, unreadable)),
         }
-
-
-def _found_dict(found: Found, name: str | None) -> dict[str, object]:
-    config = None if found.config is None else found.config.hex(" ").upper()
-    return {**found.as_dict(), "config": config, "name": name}
 
 
 # --- commands to simulated slaves of a sim, or of a run on "virtual" ----------------------------------------

@@ -78,13 +78,16 @@ class Found:
         return ", ".join(words)
 
     def as_dict(self) -> dict[str, object]:
-        """As in the JSON of ``scan``: null if a key does not apply or is not known."""
+        """As in the JSON of ``scan``: null if a key does not apply or is not known; ``config`` (hex) where it is
+        known."""
+        known = {} if self.config is None else {"config": self.config.hex(" ").upper()}
         return {
             "address": self.address,
             "type": self.kind.name.lower(),
             "ident": None if self.ident is None else f"0x{self.ident:04X}",
             "state": None if self.state is None else self.state.value,
             "master": self.master,
+            **known,
         }
 
 
