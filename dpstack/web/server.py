@@ -157,9 +157,9 @@ class WebServer:
     def tell(self, text: str, severity: str = "info", **more: object) -> None:
         """An event of the server itself, on all pages and in the log. The log has the clock of this computer, the
         pages that of the stream: it goes on evenly, also where somebody has set the clock since the run began."""
-        text = printable(text)
-        self.log(f"{_now()} {text}")
-        time = _now() if self._clock is None else iso_time(self._clock + asyncio.get_running_loop().time())
+        now, text = _now(), printable(text)
+        self.log(f"{now} {text}")
+        time = now if self._clock is None else iso_time(self._clock + asyncio.get_running_loop().time())
         self.fan_out.put({"event": {"event": "web", "time": time, "severity": severity, "text": text, **more}})
 
     # --- the source -----------------------------------------------------------------------------------------------

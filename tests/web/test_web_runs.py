@@ -252,7 +252,10 @@ async def test_orders_and_asks_reach_a_bus(tmp_path: Path) -> None:
         assert (await page.order("outputs", "9=zz"))["ok"] is False
         assert "no slave" in (await page.order("outputs", "77=00"))["error"]
         diag = await page.ask("diag", 9)
-        assert diag["ok"] is True, diag
+        assert (diag["result"]["address"], diag["result"]["ident"]) == (9, "0x1234")
+        why = await page.ask("why", "raw")
+        assert (why["result"]["address"], why["result"]["slave"]) == (9, "raw")
+        assert "no slave" in (await page.ask("why", "nobody"))["error"]
         assert (await page.order("stop"))["ok"] is True
         assert stopped.is_set()
 
