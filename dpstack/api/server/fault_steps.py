@@ -103,20 +103,25 @@ def _diagnosis(table: Table, given: Mapping[str, Any], bench: Bench, address: in
         )
     with table.blaming(ways[0]):
         if "octets" in given:
-            return _of_fault(bench, address, ReportedDiagnosis(UserDiag(given["octets"], fault)))
+            return _reports(bench, address, UserDiag(given["octets"], fault), given["octets"].hex(" ").upper())
         if "text" in given:
             found = _text_of(table, given["text"], texts, slot - first)
             if found.kind != "channel":
                 diag = UserDiag.of(device_block(_unit_diag(found)), fault=fault)
-                return _of_fault(bench, address, ReportedDiagnosis(diag))
-            number = found.value
+                return _reports(bench, address, diag, found.text)
+            number, cause = found.value, found.text
         else:
-            number = _error_number(table, given["error"], texts, slot - first)
+            number, cause = _channel_error(table, given["error"], texts, slot - first)
         way = given.get("direction", "input")
         block = channel_block(
             slot - first, given.get("channel", 0), number, size=1, input=way != "output", output=way != "input"
         )
-    return _of_fault(bench, address, ReportedDiagnosis(UserDiag.of(block, fault=fault)))
+    return _reports(bench, address, UserDiag.of(block, fault=fault), f"{block.place('', first)}: {cause}")
+
+
+def _reports(bench: Bench, address: int, diag: UserDiag, words: str) -> Deed:
+    deed = _of_fault(bench, address, ReportedDiagnosis(diag))
+    return Deed(f"diagnosis, {words}", deed.begin)
 
 
 def _unit_diag(text: DiagText) -> bytes:
@@ -137,17 +142,18 @@ def _text_of(table: Table, wanted: str, texts: DiagTexts | None, module: int) ->
     raise _unknown(table, "text", wanted, list(known), "its GSD file has no texts: give error or octets")
 
 
-def _error_number(table: Table, wanted: object, texts: DiagTexts | None, module: int) -> int:
-    """The number of a channel error, given by number, by a word of the standard, or by a text of the GSD file."""
+def _channel_error(table: Table, wanted: object, texts: DiagTexts | None, module: int) -> tuple[int, str]:
+    """Number and words of a channel error, given by number, by a word of the standard, or by a text of the GSD file."""
     own = {text.text: text.value for text in _texts_of(texts, module) if text.kind == "channel"}
     known = {text: number for number, text in CHANNEL_ERRORS.items()} | own
     if isinstance(wanted, int) and not isinstance(wanted, bool):
         if not 1 <= wanted <= 31:
             table.fail("error", f"error = {wanted}", "numbers of channel errors are 1..31")
-        return wanted
+        words = {number: text for text, number in known.items()}
+        return wanted, words.get(wanted, f"error {wanted}")
     for text, number in known.items():
         if text.lower() == str(wanted).lower():
-            return number
+            return number, text
     raise _unknown(table, "error", str(wanted), list(known), "")
 
 

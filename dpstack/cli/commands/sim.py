@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from dpstack.api.bus.events_json import severity_of
 from dpstack.api.config.config import AUTO, Config, load_config, make_config, slave_config
 from dpstack.api.control.handlers import control_sim, slave_handlers
 from dpstack.api.control.scenario import SimulatedPlant
-from dpstack.api.server.simulation import DEFAULT_BAUD, Simulation
+from dpstack.api.recording.event_log import EventLog
+from dpstack.api.server.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable
 from dpstack.cli.parser import Parser
@@ -19,7 +23,8 @@ from dpstack.cli.terminal.report import event_printer
 from dpstack.cli.terminal.signals import StopSignal
 from dpstack.errors import UsageError
 from dpstack.text import number_or_name
-from dpstack.units import baud_text
+from dpstack.trace import Event
+from dpstack.units import baud_text, ns_to_s
 
 
 def add_to(parser: Parser) -> None:
@@ -44,6 +49,7 @@ def add_to(parser: Parser) -> None:
     parser.value("--port", "P", 'the port; "pty" makes one and prints its path', required=True)
     parser.value("--baud", "B|auto", "the rate, else the configuration's; auto: listens", type=options.baud_or_auto)
     parser.value("--scenario", "FILE", "faults and inputs in time: a TOML file of steps")
+    parser.value("--log", "FILE", "write events with wall clock, JSON if it ends in .jsonl; 10 MB, then a new file")
     parser.flag("--allow-code", "load and call the functions that the configuration names (key simulate)")
     parser.value("--seconds", "S", "end after so many seconds", type=options.seconds)
     parser.run_by(execute)
@@ -77,7 +83,8 @@ def _config(args: argparse.Namespace) -> Config:
 
 
 async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Namespace) -> int:
-    with StopSignal() as stop:
+    with StopSignal() as stop, contextlib.ExitStack() as stack:
+        log = None if args.log is None else stack.enter_context(contextlib.closing(EventLog(args.log)))
         simulation = Simulation(config, args.port, baud)
         plant = SimulatedPlant(
             simulation,
@@ -98,7 +105,7 @@ async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Names
                 output.warn(
                     f"a master needs t_sl = {simulation.t_sl} or more for these slaves: the adapter answers late"
                 )
-            simulation.on_event = event_printer(simulation.started_ns, json=args.json)
+            simulation.on_event = _event_writer(simulation, args.json, log)
             with plant:
                 plant.start(simulation.started_ns)
                 await stop.or_done(simulation.failed(args.seconds))
@@ -107,6 +114,20 @@ async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Names
                 return 0 if stop.received else 1
             print_summary(simulation, args.json)
     return 0
+
+
+def _event_writer(simulation: Simulation, json: bool, log: EventLog | None) -> Callable[[Event], None]:
+    """A function that prints the events of ``simulation``, and writes them into ``log``."""
+    show = event_printer(simulation.started_ns, json=json)
+    if log is None:
+        return show
+
+    def write(event: Event) -> None:
+        show(event)
+        line = sim_event_json(event, ns_to_s(event.t_ns - simulation.started_ns))
+        log.put({**line, "severity": severity_of(event).value, "text": event.text})
+
+    return write
 
 
 def print_summary(simulation: Simulation, json: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -91,6 +92,19 @@ async def test_a_scenario_behind_a_pty() -> None:
     assert simulation.slaves[0].station.stats.dropped == 0  # the late answers came in time for this master
     states = [(line["step"], line["state"]) for line in lines if line["event"] == "scenario"]
     assert states == [(1, "begin"), (1, "end"), (2, "begin"), (2, "end"), (3, "begin"), (3, "end"), (0, "over")]
+
+
+def test_each_step_is_in_the_log(cli: Cli, tmp_path: Path) -> None:
+    text = '[[step]]\nat = 0\nslave = "valves"\ndo = "diagnosis"\nerror = "line break"\nchannel = 3\n'
+    (tmp_path / "one.toml").write_text(text, encoding="utf-8")
+    files = ("--scenario", str(tmp_path / "one.toml"), "--log", str(tmp_path / "sim.jsonl"))
+    shown = cli.out("sim", str(PLANT), "--port", "pty", *files, "--seconds", "0.05")
+    said = "scenario step 1, slave 8 (valves): diagnosis, slot 1, input channel 3 (bit): line break"
+    assert said in shown
+    logged = [json.loads(line) for line in (tmp_path / "sim.jsonl").read_text(encoding="utf-8").splitlines()]
+    (line,) = [line for line in logged if line.get("step") == 1]
+    assert (line["event"], line["state"], line["severity"], line["text"]) == ("scenario", "begin", "info", said)
+    assert line["time"].endswith("Z")
 
 
 def test_a_scenario_needs_simulated_slaves(cli: Cli, tmp_path: Path) -> None:
