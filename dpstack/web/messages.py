@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any, Final, NoReturn
 
 from dpstack.text import json_text, printable, shortened
@@ -96,8 +97,23 @@ def answer(id: int | None, result: object = None, *, error: str | None = None) -
 
 
 def encode(message: Mapping[str, object]) -> str:
-    """A message to a page as JSON. Values that JSON does not have become texts."""
-    return json_text(message, default=str)
+    """A message to a page as JSON. Values that JSON does not have become texts, infinite and undefined numbers null."""
+    try:
+        return json_text(message, default=str, allow_nan=False)
+    except ValueError:
+        return json_text(_finite(message), default=str)
+
+
+def _finite(value: object) -> object:
+    """``value`` without numbers that a browser's JSON does not have: it would refuse the whole message."""
+    match value:
+        case Mapping():
+            return {key: _finite(one) for key, one in value.items()}
+        case list() | tuple():
+            return [_finite(one) for one in value]
+        case float() if not isfinite(value):
+            return None
+    return value
 
 
 def _hello(body: dict[str, Any]) -> Hello:

@@ -135,3 +135,13 @@ async def test_connections_without_a_request_are_closed_and_their_number_is_boun
             writer.close()
         await page.until("plant")
         assert (await page.ask("nothing"))["ok"] is False
+
+
+async def test_a_number_that_json_does_not_have_does_not_cost_the_message() -> None:
+    source = GivenItems([PLANT, WHOLE])
+    async with serve(source) as server, page_of(server) as page:
+        await page.until("snapshot")
+        fields = {"level": float("nan"), "limits": [float("inf"), 1.5]}
+        source.put({"snapshot": {"t": 0.2, "whole": False, "bus": {}, "slaves": {"3": {"fields": fields}}}})
+        message = await page.ws.receive_str(timeout=5)
+        assert '"fields":{"level":null,"limits":[null,1.5]}' in message
