@@ -106,7 +106,7 @@ class Browser:
         """The first true value of ``happened``."""
         end = time.monotonic() + HANGS_S
         while not (found := happened()):
-            assert time.monotonic() < end, f"not on the page: {what}; there is: {self.text('body')[:3000]}"
+            assert time.monotonic() < end, f"not on the page: {what}; there is: {' | '.join(self.text('body').split())}"
             time.sleep(0.03)
         return found
 

@@ -96,18 +96,11 @@ export const MACHINES = {
   },
 };
 
-// A drive whose status tells no ramp down.
-MACHINES.switched = {
-  columns: 3,
-  at: { not_ready: [0, 0], ready: [1, 0], running: [2, 0], fault: [0, 1] },
-  arrows: [["not_ready", "ready"], ["ready", "not_ready"], ["ready", "running"], ["running", "ready"], ["fault", "ready"]],
-};
-
 const FAMILY = {
   "demag-dedrive": "drivecom",
   "fuji-frenic": "profidrive",
   "ls-s100": "profidrive",
-  "imo-hd2": "switched",
+  "imo-hd2": "simple",
   "keb-f5": "simple",
 };
 

@@ -17,7 +17,7 @@ class RetryRow {
     this.cells = ["exchanges", "retries", "timeouts", "late", "wrong", "bad"].map((name) => ({ name, node: cell("", "n") }));
     this.bar = el("i", { class: "share" });
     this.node = el("tr", { "data-address": address },
-      el("th", { scope: "row" }, el("a", { href: `#/slave/${address}` }, el("span", { class: "address", text: address }), el("bdi", { class: "name", text: app.live.name(address) }))),
+      el("th", { scope: "row" }, el("a", { href: `#/slave/${address}` }, el("span", { class: "address", text: address }), " ", el("bdi", { class: "name", text: app.live.name(address) }))),
       el("td", {}, this.state.node), ...this.cells.map((one) => one.node), el("td", { class: "barcell" }, this.bar));
   }
 

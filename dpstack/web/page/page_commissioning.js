@@ -45,7 +45,7 @@ class Found {
     this.more = el("div", { class: "more" });
     this.node = el("article", { class: "card found", "aria-labelledby": `${id}-title` },
       el("header", {},
-        el("h3", { id: `${id}-title` }, el("span", { class: "address", text: station.address }), station.ident ?? "no ident number"),
+        el("h3", { id: `${id}-title` }, el("span", { class: "address", text: station.address }), " ", station.ident ?? "no ident number"),
         el("span", { class: "field check" }, take, el("label", { for: `${id}-take`, text: "take it into the configuration" }))),
       el("p", { class: "faint", text: `${words(station.state ?? "unknown")}${typeof station.master === "number" ? `, master ${station.master}` : ""}${station.name ? ", in the present configuration" : ""}${station.config ? `; identifier octets ${station.config}` : ""}` }),
       el("div", { class: "fields" },
@@ -206,8 +206,17 @@ export class CommissioningPage {
     return this.during(this.scanButton, this.scanned, async () => {
       kept.scan = await app.link.ask("scan");
       kept.made = null;
+      kept.found = [];
+      this.paintScan();
       const stations = (kept.scan.stations ?? []).filter((one) => one.type === undefined || one.type === "slave");
-      const match = await app.link.ask("match", stations.map(({ address, ident = null, config = null, type = "slave" }) => ({ address, ident, config, type })));
+      const asked = stations.map(({ address, ident = null, config = null, type = "slave" }) => ({ address, ident, config, type }));
+      let match = { stations: [] };
+      try {
+        match = await app.link.ask("match", asked);
+      } catch (error) {
+        this.list.replaceChildren(el("p", { class: "bad" }, mark("bad"), error.message));
+        return;
+      }
       kept.folder = match.folder ?? null;
       kept.bad = match.bad ?? [];
       const byAddress = new Map((match.stations ?? []).map((one) => [one.address, one]));

@@ -95,19 +95,24 @@ class LinePicture {
       const slave = live.slaves.get(address);
       const kind = stateKind(slave.state);
       const remark = remarkOf(slave);
-      const key = `${kind}|${slave.state}|${remark}`;
+      const key = `${kind}|${slave.state}|${remark}|${slave.drive?.faults?.length}`;
       if (!all && parts.key === key) continue;
       parts.key = key;
       setAttr(parts.link, "class", `station ${kind}`);
       if (parts.kind !== kind) parts.sign.replaceChildren(shape(kind));
       parts.kind = kind;
       if (parts.text) setText(parts.text, SHORT[slave.state] ?? stateText(slave.state));
+      const broken = slave.drive?.faults?.length ? "bad" : "warn";
+      if (parts.broken !== broken) parts.remark.replaceChildren(shape(broken));
+      parts.broken = broken;
       setAttr(parts.remark, "class", remark && kind !== "bad" ? null : "gone");
       setText(parts.title, `${address} ${live.name(address)}: ${stateText(slave.state)}${remark ? `, ${remark}` : ""}`);
     }
   }
 }
 
+// Rows outside the window that are painted with each snapshot.
+const AT_A_TIME = 8;
 const SHORT = { data_exchange: "Data exchange", wait_ready: "Waiting", chk_cfg: "Configuration", set_prm: "Parameters" };
 
 /** Named values of a slave as a list that changes in place. */
@@ -116,7 +121,7 @@ export class Values {
     this.outputs = outputs;
     this.cells = fields.map((field) => {
       const shown = el("span", { class: "figure" });
-      const node = el("div", {}, el("dt", {}, el("bdi", { text: field.name })), el("dd", {}, shown, field.unit ? el("span", { class: "unit", text: field.unit }) : null));
+      const node = el("div", {}, el("dt", {}, el("bdi", { text: field.name })), el("dd", {}, shown, field.unit ? " " : null, field.unit ? el("span", { class: "unit", text: field.unit }) : null));
       return { field, shown, node };
     });
     this.node = el("dl", { class: "values" }, ...this.cells.map((one) => one.node));
@@ -150,7 +155,7 @@ class Row {
     this.counters = el("span", { class: "figure" });
     this.remark = el("td", { class: "remark", "data-label": "Remarks" });
     this.node = el("tr", { "data-address": address, id: `row-${address}` },
-      el("th", { scope: "row", class: "who" }, el("a", { href: `#/slave/${address}` }, el("span", { class: "address", text: address }), el("bdi", { class: "name", text: live.name(address) })),
+      el("th", { scope: "row", class: "who" }, el("a", { href: `#/slave/${address}` }, el("span", { class: "address", text: address }), " ", el("bdi", { class: "name", text: live.name(address) })),
         el("span", { class: "faint", text: about.model ?? "" })),
       el("td", { class: "is", "data-label": "State" }, this.state.node, this.age),
       el("td", { "data-label": "Inputs" }, this.inputs?.node ?? this.rawIn),
@@ -195,7 +200,7 @@ export class DriveCard {
     this.open = open;
     this.orders = el("div", { class: "drive-orders" });
     this.node = el("article", { class: "card drive", "data-address": address },
-      el("header", {}, el(heading, {}, el("a", { href: `#/slave/${address}` }, el("span", { class: "address", text: address }), el("bdi", { text: this.name }))), this.state.node),
+      el("header", {}, el(heading, {}, el("a", { href: `#/slave/${address}` }, el("span", { class: "address", text: address }), " ", el("bdi", { text: this.name }))), this.state.node),
       el("p", { class: "faint", text: [about.drive.profile, about.drive.telegram].filter(Boolean).join(", ") }),
       this.bar.node, el("div", { class: "drive-view" }, this.machine.node, this.figures), this.fault, this.orders);
   }
@@ -326,6 +331,7 @@ export class PlantPage {
       if (!entry.isIntersecting) this.visible.delete(address);
       else if (!this.visible.has(address)) {
         this.visible.add(address);
+        this.waiting.delete(address);
         this.rows.get(address)?.update();
       }
     }
@@ -348,11 +354,18 @@ export class PlantPage {
   update(changed) {
     const { live } = this.app;
     this.line.update(changed);
-    // the first time all rows get their texts, later only those in the window
+    // rows in the window at once, the others a few at a time: 125 slaves must not make the page slow
     for (const address of changed) {
-      if (this.visible.has(address) || !this.filled) this.rows.get(address)?.update();
+      if (this.visible.has(address)) this.rows.get(address)?.update();
+      else this.waiting.add(address);
     }
+    let rest = this.filled ? AT_A_TIME : Infinity;
     this.filled = true;
+    for (const address of this.waiting) {
+      if (rest-- <= 0) break;
+      this.waiting.delete(address);
+      this.rows.get(address)?.update();
+    }
     for (const card of this.drives.values()) card.update();
     if (this.filter.value) this.select();
     this.paintTiles(live);

@@ -98,7 +98,7 @@ export class ScopePage {
     const shown = [...all.filter((one) => scope.chosen.includes(one.id)), ...all.filter((one) => !scope.chosen.includes(one.id))].slice(0, 200);
     const boxes = shown.map((one) => {
       const box = el("input", { type: "checkbox", checked: scope.chosen.includes(one.id), "data-key": one.id, disabled: !scope.chosen.includes(one.id) && scope.chosen.length >= MOST, on: { change: () => this.choose(one.id, box.checked) } });
-      return el("label", {}, box, el("bdi", { text: one.label }), one.unit ? el("span", { class: "unit", text: one.unit }) : null);
+      return el("label", {}, box, el("bdi", { text: one.label }), one.unit ? " " : null, one.unit ? el("span", { class: "unit", text: one.unit }) : null);
     });
     const had = this.list.contains(document.activeElement) ? document.activeElement.dataset.key : null;
     this.list.replaceChildren(...boxes, ...(all.length > shown.length ? [el("p", { class: "faint", text: `${all.length - shown.length} more: use the search` })] : []));
@@ -250,7 +250,7 @@ export class ScopePage {
     this.legendItems = signals.map((one, n) => {
       const figure = el("span", { class: "figure" });
       const line = el("i", { class: `line dash-${Math.floor(n / 2) % 4}`, vars: { "--trace": `var(--trace-${n % 8})` } });
-      return { figure, node: el("li", {}, line, el("bdi", { text: one.label }), figure, one.unit ? el("span", { class: "unit", text: one.unit }) : null) };
+      return { figure, node: el("li", {}, line, el("bdi", { text: one.label }), figure, one.unit ? " " : null, one.unit ? el("span", { class: "unit", text: one.unit }) : null) };
     });
     this.legend.replaceChildren(...this.legendItems.map((one) => one.node));
     this.draw(true);

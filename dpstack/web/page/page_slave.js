@@ -39,6 +39,7 @@ export class SlavePage {
     this.counters = el("div");
     this.notices = el("ul", { class: "plain" });
     this.alarms = el("div");
+    this.alarmList = el("ol", { class: "events" });
     this.why = el("div", { class: "answer", "aria-live": "polite" }, kept?.why ?? []);
     this.records = el("div", { class: "answer", "aria-live": "polite" }, kept?.records ?? []);
     this.im = el("div", { class: "answer", "aria-live": "polite" }, kept?.im ?? []);
@@ -48,7 +49,7 @@ export class SlavePage {
     const section = (id, title, ...inside) => el("section", { class: "card", "aria-labelledby": id }, el("h2", { id, text: title }), ...inside);
     root.append(
       el("div", { class: "heading" },
-        el("h1", {}, el("span", { class: "address", text: address }), el("bdi", { text: live.name(address) })), this.state.node,
+        el("h1", {}, el("span", { class: "address", text: address }), " ", el("bdi", { text: live.name(address) })), this.state.node,
         el("span", { class: "turn" }, to(others[at - 1], "‹ previous"), to(others[at + 1], "next ›"))),
       this.fault,
       el("div", { class: "columns" }, el("div", { class: "side" },
@@ -63,11 +64,11 @@ export class SlavePage {
         section("h-history", "History", this.history),
         section("h-identity", "Identity", this.identity(about), this.modules(about)),
         section("h-counters", "Counters", this.counters),
-        section("h-alarms", "Alarms", this.alarms))));
+        section("h-alarms", "Alarms", this.alarmList, this.alarms))));
   }
 
   get whyTitle() {
-    return "Why is it not in data exchange?";
+    return "Why it is, or is not, in data exchange";
   }
 
   keep() {
@@ -111,7 +112,7 @@ export class SlavePage {
   modules(about) {
     if (!about.modules?.length) return null;
     return table("Modules", [["Slot", "n"], ["Module"], ["Identifier"], ["In", "n"], ["Out", "n"]],
-      about.modules.map((one, slot) => el("tr", {}, cell(String(slot + 1), "n"), cell(one.name || "(empty)"), cell(el("code", { text: octets(one.config) })), cell(String(one.inputs ?? 0), "n"), cell(String(one.outputs ?? 0), "n"))));
+      about.modules.map((one, slot) => el("tr", {}, cell(String(slot + 1), "n"), cell(one.name || (one.config ? "" : "(empty)")), cell(el("code", { text: octets(one.config) })), cell(String(one.inputs ?? 0), "n"), cell(String(one.outputs ?? 0), "n"))));
   }
 
   outputOrders(about) {
@@ -150,7 +151,7 @@ export class SlavePage {
 
   recordForm(about) {
     const slot = el("input", { id: "record-slot", size: 4, inputmode: "numeric", value: "0" });
-    const index = el("input", { id: "record-index", size: 4, inputmode: "numeric", value: "255" });
+    const index = el("input", { id: "record-index", size: 4, inputmode: "numeric", placeholder: "0..255" });
     const valid = () => [slot, index].every((one) => /^\d+$/.test(one.value.trim()) && Number(one.value) < 256);
     const read = async (event) => {
       event.preventDefault();
@@ -269,23 +270,27 @@ export class SlavePage {
     refill(this.notices, notices, () => notices.map((one) => el("li", {}, el("span", { class: "faint figure", text: duration(one.t) }), " ", one.text)));
   }
 
+  historyItem(live, one) {
+    const item = eventItem(live, one);
+    item.querySelector("a")?.remove();
+    if (one.flags?.length || one.texts?.length) item.querySelector(".text").replaceChildren(...historyTexts(one));
+    return item;
+  }
+
   paintHistory(live) {
     const mine = live.events.filter((one) => one.address === this.address && HISTORY.has(one.event)).slice(-100).reverse();
+    const alarms = mine.filter((one) => one.event === "alarm" || one.event === "status_message");
+    refill(this.alarmList, alarms.map((one) => one.number).join(), () => alarms.map((one) => this.historyItem(live, one)));
     refill(this.history, mine.map((one) => one.number).join(), () => (mine.length
-      ? mine.map((one) => {
-        const item = eventItem(live, one);
-        item.querySelector("a")?.remove();
-        if (one.flags?.length || one.texts?.length) item.querySelector(".text").textContent = "";
-        if (one.flags?.length || one.texts?.length) item.querySelector(".text").append(...historyTexts(one));
-        return item;
-      })
+      ? mine.map((one) => this.historyItem(live, one))
       : [el("li", { class: "faint", text: "nothing since this page was opened" })]));
   }
 }
 
 function historyTexts(event) {
   const flags = (event.flags ?? []).map((flag) => el("span", { class: "flag", text: flag.replaceAll("_", " ") }));
-  return [event.event === "diagnosis" ? "Diagnosis: " : `${words(event.event)}: `, ...flags, ...(event.texts ?? []).map((text) => el("div", { text }))];
+  const head = event.event === "diagnosis" ? "Diagnosis: " : `${event.text ?? words(event.event)} `;
+  return [head, ...flags, ...(event.texts ?? []).map((text) => el("div", { text }))];
 }
 
 /** The story of `dpstack why`: steps, and causes with what speaks for and against them. */
@@ -305,8 +310,8 @@ export function whyStory(story) {
     el("ol", { class: "steps" }, ...steps.map((one) => el("li", {},
       el("span", { class: "faint figure", text: typeof one.t === "number" ? `${one.t.toFixed(3)} s` : "" }),
       el("div", {}, el("p", { text: one.text ?? [one.asked, one.answered].filter(Boolean).join(": ") }),
-        one.sent ? el("code", { class: "octets" }, el("span", { class: "faint", text: "sent " }), octets(one.sent, 40)) : null,
-        one.received ? el("code", { class: "octets" }, el("span", { class: "faint", text: "received " }), octets(one.received, 40)) : null)))),
+        one.sent && !one.text ? el("code", { class: "octets" }, el("span", { class: "faint", text: "sent " }), octets(one.sent, 40)) : null,
+        one.received && !one.text ? el("code", { class: "octets" }, el("span", { class: "faint", text: "received " }), octets(one.received, 40)) : null)))),
     story.text ? el("p", { text: story.text }) : null,
   ];
 }
