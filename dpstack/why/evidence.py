@@ -37,12 +37,15 @@ class Ring:
     """The token ring, as the asking station sees it. ``own``: the address of the master that owns the slave by its
     configuration; ``joined``: that master is in the ring. ``masters``: the list of active stations.
 
+    ``asks``: the master may send to slaves (not in Stop).
+
     ``without_token``: stations that send requests and never passed a token. ``collision``: text, where another station
     sends with the master's address. ``refused``: why the ring could not be joined, empty where it could.
     """
 
     own: int
     joined: bool = True
+    asks: bool = True
     masters: frozenset[int] = frozenset()
     without_token: tuple[int, ...] = ()
     collision: str = ""

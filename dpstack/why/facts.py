@@ -135,7 +135,7 @@ class Facts:
     def stale(self) -> bool:
         """Its master is out of the ring, or has not exchanged data with it for long: its state is of the past."""
         evidence = self.evidence
-        if not evidence.ring.joined:
+        if not (evidence.ring.joined and evidence.ring.asks):
             return True
         age = evidence.now_ns - evidence.exchanged_ns
         limit = max(_STALE_NS, _STALE * evidence.line.longest_ns * self.setup.every)

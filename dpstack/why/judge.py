@@ -115,6 +115,9 @@ def _ring(f: Facts) -> Findings:
         return
     if not ring.joined:
         yield from _out_of_ring(f, jammed=jammed)
+    elif not ring.asks:
+        todo = "operate() or clear(): the master sends nothing to slaves in Stop"
+        yield Finding(Cause.NO_TOKEN, 0.85, ["The master is in Stop: it asks no slave."], next=todo)
     elif f.evidence.source == CLASS2 and f.diagnosis is not None:
         if ring.own not in ring.masters and f.diagnosis.prm_req and f.owner is None and f.wrong_ident is None:
             facts = [

@@ -22,7 +22,7 @@ OTHER = {**RAW, "name": "other", "address": 4}
 @in_virtual_time
 async def test_a_healthy_slave_is_healthy_and_is_not_disturbed() -> None:
     async with operating(RAW, OTHER) as bus:
-        await asyncio.sleep(1)
+        await asyncio.sleep(0.2)
         raw = bus.slave("raw")
         timeouts = bus.stats.timeouts
         story = await bus.why("raw")
@@ -42,7 +42,7 @@ async def test_a_healthy_slave_is_healthy_and_is_not_disturbed() -> None:
 async def test_a_slave_without_power_is_not_there_and_with_another_address_has_that() -> None:
     async with operating(RAW, OTHER) as bus:
         bench_of(bus).power(9, False)
-        await asyncio.sleep(2)
+        await asyncio.sleep(0.5)
         story = await bus.why(9)
         assert story.first.cause == "not_there"
         assert any("answered before" in text for text in story.first.speaks_for)
@@ -67,7 +67,7 @@ async def test_refusals_are_told_with_their_octets() -> None:
         world.add(station)
     refused = {**RAW, "name": "refused", "address": 5, "user_prm": "01 02"}
     async with dpstack.open_bus(world=world, baud=500_000, slaves=[RAW, refused]) as bus:
-        await asyncio.sleep(2)
+        await asyncio.sleep(0.5)
         story = await bus.why("raw")
         assert story.first.cause == "module_order"
         last = [step for step in story.steps if step.get("refused_by")][-1]
@@ -81,6 +81,6 @@ async def test_an_empty_bus_names_the_rate_and_a_closed_one_still_tells() -> Non
         with pytest.raises(dpstack.UsageError, match="no slave"):
             await bus.why("raw")
     async with dpstack.open_bus(world=World(), baud=500_000, slaves=[RAW, OTHER]) as bus:
-        await asyncio.sleep(2)
+        await asyncio.sleep(0.5)
         assert (await bus.why("raw", scan=False)).first.cause == "rate_mismatch"
     assert (await bus.why("raw")).steps

@@ -203,7 +203,7 @@ EVIDENCE = st.builds(
 )
 
 
-@examples(12)
+@examples(5, soak=200)
 @given(EVIDENCE)
 def test_any_evidence_gives_a_story(evidence: Evidence) -> None:
     story = tell(evidence)

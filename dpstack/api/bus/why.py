@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.bring_ups import DAMAGED, NOTHING, WRONG, History, Step
+from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.pdu.diagnosis import Diagnosis
@@ -122,6 +123,7 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
         ring=Ring(
             own=master,
             joined=snapshot.in_ring,
+            asks=view.read_only or snapshot.mode >= Mode.CLEAR,
             masters=snapshot.las,
             without_token=tuple(link.without_token),
             collision=bus.collision or "",

@@ -63,6 +63,11 @@ async def test_process_data_events_and_the_end(driver: Driver) -> None:
             assert there.slaves[4].watchdog_factors in (bytes((2, 150)), bytes((150, 2)))
             assert bus.snapshot.in_ring
             assert bus.snapshot.las == {2}
+            story = await bus.why("valves")
+            steps = [(step["asked"], step["answered"]) for step in story.steps]
+            assert steps[:3] == [("Slave_Diag", "DL"), ("Set_Prm", "SC"), ("Chk_Cfg", "SC")]
+            assert steps[-1] == ("Data_Exchange", "DL")
+            assert story.state == "data_exchange"
         # safe values, then Clear's zeros; Clear_Data to all
         await until(lambda: there.slaves[4].outputs in (b"\xa5\x5a", bytes(2)), "safe values")
         await until(lambda: there.slaves[4].control == b"\x02\x00", "Clear")
