@@ -115,7 +115,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         bus = open_bus(config, on_event=on_event)
         plant = _simulated_plant(bus, args)
         reporter = Reporter(bus, json=args.json)
-        lines = causes.CauseLines(bus, quiet=args.json)
+        lines = causes.CauseLines(bus)
         if bus.searching:
             reporter.searching()
         # `dpstack ctl` also works while the bus searches its rate or joins the ring; a held port is reported once

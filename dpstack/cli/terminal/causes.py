@@ -16,10 +16,9 @@ from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.events_json import Event, SlaveFaulted
 from dpstack.cli.terminal import output
 from dpstack.errors import DpError
-from dpstack.units import ns_to_s
 from dpstack.why.story import HEALTHY, Story, story_lines
 
-#: short lines for one slave at most: a slave that is brought up again and again would fill the screen
+#: notices for one slave at most: a slave that is brought up again and again would fill the log
 _MOST_LINES: Final = 3
 #: time limit in s for the last bring-ups of all slaves: a bus process that does not answer must not delay the end
 _LIMIT_S: Final = 0.5
@@ -33,17 +32,17 @@ def columns() -> int:
 
 
 class CauseLines:
-    """Short lines for people after faults of slaves, and the stories of those missing at the end of the run."""
+    """Notices of the likeliest cause after faults of slaves, and the stories of those missing at the end of the run."""
 
-    def __init__(self, bus: Bus, *, quiet: bool) -> None:
+    def __init__(self, bus: Bus) -> None:
         self._bus = bus
-        self._quiet = quiet
         self._told: dict[int, set[str]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
 
     def event(self, event: Event) -> None:
-        """Write a short line after a fault of a slave: its likeliest cause, and the command that says more."""
-        if self._quiet or not isinstance(event, SlaveFaulted) or len(self._told.get(event.address, ())) >= _MOST_LINES:
+        """Publish a notice after a fault of a slave: its likeliest cause, and the command that says more. So it is on
+        the screen, on the page and in the log as well."""
+        if not isinstance(event, SlaveFaulted) or len(self._told.get(event.address, ())) >= _MOST_LINES:
             return
         with contextlib.suppress(RuntimeError):  # no loop: the bus ends by itself
             task = asyncio.get_running_loop().create_task(self._tell(event))
@@ -59,9 +58,8 @@ class CauseLines:
             told.add(story.first.cause)
             file = self._bus.config.file
             config = "CONFIG" if file is None else shlex.quote(str(file))
-            t = ns_to_s(event.t_ns - self._bus.started_ns)
             likely = f"{story.first.cause} ({round(100 * story.first.confidence)} %)"
-            output.line(f"{t:9.3f} s  {event.who}: likely {likely}; dpstack why {config} {shlex.quote(event.name)}")
+            self._bus.notice("why", f"{event.who}: likely {likely}; dpstack why {config} {shlex.quote(event.name)}")
 
     async def stories(self) -> Mapping[int, Story]:
         """The story of each slave that is not in data exchange, by address."""
