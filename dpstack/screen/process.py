@@ -173,7 +173,9 @@ class ScreenProcess:
 
 
 def _started(terminal: int, link: socket.socket) -> subprocess.Popen[bytes]:
-    """The process has the terminal as its three standard streams: textual reads one and draws on another."""
+    """The process has the terminal as its three standard streams: textual reads one and draws on another. Its size
+    comes from there; COLUMNS and LINES are what it was at the start of a shell."""
+    variables = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _FROM_TERMINALS)
     try:
         return subprocess.Popen(
@@ -182,7 +184,7 @@ def _started(terminal: int, link: socket.socket) -> subprocess.Popen[bytes]:
             stdout=terminal,
             stderr=terminal,
             pass_fds=(link.fileno(),),
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
+            env=variables | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
         )
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
