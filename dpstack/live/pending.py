@@ -66,19 +66,19 @@ class Pending:
         return end
 
 
-def portions(item: Item) -> Iterator[Item]:
-    """``item``, a snapshot of many slaves as several of :data:`SLAVES_A_PORTION`: the first one is whole if it was."""
+def portions(item: Item, most: int = SLAVES_A_PORTION) -> Iterator[Item]:
+    """``item``, a snapshot of more than ``most`` slaves as several: the first one is whole if it was."""
     snapshot: Mapping[str, Any] | None = item.get("snapshot")
-    if snapshot is None or len(snapshot["slaves"]) <= SLAVES_A_PORTION:
+    if snapshot is None or len(snapshot["slaves"]) <= most:
         yield item
         return
     slaves = list(snapshot["slaves"].items())
-    for first in range(0, len(slaves), SLAVES_A_PORTION):
+    for first in range(0, len(slaves), most):
         yield {
             "snapshot": {
                 "t": snapshot["t"],
                 "whole": snapshot["whole"] and not first,
                 "bus": {} if first else snapshot["bus"],
-                "slaves": dict(slaves[first : first + SLAVES_A_PORTION]),
+                "slaves": dict(slaves[first : first + most]),
             }
         }
