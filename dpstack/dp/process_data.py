@@ -193,7 +193,7 @@ class Field:
     def _nearest_raw(self, value: object) -> int:
         """The number for the octets that comes nearest to the scaled ``value``."""
         number = self._number(value)
-        if not math.isfinite(number):
+        if isinstance(number, float) and not math.isfinite(number):
             raise ValueError(f"{self.name} = {value!r} is outside {self._range(*self._raw_limits)}")
         # exact: what a person writes as 0.1 is a tenth
         return round((_exact(number) - _exact(self.offset)) / _exact(self.scale))

@@ -279,3 +279,10 @@ def test_another_length_of_the_image_keeps_the_scale() -> None:
     assert fields.units == {"x": "bar"}
     with pytest.raises(ConfigError, match='x = "i16@2" ends in octet 3; its configuration has octets 0'):
         fields.fitted(3, "inputs")
+
+
+def test_a_number_larger_than_any_float_is_refused() -> None:
+    scaled = Field("level", "u16", 0, 2, scale=0.1)
+    for value in (10**400, -(10**400)):
+        with pytest.raises(ValueError, match=r"level = -?10"):
+            scaled.put(bytes(2), value)

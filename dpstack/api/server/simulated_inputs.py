@@ -7,6 +7,7 @@ function that takes longer misses calls; the line never waits for it. Only in vi
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import math
 import queue
@@ -16,7 +17,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TextIO
 
 from dpstack.api.config.simulate import SimulateConfig
 from dpstack.api.server.fault_steps import put_input
@@ -25,7 +26,7 @@ from dpstack.api.user_code import load_object
 from dpstack.errors import ConfigError, DpError, UsageError
 from dpstack.record.reader import Recording
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import NS_PER_MS, ns_to_s, s_to_ns
+from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s, s_to_ns
 
 #: real time for a call of a function in virtual time
 PATIENCE_S: Final = 0.1
@@ -35,6 +36,8 @@ _SWITCH_S: Final = 0.000_5
 _LEAST_STEP_NS: Final = NS_PER_MS
 #: the last row of a recording that begins again lasts so long
 _LAST_S: Final = 0.1
+#: the shortest time between two remarks about one source
+QUIET_NS: Final = NS_PER_S
 #: characters of a message of a function
 _SHOWN: Final = 200
 
@@ -92,25 +95,29 @@ class SimulatedInputs:
 
 
 class _Teller:
-    """Publishes each new remark about a source once, and that it is over."""
+    """Publishes changes of what is wrong with a source, and that it works again, at most one in QUIET_NS."""
 
     def __init__(self, source: str, bench: Bench, publish: Publish) -> None:
         self._source = source
         self._bench = bench
         self._publish = publish
         self._told = ""
+        self._quiet_until_ns = 0
 
     def wrong(self, what: str) -> None:
-        if what != self._told:
-            self._told = what
-            self.say(what, Severity.WARNING)
+        self._tell(what, what, Severity.WARNING)
 
     def well(self) -> None:
-        if self._told:
-            self._told = ""
-            self.say("works again")
+        self._tell("", "works again", Severity.INFO)
+
+    def _tell(self, state: str, what: str, severity: Severity) -> None:
+        if state != self._told and self._bench.now >= self._quiet_until_ns:
+            self._told = state
+            self._quiet_until_ns = self._bench.now + QUIET_NS
+            self.say(what, severity)
 
     def say(self, what: str, severity: Severity = Severity.INFO) -> None:
+        """Publish it in any case."""
         self._publish(Notice(t_ns=self._bench.now, source=self._source, message=what, severity=severity))
 
 
@@ -123,6 +130,7 @@ class _Playback:
         self._units = units
         self._bench = bench
         self._teller = _Teller(f"recording {path.name}", bench, publish)
+        self._wrong: set[str] = set()  # columns with a value that was reported
         given = units[0].config.simulate
         assert given is not None
         try:
@@ -182,7 +190,9 @@ class _Playback:
                 try:
                     image = put_input(unit, image, name, _as_field(value))
                 except (DpError, ValueError) as error:
-                    self._teller.wrong(str(error))
+                    if column not in self._wrong:
+                        self._wrong.add(column)
+                        self._teller.say(f"{error}; left out, and so are others of {column}", Severity.WARNING)
             if image != before or unit.held_inputs is None:
                 unit.set_inputs(image)
 
@@ -194,27 +204,43 @@ def _as_field(value: object) -> object:
 
 def _source_of(path: Path) -> tuple[set[str], Callable[[], Iterator[_Row]]]:
     """The columns of a recording, and its rows. Raises UsageError, OSError."""
+    titles: list[str] = []
     if path.suffix.lower() == ".csv" and path.is_file():
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with _opened(path) as file, contextlib.suppress(csv.Error):
             titles = next(csv.reader(file), [])
-        if titles[:1] == ["t"]:
-            return set(titles[1:]), partial(_written_rows, path)
+    if titles[:1] == ["t"]:
+        return set(titles[1:]), partial(_written_rows, path)
     recording = Recording(path)
     return set(recording.columns), lambda: ((row.at, row.values) for row in recording.rows())
 
 
+def _opened(path: Path) -> TextIO:
+    return path.open(encoding="utf-8-sig", errors="replace", newline="")
+
+
 def _written_rows(path: Path) -> Iterator[_Row]:
-    """The rows of a CSV file whose first column is t, in seconds. Lines without such a number are left out."""
+    """The rows of a CSV file whose first column is t, in seconds. Lines without such a number are left out.
+
+    Raises UsageError where the file is no CSV file any more.
+    """
     first: float | None = None
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        for row in csv.DictReader(file):
-            try:
-                t = float(row["t"])
-            except (TypeError, ValueError):
-                continue
-            if math.isfinite(t):
-                first = t if first is None else first
-                yield max(0.0, t - first), {key: value for key, value in row.items() if isinstance(value, str)}
+    with _opened(path) as file:
+        try:
+            for row in csv.DictReader(file):
+                t = _number(row["t"])
+                if t is not None:
+                    first = t if first is None else first
+                    yield max(0.0, t - first), {key: value for key, value in row.items() if isinstance(value, str)}
+        except csv.Error as error:
+            raise UsageError(f"{path}: {error}; the last inputs stay") from None
+
+
+def _number(text: object) -> float | None:
+    try:
+        number = float(str(text))
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
 
 
 # --- functions --------------------------------------------------------------------------------------------------------
@@ -288,7 +314,7 @@ class _Calls:
             return
         try:
             self._set(result.value)
-        except (DpError, ValueError, TypeError) as error:
+        except Exception as error:  # also of a mapping of the user's own
             self._teller.wrong(f"gave wrong inputs ({error})"[:_SHOWN] + "; the last inputs stay")
             return
         self._teller.well()

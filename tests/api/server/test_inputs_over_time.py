@@ -71,7 +71,8 @@ async def test_a_recording_is_played(tmp_path: Path, name: str) -> None:
     found, told = await inputs_at(tmp_path, f'recording = "{name}"', (0.05, 0.15, 0.25, 0.35, 0.45, 0.6))
     assert found == ["007b", "007c", "007c", "007c", "0005", "0005"]  # 123, 124 and 5 tenths
     assert told == [
-        f"recording {name}: level = 99999 is outside 0.0..6553.5 bar (u16, scale 0.1, offset 0)",
+        f"recording {name}: level = 99999 is outside 0.0..6553.5 bar (u16, scale 0.1, offset 0); left out, and so are "
+        "others of tank.level",
         f"recording {name}: is over; the last inputs stay",
     ]
 
@@ -112,6 +113,10 @@ def ill(t, outputs):
         raise SystemExit
     return {"level": 2}
 
+def flaky(t, outputs):
+    if round(10 * t) % 2:
+        raise ValueError(f"at {t:.1f} s")
+
 def slow(t, outputs):
     if t:
         again.wait()
@@ -141,7 +146,10 @@ async def test_a_function_gets_outputs_and_gives_inputs(tmp_path: Path) -> None:
 
 
 @in_virtual_time
-async def test_an_ill_function_is_told_once_and_the_last_inputs_stay(tmp_path: Path) -> None:
+async def test_an_ill_function_is_told_once_and_the_last_inputs_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(simulated_inputs, "QUIET_NS", 0)
     module = functions(tmp_path, "tank_ill")
     given = f'function = "{module}:ill", period_ms = 50'
     found, told = await inputs_at(tmp_path, given, (0.12, 0.25, 0.35, 0.45, 0.55, 0.65, 0.8))
@@ -154,6 +162,18 @@ async def test_an_ill_function_is_told_once_and_the_last_inputs_stay(tmp_path: P
         f"{who}gave wrong inputs (list: give a mapping of named inputs, octets, or None){stay}",
         f"{who}failed (SystemExit: ){stay}",
         f"{who}works again",
+    ]
+
+
+@in_virtual_time
+async def test_a_function_that_fails_again_and_again_does_not_fill_the_screen(tmp_path: Path) -> None:
+    module = functions(tmp_path, "tank_flaky")
+    _, told = await inputs_at(tmp_path, f'function = "{module}:flaky", period_ms = 100', (2.35,))
+    who = f"slave 8 (tank): function {module}:flaky: "
+    assert told == [
+        f"{who}failed (ValueError: at 0.1 s); the last inputs stay",
+        f"{who}failed (ValueError: at 1.1 s); the last inputs stay",
+        f"{who}failed (ValueError: at 2.1 s); the last inputs stay",
     ]
 
 
