@@ -474,7 +474,8 @@ def test_pictures_of_every_page(page: Browser, plant: Plant, tmp_path: Path) -> 
                 page.js("document.querySelector('#make').click()")
                 page.until(lambda: page.count("#toml"), "the text")
             page.until(lambda: not page.js("return document.querySelector('#said').textContent"), "no message")
-            path = folder / f"web-{route.split('/')[0]}{'' if width > 600 else '-390'}.png"
+            name = f"web-{route.split('/')[0]}"
+            path = folder / f"{name}.png" if width == 1280 else tmp_path / f"{name}-390.png"
             page.picture(path)
             taken.append(path)
     for path in taken:

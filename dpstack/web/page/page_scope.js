@@ -232,9 +232,11 @@ export class ScopePage {
     const scales = Object.fromEntries(units.map((unit) => [unit, unit === "bool" ? { range: () => [-0.15, 1.15] }
       : { range: (_, low, high) => (low === null ? [0, 1] : low === high ? [low - 1, high + 1] : uPlot.rangeNum(low, high, 0.08, true)) }]));
     const axes = [axis({ size: 32, values: (_, all) => all.map((t) => clock(app.live.wall(t))), space: 80 })];
-    units.slice(0, 3).forEach((unit, n) => {
+    const narrow = this.plotBox.clientWidth < 520; // there the legend has to tell the units
+    this.narrow = narrow;
+    units.slice(0, narrow ? 2 : 3).forEach((unit, n) => {
       axes.push(axis({
-        scale: unit, side: n === 1 ? 1 : 3, size: 58, label: unit === "bool" ? "off / on" : unit, labelSize: 18,
+        scale: unit, side: n === 1 ? 1 : 3, size: narrow ? 38 : 58, label: narrow ? undefined : unit === "bool" ? "off / on" : unit, labelSize: 18,
         grid: { show: n === 0, stroke: colour("--grid"), width: 1 },
         splits: unit === "bool" ? () => [0, 1] : undefined, values: unit === "bool" ? () => ["off", "on"] : (_, all) => all.map((one) => number(one)),
       }));
@@ -262,7 +264,8 @@ export class ScopePage {
 
   resize() {
     const wide = this.plotBox.clientWidth;
-    if (this.chart && wide && wide !== this.chart.width) this.chart.setSize({ width: wide, height: this.height() });
+    if (this.chart && wide && (wide < 520) !== this.narrow) this.plot();
+    else if (this.chart && wide && wide !== this.chart.width) this.chart.setSize({ width: wide, height: this.height() });
   }
 
   /** Lines at the trigger, at its level and at the events of the window. */
