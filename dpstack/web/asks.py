@@ -40,7 +40,7 @@ async def _diag(source: Source, args: Sequence[Any]) -> object:
 
 async def _records(source: Source, args: Sequence[Any]) -> object:
     slave, slot, index = _texts("records", args, "SLAVE SLOT INDEX")
-    return await source.call("acyclic", slave, "read", slot, index)
+    return await _read(source, slave, "read", slot, index)
 
 
 async def _scan(source: Source, args: Sequence[Any]) -> object:
@@ -48,7 +48,18 @@ async def _scan(source: Source, args: Sequence[Any]) -> object:
 
 
 async def _im(source: Source, args: Sequence[Any]) -> object:
-    return await source.call("acyclic", *_texts("im", args, "SLAVE"), "im")
+    return await _read(source, *_texts("im", args, "SLAVE"), "im")
+
+
+async def _read(source: Source, *args: str) -> object:
+    """Read as the master of class 1; of a slave without DP-V1 in its parameters over a class 2 connection."""
+    try:
+        return await source.call("acyclic", *args)
+    except UsageError as refused:
+        try:
+            return await source.call("class2", *args)
+        except UsageError:
+            raise refused from None
 
 
 async def _recording(source: Source, args: Sequence[Any]) -> object:

@@ -11,6 +11,7 @@ from gsd_kit import HEAD
 from web_kit import page_of
 
 from dpstack.api.commissioning.commissioning import Commissioning
+from dpstack.errors import UsageError
 from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
 
@@ -107,3 +108,19 @@ async def test_nonsense_is_answered_in_one_line(commissioning: Commissioning, wh
 async def test_without_a_configuration_there_is_no_folder() -> None:
     async with serve(GivenItems()) as server, page_of(server) as page:
         assert "no configuration" in (await page.ask("files"))["error"]
+
+
+class OverClass2(GivenItems):
+    """A run with slave 3, without DP-V1 in its parameters, and slave 4, which has no class 2 connections either."""
+
+    async def call(self, command: str, *args: str) -> object:
+        if command == "class2" and args[0] == "3":
+            return {"order": args[1], "data": "00ff"}
+        raise UsageError(f"{command}: no")
+
+
+async def test_records_of_a_slave_without_dp_v1_are_read_over_class_2() -> None:
+    async with serve(OverClass2()) as server, page_of(server) as page:
+        assert (await page.ask("records", "3", "1", "47"))["result"] == {"order": "read", "data": "00ff"}
+        assert (await page.ask("im", "3"))["result"]["order"] == "im"
+        assert (await page.ask("im", "4"))["error"] == "acyclic: no"

@@ -72,7 +72,7 @@ class Commissioning:
 
     def _head(self) -> dict[str, Any]:
         bad = [{"gsd": path, "reason": reason} for path, reason in self.folder.bad]
-        return {"folder": str(self.folder.folder), "bad": bad}
+        return {"folder": str(self.folder.folder.resolve()), "bad": bad}
 
     def match(self, stations: object) -> dict[str, Any]:
         """The candidates of each slave in ``stations``, which are those of a scan: a list of ``{"address": 8, "ident":
@@ -215,7 +215,7 @@ class Commissioning:
         """The error for a GSD file that is none of the folder's; its existence makes no difference."""
         if not isinstance(name, str) or not name.strip() or self.folder.has(name):
             return None
-        folder = printable(str(self.folder.folder))
+        folder = printable(str(self.folder.folder.resolve()))
         what = f"gsd = {shortened(name)!r} is none of the GSD files in {folder}"
         todo = f"take one of its files, or one of {', '.join(bundled())}"
         return ConfigError.at(self._file.name, None, what, todo)
