@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,6 +10,7 @@ from enum import StrEnum
 from typing import Final
 
 from dpstack.dp.process_data import Field, FieldMap, Value
+from dpstack.text import json_text
 
 #: the value of a cell; None: not valid, or not known
 Cell = Value | str | None
@@ -82,39 +82,36 @@ class Column:
         return cls(found["slave"] or "", found["field"], unit=found["unit"] or "")
 
     def as_dict(self) -> dict[str, object]:
-        """Plain JSON data, without what has its default."""
-        given = dataclasses.asdict(self)
-        return {"name": self.name} | {key: value for key, value in given.items() if value != _DEFAULTS.get(key, _NONE)}
+        """Plain JSON data without slave and address, and without what has its default; a number without ``type``."""
+        given = {key: getattr(self, key) for key in _KINDS_OF_KEYS}
+        return {key: value for key, value in given.items() if value != _DEFAULTS[key]}
 
     @classmethod
-    def of_dict(cls, given: Mapping[str, object]) -> Column:
+    def of_dict(cls, slave: str, address: int | None, given: Mapping[str, object]) -> Column:
         """The reverse of :meth:`as_dict`. Raises ValueError for anything else."""
-        known = {key: given[key] for key in (*_KINDS_OF_KEYS,) if key in given}
+        known = {key: given.get(key, default) for key, default in _DEFAULTS.items()}
         for key, value in known.items():
-            kinds = _KINDS_OF_KEYS[key]
-            if not isinstance(value, kinds) or isinstance(value, bool):
+            if value is None and key == "kind":
+                continue
+            if not isinstance(value, _KINDS_OF_KEYS[key]) or isinstance(value, bool):
                 raise ValueError(f"{key} = {value!r}")
-        if "slave" not in known or "field" not in known:
-            raise ValueError("a column without a name")
-        kind = known.pop("kind", None)
-        return cls(**known, kind=None if kind is None else Kind(str(kind)))  # type: ignore[arg-type]
+        kind = known.pop("kind")
+        kind = None if kind is None else Kind(str(kind))
+        return cls(slave, kind=kind, address=address, **known)  # type: ignore[arg-type]
 
 
-_NONE: Final = object()
-_DEFAULTS: Final[Mapping[str, object]] = {
-    one.name: one.default for one in dataclasses.fields(Column) if one.default is not dataclasses.MISSING
-}
 _KINDS_OF_KEYS: Final[Mapping[str, type | tuple[type, ...]]] = {
-    "slave": str,
     "field": str,
     "kind": str,
     "type": str,
     "unit": str,
-    "address": int,
     "at": str,
     "scale": (int, float),
     "offset": (int, float),
     "dead_band": (int, float),
+}
+_DEFAULTS: Final[Mapping[str, object]] = {
+    "field": None, "kind": None, "type": "number", "unit": "", "at": "", "scale": 1, "offset": 0, "dead_band": 0,
 }
 
 
@@ -162,6 +159,11 @@ class RecordedSlave:
             columns = tuple(self._column(name, taken, Kind.DRIVE, kind, unit) for name, kind, unit in DRIVE_QUANTITIES)
             yield Block(Kind.DRIVE, columns)
 
+    def as_dict(self) -> dict[str, object]:
+        """Plain JSON data: name, address and columns."""
+        columns = [column.as_dict() for block in self.blocks() for column in block.columns]
+        return {"name": self.name, "address": self.address, "columns": columns}
+
     def _column(self, name: str, taken: set[str], kind: Kind, type_: str, unit: str = "") -> Column:
         """A column that is no field; where a field has its name, ``slave`` or ``drive`` stands in front."""
         while name in taken:
@@ -202,17 +204,18 @@ class Layout:
     def columns(self) -> tuple[Column, ...]:
         return tuple(column for block in self.blocks for column in block.columns)
 
-    def as_dict(self) -> dict[str, object]:
-        """The description that stands in the file."""
-        return {
-            "recording": {
-                "version": VERSION,
-                "started": self.started,
-                "config": self.config,
-                "on_change": self.on_change,
-                "columns": [column.as_dict() for column in self.columns],
-            }
+    def description(self, note: str = "") -> str:
+        """The description that stands in the file, as JSON; ``note``: what else its place has to say."""
+        about = {
+            "version": VERSION,
+            "started": self.started,
+            "config": self.config,
+            "on_change": self.on_change,
         }
+        # slave by slave: JSON of a large plant is made in one step, in which no other thread can run
+        slaves = ",".join(map(json_text, map(RecordedSlave.as_dict, self.slaves)))
+        more = f",{json_text(NOTE)}:{json_text(note)}" if note else ""
+        return f'{{"recording":{json_text(about)[:-1]},"slaves":[{slaves}]}}{more}}}'
 
 
 def differs(column: Column, before: Cell, now: Cell, dead_band: float) -> bool:

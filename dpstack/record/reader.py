@@ -170,15 +170,22 @@ def _about_of(text: str) -> Mapping[str, object] | None:
 
 
 def _columns_of(about: Mapping[str, object], path: Path) -> tuple[Column, ...]:
-    given = about.get("columns")
-    if isinstance(given, list) and all(isinstance(one, dict) for one in given):
-        try:
-            return tuple(map(Column.of_dict, given))
-        except ValueError as error:
-            why = f": {printable(str(error))}"
-    else:
-        why = ""
-    raise UsageError(f"{path}: the description of its columns cannot be read{why}; give an unchanged recording")
+    try:
+        return tuple(_described_columns(about))
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        why = printable(str(error))
+        text = f"{path}: the description of its columns cannot be read ({why}); give an unchanged recording"
+        raise UsageError(text) from None
+
+
+def _described_columns(about: Mapping[str, Any]) -> Iterator[Column]:
+    """Raises ValueError, TypeError, KeyError, AttributeError for anything but a description of ours."""
+    for slave in about["slaves"]:
+        name, address = slave["name"], slave.get("address")
+        if not isinstance(name, str) or not isinstance(address, (int, type(None))):
+            raise ValueError(f"name = {name!r}, address = {address!r}")
+        for column in slave["columns"]:
+            yield Column.of_dict(name, address, column)
 
 
 # --- rows ------------------------------------------------------------------------------------------------------------
@@ -337,7 +344,7 @@ def _parquet_head(path: Path) -> _Head:
         names = list(schema.names)
     if names[:2] != [TIME, T]:
         raise _no_recording(path, ", ".join(names), f"its first columns are not {TIME} and {T}")
-    if about is not None:
+    if about:
         return _Head(_columns_of(about, path), about)
     return _Head(tuple(Column.of_title(name) for name in names[2:] if name != NOTE), {})
 

@@ -12,6 +12,8 @@ from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
 
 #: the note of the last row begins so
 END: Final = "end of the recording"
+#: characters of a cell that every reader of CSV takes (Python's: 131072); a longer description is left out
+LONGEST_CELL: Final = 120_000
 _QUOTED: Final = frozenset(',"')
 
 
@@ -75,7 +77,7 @@ class Rows:
         if self._csv:
             titles = [TIME, T, *(column.title for column in self.layout.columns), NOTE]
             return (",".join(map(csv_text, titles)) + "\n").encode()
-        return (json_text(self.layout.as_dict()) + "\n").encode()
+        return (self.layout.description() + "\n").encode()
 
     def row(self, sample: Sample, note: str = "") -> bytes | None:
         """The line of ``sample``; None where nothing has changed, on change. ``note``: for people, makes it a row."""
@@ -112,7 +114,8 @@ class Rows:
         if self._csv:
             if not self._described:
                 self._described = True
-                note = json_text(self.layout.as_dict() | ({NOTE: note} if note else {}))
+                description = self.layout.description(note)
+                note = note if len(description) > LONGEST_CELL else description
             line = ",".join((time, t, *texts, csv_text(note)))
         else:
             tail = [f'"{NOTE}":{json_text(note)}'] if note else []

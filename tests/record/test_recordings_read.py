@@ -51,17 +51,13 @@ def test_the_lines_of_a_csv_file() -> None:
     assert cells == ["2026-01-31T12:00:00.005Z", "0.005000", "data_exchange", "12.3", "true"]
     described = json.loads(note)
     assert described["note"] == "joined, late"
-    assert described["recording"]["columns"][1] == {
-        "name": "boiler.level",
-        "slave": "boiler",
-        "field": "level",
-        "kind": "input",
-        "type": "number",
-        "unit": "bar",
-        "address": 12,
-        "at": "i16@0",
-        "scale": 0.1,
-    }
+    (slave,) = described["recording"]["slaves"]
+    assert (slave["name"], slave["address"]) == ("boiler", 12)
+    assert slave["columns"] == [
+        {"field": "state", "kind": "state", "type": "text"},
+        {"field": "level", "kind": "input", "unit": "bar", "at": "i16@0", "scale": 0.1},
+        {"field": "burner", "kind": "input", "type": "bool", "at": "bool@3.0"},
+    ]
     second = rows.row(sample(plant, 10, "offline", None), 'a "note"')
     assert second == b'2026-01-31T12:00:00.010Z,0.010000,offline,,,"a ""note"""\n'
     assert rows.end(0, WALL, "end") == b"2026-01-31T12:00:00.000Z,0.000000,,,,end\n"
@@ -184,10 +180,20 @@ def test_a_damaged_line_costs_no_other(
         ("a.jsonl", b"[" * 100_000 + b"\n", "is no recording (its first line describes no columns"),
         (
             "a.jsonl",
-            b'{"recording":{"columns":[{"slave":1}]}}\n',
-            "the description of its columns cannot be read: slave",
+            b'{"recording":{}}\n',
+            "the description of its columns cannot be read ('slaves'); give an unchanged",
         ),
-        ("a.jsonl", b'{"recording":{}}\n', "the description of its columns cannot be read; give"),
+        ("a.jsonl", b'{"recording":{"slaves":[1]}}\n', "the description of its columns cannot be read ("),
+        (
+            "a.jsonl",
+            b'{"recording":{"slaves":[{"name":1}]}}\n',
+            "the description of its columns cannot be read (name = 1",
+        ),
+        (
+            "a.jsonl",
+            b'{"recording":{"slaves":[{"name":"a","columns":[{"field":"b","kind":"x"}]}]}}\n',
+            "the description of its columns cannot be read ('x' is not a valid Kind)",
+        ),
     ],
 )
 def test_files_that_are_no_recordings(name: str, content: bytes | None, line: str, tmp_path: Path) -> None:
@@ -198,6 +204,19 @@ def test_files_that_are_no_recordings(name: str, content: bytes | None, line: st
         Recording(path)
     assert str(caught.value).startswith(f"{path}: {line}")
     assert str(caught.value).isprintable()
+
+
+def test_a_plant_so_large_that_no_cell_holds_its_description(tmp_path: Path) -> None:
+    path = tmp_path / "large.csv"
+    plant = layout(*(boiler(f"boiler{n}{'x' * 150}") for n in range(400)))
+    rows = Rows(plant, "csv")
+    path.write_bytes(rows.head() + (rows.row(sample(plant, 0, *("data_exchange", bytes(4)) * 400), "first") or b""))
+    recording = Recording(path)
+    assert [column.title for column in recording.columns.values()] == [column.title for column in plant.columns]
+    (row,) = recording.rows()
+    assert (row.note, set(row.values.values())) == ("first", {"data_exchange", 0.0})
+    with path.open(newline="", encoding="utf-8") as file:
+        assert len(list(csv.DictReader(file))) == 1  # within the limits of other readers
 
 
 def test_a_table_of_somebody_else(tmp_path: Path) -> None:

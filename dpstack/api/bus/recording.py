@@ -188,6 +188,7 @@ class Recording:
         self._take(view, data.inputs, data.t_ns, bus.runtime.now())
 
     def _take(self, view: View, inputs: Mapping[int, bytes], t_ns: int, now: int) -> None:
+        wall_ns = time.time_ns() - max(0, now - t_ns)
         self._last_ns = now
         mode = self.mode
         operating = self.mode is Mode.OPERATE
@@ -206,7 +207,6 @@ class Recording:
                     sources.append(held if operating else source.outputs_in(mode, held))
                 if source.drive is not None:
                     sources.append(source.quantities(source.drive, (octets, held), now))
-        wall_ns = time.time_ns() - max(0, now - t_ns)
         assert self._writer is not None
         sample = Sample(self._layout, t_ns - self._started_ns, wall_ns, tuple(sources), self._lost)
         self._lost = 0 if self._writer.put(sample) else self._lost + 1
