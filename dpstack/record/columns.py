@@ -111,7 +111,14 @@ _KINDS_OF_KEYS: Final[Mapping[str, type | tuple[type, ...]]] = {
     "dead_band": (int, float),
 }
 _DEFAULTS: Final[Mapping[str, object]] = {
-    "field": None, "kind": None, "type": "number", "unit": "", "at": "", "scale": 1, "offset": 0, "dead_band": 0,
+    "field": None,
+    "kind": None,
+    "type": "number",
+    "unit": "",
+    "at": "",
+    "scale": 1,
+    "offset": 0,
+    "dead_band": 0,
 }
 
 

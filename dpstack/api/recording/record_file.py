@@ -123,6 +123,8 @@ class RecordFile:
         self.flush()
         if self._failed_since:
             self._retry()
+        if self._failed_since:
+            self.rows_lost += self._failed_rows
         if self._file is not None and self._rows is not None and self._last is not None:
             notes = [*self._notes, f"{END}: {self.rows_written} rows"]
             if lost:

@@ -96,6 +96,20 @@ def test_a_full_disk_costs_rows_and_says_so(suffix: str, room: int, disk: dict[s
     assert notes[1].endswith(f"{file.rows_lost} rows lost, because the disk was full")
 
 
+def test_a_disk_that_stays_full(disk: dict[str, int], tmp_path: Path) -> None:
+    told: list[str] = []
+    file = record_file(tmp_path / "p.csv", told)
+    file.take(sample(0))
+    file.flush()
+    disk["room"] = 0
+    for number in range(1, 10):
+        file.take(sample(number))
+        file.flush()
+    file.close(0)
+    assert flows(tmp_path / "p.csv") == [0]
+    assert file.rows_lost == 9
+
+
 def test_rotation_by_size_and_never_over_a_file(tmp_path: Path) -> None:
     told: list[str] = []
     (tmp_path / "p_00006_20260101T000000Z.csv").write_text("time,t,pump.flow,note\n")
