@@ -21,7 +21,7 @@ from dpstack.api.control.record_orders import acyclic_order
 from dpstack.api.control.scenario import read_fault
 from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send, kept_alive
 from dpstack.api.control.tap_feed import TapFeed
-from dpstack.api.server.fault_steps import End
+from dpstack.api.server.fault_steps import Deed, End
 from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.api.server.virtual_bench import Bench, Injected, silence_text
 from dpstack.api.slave.slave import Slave
@@ -37,6 +37,7 @@ from dpstack.params import UNADDRESSED
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.sim.io_station import IoStation
 from dpstack.text import number_or_name, octets_text
+from dpstack.trace import Notice
 
 #: a pty that the program makes itself
 PTY: Final = "pty"
@@ -378,36 +379,39 @@ def slave_handlers(bench: Bench, program: Bus | Simulation | None = None) -> dic
 
         return carry_out
 
-    faults = _Faults()
+    faults = _Faults(program)
     acts = _ACTS | {"fault": faults.begin, "normal": faults.end}
     handlers = {command: handler(command, act) for command, act in acts.items()}
     return handlers | {"set": lambda args: _set_inputs(bench, program, args)}
 
 
 class _Faults:
-    """The faults that the command `fault` began, by the address of the slave."""
+    """The faults that the command `fault` began, by the address of the slave; ``program`` publishes their ends."""
 
-    def __init__(self) -> None:
-        self._ends: dict[int, list[End]] = {}
+    def __init__(self, program: Bus | Simulation | None) -> None:
+        self._program = program
+        self._open: dict[int, list[tuple[Deed, End]]] = {}
 
     def begin(self, bench: Bench, address: int, args: list[str]) -> None:
         deed, for_ns = read_fault(args, bench, address)
         end = deed.begin()
         if end is None:
             return
-        self._ends.setdefault(address, []).append(end)
+        self._open.setdefault(address, []).append((deed, end))
         if for_ns is not None:
-            bench.call_at(bench.now + for_ns, partial(self._over, address, end))
+            bench.call_at(bench.now + for_ns, partial(self._over, bench, address, deed, end))
 
     def end(self, bench: Bench, address: int, args: list[str]) -> None:
-        for end in self._ends.pop(address, ()):
-            end()
+        for deed, end in self._open.get(address, ())[:]:
+            self._over(bench, address, deed, end)
 
-    def _over(self, address: int, end: End) -> None:
-        ends = self._ends.get(address, [])
-        if end in ends:
-            ends.remove(end)
-            end()
+    def _over(self, bench: Bench, address: int, deed: Deed, end: End) -> None:
+        found = self._open.get(address, [])
+        if (deed, end) in found:
+            found.remove((deed, end))
+            if end() and self._program is not None:
+                who = bench.units[address].who
+                self._program.publish(Notice(t_ns=bench.now, source=who, message=f"over: {deed.text}"))
 
 
 def _set_inputs(bench: Bench, program: Bus | Simulation | None, args: list[str]) -> object:

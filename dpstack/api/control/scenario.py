@@ -23,6 +23,7 @@ from dpstack.api.server.fault_steps import KINDS, Deed, End, Kind
 from dpstack.api.server.simulated_inputs import SimulatedInputs
 from dpstack.api.server.virtual_bench import Bench, ScenarioEvent
 from dpstack.errors import ConfigError, DpError
+from dpstack.text import shortened
 from dpstack.trace import Event
 from dpstack.units import ns_to_s, s_to_ns
 
@@ -134,7 +135,7 @@ def read_fault(args: Sequence[str], bench: Bench, address: int) -> tuple[Deed, i
         if not equals:
             raise ConfigError(f"fault: {text!r} is not KEY=VALUE; write for instance by_ms=20 for=3s")
         data[key] = ns_to_s(time_ns(value)) if key == "for" else _value(value)
-    table = Table(Source("fault"), (), data, do)
+    table = Table(Source("fault"), (), data, shortened(do, 40))
     do = do.strip().lower().replace("-", "_")
     kind = _kind(table, do, {})
     given = table.read({"do": _STEP_KEYS["do"], "for": _STEP_KEYS["for"], **kind.keys})
@@ -173,7 +174,7 @@ def _kind(table: Table, do: str, handlers: Mapping[str, Handler]) -> Kind:
         words = _words() if handlers else list(KINDS)
         near = difflib.get_close_matches(do, words, n=1, cutoff=0.5)
         todo = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(words)}"
-        raise table.error("do", f"unknown do {do!r}", todo)
+        raise table.error("do", f"unknown {'do' if handlers else 'fault'} {do!r}", todo)
     return Kind({"args": Key(read=_args)}, partial(_command, spec, handlers[spec.name]), lasting=False)
 
 

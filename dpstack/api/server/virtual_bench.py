@@ -334,9 +334,12 @@ class Bench(ABC):
         return found + list(unit.device.injected if isinstance(unit.device, (DriveDevice, IoStation)) else ())
 
     def status_of(self, address: int) -> dict[str, object]:
-        """Keys of ``status`` for a simulated slave: ``slots`` of an I/O station, ``injected`` faults."""
-        device, injected = self.device(address), self.injected(address)
-        slots = {"slots": device.as_dict()} if isinstance(device, IoStation) else {}
+        """Keys of ``status`` for a simulated slave: ``slots`` of an I/O station, ``set_inputs`` in hex, ``injected``
+        faults."""
+        device, injected, held = self.device(address), self.injected(address), self.units[address].held_inputs
+        slots: dict[str, object] = {"slots": device.as_dict()} if isinstance(device, IoStation) else {}
+        if held is not None:
+            slots["set_inputs"] = held.hex()
         return slots | ({"injected": injected} if injected else {})
 
 

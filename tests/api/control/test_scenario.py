@@ -181,18 +181,25 @@ def test_errors_have_the_line_and_say_what_to_do(text: str, says: str) -> None:
 
 @in_virtual_time
 async def test_ctl_begins_and_ends_faults() -> None:
-    async with operating(RAW) as bus:
+    events: list[str] = []
+    async with operating(RAW, on_event=lambda event: events.append(event.text)) as bus:
         bench = bench_of(bus)
         handlers = slave_handlers(bench, bus)
-        handlers["fault"](["raw", "late-answers", "by_ms=0.1", "for=0.5"])
+        handlers["fault"](["raw", "late-answers", "by_ms=0.1", "for=500ms"])
         handlers["fault"](["raw", "noise", "rate=1e-6"])
         assert bench.injected(9) == ["late answers by 0.1 ms", "noise on its stub, 1e-06 a bit"]
         before = bus.slave("raw").exchanges
         await asyncio.sleep(0.6)
         assert bus.slave("raw").exchanges > before + 100  # late, but in time
         assert bench.injected(9) == ["noise on its stub, 1e-06 a bit"]
+        assert events[-1] == "slave 9 (raw): over: late answers by 0.1 ms"
         handlers["normal"](["raw"])
+        assert events[-2] == "slave 9 (raw): over: noise on its stub, 1e-06 a bit"
         assert bench.injected(9) == []
-        for words, says in ((["rs", "by=1"], "unknown key 'by'"), (["rs", "1"], "not KEY=VALUE"), (["rz"], "did you")):
+        for words, says in (
+            (["rs", "by=1"], "unknown key 'by'"),
+            (["rs", "1"], "not KEY=VALUE"),
+            (["rz"], "unknown fault 'rz'; did you"),
+        ):
             with pytest.raises(ConfigError, match=says):
                 handlers["fault"](["raw", *words])

@@ -40,6 +40,7 @@ def test_inputs_replace_the_mirrored_outputs_until_they_are_mirrored_again() -> 
     assert asked.inputs("AA BB") == "12 55"  # the other bits stay as they were
     orders["set"](["8.limit=on", "8.level=7"])
     assert asked.inputs("AA BB") == "1A 07"
+    assert asked.bench.status_of(8) == {"set_inputs": "1a07"}
     orders["input"](["valves", "BEEF"])
     assert asked.inputs("00 00") == "BE EF"
     asked.bench.power(8, False)
