@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import pairwise
 from typing import Any, Final
 
 from dpstack.screen.lines import Line, Piece, cut_line, padded, piece, width_of
@@ -15,6 +16,7 @@ _BARS: Final = "▁▂▃▄▅▆▇█"
 _EVENT_STYLES: Final = {"warning": "warn", "error": "bad"}
 _MODES: Final = {"operate": "good", "clear": "warn"}
 _GAP: Final = 1
+_EXCHANGE: Final = "data exchange"
 
 
 # --- the bus ----------------------------------------------------------------------------------------------------------
@@ -77,7 +79,8 @@ def bars(classes: Sequence[Sequence[float]], room: int) -> str:
     """A histogram in at most ``room`` cells. A class with any count has at least the lowest bar; empty ones a blank."""
     limits = [limit for limit, _ in classes]
     low, high = limits[0], limits[-1]
-    room = min(room, len(limits)) if high <= low else room
+    narrowest = min((b - a for a, b in pairwise(limits)), default=0)
+    room = min(room, round((high - low) / narrowest) + 1) if narrowest > 0 else 1
     counts = [0.0] * room
     for limit, count in classes:
         counts[0 if high <= low else min(room - 1, int((limit - low) / (high - low) * room))] += count
@@ -159,11 +162,14 @@ def slave_line(view: View, address: str, width: int) -> Line:
     alive = view.alive(address)
     sign, style = view.mark(address)
     quiet = "" if alive else "stale"
+    state = view.state_text(address)
+    if c.state < len(_EXCHANGE):
+        state = state.removeprefix("data ")
     line: Line = [
         (f"{sign} ", style),
         (f"{padded(address, 3, right=True)} ", quiet),
         (padded(view.name(address), c.name) + " ", "bold" if alive else "stale"),
-        (padded(view.state_text(address), c.state) + " ", "good" if alive else "bad"),
+        (padded(state, c.state) + " ", "good" if alive else "bad"),
     ]
     if c.counters:
         late = (values.get("late") or 0) + (values.get("wrong") or 0)
@@ -209,11 +215,12 @@ def values_pieces(view: View, address: str) -> Line:
     for direction, label in (("inputs", ""), ("outputs", "out ")):
         fields = plant.get(direction) or []
         if fields:
-            found.append(piece(label, "label"))
+            found.append(piece(label, style or "label"))
             for field in fields:
                 found += [*field_pieces(view, address, field, style), ("  ", "")]
         elif values.get(direction):
-            found += [("in " if direction == "inputs" else "out ", "label"), piece(octets(values[direction]), style)]
+            found.append(("in " if direction == "inputs" else "out ", style or "label"))
+            found.append(piece(octets(values[direction]), style))
             found.append(("  ", ""))
     if values.get("held") is not None:
         found.append(("not sent: ", "warn"))

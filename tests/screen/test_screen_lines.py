@@ -144,11 +144,12 @@ def test_a_paused_view_stands_still() -> None:
 
 
 def test_a_histogram_shows_even_a_single_late_rotation() -> None:
-    drawn = bars([[1000, 20], [1200, 400], [4012, 1]], 20)
+    drawn = bars([[1000, 20], [1100, 400], [4012, 1]], 20)
     assert len(drawn) == 20
     assert drawn[-1] == "▁"
     assert drawn.count("█") == 1
     assert bars([[1130.0, 9]], 20) == "█"
+    assert bars([[1000, 1], [1100, 8], [1300, 8]], 20) == "▂█ █"  # no blanks between classes that touch
 
 
 def test_why_is_told_as_the_command_tells_it() -> None:
