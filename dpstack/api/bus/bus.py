@@ -16,7 +16,7 @@ from dpstack.api.bus.find_baud import rate_of, require_wire
 from dpstack.api.bus.live import LiveFeed, LiveStream, checked_interval
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.bus.plan_checks import new_plan_texts
-from dpstack.api.bus.recording import Recording
+from dpstack.api.bus.recording import BusRecording
 from dpstack.api.bus.ring_entry import OtherMasterNotices, join, listening_report
 from dpstack.api.bus.shutdown import OrderedEnd
 from dpstack.api.bus.statistics import BusStats, bus_figures
@@ -80,7 +80,7 @@ class Bus(Sealed, BusBase):
         self._ordered_end = OrderedEnd(self, self.close, self.hurry)
         self._joined_ns = 0  # machine time of the first token
         self._cycles = Cycles(self)
-        self._recordings: list[Recording] = []
+        self._recordings: list[BusRecording] = []
         self._live = LiveFeed(self)
         #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
         self.class2 = Class2(self, self._slaves, self.slave)
@@ -386,12 +386,12 @@ class Bus(Sealed, BusBase):
 
     def record(
         self,
-        path: str | Path | Recording,
+        path: str | Path | BusRecording,
         *,
         on_change: bool = False,
         dead_band: float = 0.0,
         rotate: str | None = None,
-    ) -> Recording:
+    ) -> BusRecording:
         """Keep named values, states and drive quantities of every round in the file ``path``, which ends in .csv,
         .jsonl or .parquet (docs/record.md). Recording begins at once, and never delays the bus.
 
@@ -404,8 +404,8 @@ class Bus(Sealed, BusBase):
         that is not open, and on a read-only one.
         """
         self.check_open()
-        if not isinstance(path, Recording):
-            path = Recording(path, on_change=on_change, dead_band=dead_band, rotate=rotate)
+        if not isinstance(path, BusRecording):
+            path = BusRecording(path, on_change=on_change, dead_band=dead_band, rotate=rotate)
         try:
             path.start(self)
         except BaseException:

@@ -40,7 +40,7 @@ _PATIENCE_S: Final = 5.0
 _EXCHANGING: Final = SlaveState.DATA_EXCHANGE.value
 
 
-class Recording:
+class BusRecording:
     """A recording of a running bus, made by ``bus.record()``. It ends with :meth:`stop`, its block, or the bus."""
 
     def __init__(
@@ -73,7 +73,7 @@ class Recording:
         #: lines about troubles, the latest last; those before the end are events, too
         self.troubles: list[str] = []
 
-    async def __aenter__(self) -> Recording:
+    async def __aenter__(self) -> BusRecording:
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -246,7 +246,7 @@ class Recording:
 class RunFiles:
     """The files of ``dpstack run``: a recording, and a log of events. Leaving closes the log.
 
-    Making it makes the files. Raises UsageError as :class:`Recording` and :class:`EventLog` do.
+    Making it makes the files. Raises UsageError as :class:`BusRecording` and :class:`EventLog` do.
     """
 
     def __init__(
@@ -255,25 +255,47 @@ class RunFiles:
         if record is None and (on_change or rotate is not None):
             option = "--on-change" if on_change else "--rotate"
             raise UsageError(f"{option} is about a recording: add --record FILE, or leave it out")
-        self.recording = None if record is None else Recording(record, on_change=on_change, rotate=rotate)
-        self._log = None if log is None else EventLog(log)
+        self.recording = None if record is None else BusRecording(record, on_change=on_change, rotate=rotate)
+        self._bus: BusBase | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._log = None if log is None else EventLog(log, self._tell)
+        self._log_troubles: list[str] = []
 
     def __enter__(self) -> RunFiles:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._bus = None
         if self.recording is not None:
             self.recording.discard()
         if self._log is not None:
             self._log.close()
 
+    @property
+    def troubles(self) -> list[str]:
+        """Lines about troubles with all files."""
+        return [*([] if self.recording is None else self.recording.troubles), *self._log_troubles]
+
     def event(self, bus: BusBase, event: Event) -> None:
         """Write ``event`` into the log."""
         if self._log is None:
             return
+        if self._loop is None:
+            self._bus, self._loop = bus, asyncio.get_running_loop()
         line = event_json(event, ns_to_s(event.t_ns - bus.started_ns))
         if line is not None:
             self._log.put({**line, "severity": severity_of(event).value, "text": event.text})
+
+    def _tell(self, text: str) -> None:
+        """From the thread of the log."""
+        self._log_troubles.append(text)
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                self._loop.call_soon_threadsafe(self._notice, text)
+
+    def _notice(self, text: str) -> None:
+        if self._bus is not None:
+            self._bus.notice("log", text, Severity.WARNING)
 
     def summary(self) -> str:
         """One line on the recording; empty without one."""

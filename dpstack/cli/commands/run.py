@@ -156,7 +156,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         causes.show(stories)
     if files.recording is not None and not args.json:
         output.line(files.summary())
-    for text in () if files.recording is None else files.recording.troubles:
+    for text in files.troubles:
         output.warn(text)
     if report is not None and written and not args.json:
         output.line(f"report: {args.report}")
