@@ -11,6 +11,7 @@ modules in other slots.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from random import Random
 from typing import Final
@@ -22,6 +23,7 @@ from faulty_slaves import NeverReady, WrongLength, locked_by
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.server.virtual_bench import device_of
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
+from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_SET_PRM, SAP_SLAVE_DIAG
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.units import BAUD_RATES
@@ -122,17 +124,23 @@ def _rack(plant: Plant, change: Callable[[list[str], Random, tuple[str, ...]], l
     if known is IO_MODULES:
         configured = [plant.rng.choice(known) for _ in range(plant.rng.randint(2, 6))]
     plant.ask(make(modules=configured))
-    while (real := change(list(configured), plant.rng, known)) == configured:
-        pass
-    there = plant.config_of(plant.tables[0] | {"modules": real})
-    plant.asked_unit(MirrorDevice(there.params.ident or 0, there.params.config))
+    _plug(plant, lambda: change(list(configured), plant.rng, known))
     plant.neighbours()
     plant.maybe_other_master(0.2)
 
 
-def _swapped(modules: list[str], rng: Random, known: tuple[str, ...]) -> list[str]:
-    if len(set(modules)) == 1:
-        modules[0] = rng.choice([one for one in known if one != modules[0]])
+def _plug(plant: Plant, rack: Callable[[], list[str]]) -> None:
+    """The slave asked about has the modules of ``rack``, which is called until they are others than those configured,
+    and fit into the device."""
+    while True:
+        with contextlib.suppress(ConfigError):
+            there = plant.config_of(plant.tables[0] | {"modules": rack()}).params
+            if there.config != plant.slave.params.config:
+                plant.asked_unit(MirrorDevice(there.ident or 0, there.config))
+                return
+
+
+def _swapped(modules: list[str], rng: Random) -> list[str]:
     one, other = rng.sample(range(len(modules)), 2)
     modules[one], modules[other] = modules[other], modules[one]
     return modules
@@ -144,13 +152,11 @@ def module_order(seed: int) -> Plant:
     known = IO_MODULES if plant.rng.random() < 0.6 else TERMINAL_MODULES
     make = plant.io_station if known is IO_MODULES else plant.terminal
     configured = plant.rng.sample(known, 2)  # two kinds at least
-    configured += [plant.rng.choice(known) for _ in range(plant.rng.randint(0, 4 if known is IO_MODULES else 1))]
+    more = plant.rng.randint(0, 4 if known is IO_MODULES else 1)
+    configured += [plant.rng.choice([one for one in known if one != "4 AI"]) for _ in range(more)]
     plant.rng.shuffle(configured)
     plant.ask(make(modules=configured))
-    while (real := _swapped(list(configured), plant.rng, known)) == configured:
-        pass
-    there = plant.config_of(plant.tables[0] | {"modules": real})
-    plant.asked_unit(MirrorDevice(there.params.ident or 0, there.params.config))
+    _plug(plant, lambda: _swapped(list(configured), plant.rng))
     plant.neighbours()
     plant.maybe_other_master(0.2)
     return plant
