@@ -65,7 +65,7 @@ class Reader:
         self._wake.set()
 
     def say(self, text: str) -> bool:
-        """Send ``text`` before any item. False where the page has too many answers to read."""
+        """Send ``text`` behind the items that wait. False where the page has too many answers to read."""
         if len(self._answers) >= MOST_ANSWERS:
             return False
         self._answers.append(text)
@@ -85,14 +85,15 @@ class Reader:
         """Wait for the next messages to the page."""
         await self._wake.wait()
         self._wake.clear()
-        texts = list(self._answers)
-        self._answers.clear()
+        texts: list[str] = []
         merged, self._merged = self._merged, None
         portion, self._portion = self._portion, None
         if merged is not None:
             portion = Portion(_all_of(merged))
         if portion is not None:
             texts += portion.texts
+        texts += self._answers
+        self._answers.clear()
         return texts
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from dpstack.errors import DpError, UsageError
 from dpstack.web.messages import Order
@@ -12,9 +12,9 @@ from dpstack.web.source import Source
 
 
 class Tell(Protocol):
-    """Tells all pages and the log."""
+    """Tells all pages and the log; ``pages`` False: the log alone."""
 
-    def __call__(self, text: str, severity: str = "info", **more: object) -> None: ...
+    def __call__(self, text: str, severity: str = "info", *, pages: bool = True, **more: object) -> None: ...
 
 
 def _same(command: str) -> Callable[[tuple[str, ...]], tuple[str, ...]]:
@@ -38,8 +38,8 @@ ORDERS: Final = (*_COMMANDS, START)
 
 
 async def carry_out(source: Source, visitor: Visitor, order: Order, tell: Tell) -> object:
-    """Carry ``order`` out for ``visitor``, and return the answer of the run. Tells all pages of each order that may be
-    given, with the name of who gave it. Raises DpError.
+    """Carry ``order`` out for ``visitor``, and return the answer of the run. The log has each order that may be given
+    before it is carried out, with the name of who gave it; log and pages have its result. Raises DpError.
     """
     if not visitor.control:
         raise UsageError("this page may look only: orders need --control, and the address or token for them")
@@ -47,8 +47,9 @@ async def carry_out(source: Source, visitor: Visitor, order: Order, tell: Tell) 
         raise UsageError(f"there is no order {order.command!r}; there are {', '.join(ORDERS)}")
     if not order.confirmed:
         raise UsageError(f"{order.command}: the order was not confirmed on the page, so it was not carried out")
-    about = {"by": visitor.who, "command": order.command, "args": list(order.args)}
+    about: dict[str, Any] = {"by": visitor.who, "command": order.command, "args": list(order.args)}
     text = f"order of {visitor.who}: {order.text}"
+    tell(text, pages=False)
     try:
         if order.command == START:
             if order.args:

@@ -154,11 +154,13 @@ class WebServer:
         task.add_done_callback(self._tasks.discard)
         return task
 
-    def tell(self, text: str, severity: str = "info", **more: object) -> None:
-        """An event of the server itself, on all pages and in the log. The log has the clock of this computer, the
+    def tell(self, text: str, severity: str = "info", *, pages: bool = True, **more: object) -> None:
+        """An event of the server itself, in the log, and on all ``pages``. The log has the clock of this computer, the
         pages that of the stream: it goes on evenly, also where somebody has set the clock since the run began."""
         now, text = _now(), printable(text)
         self.log(f"{now} {text}")
+        if not pages:
+            return
         time = now if self._clock is None else iso_time(self._clock + asyncio.get_running_loop().time())
         self.fan_out.put({"event": {"event": "web", "time": time, "severity": severity, "text": text, **more}})
 
@@ -342,10 +344,14 @@ class _Page:
         self.over: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def welcome(self) -> None:
-        """Tell the page its rights and the kind of the source; again when the kind changes."""
+        """Tell the page that the kind of the source has changed, behind the items before that."""
+        self._say(self._welcome())
+
+    def _welcome(self) -> str:
+        """The rights of the page and the kind of the source."""
         visitor = self._visitor
         welcome = {"control": visitor.control, "name": visitor.name, "source": self._server.source.kind}
-        self._say(encode({"welcome": {**welcome, "version": __version__}}))
+        return encode({"welcome": {**welcome, "version": __version__}})
 
     def finish(self) -> None:
         """Disconnect the page as soon as it has got what waits for it."""
@@ -353,8 +359,7 @@ class _Page:
         self._reader.wake()
 
     async def run(self) -> None:
-        self.welcome()
-        writing = asyncio.ensure_future(self._write())
+        writing = asyncio.ensure_future(self._write(self._welcome()))
         try:
             await self._read()
         finally:
@@ -365,18 +370,21 @@ class _Page:
             await asyncio.gather(*tasks, return_exceptions=True)
             self.over.set_result(None)
 
-    async def _write(self) -> None:
-        ws = self._ws
+    async def _write(self, first: str) -> None:
         try:
+            await self._send(first)
             while not (self._is_ending and self._reader.is_empty):
                 for text in await self._reader.take():
-                    async with asyncio.timeout(self._server.patience_s):
-                        await ws.send_str(text)
-            await ws.close()
+                    await self._send(text)
+            await self._ws.close()
         except TimeoutError:
             self._hang_up()
         except ConnectionError:
             pass  # it has gone
+
+    async def _send(self, text: str) -> None:
+        async with asyncio.timeout(self._server.patience_s):
+            await self._ws.send_str(text)
 
     def _hang_up(self) -> None:
         """Disconnect a page that does not read, at once."""

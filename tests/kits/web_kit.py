@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 from typing import Any
@@ -57,10 +58,11 @@ class Page:
 
     async def until(self, kind: str) -> Any:
         """The body of the next message of ``kind``; those before it are dropped."""
-        while True:
-            item = await self.item()
-            if kind in item:
-                return item[kind]
+        async with asyncio.timeout(HANG_S):
+            while True:
+                item = await self.item()
+                if kind in item:
+                    return item[kind]
 
     async def ask(self, what: str, *args: object, id: int = 1) -> Any:
         await self.send({"ask": {"id": id, "what": what, "args": args}})

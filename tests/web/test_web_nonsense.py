@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from typing import Any
 
@@ -68,6 +69,22 @@ def test_a_message_is_one_with_right_types_or_an_error_in_one_line(text: str) ->
             assert all(type(one) is str for one in order_args)
             assert given_["order"].get("confirmed", False) is confirmed
             assert message.text.isprintable()
+
+
+@given(st.lists(MESSAGES | st.binary(max_size=20), min_size=1, max_size=8))
+@examples(6)
+def test_a_server_answers_each_message_and_goes_on(messages: list[str | bytes]) -> None:
+    async def talk() -> None:
+        async with serve(GivenItems([PLANT])) as server, page_of(server) as page, page_of(server) as other:
+            for message in messages:
+                if isinstance(message, bytes):
+                    await page.ws.send_bytes(message)
+                else:
+                    await page.ws.send_str(message.encode(errors="replace").decode())
+                assert (await page.until("answer"))["ok"] is False  # there is no run, and no right to give orders
+            assert "there is no ask" in (await other.ask("nothing"))["error"]
+
+    asyncio.run(talk())
 
 
 @pytest.mark.parametrize(

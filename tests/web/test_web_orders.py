@@ -79,7 +79,12 @@ async def test_orders_become_commands_of_the_run_and_all_pages_are_told() -> Non
     }
     assert [one["ok"] for one in told] == [True] * 7 + [False] * 2
     assert [one["severity"] for one in told[7:]] == ["warning"] * 2
-    assert len(log) == 9
+    assert len(log) == 18  # given, and its result
+    assert [line.partition(" ")[2] for line in log[:3]] == [
+        "order of anna: operate",
+        "order of anna: operate: done",
+        "order of anna: clear",
+    ]
     assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z order of anna: ", line) for line in log)
 
 

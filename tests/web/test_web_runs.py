@@ -150,6 +150,16 @@ async def test_a_run_is_joined_and_the_next_one_too_and_the_port_is_not_taken_be
     assert children.made == []
 
 
+async def test_a_run_that_is_killed_has_ended(tmp_path: Path) -> None:
+    file = plant_file(tmp_path)
+    run = FakeRun(file)
+    async with serve(source_of(file, Children())) as server, page_of(server) as page:
+        async with run.control:
+            await page.until("snapshot")
+        assert (await page.until("end"))["text"] == "the run has ended"
+        assert (await page.until("welcome"))["source"] == "none"
+
+
 async def test_without_a_run_one_that_only_reads_is_started_again_and_again(tmp_path: Path) -> None:
     file, children = plant_file(tmp_path), Children(code=1)
     async with serve(source_of(file, children)) as server, page_of(server) as page:
