@@ -85,8 +85,11 @@ class Evidence:
     ``rates``: baud rates that the device knows, empty: not known. ``config``: the identifier octets that the slave says
     to have (Get_Cfg), None: not asked, or not answered. ``found``: the stations of a scan, None: the bus was not
     scanned; ``found_all``: of all addresses. ``unreadable``: addresses whose answers the scan could not read.
-    ``asked``: services that were asked for this story, as steps. ``read_only``: the asking station is no class 1 master
-    of the slave.
+    ``since_ns``: the counters of stations and line count from this time on; a bus that runs for long is watched for a
+    moment, as its counters from the start would hide a trouble of now.
+    ``asked``: services that were asked for this story, as steps; ``asked_in_vain``: attempts at them without an answer
+    in time. ``read_only``: the asking station is no class 1 master
+    of the slave; ``asker``: its address.
     """
 
     setup: SlaveParams
@@ -96,6 +99,7 @@ class Evidence:
     source: str = RUN
     now_ns: int = 0
     started_ns: int = 0
+    since_ns: int = 0
     fault: Fault | None = None
     diagnosis: Diagnosis | None = None
     history: History = field(default_factory=History)
@@ -112,7 +116,9 @@ class Evidence:
     unreadable: frozenset[int] = frozenset()
     found_all: bool = True
     asked: tuple[Step, ...] = ()
+    asked_in_vain: int = 0
     read_only: bool = False
+    asker: int = -1
 
     @property
     def bring_up(self) -> BringUp | None:

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Final
 
 from dpstack.dp.acyclic.job import ATTEMPTS
-from dpstack.dp.master.bring_ups import DAMAGED, DATA_EXCHANGE, NOTHING, SLAVE_DIAG, Loss, Step
+from dpstack.dp.master.bring_ups import DAMAGED, DATA_EXCHANGE, NOTHING, SLAVE_DIAG, WRONG, Loss, Step
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.master.verdicts import foreign_owner
@@ -28,6 +28,8 @@ _ONCE: Final = 0.03
 #: late answers, and their share of the failures, from which a slave is late
 _LATE: Final = 2
 _LATE_SHARE: Final = 0.05
+#: a share of late answers that a busy computer makes
+_RARE: Final = 0.002
 #: failures from which their kind says something
 _MISSING: Final = 6
 #: share of unreadable answers among all, and their number, from which a second station is likelier than noise
@@ -70,9 +72,11 @@ def is_disturbed(link: StationStats, lost: int = 0) -> bool:
 def is_late(link: StationStats) -> bool:
     """Readable answers came when nobody waited for them any more: neither noise nor a missing station does that."""
     late, failed = link.late + link.wrong - link.early, failures(link)
+    if late < _RARE * attempts(link):
+        return False
     if late >= _LATE and late >= _LATE_SHARE * failed:
         return True
-    return late >= 1 and failed >= _MISSING and 2 * damaged(link) <= failed
+    return link.late - link.early >= 1 and failed >= _MISSING and 2 * damaged(link) <= failed
 
 
 class Facts:
@@ -187,7 +191,7 @@ class Facts:
         weights = [
             (step.times * (ATTEMPTS if step in self.evidence.asked else 1), step.answered) for step in self.steps
         ]
-        unreadable = sum(weight for weight, answered in weights if answered == DAMAGED)
+        unreadable = sum(weight for weight, answered in weights if answered in (DAMAGED, WRONG))
         every = sum(weight for weight, _ in weights)
         return unreadable if unreadable >= _ALWAYS_DAMAGED and unreadable >= _ALL_DAMAGED * every else 0
 
@@ -211,6 +215,14 @@ class Facts:
             return None
         return self.diagnosis.ident
 
+    @cached_property
+    def waits_for_master(self) -> bool:
+        """The right device wants parameters, and has refused none."""
+        found = self.diagnosis
+        if found is None or not found.prm_req or self.owner is not None or self.wrong_ident is not None:
+            return False
+        return not (found.prm_fault or found.cfg_fault or found.not_supported)
+
     # --- its losses ---
 
     @cached_property
@@ -220,6 +232,13 @@ class Facts:
     @cached_property
     def lost(self) -> int:
         return self.evidence.history.lost
+
+    @cached_property
+    def lost_since(self) -> int:
+        """Losses in the time that the counters cover."""
+        if self.evidence.since_ns <= self.evidence.started_ns:
+            return self.lost
+        return sum(loss.t_ns >= self.evidence.since_ns for loss in self.losses)
 
     @cached_property
     def lost_silently(self) -> int:
@@ -263,6 +282,16 @@ class Facts:
         return bool(self.answering or self.others_found)
 
     @cached_property
+    def waits_help(self) -> bool:
+        """Its answers to class 2 services are good where the master waits longer, and missing where it does not.
+
+        The last attempt at such a service has more time. Nothing but a slow answer is healed by that.
+        """
+        good = sum(step.answered == "DL" for step in self.evidence.asked)
+        in_vain = self.evidence.asked_in_vain
+        return good >= 2 and in_vain >= 2 * good and 4 * damaged(self.link) <= failures(self.link)
+
+    @cached_property
     def disturbed_neighbours(self) -> tuple[Neighbour, ...]:
         return tuple(one for one in self.neighbours if is_disturbed(one.link))
 
@@ -274,7 +303,7 @@ class Facts:
     @cached_property
     def load(self) -> float:
         """The share of the time that unreadable octets take on the line."""
-        line, seconds = self.evidence.line, max(1, self.evidence.now_ns - self.evidence.started_ns) / NS_PER_S
+        line, seconds = self.evidence.line, max(1, self.evidence.now_ns - self.evidence.since_ns) / NS_PER_S
         octets = sum(count for cause, count in line.bad.items() if cause == "skipped" or cause.startswith("uart_"))
         return octets * BITS_PER_CHAR / line.baud / seconds
 

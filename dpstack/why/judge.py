@@ -118,17 +118,28 @@ def _ring(f: Facts) -> Findings:
     elif not ring.asks:
         todo = "operate() or clear(): the master sends nothing to slaves in Stop"
         yield Finding(Cause.NO_TOKEN, 0.85, ["The master is in Stop: it asks no slave."], next=todo)
-    elif f.evidence.source == CLASS2 and f.diagnosis is not None:
-        if ring.own not in ring.masters and f.diagnosis.prm_req and f.owner is None and f.wrong_ident is None:
-            facts = [
-                f"The slave answers and waits for parameters, and no master {ring.own} is in the token ring.",
-                "No other master owns it.",
-            ]
-            todo = f"start the master with address {ring.own} (`dpstack run CONFIG`)"
-            yield Finding(Cause.NO_TOKEN, 0.85, facts, next=todo)
+    elif f.evidence.source == CLASS2 and f.waits_for_master:
+        yield _masterless(f)
     elif not (ring.tokens or attempts(f.link) or f.steps or f.evidence.read_only):
         facts = ["This master was not given the token so far, so it has asked nobody."]
         yield Finding(Cause.NO_TOKEN, 0.8, facts, next="run longer; then look at HSA and the GAP of the other masters")
+
+
+def _masterless(f: Facts) -> Finding:
+    """The slave waits for parameters, and no master has it."""
+    ring = f.evidence.ring
+    said = ["The slave answers and waits for parameters (Prm_Req), and no master has it."]
+    if ring.own == f.evidence.asker:
+        return Finding(Cause.NO_TOKEN, 0.8, said, next="start its master; its configuration must have this slave")
+    if ring.own not in ring.masters:
+        said.append(f"No master {ring.own} is in the token ring.")
+        return Finding(
+            Cause.NO_TOKEN, 0.85, said, next=f"start the master with address {ring.own} (`dpstack run CONFIG`)"
+        )
+    said.append(f"Master {ring.own} is in the token ring, and has not parameterised it (yet).")
+    return Finding(
+        Cause.NO_TOKEN, 0.4, said, next=f"look at master {ring.own}: does its configuration have this slave?"
+    )
 
 
 def _jam(f: Facts) -> Finding:
@@ -317,14 +328,15 @@ def _doubled(f: Facts) -> Findings:
 
 def _retried(f: Facts) -> bool:
     """Answers of the slave are missing now and then, more often than its losses explain."""
-    retried = f.link.retries - 3 * f.lost
+    retried = f.link.retries - 3 * f.lost_since
     return f.link.answers > 0 and retried >= 4 and retried >= 0.004 * attempts(f.link)
 
 
 def _noise(f: Facts) -> Findings:
     link = f.link
-    harmed = is_disturbed(link, f.lost) or (f.mixed and damaged(link) > f.lost)
+    harmed = is_disturbed(link, f.lost_since) or (f.mixed and damaged(link) > f.lost_since)
     if not (harmed or (_retried(f) and not f.exchanging)):
+        yield from _noise_of_others(f)
         return
     said = [f"{failures(link)} of {attempts(link)} requests had no good answer, {damaged(link)} of them a damaged one."]
     lost = [f"It was lost {f.lost} times by that."] if f.lost_damaged else []
@@ -333,7 +345,7 @@ def _noise(f: Facts) -> Findings:
     if not harmed:
         against.append("No damaged octets came, answers are only missing.")
         most = 0.5
-    if is_late(link):
+    if is_late(link) or f.waits_help:
         against.append("Its answers come late, and late answers run into other telegrams.")
         most = min(most, 0.4)
     if f.late_neighbours:
@@ -362,6 +374,15 @@ def _noise(f: Facts) -> Findings:
         yield Finding(Cause.NOISE_ON_SEGMENT, min(0.65 if tokens >= 3 else 0.5, most), said, against)
 
 
+def _noise_of_others(f: Facts) -> Findings:
+    """Most others are disturbed, and requests to this slave failed, too."""
+    bad = f.disturbed_neighbours
+    if failures(f.link) and bad and 2 * len(bad) >= len(f.answering) and not (f.late_neighbours or is_late(f.link)):
+        said = [f"Answers of {_some(one.name for one in bad)} are damaged."]
+        missing = f"{failures(f.link)} of {attempts(f.link)} requests to this slave had no good answer."
+        yield Finding(Cause.NOISE_ON_SEGMENT, 0.5, [*said, missing], ["Its own answers are not damaged."])
+
+
 def _late(f: Facts) -> Findings:
     link, slot = f.link, f.evidence.line.slot_bits
     late = link.late + link.wrong - link.early
@@ -383,6 +404,12 @@ def _late(f: Facts) -> Findings:
         if limit is not None and limit >= slot:
             said.append(f"Its GSD file says max_Tsdr = {limit} bit times at this rate.")
         yield Finding(Cause.ANSWERS_LATE, 0.5 if slow else 0.87, said, against)
+    elif f.waits_help and not f.all_damaged and not link.early:
+        said = [
+            f"It answers where the master waits longer than the slot time of {slot} bit times ({ms_text(f.slot_ns)}), "
+            f"and {f.evidence.asked_in_vain} attempts with the slot time alone had no answer."
+        ]
+        yield Finding(Cause.ANSWERS_LATE, 0.8, said)
     if slow and not f.exchanging and (f.silent_after_prm or late >= 3):
         said = [begins, "It answers before Set_Prm, and too late or not at all after it."]
         yield Finding(Cause.MIN_TSDR, 0.91, said)

@@ -16,12 +16,13 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.errors import DpError, GsdError
+from dpstack.fdl.interface import StationStats
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.gsd.prm import UserPrm
 from dpstack.params import MAX_STATION
 from dpstack.units import NS_PER_S
 from dpstack.why.evidence import CLASS2, RUN, Evidence, Line, Neighbour, Ring
-from dpstack.why.facts import Facts, failures
+from dpstack.why.facts import Facts, attempts, failures
 from dpstack.why.story import Story, tell
 
 if TYPE_CHECKING:
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 #: asks the addresses for their stations, with identifier octets
 Scan = Callable[[list[int]], Awaitable[tuple[Found, ...]]]
 
+#: with more requests than this the counters since the start hide a trouble of now: the bus is watched for so long (s)
+_MANY: Final = 2_000
+_WATCH_S: Final = 0.5
 #: time limit in s of the scan for stations at other addresses, and addresses that it asks in one go
 _SCAN_S: Final = 30.0
 _SCAN_PART: Final = 16
@@ -56,16 +60,51 @@ async def gather(
     ``scan`` is called where nobody, or another device, answers at the address of the slave; None: never.
     """
     own = bus.params.address if master is None else master
-    evidence = _evidence(bus, slave, await _history(bus, slave), own)
-    if not (ask and _can_ask(bus)) or slave.deactivated:
+    before = evidence = _evidence(bus, slave, await _history(bus, slave), own)
+    if not ask or slave.deactivated or not bus.is_open or bus.runtime.not_running is not None:
         return evidence
-    evidence = await _asked(bus, slave, evidence)
+    if attempts(before.link) > _MANY and (Facts(before).exchanging or not bus.snapshot.in_ring):
+        await asyncio.sleep(_WATCH_S)
+        evidence = _evidence(bus, slave, await _history(bus, slave), own)
+    if bus.snapshot.in_ring:
+        evidence = await _asked(bus, slave, evidence)
+    if attempts(before.link) > _MANY:
+        evidence = _counted_since(before, evidence)
     owner = None if evidence.diagnosis is None else evidence.diagnosis.master
     if master is None and evidence.read_only and owner is not None and owner <= MAX_STATION:  # nobody says who it is
         evidence = dataclasses.replace(evidence, ring=dataclasses.replace(evidence.ring, own=owner))
     facts = Facts(evidence)
     lost = not facts.exchanging and (facts.silent_now or facts.garbled_now or facts.wrong_ident is not None)
-    return await _scanned(bus, evidence, scan) if scan is not None and lost else evidence
+    return await _scanned(bus, evidence, scan) if scan is not None and lost and _can_ask(bus) else evidence
+
+
+def _counted_since(before: Evidence, now: Evidence) -> Evidence:
+    """``now`` with the counters of stations and line since ``before``."""
+    old = {one.address: one.link for one in before.neighbours}
+    neighbours = [
+        dataclasses.replace(one, link=_difference(one.link, old[one.address])) if one.address in old else one
+        for one in now.neighbours
+    ]
+    was = before.line
+    line = dataclasses.replace(
+        now.line,
+        sent=now.line.sent - was.sent,
+        heard=now.line.heard - was.heard,
+        stray=now.line.stray - was.stray,
+        bad={cause: more for cause, count in now.line.bad.items() if (more := count - was.bad.get(cause, 0)) > 0},
+    )
+    link = _difference(now.link, before.link)
+    return dataclasses.replace(now, since_ns=before.now_ns, neighbours=tuple(neighbours), line=line, link=link)
+
+
+def _difference(now: StationStats, before: StationStats) -> StationStats:
+    bad = {cause: more for cause, count in now.bad.items() if (more := count - before.bad.get(cause, 0)) > 0}
+    counters = {
+        one.name: getattr(now, one.name) - getattr(before, one.name)
+        for one in dataclasses.fields(StationStats)
+        if one.name != "bad"
+    }
+    return StationStats(**counters, bad=bad)
 
 
 def _can_ask(bus: BusBase) -> bool:
@@ -108,6 +147,7 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
         source=CLASS2 if view.read_only else RUN,
         now_ns=bus.runtime.now(),
         started_ns=bus.started_ns,
+        since_ns=bus.started_ns,
         fault=slave.fault,
         diagnosis=slave.diagnosis,
         history=history,
@@ -120,6 +160,7 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
         expected_prm=expected,
         rates=slave.config.baud_rates,
         read_only=view.read_only,
+        asker=bus.params.address,
         ring=Ring(
             own=master,
             joined=snapshot.in_ring,
@@ -173,7 +214,14 @@ async def _asked(bus: BusBase, slave: Slave, before: Evidence) -> Evidence:
     after = _evidence(bus, slave, before.history, before.ring.own)
     diagnosis = next((one for step in reversed(steps) if (one := step.diagnosis) is not None), after.diagnosis)
     state = _state_of(facts, diagnosis) if before.read_only else after.state
-    return dataclasses.replace(after, asked=tuple(steps), config=config, diagnosis=diagnosis, state=state)
+    return dataclasses.replace(
+        after,
+        asked=tuple(steps),
+        asked_in_vain=max(0, failures(after.link) - failures(before.link)),
+        config=config,
+        diagnosis=diagnosis,
+        state=state,
+    )
 
 
 def _state_of(facts: Facts, diagnosis: Diagnosis | None) -> SlaveState:
