@@ -143,6 +143,9 @@ class GsdFolder:
             self._devices.popitem(last=False)
         return device
 
+    def _not_read(self, error: OSError) -> None:
+        self._note(str(error.filename), error.strerror or str(error))
+
     def _note(self, path: str, reason: str) -> None:
         if len(self._bad) < _MOST_BAD:
             self._bad[path] = reason
@@ -151,7 +154,7 @@ class GsdFolder:
         """The files by name; the last one with a text where a limit was reached."""
         seen = listed = 0
         inside = self.folder.resolve()
-        for place, folders, files in os.walk(self.folder):
+        for place, folders, files in os.walk(self.folder, onerror=self._not_read):
             folders[:] = sorted(folders) if self._deep else []
             for name in sorted(files):
                 seen += 1

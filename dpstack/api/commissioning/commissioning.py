@@ -117,6 +117,7 @@ class Commissioning:
         """
         name = _text(gsd, "gsd")
         octets = None if config is None else _octets(config)
+        self.folder.refresh()
         device = self.folder.device(name)
         entry = next(entry for entry in self.folder.entries if entry.key == name)
         return module_choice(entry, device, octets)
@@ -128,7 +129,10 @@ class Commissioning:
         The keys are those of docs/configuration.md; ``ident`` may be a text like "0x0FFE". ``errors`` as those of
         :meth:`check`; with errors the other values but ``text`` are null. ``inputs``, ``outputs``: octets.
         """
-        keys = _keys(slave)
+        self.folder.refresh()
+        return self._table(_keys(slave))
+
+    def _table(self, keys: Mapping[str, Any]) -> dict[str, Any]:
         lines = table_lines("[[slave]]", keys)
         nothing: dict[str, Any] = dict.fromkeys(("inputs", "outputs", "config", "user_prm"))
         refused = self._foreign_gsd(keys.get("gsd"))
@@ -158,6 +162,7 @@ class Commissioning:
         and where there is none (no baud rate, "auto"). One error of each table is found, at most 50.
         """
         written = _text(text, "text", blank=True)
+        self.folder.refresh()
         errors = self._foreign_files(written)
         config: Config | None = None
         if not errors:
@@ -191,8 +196,9 @@ class Commissioning:
         if unknown:
             raise UsageError(f"plant has {shortened(unknown[0])!r}; it has bus and slaves only")
         slaves = [_keys(slave) for slave in _list(given.get("slaves", []), "slaves", MAX_STATION + 1)]
+        self.folder.refresh()
         parts = ["\n".join([*_HEAD, *table_lines("[bus]", _mapping(given.get("bus", {}), "bus"))]) + "\n"]
-        parts += [self.table(keys)["text"] for keys in sorted(slaves, key=_address)]
+        parts += [self._table(keys)["text"] for keys in sorted(slaves, key=_address)]
         written = "\n".join(parts)
         return {"toml": written, **self.check(written)}
 

@@ -79,6 +79,12 @@ def test_files_are_listed_and_bad_ones_with_the_reason(commissioning: Commission
     listed = commissioning.files()
     assert "gsd/whole.gsd" not in {one["gsd"] for one in listed["files"]}
     assert {Path(one["gsd"]).name for one in listed["bad"]} == {"no_number.gsd"}
+    (folder / "gsd" / "new.gsd").write_text(HEAD + FILE)
+    assert commissioning.table({"address": 3, "gsd": "gsd/new.gsd", "modules": [1]})["errors"] == []
+    (folder / "gsd" / "new.gsd").write_text(HEAD + FILE.replace('"8 DO"', '"8 DO, new"'))
+    assert commissioning.modules("gsd/new.gsd")["modules"][0]["name"] == "8 DO, new"
+    (folder / "gsd" / "new.gsd").unlink()
+    assert commissioning.table({"address": 3, "gsd": "gsd/new.gsd", "modules": [1]})["errors"]
 
 
 def test_nothing_outside_the_folder_is_read(folder: Path) -> None:
