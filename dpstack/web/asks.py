@@ -43,6 +43,11 @@ async def _records(source: Source, args: Sequence[Any]) -> object:
     return await _read(source, slave, "read", slot, index)
 
 
+async def _parameter(source: Source, args: Sequence[Any]) -> object:
+    drive, parameter = _texts("parameter", args, "DRIVE PARAMETER")
+    return await source.call("drive", drive, "read", parameter)
+
+
 async def _scan(source: Source, args: Sequence[Any]) -> object:
     return await source.call("scan", *_texts("scan", args, ""))
 
@@ -73,6 +78,7 @@ HANDLERS: Final[dict[str, Handler]] = {
     "diag": _diag,
     "records": _records,
     "im": _im,
+    "parameter": _parameter,
     "scan": _scan,
     "recording": _recording,
 }

@@ -249,6 +249,16 @@ def test_a_new_configuration_of_the_running_bus_is_shown_at_once(browser: Browse
     assert browser.count("tbody tr[data-address]") == 2
 
 
+def test_other_masters_stand_on_the_line(browser: Browser, shown: ShownPlant) -> None:
+    assert browser.count(".line .master.other") == 0
+    shown.put(snapshot(3.0, {}, masters=[2, 5, 40]))
+    browser.until(lambda: browser.count(".line .master.other") == 2, "two masters")
+    on_the_line = browser.js(
+        "return [...document.querySelectorAll('.line .number')].map((one) => Number(one.textContent))"
+    )
+    assert on_the_line == [2, 3, 4, 5, 8, 12, 13, 14, 15, 40]
+
+
 # --- orders ----------------------------------------------------------------------------------------------------------
 
 

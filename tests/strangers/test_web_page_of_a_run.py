@@ -316,7 +316,7 @@ def test_an_alarm_with_the_texts_of_the_gsd_file(page: Browser, plant: Plant) ->
 # --- asks and orders -------------------------------------------------------------------------------------------------
 
 
-def test_records_and_im_are_read_on_demand(page: Browser, plant: Plant) -> None:
+def test_records_im_and_parameters_are_read_on_demand(page: Browser, plant: Plant) -> None:
     page.go("slave/8")
     page.js("for (const one of document.querySelectorAll('button')) if (one.textContent === 'Read I&M') one.click()")
     im = plant.call("acyclic", "8", "im")["im"]["0"]
@@ -324,6 +324,14 @@ def test_records_and_im_are_read_on_demand(page: Browser, plant: Plant) -> None:
     page.click("#record-slot")
     page.press("BACKSPACE", "9", "9", "TAB", "1", "ENTER")
     page.sees("refuses", "[aria-labelledby=h-records] .bad")
+    page.go("slave/3")
+    page.click("#parameter-3")
+    page.type("480")
+    page.press("ENTER")
+    parameter = plant.call("drive", "hoist", "read", "480")["parameter"]
+    page.sees(f"480 {parameter['name']}: ", "article.drive .answer")
+    shown = page.text("article.drive .answer strong").replace("\u2212", "-")
+    assert float(shown) == pytest.approx(parameter["value"])
 
 
 def test_an_output_set_on_the_page_is_on_the_wire(page: Browser, plant: Plant) -> None:

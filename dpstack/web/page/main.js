@@ -179,7 +179,7 @@ class App {
     setText(banner, text ?? "");
     setAttr(banner, "hidden", text === null);
     setAttr(banner, "class", this.snapshotAt || this.refusal ? "banner" : "banner calm");
-    setAttr(document.body, "class", dead ? (this.snapshotAt ? "dead" : "dead empty") : null);
+    setAttr(document.body, "class", dead ? (this.snapshotAt ? "dead" : "dead nothing") : null);
     this.paintHeader();
     if (turned) this.page?.update?.(new Set(live.addresses));
   }

@@ -24,9 +24,12 @@ class LinePicture {
   lay() {
     const { live } = this.app;
     const wide = Math.floor(this.node.clientWidth);
-    if (!wide || wide === this.wide) return;
+    const masters = (live.bus.masters ?? []).filter((one) => one !== live.plant.address && !live.slaves.has(one));
+    const key = `${wide}|${masters}`;
+    if (!wide || key === this.laid) return;
+    this.laid = key;
     this.wide = wide;
-    const all = live.addresses;
+    const all = [...live.addresses, ...masters].sort((a, b) => a - b);
     const small = all.length > 24;
     const width = small ? 58 : 112;
     const height = small ? 46 : 62;
@@ -50,9 +53,10 @@ class LinePicture {
       svg("path", { class: "end", d: `M${6 + width / 2} 4v12` }),
       svg("path", { class: "end", d: `M${last.x + width / 2} ${last.y - 18}v12` }));
     drawing.append(this.master(place(0), width, height));
-    all.forEach((address, n) => drawing.append(this.station(address, place(n + 1), width, height, small)));
+    all.forEach((address, n) => drawing.append(masters.includes(address)
+      ? this.otherMaster(address, place(n + 1), width, height) : this.station(address, place(n + 1), width, height, small)));
     this.node.replaceChildren(drawing);
-    this.update(new Set(all), true);
+    this.update(new Set(live.addresses), true);
   }
 
   master({ x, y }, width, height) {
@@ -66,21 +70,31 @@ class LinePicture {
       this.masterText);
   }
 
+  /** Another master of the token ring. */
+  otherMaster(address, { x, y }, width, height) {
+    return svg("g", { class: "master other" },
+      svg("path", { class: "stub", d: `M${x + width / 2} ${y - 12}V${y}` }),
+      svg("rect", { x: x + 4, y, width: width - 8, height, rx: 7 }),
+      svg("text", { x: x + width / 2, y: y + (height > 50 ? 25 : 20), class: "number", text: address }),
+      svg("text", { x: x + width / 2, y: y + height - 12, class: "what", text: height > 50 ? "other master" : "master" }));
+  }
+
   station(address, { x, y }, width, height, small) {
     const { live } = this.app;
     const name = live.name(address);
-    const fits = small ? 8 : 14;
+    const fits = small ? 9 : 14;
     const parts = {
       title: svg("title"),
-      sign: svg("g", { transform: `translate(${x + 9} ${y + (small ? 6 : 8)})` }),
+      sign: svg("g", { transform: small ? `translate(${x + 7} ${y + 8}) scale(.75)` : `translate(${x + 9} ${y + 8})` }),
       text: small ? null : svg("text", { x: x + width / 2, y: y + height - 8, class: "what" }),
       remark: svg("g", { transform: `translate(${x + width - 22} ${y + 5}) scale(.85)` }, shape("warn")),
       frame: svg("rect", { x: x + 4, y, width: width - 8, height, rx: 5 }),
       stub: svg("path", { class: "stub", d: `M${x + width / 2} ${y - 12}V${y}` }),
     };
     const link = svg("a", { href: `#/slave/${address}`, class: "station" }, parts.title, parts.stub, parts.frame,
-      svg("text", { x: x + width / 2, y: y + (small ? 20 : 22), class: "number", text: address }),
-      svg("text", { x: x + width / 2, y: y + (small ? 36 : 39), class: "name", text: name.length > fits ? `${name.slice(0, fits - 1)}…` : name }),
+      svg("text", { x: x + width / 2 + (small ? 8 : 0), y: y + (small ? 20 : 22), class: "number", text: address }),
+      svg("svg", { x: x + 6, y: y + (small ? 24 : 26), width: width - 12, height: 18 },
+        svg("text", { x: (width - 12) / 2, y: small ? 12 : 13, class: "name", text: name.length > fits ? `${name.slice(0, fits - 1)}…` : name })),
       parts.text, parts.sign, parts.remark);
     this.stations.set(address, { link, ...parts });
     return link;
@@ -88,6 +102,7 @@ class LinePicture {
 
   update(changed, all = false) {
     const { live } = this.app;
+    if (!all) this.lay();
     if (this.masterText) setText(this.masterText, this.wide && live.slaves.size > 24 ? "master" : live.bus.mode ? `master, ${live.bus.mode}` : "master");
     for (const address of changed) {
       const parts = this.stations.get(address);
@@ -155,7 +170,7 @@ class Row {
     this.counters = el("span", { class: "figure" });
     this.remark = el("td", { class: "remark", "data-label": "Remarks" });
     this.node = el("tr", { "data-address": address, id: `row-${address}` },
-      el("th", { scope: "row", class: "who" }, el("a", { href: `#/slave/${address}` }, el("span", { class: "address", text: address }), " ", el("bdi", { class: "name", text: live.name(address) })),
+      el("th", { scope: "row", class: "who" }, el("a", { href: `#/slave/${address}`, title: live.name(address).length > 40 ? live.name(address) : null }, el("span", { class: "address", text: address }), " ", el("bdi", { class: "name", text: live.name(address) })),
         el("span", { class: "faint", text: about.model ?? "" })),
       el("td", { class: "is", "data-label": "State" }, this.state.node, this.age),
       el("td", { "data-label": "Inputs" }, this.inputs?.node ?? this.rawIn),
@@ -202,7 +217,8 @@ export class DriveCard {
     this.node = el("article", { class: "card drive", "data-address": address },
       el("header", {}, el(heading, {}, el("a", { href: `#/slave/${address}` }, el("span", { class: "address", text: address }), " ", el("bdi", { text: this.name }))), this.state.node),
       el("p", { class: "faint", text: [about.drive.profile, about.drive.telegram].filter(Boolean).join(", ") }),
-      this.bar.node, el("div", { class: "drive-view" }, this.machine.node, this.figures), this.fault, this.orders);
+      this.bar.node, el("div", { class: "drive-view" }, this.machine.node, this.figures), this.fault, this.orders,
+      ...(open && !app.live.plant?.read_only && app.welcome?.source !== "replay" ? this.parameters() : []));
   }
 
   update() {
@@ -233,6 +249,34 @@ export class DriveCard {
     ]);
     const { orders } = this.app;
     refill(this.orders, [orders.allowed, this.app.orders.shown, state], () => this.buttons());
+  }
+
+  /** Parameters of the drive: read by anybody, written by an order. */
+  parameters() {
+    const { app, name } = this;
+    const id = `parameter-${this.address}`;
+    const which = el("input", { id, size: 10, autocomplete: "off", spellcheck: "false", placeholder: "number or name" });
+    const shown = el("p", { class: "answer", role: "status" });
+    const read = async (event) => {
+      event.preventDefault();
+      if (!which.value.trim()) return;
+      try {
+        const { parameter } = await app.link.ask("parameter", name, which.value.trim());
+        shown.replaceChildren(el("span", {}, `${parameter.number} ${parameter.name ?? ""}: `, el("strong", { class: "figure", text: value(parameter.value) }), parameter.unit ? ` ${parameter.unit}` : ""));
+      } catch (error) {
+        shown.replaceChildren(el("span", { class: "bad" }, mark("bad"), error.message));
+      }
+    };
+    const parts = [el("label", { for: id, text: "Parameter" }), which, el("button", { text: "Read" })];
+    if (app.orders.shown) {
+      const wanted = el("input", { id: `${id}-value`, size: 8, autocomplete: "off", "aria-label": `New value of the parameter of ${name}`, placeholder: "new value" });
+      const write = () => {
+        if (which.value.trim() && wanted.value.trim()) app.orders.give("drive", [name, "write", which.value.trim(), wanted.value.trim()]);
+        else app.say("Give the parameter and its new value.", "bad");
+      };
+      parts.push(wanted, el("button", { type: "button", text: "Write …", on: { click: write } }));
+    }
+    return [el("form", { class: "inline", on: { submit: read } }, ...parts), shown];
   }
 
   buttons() {
