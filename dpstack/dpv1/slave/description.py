@@ -27,19 +27,6 @@ _FIRST_BLOCK: Final = 11
 
 
 @dataclass(frozen=True, slots=True)
-class SlaveModule:
-    """A module of a modular slave [Module]: its identifier octets, at least one. Raises ConfigError."""
-
-    name: str
-    config: bytes
-
-    def __post_init__(self) -> None:
-        if not self.config:
-            raise ConfigError(f"module {self.name}: no identifier octets")
-        io_lengths(self.config)
-
-
-@dataclass(frozen=True, slots=True)
 class SlaveParameter:
     """A user parameter by name [ExtUserPrmData]: its place begins in ``octet`` of the user parameters, from 0 (of a
     DP-V1 slave the octets 0..2 are DPV1_Status).
@@ -55,6 +42,25 @@ class SlaveParameter:
     default: int = 0
     allowed: Ranges = ()
     texts: Mapping[int, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class SlaveModule:
+    """A module of a modular slave [Module]: its identifier octets, at least one.
+
+    For the GSD file alone: ``prm``, its octets of user parameters by default [Ext_Module_Prm_Data_Len], and
+    ``parameters`` by name, with octets counted from 0 within them. Raises ConfigError.
+    """
+
+    name: str
+    config: bytes
+    prm: bytes = b""
+    parameters: tuple[SlaveParameter, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.config:
+            raise ConfigError(f"module {self.name}: no identifier octets")
+        io_lengths(self.config)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

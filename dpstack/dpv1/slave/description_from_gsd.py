@@ -16,7 +16,7 @@ from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.configuration import Configuration, fixed_modules, is_fixed, plug
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import MAX_USER_PRM, Device, alarm_kinds
+from dpstack.gsd.model import MAX_USER_PRM, Device, Module, PrmBlock, alarm_kinds
 
 #: what stands for an empty slot of a modular station
 EMPTY_SLOT: Final = SlaveModule("empty slot", b"\0")
@@ -55,7 +55,7 @@ def slave_description(
         name=name or device.model or "slave",
         configs=configs,
         modules=modules,
-        presets=tuple(SlaveModule(m.name, m.config) for m in presets if m.config),
+        presets=tuple(_module(device, m) for m in presets if m.config),
         max_modules=1 if compact else device.max_module or MAX_DATA,
         # a compact station has no need of these keywords: they count for a modular one
         max_input_len=_within(None if compact else device.max_input_len, MAX_DATA),
@@ -81,14 +81,14 @@ def slave_description(
         min_slave_interval_ns=(device.min_slave_interval or 0) * INTERVAL_UNIT,
         vendor=device.vendor,
         revision=device.revision,
-        parameters=_parameters(device),
+        parameters=_parameters(device, device.prm),
         diag_texts=device.diagnosis.texts,
     )
 
 
-def _parameters(device: Device) -> tuple[SlaveParameter, ...]:
-    """The user parameters of the device itself, not those of its modules."""
-    placed = ((ref.offset, device.parameters.get(ref.number)) for ref in device.prm.refs)
+def _parameters(device: Device, block: PrmBlock) -> tuple[SlaveParameter, ...]:
+    """The user parameters by name that ``block``, of the device or a module, refers to."""
+    placed = ((ref.offset, device.parameters.get(ref.number)) for ref in block.refs)
     return tuple(
         SlaveParameter(one.name, offset, one.type.text, one.default, one.allowed, one.texts)
         for offset, one in placed
@@ -113,13 +113,26 @@ def _alarms(device: Device) -> dict[str, Any]:
 
 def _modules(device: Device) -> tuple[SlaveModule, ...]:
     usable = tuple(
-        SlaveModule(m.name, m.config)
-        for m in device.modules
-        if m.complete and _possible(m.config) and not is_fixed(device, m)
+        _module(device, m) for m in device.modules if m.complete and _possible(m.config) and not is_fixed(device, m)
     )
     if not usable:
         raise ConfigError(f"{device.model or 'the GSD file'} has no module with identifier octets")
     return (*usable, EMPTY_SLOT) if device.modular else usable
+
+
+def _module(device: Device, module: Module) -> SlaveModule:
+    """The module with its user parameters: the constant octets, and those by name."""
+    block = module.prm
+    if not block.present:
+        return SlaveModule(module.name, module.config)
+    reach = max((one.offset + len(one.octets) for one in block.consts), default=0)
+    length = reach if block.length is None else block.length
+    if max(reach, length) > MAX_USER_PRM:  # no Set_Prm could carry them
+        return SlaveModule(module.name, module.config)
+    octets = bytearray(length)
+    for one in block.consts:
+        octets[one.offset : one.offset + len(one.octets)] = one.octets
+    return SlaveModule(module.name, module.config, bytes(octets[:length]), _parameters(device, block))
 
 
 def _possible(config: bytes) -> bool:

@@ -21,7 +21,7 @@ from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.blocks import prm_type_of
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import ALARM_KEYWORDS, DiagText, in_ranges, ranges_text
+from dpstack.gsd.model import ALARM_KEYWORDS, MAX_USER_PRM, DiagText, in_ranges, ranges_text
 from dpstack.gsd.settings import RATES
 from dpstack.text import octets_text, shortened
 
@@ -54,11 +54,7 @@ def as_gsd_file(slave: SlaveDescription) -> tuple[SlaveDescription, tuple[str, .
             f"slave {slave.name}: a configuration without identifier octets; a GSD file has no such module"
         )
     configs = tuple(dict.fromkeys(slave.configs))
-    modules = tuple(
-        SlaveModule(_text(module.name, "the name of a module"), module.config)
-        for module in slave.modules
-        if module.config != EMPTY_SLOT.config
-    )
+    modules = tuple(_module(module) for module in slave.modules if module.config != EMPTY_SLOT.config)
     if slave.modules and not modules:
         raise ConfigError(f"slave {slave.name}: a modular slave with empty slots only; add a module")
     if slave.modules and len(modules) == len(slave.modules):
@@ -78,7 +74,7 @@ def as_gsd_file(slave: SlaveDescription) -> tuple[SlaveDescription, tuple[str, .
             revision=_text(slave.revision, "revision", _LONGEST_NAME) or _FIRST_REVISION,
             configs=configs,
             modules=(*modules, EMPTY_SLOT) if modules else (),
-            presets=tuple(SlaveModule(_text(one.name, "the name of a module"), one.config) for one in slave.presets),
+            presets=tuple(map(_module, slave.presets)),
             max_modules=1 if fixed else min(slave.max_modules, MAX_DATA),
             max_input_len=MAX_DATA if fixed else min(slave.max_input_len, MAX_DATA),
             max_output_len=MAX_DATA if fixed else min(slave.max_output_len, MAX_DATA),
@@ -138,23 +134,41 @@ def _rates(slave: SlaveDescription) -> dict[int, int]:
 def _prm_len(slave: SlaveDescription) -> int:
     """The octets of user parameters that the file has defaults for. Raises ConfigError."""
     least, most = slave.user_prm_len
-    reach = DPV1_STATUS_LEN if slave.dpv1 else 0
-    for one in slave.parameters:
-        kind = prm_type_of(one.type)
-        if kind is None:
-            raise ConfigError(
-                f"parameter {one.name}: type {one.type!r}; write Unsigned8, Signed16 ..., Bit(3) or BitArea(0-3)"
-            )
-        if one.octet < (DPV1_STATUS_LEN if slave.dpv1 else 0):
-            first = f"the first {DPV1_STATUS_LEN} are DPV1_Status" if slave.dpv1 else "octets count from 0"
-            raise ConfigError(f"parameter {one.name}: octet {one.octet}; {first}")
-        reach = max(reach, one.octet + kind.size)
+    first = DPV1_STATUS_LEN if slave.dpv1 else 0
+    reach = max(first, _reach(slave.parameters, first))
     if reach > most:
         raise ConfigError(
             f"slave {slave.name}: its parameters reach to octet {reach - 1}, user_prm_len allows "
             f"{octets_text(most)}; raise it"
         )
     return max(least, reach)
+
+
+def _reach(parameters: tuple[SlaveParameter, ...], first: int) -> int:
+    """The octets that ``parameters`` reach over, where the first possible one is ``first``. Raises ConfigError."""
+    reach = 0
+    for one in parameters:
+        kind = prm_type_of(one.type)
+        if kind is None:
+            raise ConfigError(
+                f"parameter {one.name}: type {one.type!r}; write Unsigned8, Signed16 ..., Bit(3) or BitArea(0-3)"
+            )
+        if one.octet < first:
+            why = f"the first {DPV1_STATUS_LEN} are DPV1_Status" if first else "octets count from 0"
+            raise ConfigError(f"parameter {one.name}: octet {one.octet}; {why}")
+        reach = max(reach, one.octet + kind.size)
+    return reach
+
+
+def _module(module: SlaveModule) -> SlaveModule:
+    """Its octets of user parameters hold the defaults of the named ones. Raises ConfigError."""
+    name = _text(module.name, "the name of a module")
+    reach = _reach(module.parameters, 0)
+    if reach > MAX_USER_PRM or len(module.prm) > MAX_USER_PRM:
+        raise ConfigError(f"module {name}: more than {MAX_USER_PRM} octets of user parameters; Set_Prm has no room")
+    parameters = tuple(map(_parameter, module.parameters))
+    octets = _with_defaults(module.prm.ljust(reach, b"\0"), parameters)
+    return SlaveModule(name, module.config, octets, parameters)
 
 
 def _parameter(one: SlaveParameter) -> SlaveParameter:
@@ -267,35 +281,46 @@ def _dpv1_lines(slave: SlaveDescription) -> Iterator[str]:
 
 
 def _parameter_lines(slave: SlaveDescription, prm: int) -> Iterator[str]:
+    """All named parameters, then the device's own octets and places."""
     numbers: dict[tuple[tuple[int, str], ...], int] = {}
-    for one in slave.parameters:
+    named = [*slave.parameters, *(one for module in (*slave.presets, *slave.modules) for one in module.parameters)]
+    for one in named:
         texts = tuple(one.texts.items())
         if texts and texts not in numbers:
             numbers[texts] = len(numbers) + 1
             yield f"PrmText = {numbers[texts]}"
             yield from (f'Text({value}) = "{text}"' for value, text in texts)
             yield "EndPrmText"
-    for number, one in enumerate(slave.parameters, 1):
+    for number, one in enumerate(named, 1):
         yield f'ExtUserPrmData = {number} "{one.name}"'
         ranges = ",".join(f"{low}-{high}" if low != high else str(low) for low, high in one.allowed)
         yield f"{one.type} {one.default} {ranges}"
         if one.texts:
             yield f"Prm_Text_Ref = {numbers[tuple(one.texts.items())]}"
         yield "EndExtUserPrmData"
-    octets = _default_octets(slave, prm)
+    status = bytearray(prm)
+    if slave.dpv1:
+        status[0] = DPV1_ENABLE | (FAIL_SAFE if slave.fail_safe_required else 0)
+        status[2] = PRM_STRUCTURE if slave.prm_blocks_required else 0
+    yield from _prm_lines(_with_defaults(bytes(status), slave.parameters), slave.parameters, 1)
+
+
+def _prm_lines(octets: bytes, parameters: tuple[SlaveParameter, ...], first: int) -> Iterator[str]:
+    """Constant octets and places of ``parameters``, whose numbers begin with ``first``."""
     if octets:
-        yield f"Ext_User_Prm_Data_Const(0) = {', '.join(f'0x{octet:02X}' for octet in octets)}"
-    for number, one in enumerate(slave.parameters, 1):
+        yield f"Ext_User_Prm_Data_Const(0) = {_hex(octets)}"
+    for number, one in enumerate(parameters, first):
         yield f"Ext_User_Prm_Data_Ref({one.octet}) = {number}"
 
 
-def _default_octets(slave: SlaveDescription, prm: int) -> bytes:
-    """The user parameters by default: DPV1_Status, the defaults of the named ones, zeros."""
-    image = bytearray(prm)
-    if slave.dpv1:
-        image[0] = DPV1_ENABLE | (FAIL_SAFE if slave.fail_safe_required else 0)
-        image[2] = PRM_STRUCTURE if slave.prm_blocks_required else 0
-    for one in slave.parameters:
+def _hex(octets: bytes) -> str:
+    return ", ".join(f"0x{octet:02X}" for octet in octets)
+
+
+def _with_defaults(octets: bytes, parameters: tuple[SlaveParameter, ...]) -> bytes:
+    """``octets`` with the defaults of ``parameters`` in their places."""
+    image = bytearray(octets)
+    for one in parameters:
         kind = prm_type_of(one.type)
         assert kind is not None
         place = slice(one.octet, one.octet + kind.size)
@@ -328,15 +353,20 @@ def _text_lines(texts: tuple[DiagText, ...]) -> Iterator[str]:
 
 def _module_lines(slave: SlaveDescription) -> Iterator[str]:
     fixed = len(slave.configs) == 1
-    rows = [(module.name, module.config, True) for module in slave.presets]
-    rows += [(module.name, module.config, False) for module in slave.modules if module != EMPTY_SLOT]
+    rows = [(module, True) for module in slave.presets]
+    rows += [(module, False) for module in slave.modules if module != EMPTY_SLOT]
     for config in slave.configs:
         inputs, outputs = io_lengths(config)
         mark = "" if fixed else f" ({config.hex(' ').upper()})"  # two of them may have the same lengths
-        rows.append((f"{octets_text(inputs)} in, {octets_text(outputs)} out{mark}", config, fixed))
-    for number, (name, config, preset) in enumerate(rows, 1):
-        yield f'Module = "{name}" {", ".join(f"0x{octet:02X}" for octet in config)}'
+        rows.append((SlaveModule(f"{octets_text(inputs)} in, {octets_text(outputs)} out{mark}", config), fixed))
+    first = len(slave.parameters) + 1
+    for number, (module, preset) in enumerate(rows, 1):
+        yield f'Module = "{module.name}" {_hex(module.config)}'
         yield str(number)
         if preset:
             yield "Preset = 1"
+        if module.prm:
+            yield f"Ext_Module_Prm_Data_Len = {len(module.prm)}"
+            yield from _prm_lines(module.prm, module.parameters, first)
+        first += len(module.parameters)
         yield "EndModule"

@@ -61,7 +61,7 @@ async def test_a_recording_is_played(tmp_path: Path, name: str) -> None:
     text = RECORDED
     if name.endswith("jsonl"):
         text = (
-            '{"recording":{"version":1,"columns":[{"slave":"tank","field":"level","type":"number"}]}}\n'
+            '{"recording":{"version":1,"slaves":[{"name":"tank","columns":[{"field":"level","type":"number"}]}]}}\n'
             '{"time":"2026-01-31T12:00:00.000Z","t":3.5,"tank.level":12.3}\n'
             '{"time":"2026-01-31T12:00:00.100Z","t":3.6,"tank.level":12.4}\n'
             '{"time":"2026-01-31T12:00:00.300Z","t":3.8,"tank.level":99999}\n'

@@ -152,7 +152,10 @@ def test_a_modular_slave() -> None:
         ident=1,
         name="rack",
         presets=(SlaveModule("head", b"\x42\x01\x02\x03"),),
-        modules=(SlaveModule("8 DI", b"\x10"), SlaveModule("8 DO", b"\x20")),
+        modules=(
+            SlaveModule("8 DI", b"\x10", b"\x01\x00", (SlaveParameter("Filter", 1, "BitArea(0-3)", 5),)),
+            SlaveModule("8 DO", b"\x20"),
+        ),
         max_modules=5,
         max_input_len=8,
         max_output_len=9,
@@ -173,12 +176,18 @@ def test_a_modular_slave() -> None:
         "DPV1_Slave = 0",
         "WD_Base_1ms_supp = 1",
         "Fail_Safe_required = 1",
+        'ExtUserPrmData = 1 "Filter"',
+        "BitArea(0-3) 5 0-15",
+        "EndExtUserPrmData",
         'Module = "head" 0x42, 0x01, 0x02, 0x03',
         "1",
         "Preset = 1",
         "EndModule",
         'Module = "8 DI" 0x10',
         "2",
+        "Ext_Module_Prm_Data_Len = 2",
+        "Ext_User_Prm_Data_Const(0) = 0x01, 0x05",
+        "Ext_User_Prm_Data_Ref(1) = 1",
         "EndModule",
         'Module = "8 DO" 0x20',
         "3",
@@ -196,10 +205,9 @@ configs = st.sampled_from([b"\x10", b"\x21", b"\x11\x20", b"\xc0\x83\x81\x01\x02
 
 
 @st.composite
-def parameters(draw: st.DrawFn) -> tuple[SlaveParameter, ...]:
-    """Parameters in octets 3 to 30, one behind the other."""
+def parameters(draw: st.DrawFn, at: int = 3) -> tuple[SlaveParameter, ...]:
+    """Parameters from octet ``at`` on, up to octet 30, one behind the other."""
     found = []
-    at = 3
     for _ in range(draw(st.integers(0, 4))):
         kind, low, high, size = draw(
             st.sampled_from(
@@ -331,6 +339,10 @@ ONE = SlaveDescription.simple(1, inputs=1, outputs=1)
         ({"dpv1": True, "parameters": (SlaveParameter("a", 2),)}, "octet 2; the first 3 are DPV1_Status"),
         ({"parameters": (SlaveParameter("a", 0, default=300),)}, "default 300 is not allowed (0..255)"),
         ({"parameters": (SlaveParameter("a", 0, allowed=((0, 256),)),)}, "allowed 0..256 do not fit Unsigned8"),
+        (
+            {"configs": (), "modules": (SlaveModule("m", b"\x10", b"", (SlaveParameter("a", 300),)),)},
+            "module m: more than 237 octets of user parameters",
+        ),
         ({"diag_texts": (DiagText("bits", 0, 0, 1, "x", ""),)}, "kind 'bits'; one of bit, not_bit, area, channel"),
         ({"diag_texts": (DiagText("channel", None, None, 6, "x", ""),)}, "value 6 cannot be"),
     ],
