@@ -49,7 +49,7 @@ MAY: dict[str, set[str]] = {
     "api": DP | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor", "record", "live", "why"},
     "wireshark": {"api", "capture"} | PURE_BASE,
     "web": {"api", "live", "ports", "record"} | PURE_BASE,
-    "screen": {"api", "live", "why"} | PURE_BASE,
+    "screen": {"api", "live", "ports", "why"} | PURE_BASE,
     "cli": {
         "api",
         "capture",

@@ -376,7 +376,7 @@ class Plant(App[None]):
     #slaves, #body { height: 1fr; scrollbar-color: ansi_default; scrollbar-background: ansi_default; }
     #filter { height: 1; border: none; padding: 0; background: ansi_default; }
     Question { align: center middle; background: ansi_default; }
-    #question { width: auto; height: auto; border: round ansi_yellow; padding: 1 2; background: ansi_default; }
+    #question { width: auto; height: auto; border: round ansi_default; padding: 1 2; background: ansi_default; }
     """
     BINDINGS: ClassVar = [
         Binding("ctrl+c", "interrupt", priority=True),

@@ -23,10 +23,9 @@ _EXCHANGE: Final = "data exchange"
 
 
 def head(view: View, width: int, *, paused: str = "", note: str = "") -> list[Line]:
-    """State of the bus, rotation time with histogram, counters; then what is not as it should be, a line each."""
-    lines = [_title(view, width), *_figures(view, width)]
-    lines += [cut_line([piece(text, style)], width) for text, style in notices(view, paused=paused, note=note)]
-    return lines
+    """State of the bus; what is not as it should be, a line each; rotation time with histogram, counters."""
+    told = [cut_line([piece(text, style)], width) for text, style in notices(view, paused=paused, note=note)]
+    return [_title(view, width), *told, *_figures(view, width)]
 
 
 def _title(view: View, width: int) -> Line:
@@ -38,7 +37,7 @@ def _title(view: View, width: int) -> Line:
         clock = datetime.fromtimestamp(plant["started"] + state.t).strftime("%H:%M:%S")
     baud = plant.get("baud")
     where: Line = [
-        (f" {mode.capitalize()} ", f"{_MODES.get(mode, 'bad')}" if view.fresh else "stale"),
+        (f" {mode.capitalize()} ", _mode_style(mode, plant) if view.fresh else "stale"),
         piece(f"{clock} ", "" if view.fresh else "stale"),
         piece(f"master {plant.get('address', '?')} on {plant.get('port', '?')}", "bold"),
         piece(f" at {baud_text(baud)}" if baud else ""),
@@ -48,6 +47,10 @@ def _title(view: View, width: int) -> Line:
     if others:
         where.append(piece(f", other masters {', '.join(others)}"))
     return cut_line(where, width)
+
+
+def _mode_style(mode: str, plant: Mapping[str, Any]) -> str:
+    return "" if plant.get("read_only") else _MODES.get(mode, "bad")
 
 
 def _figures(view: View, width: int) -> list[Line]:

@@ -13,13 +13,13 @@ import signal
 import socket
 import subprocess
 import sys
-import termios
 from collections.abc import AsyncIterator, Callable, Mapping
 from importlib.util import find_spec
 from typing import Any, Final, Protocol
 
 from dpstack.live.pending import portions
 from dpstack.live.state import Item
+from dpstack.ports.posix import termios
 from dpstack.text import json_text
 
 #: octets of the longest line to the screen: the plant of 125 slaves has some 4 MB
@@ -35,7 +35,9 @@ _LONGEST_ORDER: Final = 1 << 12
 #: s until the screen must have left the terminal, and its process must have ended
 _LEAVE_S: Final = 2.0
 #: signals that a terminal sends to the whole group: `run` decides, and tells the screen
-_FROM_TERMINALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
+_FROM_TERMINALS: Final = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP") if hasattr(signal, name)
+)
 #: what a screen that was killed has left switched on: mouse, focus, paste, key protocol, alternate screen, no cursor
 _RESET: Final = b"".join(
     b"\x1b[" + code for code in b"?1000l ?1003l ?1015l ?1006l ?1004l ?2004l ?2048l <u ?7h ?1049l ?25h 0m".split()
@@ -57,7 +59,8 @@ def is_installed() -> bool:
 
 
 class Terminal:
-    """The state of the terminal ``fd`` at this moment, to set it back."""
+    """The state of the terminal ``fd`` at this moment, to set it back. Raises OSError, and PortError on systems without
+    termios."""
 
     def __init__(self, fd: int) -> None:
         self.fd = fd

@@ -113,7 +113,7 @@ async def pages_keys_and_orders() -> None:
 
         # orders; each question is answered by y alone
         orders.clear()
-        for key, answer in (("ctrl+z", "n"), ("ctrl+z", "y"), ("q", "x"), ("q", "y")):
+        for key, answer in (("ctrl+z", "n"), ("ctrl+z", "y"), ("q", "x"), ("ctrl+q", "n"), ("q", "y")):
             app.simulate_key(key)
             await until(app, lambda: isinstance(app.screen, Question))
             app.simulate_key(answer)

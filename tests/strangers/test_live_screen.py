@@ -377,3 +377,60 @@ def test_no_color(terminal: Terminal, wire: tuple[str, Responder]) -> None:
     assert not codes & {*range(30, 39), *range(40, 49), *range(90, 108)}  # 39 and 49 are the terminal's own
     terminal.keys("C-c")
     terminal.until("done:0", text=terminal.history)
+
+
+def test_bg_goes_on_without_the_screen_and_fg_brings_it_back(terminal: Terminal, wire: tuple[str, Responder]) -> None:
+    run(terminal, wire)
+    terminal.until("level 4386 bar")
+    terminal.keys("C-z")
+    terminal.until("Stop the run for a while?")
+    terminal.keys("y")
+    terminal.until("Stopped", "done:")
+    terminal.type("bg")
+    goes_on(wire[1])
+    terminal.type("echo still a sh''ell")
+    terminal.until("still a shell")
+    assert terminal.value("alternate_on") == "0"
+    terminal.type("fg")
+    terminal.until("in Clear: no outputs go out", "level")
+    assert terminal.value("alternate_on") == "1"
+    terminal.keys("C-c")
+    terminal.until("rotations in", "done:0", text=terminal.history)
+    terminal.is_as_before()
+
+
+def test_a_group_that_is_stopped_from_outside_comes_back(terminal: Terminal, wire: tuple[str, Responder]) -> None:
+    run(terminal, wire)
+    terminal.until("level 4386 bar")
+    os.killpg(os.getpgid(run_pid(terminal)), signal.SIGSTOP)
+    terminal.until("Stopped")
+    terminal.type("fg")
+    terminal.until("Operate", "level 4386 bar")
+    terminal.keys("Enter")
+    terminal.until("slave 4")
+    terminal.keys("C-c")
+    terminal.until("rotations in", "done:0", text=terminal.history)
+    terminal.is_as_before()
+
+
+@pytest.mark.parametrize("driver", ["asyncio", "process"])
+def test_a_program_that_no_shell_could_continue_goes_to_clear_and_on(
+    tmp_path: Path, wire: tuple[str, Responder], driver: str
+) -> None:
+    path, there = wire
+    config = tmp_path / "plant.toml"
+    config.write_text(PLANT.format(port=path, keys="", name="tank"), encoding="utf-8")
+    program = subprocess.Popen(
+        [sys.executable, "-m", "dpstack.cli.main", "run", config, "--outputs", "4=1122", "--driver", driver],
+        start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        eventually(lambda: there.slaves[4].outputs == OUT, "outputs")
+        os.killpg(program.pid, signal.SIGTSTP)
+        eventually(lambda: there.slaves[4].outputs == bytes(2), "Clear")
+        goes_on(there)
+    finally:
+        program.terminate()
+        _, errors = program.communicate(timeout=HANG_S)
+    assert "not stopped: no shell could continue this program" in errors
+    assert program.returncode == 0

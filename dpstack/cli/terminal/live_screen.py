@@ -38,7 +38,7 @@ def terminal_for_screen() -> Terminal | None:
         if os.ttyname(sys.stdin.fileno()) != os.ttyname(fd):
             return None
         terminal = Terminal(fd)
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, DpError):  # no terminal, or a system without its functions
         return None
     if not terminal.in_foreground:
         return None
@@ -117,8 +117,8 @@ class LiveScreen:
         code = await self._over()
         if code == GONE:
             self._terminal_lost()
-        elif code:
-            how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"failed (exit code {code})"
+        else:
+            how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended (exit code {code})"
             output.warn(f"the live screen {how}: plain lines from here on")
 
     async def _over(self) -> int:
