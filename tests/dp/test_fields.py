@@ -8,6 +8,7 @@ from decimal import Decimal
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 
 from dpstack.dp.process_data import Field, FieldMap, Value, as_json, field_of, overlap, with_scale
 from dpstack.errors import ConfigError
@@ -250,6 +251,7 @@ _SCALES = st.builds(
 _OFFSETS = st.builds(lambda m, e: m * 10.0**e, st.integers(-999, 999), st.integers(-3, 3))
 
 
+@examples(50)
 @given(_WHOLE, _SCALES, _OFFSETS, st.binary(min_size=4, max_size=4))
 def test_every_raw_number_comes_back_through_its_value(kind: str, scale: float, offset: float, octets: bytes) -> None:
     scale, offset = float(f"{scale:.6g}"), float(f"{offset:.6g}")
@@ -262,6 +264,7 @@ def test_every_raw_number_comes_back_through_its_value(kind: str, scale: float, 
     assert found.put(octets, value) == octets
 
 
+@examples(40)
 @given(_WHOLE, _SCALES.filter(lambda scale: scale != 1), st.floats(0, 1))
 def test_writing_takes_the_nearest_raw_number(kind: str, scale: float, place: float) -> None:
     found, plain = scaled(f"{kind}@0", scale=scale, unit="bar"), Field.parse("x", f"{kind}@0")

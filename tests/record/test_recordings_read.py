@@ -123,7 +123,7 @@ def write(path: Path, of: Layout, values: list[tuple[int, int | None]]) -> bytes
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".jsonl"])
-@examples(25)
+@examples(15)
 @given(
     name=st.text(st.characters(exclude_categories=("Cs", "Cc", "Cf", "Zl", "Zp", "Co", "Cn")), min_size=1, max_size=30),
     values=st.lists(st.none() | st.integers(-32768, 32767), min_size=1, max_size=8),
@@ -152,7 +152,7 @@ def test_a_file_cut_anywhere_gives_its_whole_rows(
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".jsonl"])
-@examples(25)
+@examples(10)
 @given(octets=st.binary(max_size=60), place=st.integers(1, 4))
 def test_a_damaged_line_costs_no_other(
     suffix: str, octets: bytes, place: int, tmp_path_factory: pytest.TempPathFactory
