@@ -196,12 +196,16 @@ def _column_of(slave: RecordedSlave, found: Field, kind: Kind) -> Column:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """The columns of one file. ``started``: s since 1970 at ``t`` = 0; ``config``: the configuration file, or None."""
+    """The columns of one file. ``started``: s since 1970 at ``t`` = 0; ``config``: the configuration file, or None.
+
+    ``bus``: its port, baud, driver and address, plain JSON data.
+    """
 
     slaves: tuple[RecordedSlave, ...]
     started: float = 0.0
     config: str | None = None
     on_change: bool = False
+    bus: Mapping[str, object] = field(default_factory=dict)
     blocks: tuple[Block, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -218,6 +222,7 @@ class Layout:
             "started": self.started,
             "config": self.config,
             "on_change": self.on_change,
+            "bus": dict(self.bus),
         }
         # slave by slave: JSON of a large plant is made in one step, in which no other thread can run
         slaves = ",".join(map(json_text, map(RecordedSlave.as_dict, self.slaves)))

@@ -103,12 +103,13 @@ class Replay:
                 "outputs": [_field(one) for one in columns if one.kind is Kind.OUTPUT],
                 "drive": dict.fromkeys(("profile", "telegram", "reference_hz", "reference_rpm")) if drive else None,
             }
-        none = dict.fromkeys(("port", "baud", "driver", "address"), None)
+        given = self._recording.about.get("bus")
+        bus = given if isinstance(given, dict) else {}
         return {
             "version": 1,
             "source": "replay",
             "started": round(self._began, 3),
-            **none,
+            **{key: bus.get(key) for key in ("port", "baud", "driver", "address")},
             "read_only": True,
             "virtual": False,
             "paced": True,

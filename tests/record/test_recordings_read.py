@@ -34,7 +34,8 @@ def boiler(name: str = "boiler", **keys: float | str) -> RecordedSlave:
 
 
 def layout(*slaves: RecordedSlave, on_change: bool = False) -> Layout:
-    return Layout(slaves or (boiler(),), started=1_769_860_800.0, config="plant.toml", on_change=on_change)
+    bus = {"port": "/dev/ttyX", "baud": 500_000, "driver": "process", "address": 2}
+    return Layout(slaves or (boiler(),), 1_769_860_800.0, "plant.toml", on_change, bus)
 
 
 def sample(of: Layout, at_ms: int, *sources: object) -> Sample:
@@ -270,6 +271,7 @@ async def test_replay(suffix: str, tmp_path: Path) -> None:
     items, waits = await _items(path)
     (plant,) = _of(items, "plant")
     assert "plant" in items[0]
+    assert [plant[key] for key in ("port", "baud", "address", "config")] == ["/dev/ttyX", 500_000, 2, "plant.toml"]
     assert plant["slaves"]["12"]["inputs"][0] == {
         "name": "level",
         "type": "i16",

@@ -170,6 +170,12 @@ class BusRecording:
             round(started / NS_PER_S, 3),
             bus.config.source.name if bus.config.source.file is not None else None,
             self._on_change,
+            {
+                "port": bus.runtime.port_name,
+                "baud": bus.params.baud,
+                "driver": bus.driver,
+                "address": bus.params.address,
+            },
         )
 
     def _on_round(self) -> None:
