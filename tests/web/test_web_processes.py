@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import queue
+import re
 import signal
 import sys
 import threading
@@ -18,6 +19,7 @@ from far_ends import HANG_S
 from programs import Program, Starter, plant_of
 from web_kit import Page
 
+import dpstack
 from dpstack.api.control.client import running
 from dpstack.cli.main import main
 from dpstack.cli.terminal import signals
@@ -154,3 +156,15 @@ def test_wrong_use_is_one_line(args: list[str], why: str, tmp_path: Path, capsys
     err = capsys.readouterr().err
     assert why in err
     assert err.count("\n") == 1
+
+
+def test_nothing_else_listens_on_a_network() -> None:
+    """Sockets that wait for connections: that of the page, and the Unix socket for commands."""
+    waiting = re.compile(r"create_server\(|start_server\(|SockSite|TCPSite|socketserver|AF_INET|listening\.listen\(")
+    root = Path(dpstack.__file__).parent
+    found = {
+        path.relative_to(root).as_posix()
+        for path in root.rglob("*.py")
+        if waiting.search(path.read_text(encoding="utf-8"))
+    }
+    assert found == {"web/server.py", "web/address.py", "api/control/server.py"}
