@@ -108,10 +108,12 @@ class Table:
 
     @contextlib.contextmanager
     def blaming(self, key: str | None = None, prefix: str = "") -> Iterator[None]:
-        """Turn a ConfigError or PduError raised inside into an error at ``key``."""
+        """Turn a ConfigError or PduError raised inside into an error at ``key``, unless it names a place already."""
         try:
             yield
         except (ConfigError, PduError) as error:
+            if isinstance(error, ConfigError) and error.what:
+                raise
             what, _, todo = str(error).partition("; ")
             raise self.error(key, prefix + what, todo or "correct it") from None
 

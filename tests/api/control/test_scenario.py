@@ -176,6 +176,7 @@ def test_errors_have_the_line_and_say_what_to_do(text: str, says: str) -> None:
     with pytest.raises(ConfigError) as told:
         parse_scenario(text, bench, slave_handlers(bench))
     assert says in str(told.value)
+    assert str(told.value).count("scenario:") == 1
     assert "\n" not in str(told.value)
 
 
