@@ -124,7 +124,7 @@ class Services:
             future, kinds = waiting
             if isinstance(event, kinds) and not future.done():
                 future.set_result(event)
-        return isinstance(event, ServiceEnd)
+        return isinstance(event, ServiceEnd) or (isinstance(event, ScanDone) and event.token != 0)
 
     def end(self, error: DpError) -> None:
         """Pending services and connections end with ``error``."""

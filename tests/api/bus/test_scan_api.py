@@ -235,3 +235,12 @@ def test_the_skeleton_names_drive_and_telegram(ident: int, octets: str, drive: s
     text = config_skeleton(result, "virtual")
     assert f'drive = "{drive}"' in text
     assert f'telegram = "{telegram}"' in text
+
+
+@in_virtual_time
+async def test_a_scan_ends_with_an_answer_to_its_caller_and_not_with_an_event() -> None:
+    told: list[str] = []
+    async with operating(RAW, on_event=lambda event: told.append(event.text)) as bus:
+        told.clear()
+        assert brief(await bus.scan(addresses=(9,))) == [(9, "slave", 0x1234, "data_exchange", 2)]
+    assert not [text for text in told if "live list" in text]
