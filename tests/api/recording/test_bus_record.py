@@ -7,6 +7,8 @@ import csv
 import json
 import math
 import sys
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import CodeType, FrameType
@@ -15,6 +17,8 @@ import pytest
 from api_kit import HOIST, RAW, bench_of, bus_of, in_virtual_time, operating, virtual
 
 import dpstack
+from dpstack.api.bus import recording as bus_recording
+from dpstack.api.recording.line_file import LineFile
 
 VALVES: dict[str, object] = {
     **RAW,
@@ -128,6 +132,38 @@ async def test_a_slave_that_is_added_begins_a_new_file(tmp_path: Path) -> None:
     assert second.name.startswith("plant_00001_")
     assert "more.level [bar]" not in read_csv(first)[0]
     assert "more.level [bar]" in read_csv(second)[0]
+
+
+@in_virtual_time
+async def test_a_disk_that_hangs_holds_up_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bus goes on while the thread hangs in a write; what found no room in the queue is counted in the file."""
+    hangs, goes_on = threading.Event(), threading.Event()
+    write = LineFile.write
+
+    def hanging(file: LineFile, octets: bytes) -> None:
+        hangs.set()
+        assert goes_on.wait(20)
+        write(file, octets)
+
+    monkeypatch.setattr(LineFile, "write", hanging)
+    monkeypatch.setattr(bus_recording, "MOST_WAITING", 10)
+    path = tmp_path / "plant.csv"
+    async with operating(VALVES) as bus:
+        async with bus.record(path) as recording:
+            await asyncio.sleep(0.01)
+            await asyncio.to_thread(hangs.wait, 20)
+            before = bus.slave("valves").exchanges
+            await asyncio.sleep(0.2)
+            assert bus.slave("valves").exchanges > before + 50
+            assert recording.lost > 30
+            goes_on.set()
+            while recording.rows < 3:
+                await asyncio.to_thread(time.sleep, 0.01)
+            await asyncio.sleep(0.02)
+        lost = recording.lost
+    notes = [row["note"] for row in read_csv(path) if "rounds lost" in row["note"]]
+    assert sum(int(note.split()[0]) for note in notes[:-1]) <= lost
+    assert notes[-1].endswith(f"{lost} rounds lost, because this computer or its disk was too slow")
 
 
 @in_virtual_time
