@@ -126,6 +126,18 @@ def make_rights(*, local: bool, control: bool, tokens: Mapping[str, str] | None,
     return Rights(control, tokens, secret)
 
 
+def who_may(rights: Rights, *, tls: bool, local: bool) -> str:
+    """The rights of a start in a sentence for the person who starts it."""
+    if rights.tokens is None:
+        orders = "whoever has this whole address" if rights.control else "nobody"
+        return f"every user of this computer may look there; {orders} may give orders"
+    names = ", ".join(sorted(rights.tokens.values()))
+    text = f"these may look there{' and give orders' if rights.control else ''}: {names}"
+    if local or tls:
+        return text
+    return f"{text}; without --tls everybody on the network can read their tokens, and see what they see"
+
+
 def read_tokens(path: Path) -> dict[str, str]:
     """The tokens of a file with lines ``NAME TOKEN``: name by token. Empty lines and those with ``#`` count as none.
 

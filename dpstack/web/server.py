@@ -40,6 +40,8 @@ _MOST_PAGES: Final = 64
 _MOST_STRANGERS: Final = 32
 _MOST_CONNECTIONS: Final = 256
 _BACKLOG: Final = 64
+#: hosts of --listen that are no address to open
+_EVERYWHERE: Final = ("0.0.0.0", "::")
 #: seconds for the first message
 _HELLO_S: Final = 10.0
 #: asks and orders of one page under way, and messages a second of it, after a burst
@@ -58,7 +60,8 @@ _GOODBYE_S: Final = 1.0
 class WebServer:
     """The server of ``source``. :func:`serve` starts and ends it.
 
-    ``patience_s``: a page that does not take what it is sent for so long is disconnected.
+    ``host``: its name in its address. ``patience_s``: a page that does not take what it is sent for so long is
+    disconnected.
     """
 
     def __init__(
@@ -69,6 +72,7 @@ class WebServer:
         log: Log,
         *,
         names: Collection[str] = (),
+        host: str | None = None,
         tls: ssl.SSLContext | None = None,
         folder: Path = FOLDER,
         commissioning: Commissioning | None = None,
@@ -81,9 +85,9 @@ class WebServer:
         self.asks = Asks(source, commissioning)
         self._sockets = sockets
         self._tls = tls
-        host, port = sockets[0].getsockname()[:2]
+        bound, port = sockets[0].getsockname()[:2]
         self._origins = Origins(names, port, secure=tls is not None)
-        self._base = f"{'http' if tls is None else 'https'}://{join(host, port)}/"
+        self._base = f"{'http' if tls is None else 'https'}://{join(host or bound, port)}/"
         self._files = read_page(folder)
         self._pages: set[_Page] = set()
         self._strangers = 0
@@ -467,12 +471,14 @@ async def serve(
     listen = listen or Listen("127.0.0.1", 0)
     opened = listen.sockets() if sockets is None else sockets
     own = () if is_local(opened) else (socket.gethostname(), listen.host)
+    host = socket.gethostname() if listen.host in _EVERYWHERE else listen.host
     server = WebServer(
         source,
         opened,
         rights or Rights(),
         log,
         names=(*names, *own),
+        host=host,
         tls=tls,
         folder=folder,
         commissioning=commissioning,

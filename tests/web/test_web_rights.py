@@ -16,7 +16,7 @@ from web_kit import PLANT, page_of, stranger
 from dpstack.errors import ConfigError, PortError, UsageError
 from dpstack.web import rights as rights_module
 from dpstack.web.address import Listen, Origins, is_local
-from dpstack.web.rights import Rights, make_rights, read_tokens, tls_context
+from dpstack.web.rights import Rights, make_rights, read_tokens, tls_context, who_may
 from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
 
@@ -136,6 +136,15 @@ def test_an_address_of_others_needs_tokens_and_with_control_tls(
         return
     with pytest.raises(UsageError, match=missing):
         make_rights(local=local, control=control, tokens=tokens, tls=tls)
+
+
+def test_who_may_do_what_in_a_sentence() -> None:
+    looking, secret = Rights(), Rights(True, secret="x" * 32)
+    assert who_may(looking, tls=False, local=True).endswith("nobody may give orders")
+    assert "whole address may give orders" in who_may(secret, tls=False, local=True)
+    assert who_may(Rights(tokens=TOKENS), tls=True, local=False) == "these may look there: anna, bert"
+    assert "and give orders: anna, bert" in who_may(Rights(True, TOKENS), tls=False, local=True)
+    assert "without --tls everybody" in who_may(Rights(tokens=TOKENS), tls=False, local=False)
 
 
 def test_the_file_of_tokens(tmp_path: Path) -> None:

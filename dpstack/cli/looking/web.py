@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from dpstack.api.commissioning.commissioning import Commissioning
 from dpstack.api.config.config import load_config
@@ -17,7 +17,7 @@ from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import UsageError
 from dpstack.web.address import DEFAULT, Listen, is_local
 from dpstack.web.replay_source import ReplaySource
-from dpstack.web.rights import make_rights, read_tokens, tls_context
+from dpstack.web.rights import make_rights, read_tokens, tls_context, who_may
 from dpstack.web.run_source import RunSource
 
 if TYPE_CHECKING:
@@ -82,17 +82,12 @@ def execute(args: argparse.Namespace) -> int:
                     output.json_line({"event": "listening", "url": server.url})
                 else:
                     output.line(f"the page is at {server.url}")
-                    if local and rights.tokens is None:
-                        output.line(_WHO_CONTROL if rights.control else _WHO)
+                    output.line(who_may(rights, tls=context is not None, local=local))
                 output.flush()
                 await stop.or_done(asyncio.Event().wait())
         return INTERRUPTED if stop.hurried else 0
 
     return run_unhurried(run(), json=args.json)
-
-
-_WHO: Final = "every user of this computer may look there; nobody may give orders"
-_WHO_CONTROL: Final = "every user of this computer may look there; whoever has this whole address may give orders"
 
 
 def _source(args: argparse.Namespace) -> tuple[Source, Path | None]:
