@@ -29,7 +29,8 @@ class Neighbour:
 
     @property
     def answers(self) -> bool:
-        return self.link.answers > 0 or self.state in (SlaveState.DATA_EXCHANGE, SlaveState.WAIT_READY)
+        """Whether it answers, also where it refuses."""
+        return self.link.answers > 0 or self.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -287,7 +287,7 @@ class Facts:
 
         The last attempt at such a service has more time. Nothing but a slow answer is healed by that.
         """
-        good = sum(step.answered == "DL" for step in self.evidence.asked)
+        good = sum(step.times for step in self.evidence.asked if step.answered == "DL")
         in_vain = self.evidence.asked_in_vain
         return good >= 2 and in_vain >= 2 * good and 4 * damaged(self.link) <= failures(self.link)
 

@@ -146,7 +146,7 @@ def _jam(f: Facts) -> Finding:
     ring, line = f.evidence.ring, f.evidence.line
     said = [f"{f.damage} damaged telegrams and octets outside of telegrams came, {line.heard} readable telegrams."]
     if ring.tokens_lost:
-        said.append(f"The token was lost {ring.tokens_lost} times.")
+        said.append(f"The token was lost {_times(ring.tokens_lost)}.")
     if not ring.joined:
         said.append("The master is out of the ring: the line is never quiet long enough for it.")
         return Finding(Cause.BUS_JAMMED, 0.87 if f.damage > line.heard else 0.7, said)
@@ -211,11 +211,11 @@ def _absent(f: Facts) -> Findings:
         confidence = 0.6
     if f.evidence.found is not None and not f.strangers and f.anybody:
         said.append("A scan found no unknown station, so it has no other address on this segment.")
-    if f.link.late or f.superfluous > 0:
+    if is_late(f.link) or f.superfluous >= 3:
         against.append(f"{f.link.late + f.link.wrong} answers of it came when nobody waited for them.")
         confidence = 0.3
     if f.lost_silently >= 2:
-        against.append(f"It came back {f.lost_silently} times before.")
+        against.append(f"It came back {_times(f.lost_silently)} before.")
         confidence = 0.55
     if f.damage_here > polls // 2:
         against.append("Octets that cannot be read came after requests to it.")
@@ -339,7 +339,7 @@ def _noise(f: Facts) -> Findings:
         yield from _noise_of_others(f)
         return
     said = [f"{failures(link)} of {attempts(link)} requests had no good answer, {damaged(link)} of them a damaged one."]
-    lost = [f"It was lost {f.lost} times by that."] if f.lost_damaged else []
+    lost = [f"It was lost {_times(f.lost)} by that."] if f.lost_damaged else []
     most = 0.87
     against = []
     if not harmed:
@@ -635,7 +635,7 @@ def _watchdog(f: Facts) -> Findings:
         return
     watchdog, line = f.evidence.watchdog_ns, f.evidence.line
     every = f.setup.every
-    said = [f"It left data exchange by itself {f.lost_by_itself} times and wanted parameters again."]
+    said = [f"It left data exchange by itself {_times(f.lost_by_itself)} and wanted parameters again."]
     if wants_again and not f.lost_by_itself:
         said = ["It acknowledges parameters and configuration, and wants parameters again."]
     restarts = 0.72 if f.lost_by_itself >= 2 else 0.5
@@ -667,7 +667,7 @@ def _restarts(f: Facts) -> Findings:
     away = sorted((loss.back_ns - loss.t_ns) / NS_PER_S for loss in back)
     if len(back) >= 2 or (back and len(silent) >= 2):
         said = [
-            f"It fell silent {len(silent)} times and came back without parameters, after "
+            f"It fell silent {_times(len(silent))} and came back without parameters, after "
             f"{away[0]:.1f} to {away[-1]:.1f} s."
         ]
         against = ["Octets that cannot be read came as well."] if f.damage_here > 3 * len(silent) else []
@@ -677,8 +677,12 @@ def _restarts(f: Facts) -> Findings:
         yield Finding(Cause.REBOOTS, 0.6, said)
     kept = [loss for loss in silent if loss.back_ns and not loss.prm_req]
     if kept and not back and not is_late(f.link):
-        said = [f"It fell silent {len(kept)} times and kept its parameters: it had power meanwhile."]
-        yield Finding(Cause.NOISE_ON_STUB, 0.55, [*said, "That is a loose contact rather than a restart."])
+        said = [f"It fell silent {_times(len(kept))} and kept its parameters: it had power meanwhile."]
+        more = "That is a loose contact rather than a restart."
+        unpaced = (
+            [] if f.evidence.line.paced else ["No wire gives the octets their time here: the computer may be late."]
+        )
+        yield Finding(Cause.NOISE_ON_STUB, 0.55 if len(kept) >= 2 and not unpaced else 0.3, [*said, more], unpaced)
 
 
 # --- healthy ----------------------------------------------------------------------------------------------------------
@@ -696,9 +700,13 @@ def _healthy(f: Facts, found: list[Finding]) -> list[Finding]:
     if failures(f.link) and attempts(f.link):
         said.append(f"{failures(f.link)} of {attempts(f.link)} requests had no good answer ({share(f.link):.2%}).")
     worst = max((one.confidence for one in found), default=0.0)
-    against = [f"It left data exchange {f.lost} times."] if f.lost else []
+    against = [f"It left data exchange {_times(f.lost)}."] if f.lost else []
     confidence = 0.95 if worst < 0.3 and not f.lost else 0.7 if worst < 0.5 else 0.4
     return [Finding(Cause.HEALTHY, confidence, said, against)]
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def _some(names: Iterable[str]) -> str:

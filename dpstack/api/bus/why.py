@@ -198,13 +198,14 @@ async def _asked(bus: BusBase, slave: Slave, before: Evidence) -> Evidence:
     steps: list[Step] = []
     facts = Facts(before)
     if before.read_only or (not facts.exchanging and (not facts.answers_now or failures(before.link))):
-        good = 0
+        good, most = 0, 1 if before.read_only else _GOOD
         until = bus.runtime.now() + _PROBE_NS
-        while len(steps) < _PROBES and good < _GOOD and _can_ask(bus) and (not steps or bus.runtime.now() < until):
-            steps.append(await _ask(bus, address, Service.DIAGNOSIS))
-            good += steps[-1].diagnosis is not None
-            if before.read_only and good:
+        for number in range(_PROBES):
+            if good >= most or not _can_ask(bus) or (number and bus.runtime.now() >= until):
                 break
+            step = await _ask(bus, address, Service.DIAGNOSIS)
+            good += step.diagnosis is not None
+            _append(steps, step)
     config = None
     facts = Facts(dataclasses.replace(before, asked=tuple(steps)))
     if not facts.silent_now and not facts.garbled_now and (before.read_only or not facts.exchanging) and _can_ask(bus):
@@ -222,6 +223,17 @@ async def _asked(bus: BusBase, slave: Slave, before: Evidence) -> Evidence:
         diagnosis=diagnosis,
         state=state,
     )
+
+
+def _append(steps: list[Step], step: Step) -> None:
+    """Put ``step`` at the end; one that is like the last counts there."""
+    last = steps[-1] if steps else None
+    if last is not None and dataclasses.replace(last, t_ns=0, last_ns=0, times=1) == dataclasses.replace(
+        step, t_ns=0, last_ns=0
+    ):
+        steps[-1] = dataclasses.replace(last, times=last.times + 1, last_ns=step.t_ns)
+    else:
+        steps.append(step)
 
 
 def _state_of(facts: Facts, diagnosis: Diagnosis | None) -> SlaveState:
