@@ -298,6 +298,9 @@ def test_without_the_secret_there_are_no_orders(browser: Browser, shown: ShownPl
     browser.sees("Live", "#live")
     browser.sees("No orders from this page", "#badges")
     assert browser.count("#orders button") == 0
+    browser.js("location.hash = arguments[0]", SECRET)  # the whole address, put into the open page
+    browser.until(lambda: browser.count("#orders button"), "orders")
+    assert SECRET not in browser.driver.current_url
 
 
 def test_a_token_is_asked_for_and_kept_out_of_the_address(browser: Browser) -> None:
@@ -483,6 +486,16 @@ def test_edges_and_levels(browser: Browser, shown: ShownPlant, kind: str, values
         values,
     )
     assert found == at
+
+
+def test_a_snapshot_in_portions_is_one_sample(browser: Browser, shown: ShownPlant) -> None:
+    found = browser.module(
+        "const { Store } = await import('./scope_data.js'); const store = new Store(); let n = 0;"
+        "store.signals = new Map([['x', { id: 'x', read: () => n }]]); store.keep('x');"
+        "for (const t of [1, 1, 2]) { n += 1; store.sample({ t }); }"
+        "return [store.times, store.signals.get('x').values];"
+    )
+    assert found == [[1, 2], [2, 3]]
 
 
 def test_csv_has_no_formulas(browser: Browser, shown: ShownPlant) -> None:

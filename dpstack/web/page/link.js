@@ -22,7 +22,7 @@ export class Link {
     this.token = token;
     clearTimeout(this.timer);
     this.socket?.close();
-    this.welcomed = false;
+    this.drop();
     const socket = new WebSocket(this.url);
     this.socket = socket;
     this.told("connecting");
@@ -62,10 +62,15 @@ export class Link {
     }
   }
 
-  closed() {
+  /** Nothing that was asked over the old connection will be answered. */
+  drop() {
     this.welcomed = false;
     for (const waiting of this.waiting.values()) waiting.failed(new Error("the connection was lost before the answer"));
     this.waiting.clear();
+  }
+
+  closed() {
+    this.drop();
     this.told("lost");
     if (this.refused) {
       this.refused = false; // only a new token helps

@@ -19,6 +19,23 @@ const SILENT_MS = 2000;
 // The page is painted at most this often.
 const PAINT_MS = 100;
 
+/** A setting of this browser; a browser that keeps none is no fault. */
+function remembered(name) {
+  try {
+    return localStorage.getItem(name);
+  } catch {
+    return null;
+  }
+}
+
+function remember(name, value) {
+  try {
+    localStorage.setItem(name, value);
+  } catch {
+    // it holds until the page is closed
+  }
+}
+
 const byId = (id) => document.getElementById(id);
 
 class App {
@@ -33,7 +50,7 @@ class App {
     this.refusal = null;
     this.page = null;
     this.changed = new Set(); // addresses that changed since the last painting
-    this.keys = localStorage.getItem("dpstack-keys") !== "off";
+    this.keys = remembered("dpstack-keys") !== "off";
     this.orders = new Orders(this);
     this.pages = [
       { key: "p", path: "plant", text: "Plant", make: (app) => new PlantPage(app) },
@@ -57,7 +74,11 @@ class App {
     const token = this.tokenOfAddress();
     this.buildNav();
     this.buildHelp();
-    window.addEventListener("hashchange", () => this.route());
+    window.addEventListener("hashchange", () => {
+      const again = this.tokenOfAddress(); // the address of a start, put into an open page
+      if (again) this.link.open(again);
+      this.route();
+    });
     document.addEventListener("keydown", (event) => this.keyed(event));
     document.querySelector(".skip").addEventListener("click", (event) => {
       event.preventDefault();
@@ -311,7 +332,7 @@ class App {
     const dialog = byId("help");
     const single = el("input", { type: "checkbox", id: "single-keys", checked: this.keys, on: { change: () => {
       this.keys = single.checked;
-      localStorage.setItem("dpstack-keys", this.keys ? "on" : "off");
+      remember("dpstack-keys", this.keys ? "on" : "off");
     } } });
     dialog.replaceChildren(
       el("h2", { id: "help-title", text: "Keys" }),

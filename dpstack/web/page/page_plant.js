@@ -236,7 +236,7 @@ export class DriveCard {
       ["Torque", typeof drive.torque === "number" ? percent(drive.torque, 1) : null],
       ["At set point", drive.reached ? "yes" : "no"],
       ["Settings", drive.settings === "none" ? null : drive.settings?.replace("_", " ")],
-      ["Remote", drive.remote === false ? "no: local operation" : null],
+      ["Control", drive.remote === false ? "local" : null],
     ].filter(([, text]) => text !== null);
     refill(this.figures, rows, () => rows.map(([term, text]) => el("div", {}, el("dt", { text: term }), el("dd", { class: "figure", text }))));
     const faults = drive.faults?.length ? drive.faults.join(", ") : "";

@@ -2,8 +2,8 @@
 
 import { inputsAlive } from "./live.js";
 
-// Samples kept of each signal: an hour at ten a second.
-const KEPT = 36000;
+// Samples kept of each signal: an hour at five a second.
+const KEPT = 18000;
 // All signals are kept from the start where there are at most so many; of more only the chosen ones.
 const KEPT_ALL = 96;
 
@@ -97,7 +97,14 @@ export class Store {
   sample(live) {
     const { t } = live;
     const last = this.times.at(-1);
-    if (typeof t !== "number" || (last !== undefined && t === last)) return;
+    if (typeof t !== "number") return;
+    if (t === last) { // another portion of the same snapshot
+      for (const id of this.kept) {
+        const signal = this.signals.get(id);
+        signal.values[signal.values.length - 1] = signal.read(live);
+      }
+      return;
+    }
     if (last !== undefined && t < last) {
       this.times = [];
       for (const id of this.kept) this.signals.get(id).values = [];
