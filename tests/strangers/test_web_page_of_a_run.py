@@ -351,6 +351,8 @@ def test_commissioning_from_the_scan_to_the_file(page: Browser, plant: Plant) ->
     page.go("commissioning")
     page.click("#scan")
     page.until(lambda: page.count("article.found") == 6, "six slaves")
+    # the parts of a scan by order are no events: they answer the order
+    assert [line for line in plant.run.lines if "live list complete" in line.get("text", "")] == []
     page.js(
         "const one = document.getElementById('found-8-name'); one.value = 'island';"
         "one.dispatchEvent(new Event('input', { bubbles: true }))"
