@@ -16,12 +16,16 @@ import socket
 import sys
 from typing import Any, Final
 
+from textual.drivers.linux_driver import LinuxDriver
+
 from dpstack.screen.app import Order, Plant
 from dpstack.screen.process import GONE, LONGEST
 from dpstack.text import printable
 
 #: the terminal is looked at so often (s)
 _LOOK_S: Final = 0.5
+#: the descriptor of the terminal
+_TERMINAL: Final = 0
 
 
 class TerminalPlant(Plant):
@@ -60,7 +64,14 @@ class TerminalPlant(Plant):
                 self._take(json.loads(line))
         except (OSError, ValueError):
             pass
+        self._keep_modes_of_shell()
         self.exit()
+
+    def _keep_modes_of_shell(self) -> None:
+        """Where `run` was killed and the shell has the terminal again, its modes are the shell's."""
+        with contextlib.suppress(OSError):
+            if os.tcgetpgrp(_TERMINAL) != os.getpgrp() and isinstance(self._driver, LinuxDriver):
+                self._driver.attrs_before = None
 
     def _take(self, message: dict[str, Any]) -> None:
         match message:
@@ -99,7 +110,7 @@ class TerminalPlant(Plant):
     def _look_at_terminal(self) -> None:
         """End where the terminal is lost: textual would read nothing from it without end."""
         poll = select.poll()
-        poll.register(sys.__stdin__.fileno() if sys.__stdin__ else 0, 0)
+        poll.register(_TERMINAL, 0)
         if poll.poll(0):
             self._send({"order": "lost"})
             self.call_later(self._abandon)
