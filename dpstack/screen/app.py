@@ -25,12 +25,12 @@ from dpstack.screen.lines import STYLES, Line, cut_line, padded, wrapped
 from dpstack.screen.one_slave import page
 from dpstack.screen.view import View
 
+#: cells of the bar that shows the place on a long page
+_BAR: Final = 1
 #: an order of the person at the keys, for ``run``
 Order = dict[str, Any]
 #: the page is drawn again no more often (s)
 _REDRAW_S: Final = 0.1
-#: the state of the terminal is looked at so often (s)
-_LOOK_S: Final = 0.5
 
 _HELP: Final = """\
 The screen shows the bus that this run operates. It never sends anything to the bus by itself.
@@ -149,7 +149,7 @@ class Overview(Page):
         head = head[: max(1, height // 3)]
         self._set_height("#head", len(head))
         self._lines("#head").show_lines(head)
-        self._lines("#columns").show_lines([self._filter_text() or overview.slaves_head(width)])
+        self._lines("#columns").show_lines([self._filter_text() or overview.slaves_head(width - _BAR)])
         room = 0 if height < 12 else min(8, max(2, (height - len(head)) // 4))
         self._set_height("#events", room)
         told = [overview.event_line(event) for event in view.events_of()[1 - room :]] if room else []
@@ -162,7 +162,7 @@ class Overview(Page):
             self._picked = self._addresses[0] if self._addresses else None
         slaves.marked = self._number
         if self._addresses:
-            slaves.show(len(self._addresses), lambda n: overview.slave_line(view, self._addresses[n], width))
+            slaves.show(len(self._addresses), lambda n: overview.slave_line(view, self._addresses[n], width - _BAR))
             slaves.keep_visible(self._number)
         else:
             filtered = self._words or self._conspicuous
@@ -277,7 +277,7 @@ class Scrolled(Page):
         head.display = bool(told)
         head.styles.height = len(told)
         head.show_lines([cut_line([piece], width) for piece in told])
-        self.query_one("#body", Lines).show_lines(self.lines(view, width))
+        self.query_one("#body", Lines).show_lines(self.lines(view, width - _BAR))
         self.query_one("#keys", Lines).show_lines([[(padded(self.keys, width), "title")]])
 
     def lines(self, view: View, width: int) -> list[Line]:
