@@ -5,7 +5,7 @@ import { micros, octets, rate, words } from "./format.js";
 import { mark } from "./marks.js";
 
 const FIT = { exact: ["good", "fits"], unknown: ["busy", "modules not known"], partly: ["warn", "fits partly"], none: ["bad", "does not fit"] };
-const RATES = [9600, 19200, 45450, 93750, 187500, 500000, 1500000, 3000000, 6000000, 12000000];
+const RATES = [9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000, 3000000, 6000000, 12000000];
 
 /** One slave that a scan has found: the candidate chosen for it, its modules and its name. */
 class Found {
