@@ -16,6 +16,13 @@ from dpstack.api.server import simulated_inputs
 from dpstack.api.server.simulated_inputs import SimulatedInputs
 from dpstack.errors import ConfigError
 
+
+@pytest.fixture(autouse=True)
+def busy_computer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A call of a function may take long where other tests compute."""
+    monkeypatch.setattr(simulated_inputs, "PATIENCE_S", 20.0)
+
+
 HEAD = '[bus]\nport = "virtual"\nbaud = 93750\ncycle_ms = 10\n'
 TANK = (
     HEAD + '[[slave]]\nname = "tank"\naddress = 8\nident = 0x1234\nconfig = "11 20"\n'
@@ -181,7 +188,7 @@ async def test_a_function_that_fails_again_and_again_does_not_fill_the_screen(tm
 async def test_a_function_that_never_returns_does_not_hold_the_bus(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(simulated_inputs, "PATIENCE_S", 0.03)
+    monkeypatch.setattr(simulated_inputs, "PATIENCE_S", 0.25)
     module = functions(tmp_path, "tank_slow")
     given = f'function = "{module}:slow", period_ms = 50'
     found, told = await inputs_at(tmp_path, given, (0.08, 0.3, 0.6))
