@@ -11,7 +11,7 @@ from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.fdl.telegram import StationType
 from dpstack.text import printable
 from dpstack.why.causes import Cause
-from dpstack.why.evidence import Evidence
+from dpstack.why.evidence import RUN, Evidence
 from dpstack.why.facts import Facts
 from dpstack.why.judge import Finding, judge
 from dpstack.why.steps import as_dict, words
@@ -106,7 +106,7 @@ def story_lines(story: Mapping[str, Any], width: int = 80, *, steps: bool = True
     asked = _SOURCES.get(str(story["source"]), str(story["source"]))
     add(f"slave {story['address']} ({story['slave']}): {story['state']}, seen by {asked}")
     if steps and story["steps"]:
-        add("last bring-up:")
+        add("last bring-up:" if story["source"] == RUN else "asked:")
         for step in story["steps"]:
             add(f"{step['t']:.3f} s  {step['text']}", "  ", "    ")
     for number, one in enumerate(story["causes"], 1):
