@@ -311,6 +311,25 @@ def test_a_foreign_slave_at_an_address_of_the_configuration_keeps_only_its_name(
     assert "inputs" not in second.fields
 
 
+def test_values_with_a_scale_are_explained_with_it() -> None:
+    plant = """[bus]
+port = "virtual"
+baud = 500000
+
+[[slave]]
+name = "boiler"
+address = 8
+ident = 0x1234
+config = "50 60"
+inputs = { level = { at = "i16@0", scale = 0.1, unit = "bar" } }
+outputs = { target = { at = "i16@0", scale = 0.1, offset = 100 } }
+"""
+    names = decode_names(parse_config(plant, "plant.toml"))
+    octets = [encode_sd2(8, 2, 0x7D, bytes.fromhex("fff6")), encode_sd2(2, 8, DL, bytes.fromhex("007b"))]
+    request, answer = explain(map(Transmission, octets), names)
+    assert (request.fields["outputs"], answer.fields["inputs"]) == ({"target": 99.0}, {"level": 12.3})
+
+
 def test_a_long_log_needs_no_more_memory_than_a_short_one() -> None:
     """Ident numbers and modules change with each telegram. 450 explained telegrams that stayed would be over 400 kB."""
 
