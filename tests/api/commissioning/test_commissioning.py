@@ -308,7 +308,7 @@ VALUES = st.recursive(
 
 
 @given(st.lists(ODD | NAMES, min_size=1, max_size=4, unique=True), st.binary(max_size=6), ODD)
-@examples(60)
+@examples(30)
 def test_every_name_comes_back_or_is_refused(names: list[str], user_prm: bytes, port: str) -> None:
     """The text is read by tomllib, which is not ours, and by the reader of configurations."""
     commissioning = EMPTY
@@ -342,7 +342,7 @@ def test_every_name_comes_back_or_is_refused(names: list[str], user_prm: bytes, 
         st.sampled_from(["name", "address", "gsd", "modules", "inputs", "ident"]) | NAMES, VALUES, max_size=4
     )
 )
-@examples(60)
+@examples(30)
 def test_nonsense_keys_are_refused_or_named_as_errors(keys: dict[str, object]) -> None:
     try:
         made = EMPTY.toml({"bus": keys, "slaves": [keys]})
