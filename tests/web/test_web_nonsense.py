@@ -48,7 +48,7 @@ def parsed(text: str) -> Hello | Ask | Order | MessageError:
 
 
 @given(MESSAGES)
-@examples(25)
+@examples(12)
 def test_a_message_is_one_with_right_types_or_an_error_in_one_line(text: str) -> None:
     message = parsed(text)
     given_ = json.loads(text) if not isinstance(message, MessageError) else {}
@@ -72,7 +72,7 @@ def test_a_message_is_one_with_right_types_or_an_error_in_one_line(text: str) ->
 
 
 @given(st.lists(MESSAGES | st.binary(max_size=20), min_size=1, max_size=8))
-@examples(6)
+@examples(3)
 def test_a_server_answers_each_message_and_goes_on(messages: list[str | bytes]) -> None:
     async def talk() -> None:
         async with serve(GivenItems([PLANT])) as server, page_of(server) as page, page_of(server) as other:

@@ -88,20 +88,23 @@ async def test_orders_become_commands_of_the_run_and_all_pages_are_told() -> Non
     assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z order of anna: ", line) for line in log)
 
 
-@pytest.mark.parametrize("command", ORDERS)
-async def test_no_order_without_confirmation_or_without_rights(command: str) -> None:
+async def test_no_order_without_confirmation_or_without_rights(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dpstack.web.server._BURST", 100.0)
     run, log = Run(), list[str]()
     async with serve(run, rights=RIGHTS, log=log.append) as server, page_of(server, TOKEN) as page:
-        assert "not confirmed" in (await page.order(command, confirmed=False))["error"]
-        await page.send({"order": {"id": 3, "command": command}})
-        assert "not confirmed" in (await page.until("answer"))["error"]
-        await page.send({"order": {"id": 3, "command": command, "confirmed": 1}})
-        assert "true or false" in (await page.until("answer"))["error"]
+        for command in ORDERS:
+            assert "not confirmed" in (await page.order(command, confirmed=False))["error"]
+            await page.send({"order": {"id": 3, "command": command}})
+            assert "not confirmed" in (await page.until("answer"))["error"]
+            await page.send({"order": {"id": 3, "command": command, "confirmed": 1}})
+            assert "true or false" in (await page.until("answer"))["error"]
     async with serve(run, log=log.append) as server, page_of(server, TOKEN) as page:
-        assert "--control" in (await page.order(command))["error"]
+        for command in ORDERS:
+            assert "--control" in (await page.order(command))["error"]
     looking = Rights(tokens={TOKEN: "anna"})
     async with serve(run, rights=looking, log=log.append) as server, page_of(server, TOKEN) as page:
-        assert "--control" in (await page.order(command))["error"]
+        for command in ORDERS:
+            assert "--control" in (await page.order(command))["error"]
     assert run.commands == []
     assert log == []
 

@@ -55,15 +55,15 @@ async def test_files_have_strict_headers_and_nothing_else_is_served() -> None:
             assert found.status == 405
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1:1", "127.0.0.1", "a b", "[::1"])
-async def test_a_request_for_another_host_is_refused(host: str) -> None:
+async def test_a_request_for_another_host_is_refused() -> None:
     async with serve(GivenItems()) as server, aiohttp.ClientSession() as session:
         port = server.url.rstrip("/").rpartition(":")[2]
-        async with session.get(server.url, headers={"Host": host.format(port=port)}) as found:
-            assert found.status == 421
-        with pytest.raises(aiohttp.WSServerHandshakeError):
-            async with stranger(server, headers={"Host": host.format(port=port)}):
-                pass
+        for host in ("evil.example", f"evil.example:{port}", "127.0.0.1:1", "127.0.0.1", "a b", "[::1"):
+            async with session.get(server.url, headers={"Host": host}) as found:
+                assert found.status == 421, host
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                async with stranger(server, headers={"Host": host}):
+                    pass
 
 
 @pytest.mark.parametrize(
