@@ -25,7 +25,7 @@ from dpstack.dp.master.events import (
     SlaveStateChanged,
     Stalled,
 )
-from dpstack.dp.master.scanner import Found, ScanDone, StationSeen
+from dpstack.dp.master.scanner import Found, StationSeen
 from dpstack.dp.pdu.alarm_blocks import Specifier, message_dict
 from dpstack.dpv1.master.orders import AlarmRaised, ConnectionOver, StatusTold
 from dpstack.drivers.runtime import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped, PortBack, PortLost
@@ -127,8 +127,6 @@ def _kind_and_fields(event: Event) -> tuple[str, dict[str, object]] | None:
         case ApplicationSilent(limit_ns=limit):
             return "application_silent", {"limit_ms": round(limit / NS_PER_MS)}
         case ControlSent() | ControlFailed() | PictureTaken():
-            return None
-        case ScanDone(token=token) if token:
             return None
         case CyclesMissed(number=number, count=count, missed=missed, late_ns=late_ns):
             late_us = round(late_ns / NS_PER_US)
