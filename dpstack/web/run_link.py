@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import json
+import contextlib
 from collections.abc import AsyncGenerator, Callable
 from typing import Any, Final
 
-from dpstack.api.control.client import LONGEST_ANSWER, TIMEOUT_S, ControlClient, connect
+from dpstack.api.control.client import ControlClient, connect
 from dpstack.api.control.errors import failure
-from dpstack.errors import DpError, PortError, UsageError
+from dpstack.api.control.stream import stream_lines
+from dpstack.errors import PortError, UsageError
 from dpstack.ports.base import VIRTUAL
 from dpstack.web.fan_out import Item
 
@@ -59,34 +60,16 @@ class RunLink:
 
         Raises the error of the run, PortError where it is no dpstack.
         """
-        connection = self._client.detach()
-        connection.setblocking(False)
-        reader, writer = await asyncio.open_unix_connection(sock=connection, limit=LONGEST_ANSWER)
-        request = {"command": "live", "args": [f"{INTERVAL_S:g}"]}
-        try:
-            writer.write(json.dumps(request).encode() + b"\n")
-            while True:
-                try:
-                    async with asyncio.timeout(TIMEOUT_S):
-                        line = await reader.readline()
-                except TimeoutError:
+        async with contextlib.aclosing(stream_lines(self._client, "live", f"{INTERVAL_S:g}")) as lines:
+            async for line in lines:
+                if line is None:
                     yield None
                     continue
-                if not line.endswith(b"\n"):
-                    return
                 answer = self._client.parsed(line)
                 if answer.get("ok") is False:
                     raise failure(answer)
                 if "item" in answer:
                     yield answer["item"]
-        except DpError:  # some of them are OSErrors, too
-            raise
-        except ValueError:  # a line without end
-            raise PortError(f"{self._client.port}: an answer of more than {LONGEST_ANSWER} octets") from None
-        except OSError as exc:
-            raise PortError(f"{self._client.port}: the run ended ({exc.strerror or exc})") from None
-        finally:
-            writer.close()
 
     async def call(self, command: str, *args: str) -> Any:
         """The answer to ``command``, of this very run. Raises DpError: UsageError where another run is there now.

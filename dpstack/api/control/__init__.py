@@ -18,5 +18,6 @@ the requests of one connection one after the other.
 - ``scenario``: Scenarios: a TOML file of steps in time that happen to simulated slaves
 - ``server``: The server's end of the control socket of a run, sim or segment
 - ``socket_path``: Control sockets as files: names, directory, owner of the peer process
+- ``stream``: The lines of a long command from a running program, without blocking the event loop
 - ``tap_feed``: The octets on the line of a running program, for the clients of its control socket
 """

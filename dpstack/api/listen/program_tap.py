@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import json
+import contextlib
 from collections.abc import AsyncGenerator, Callable
 from time import monotonic_ns
 from typing import Annotated, TypedDict
@@ -11,11 +11,12 @@ from typing import Annotated, TypedDict
 import msgspec
 from msgspec import Meta
 
-from dpstack.api.control.client import LONGEST_ANSWER, TIMEOUT_S, ControlClient
+from dpstack.api.control.client import TIMEOUT_S, ControlClient
 from dpstack.api.control.errors import failure
+from dpstack.api.control.stream import stream_lines
 from dpstack.api.listen.tap_cutter import TapCutter
 from dpstack.capture.listener import OnTransmission
-from dpstack.errors import DpError, PortError
+from dpstack.errors import PortError
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import baud_text
 
@@ -135,40 +136,22 @@ class ProgramTap:
 
 
 async def _items(client: ControlClient) -> AsyncGenerator[_TapItem | None]:
-    """The items of the tap until this generator is closed, without blocking the event loop. None where the program has
-    sent nothing for 10 s (:data:`TIMEOUT_S`).
+    """The items of the tap until this generator is closed; None as :func:`stream_lines` has it.
 
-    It uses up the connection. Raises the error of the program, PortError when it ends, or is no dpstack.
+    Raises the error of the program, PortError when it ends, or is no dpstack.
     """
     decoder = msgspec.json.Decoder(_TapLine)
-    connection = client.detach()
-    connection.setblocking(False)
-    reader, writer = await asyncio.open_unix_connection(sock=connection, limit=LONGEST_ANSWER)
-    try:
-        writer.write(json.dumps({"command": "tap"}).encode() + b"\n")
-        while True:
-            try:
-                async with asyncio.timeout(TIMEOUT_S):
-                    line = await reader.readline()
-            except TimeoutError:
+    async with contextlib.aclosing(stream_lines(client, "tap")) as lines:
+        async for line in lines:
+            if line is None:
                 yield None
                 continue
-            if not line.endswith(b"\n"):
-                return
             try:
                 item = decoder.decode(line)["item"]
             except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
                 _refuse(client, line, error)
                 return
             yield item
-    except DpError:  # some of them are OSErrors, too
-        raise
-    except ValueError:  # a line without end
-        raise PortError(f"{client.port}: an answer of more than {LONGEST_ANSWER} octets; is it dpstack?") from None
-    except OSError as exc:
-        raise PortError(f"{client.port}: the program ended ({exc.strerror or exc})") from None
-    finally:
-        writer.close()
 
 
 def _refuse(client: ControlClient, line: bytes, error: Exception) -> None:
