@@ -254,7 +254,11 @@ class LineRuntime(ABC):
                     spun += deadline - now
                     while now < deadline:
                         now = monotonic_ns()
-                chunk, now = self._read_before_deadline(b"", now) if now - deadline > _LATE_NS else (b"", now)
+                chunk = b""
+                if now - deadline > _LATE_NS:
+                    if now - deadline >= _HELD_UP_NS and self._held_up is not None:  # it was stopped while it spun
+                        self._held_up(self._late(now - deadline), now)
+                    chunk, now = self._read_before_deadline(b"", now)
             if machine.baud != self._port.baud and self._attempts is None:
                 follow(self._port, machine)
                 self._wire_ns = wire_times(self._port)
