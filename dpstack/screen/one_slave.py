@@ -8,6 +8,7 @@ from typing import Any, Final
 from dpstack.screen.lines import Line, piece, wrapped
 from dpstack.screen.overview import event_line, field_pieces, octets, percent, shown
 from dpstack.screen.view import View
+from dpstack.text import octets_text
 from dpstack.why.story import story_lines
 
 #: events of the slave on its page
@@ -77,7 +78,7 @@ def _values(view: View, address: str) -> list[Line]:
     for direction in ("inputs", "outputs"):
         digits = str(values.get(direction) or "")
         mark = "  (old)" if style and digits else ""
-        lines.append(_row(direction, f"{len(digits) // 2} octets{mark}", style))
+        lines.append(_row(direction, f"{octets_text(len(digits) // 2)}{mark}", style))
         lines += [
             [(f"  {at // 2:3} ", "stale"), piece(octets(digits[at : at + 2 * _LINE]), style)]
             for at in range(0, len(digits), 2 * _LINE)

@@ -110,16 +110,17 @@ def notices(view: View, *, paused: str = "", note: str = "") -> list[tuple[str, 
         found.append((f"the counters are {age:.1f} s old: nothing here is of this moment", "bad"))
     if bus and not bus.get("in_ring") and state.end is None:
         found.append(("this master is not in the token ring", "bad"))
-    held, port = bus.get("clear"), (state.plant or {}).get("port")
+    plant = state.plant or {}
+    held, name = bus.get("clear"), plant.get("ctl", plant.get("port"))
     if held:
         found.append(
             (
-                f"in Clear since {held['since']} s: {held['because']}; dpstack ctl {port} operate lets outputs out",
+                f"in Clear since {held['since']} s: {held['because']}; dpstack ctl {name} operate lets outputs out",
                 "warn",
             )
         )
-    elif bus.get("mode") == "clear" and not (state.plant or {}).get("read_only"):
-        found.append((f"in Clear: no outputs go out; dpstack ctl {port} operate lets them out", "warn"))
+    elif bus.get("mode") == "clear" and not plant.get("read_only"):
+        found.append((f"in Clear: no outputs go out; dpstack ctl {name} operate lets them out", "warn"))
     if state.lost:
         found.append((f"{state.lost} events did not get here", "warn"))
     return found

@@ -118,10 +118,11 @@ class ScreenProcess:
         self._reader, self._writer = await asyncio.open_connection(sock=link, limit=_LONGEST_ORDER)
         self._writer.transport.set_write_buffer_limits(high=_MOST_UNREAD)
 
-    async def show(self, stream: Items) -> None:
-        """Send the items of ``stream`` until the screen ends."""
+    async def show(self, stream: Items, name: Callable[[], str]) -> None:
+        """Send the items of ``stream`` until the screen ends. The screen gets ``name()``, the program's name for
+        ``dpstack ctl``, as ``ctl`` of a plant."""
         assert self._reader is not None
-        sending = asyncio.create_task(self._send(stream))
+        sending = asyncio.create_task(self._send(stream, name))
         try:
             while line := await self._reader.readline():
                 order = json.loads(line)
@@ -133,10 +134,12 @@ class ScreenProcess:
             sending.cancel()
             stream.close()
 
-    async def _send(self, stream: Items) -> None:
+    async def _send(self, stream: Items, name: Callable[[], str]) -> None:
         assert self._writer is not None
         with contextlib.suppress(OSError):
             async for item in stream:
+                if "plant" in item:
+                    item = {"plant": item["plant"] | {"ctl": name()}}
                 for portion in portions(item, _SLAVES):
                     self.tell(portion)
                     await self._writer.drain()

@@ -102,6 +102,10 @@ def test_what_is_not_as_it_should_be_is_said() -> None:
     assert "12:00" not in texts
     clear = notices(view_of([*some_plant(), snapshot({}, whole=False, mode="clear")]))
     assert clear == [("in Clear: no outputs go out; dpstack ctl /dev/ttyUSB0 operate lets them out", "warn")]
+    plant, *others = some_plant()
+    one_of_several = {"plant": plant["plant"] | {"ctl": "virtual:4711"}}
+    in_clear = notices(view_of([one_of_several, *others, snapshot({}, whole=False, mode="clear")]))
+    assert in_clear == [("in Clear: no outputs go out; dpstack ctl virtual:4711 operate lets them out", "warn")]
     assert not notices(view_of(some_plant()))
 
 

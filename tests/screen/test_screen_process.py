@@ -58,7 +58,7 @@ async def unread() -> None:
     ours, theirs = socket.socketpair()
     await screen.connect(ours)
     stream = Stream(1000)
-    task = asyncio.create_task(screen.show(stream))
+    task = asyncio.create_task(screen.show(stream, lambda: "virtual:4711"))
     for _ in range(3000):
         await asyncio.sleep(0)
     # the plant, and as many snapshots (0.2 MB each) as the system and 64 KiB of our own take
@@ -92,7 +92,7 @@ async def small_steps() -> None:
 
     screen.tell = told  # type: ignore[method-assign]
     reader, writer = await asyncio.open_connection(sock=theirs, limit=1 << 24)
-    task = asyncio.create_task(screen.show(Stream(1)))
+    task = asyncio.create_task(screen.show(Stream(1), lambda: "virtual:4711"))
     writer.write(b'{"order":"why","slave":4}\n"nothing"\n')
     slaves: set[str] = set()
     reading = asyncio.create_task(reader.readline())

@@ -224,14 +224,18 @@ def find_run(port: str, config: Path | None, timeout: float | None = TIMEOUT_S) 
 
 
 def find_any_run(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
-    """Connect to the run on ``port``, whatever its configuration; None where no run answers for that port.
+    """Connect to the run on ``port``, whatever its configuration; None where no run answers for that port. "virtual"
+    stands for the only run on it, as in :func:`connect`.
 
-    Raises PortError where the program cannot connect to the run.
+    Raises PortError where the program cannot connect to the run, UsageError where there are several on "virtual".
     """
     with _open_directory() as sockets:
         if sockets is None:
             return None
-        return _connect_first(sockets, port, [own_name("run", name) for name in names_of(port)], timeout)
+        virtual = sockets.virtual_names()
+        if port not in (*virtual, *([VIRTUAL] if virtual else [])):
+            return _connect_first(sockets, port, [own_name("run", name) for name in names_of(port)], timeout)
+    return connect(port, timeout)
 
 
 def running() -> list[dict[str, Any]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+from functools import partial
 
 from dpstack.api.bus.bus import Bus, open_bus
 from dpstack.api.bus.events_json import Event
@@ -121,7 +122,9 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         # `dpstack ctl` also works while the bus searches its rate or joins the ring; a held port is reported once
         feed = run_feed(bus)
         control = control_run(bus, config.port, feed, stop=stop.stop)
-        suspension = stack.enter_context(Suspension(bus))  # before a bus process is started
+        suspension = stack.enter_context(
+            Suspension(bus, partial(_name, bus, control))
+        )  # before a bus process is started
         async with reachable(control, quiet=True) as unreachable:
             if report is not None:
                 report.begin(bus, feed)
@@ -186,6 +189,11 @@ async def _open(bus: Bus, control: ControlServer) -> None:
     await bus.open()
     if bus.config.port == PTY:
         control.move_to(bus.runtime.port_name)
+
+
+def _name(bus: Bus, control: ControlServer) -> str:
+    """The name by which ``dpstack ctl`` finds this run, also if there are others on "virtual"."""
+    return control.name if bus.config.virtual else bus.runtime.port_name
 
 
 async def _limit(bus: Bus, seconds: float | None, rotations: int | None) -> None:

@@ -68,7 +68,6 @@ def _target(args: argparse.Namespace) -> tuple[Config | None, str]:
     station = args.where[-1]
     if len(args.where) == 2:
         return load_config(args.where[0]).with_bus(port=args.port, baud=args.baud), station
-    on_bus.check_port(args)
     return None, station
 
 
@@ -96,6 +95,7 @@ class _Request(NamedTuple):
             return reading
         args, config = self.args, self.config
         if config is None:
+            on_bus.check_port(args)
             if args.baud is None:
                 args.baud = "auto"
             baud = await on_bus.rate_of(args)

@@ -49,15 +49,19 @@ def terminal_for_screen() -> Terminal | None:
 
 
 class LiveScreen:
-    """The screen of ``bus``; ``suspend`` is called for Ctrl-Z after the person's yes.
+    """The screen of ``bus``, whose program ``dpstack ctl`` knows by ``name``; ``suspend`` is called for Ctrl-Z after
+    the person's yes.
 
     Use it as an async context manager. While it is up, ``reporter`` is quiet, and lines of both standard streams go
     to the events of the screen; those of standard error are printed after its end. If its process ends by itself, plain
     lines go on.
     """
 
-    def __init__(self, terminal: Terminal, bus: Bus, stop: StopSignal, reporter: Reporter) -> None:
+    def __init__(
+        self, terminal: Terminal, bus: Bus, stop: StopSignal, reporter: Reporter, name: Callable[[], str]
+    ) -> None:
         self.suspend: Callable[[], None] = lambda: None
+        self._name = name
         self._terminal = terminal
         self._bus = bus
         self._stop = stop
@@ -113,7 +117,7 @@ class LiveScreen:
             self._process.come_back()
 
     async def _show(self) -> None:
-        await self._process.show(self._bus.live(_INTERVAL_S))
+        await self._process.show(self._bus.live(_INTERVAL_S), self._name)
         code = await self._over()
         if code == GONE:
             self._terminal_lost()
@@ -213,7 +217,7 @@ async def live_screen(
     if terminal is None:
         yield
         return
-    screen = LiveScreen(terminal, bus, stop, reporter)
+    screen = LiveScreen(terminal, bus, stop, reporter, suspension.name)
     async with screen:
         screen.suspend, suspension.screen = suspension.begin, screen
         yield

@@ -49,10 +49,12 @@ class Screen(Protocol):
 
 
 class Suspension:
-    """Handles SIGTSTP for ``bus`` while in its context; ``screen``: the live screen, or None."""
+    """Handles SIGTSTP for ``bus`` while in its context; ``screen``: the live screen, or None; ``name``: the program's
+    name for ``dpstack ctl``."""
 
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Bus, name: Callable[[], str]) -> None:
         self.screen: Screen | None = None
+        self.name = name
         self._bus = bus
         self._loop = asyncio.get_running_loop()
         self._task: asyncio.Task[None] | None = None
@@ -114,8 +116,7 @@ class Suspension:
     async def _go_on(self) -> None:
         bus = self._bus
         if bus.config.bus.after_stall == SAFE:
-            port = bus.runtime.port_name
-            output.warn(f"in Clear since it was stopped; dpstack ctl {port} operate lets outputs out again")
+            output.warn(f"in Clear since it was stopped; dpstack ctl {self.name()} operate lets outputs out again")
             return
         try:
             await bus.operate()

@@ -287,3 +287,17 @@ async def test_through_a_run_that_only_reads(plant: Path) -> None:
 async def test_no_run_answers(plant: Path) -> None:
     assert await reading_through_run("/dev/ttyNone", load_config(plant), "8") is None
     assert await reading_through_run("/dev/ttyNone", None, "8") is None
+
+
+@in_virtual_time
+async def test_the_only_run_on_virtual_and_one_by_its_name(plant: Path) -> None:
+    plant.write_text(PLANT.replace("/dev/ttyNone", "virtual").replace("cycle_ms = 10.0\n", ""), encoding="utf-8")
+    async with dpstack.open_bus(load_config(plant)) as bus:
+        await bus.operate()
+        await bus.ready()
+        async with control_run(bus, "virtual") as control:
+            assert control.name != "virtual"
+            for port in ("virtual", control.name):
+                reading = await reading_through_run(port, None, "8")
+                assert reading is not None
+                assert reading.config == b"\x10\x51"
