@@ -141,6 +141,8 @@ class RunSource(Source):
                 if link is not None:
                     await self._follow_link(link)
                     continue
+                if self._file is None:
+                    self._note("no program of this name is there: waiting for one")
                 if self._child is None and self._reads_only and loop.time() >= self._again_at:
                     await self._start_child("--read-only")
             except DpError as error:

@@ -209,6 +209,10 @@ def test_without_snapshots_the_page_says_that_its_values_are_old(browser: Browse
         browser.sees("The program has ended: closed by Ctrl-C", "#banner")
         shown.put(plant(), whole(0.1))  # the next run
         browser.sees("Live", "#live")
+        browser.go("slave/8")
+        browser.sees("Inputs are valid")
+        shown.put({"end": {"text": "killed"}})
+        browser.sees("These inputs are old")
     finally:
         shown.close()
     browser.until(lambda: browser.text("#banner"), "a banner")

@@ -234,14 +234,15 @@ export class SlavePage {
     setAttr(this.fault, "class", slave.fault ? "fault bad" : "gone");
     this.inputs?.update(slave);
     this.outputs?.update(slave);
-    const alive = inputsAlive(slave);
+    const { dead } = this.app;
+    const alive = !dead && inputsAlive(slave);
     setText(this.rawIn, octets(slave.inputs));
     setAttr(this.rawIn, "class", alive ? "octets" : "octets old");
     setText(this.rawOut, octets(slave.outputs));
     setText(this.rawHeld, slave.held ? `Held by the application, not sent: ${octets(slave.held, 32)}` : "");
     setAttr(this.rawHeld, "class", slave.held ? "warn" : "gone");
     const age = slave.inputs_age_ms;
-    setText(this.valid, alive ? "Inputs are valid." : typeof age === "number" ? `Inputs are not valid; the last ones are ${millis(age)} old.` : "No inputs yet.");
+    setText(this.valid, dead ? "These inputs are old." : alive ? "Inputs are valid." : typeof age === "number" ? `Inputs are not valid; the last ones are ${millis(age)} old.` : "No inputs yet.");
     setAttr(this.valid, "class", alive ? "faint" : "age");
     this.drive?.update();
     this.paintDiagnosis(slave);
