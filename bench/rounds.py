@@ -68,6 +68,7 @@ PLANS: Final[Mapping[str, Plan]] = {
     "jitter": Plan("--rounds 1 --seconds 2 --cycles 10"),
     "listen": Plan("--rounds 2 --telegrams 4000", cpu=True),
     "live": Plan("--rounds 1"),
+    "record": Plan("--rounds 1"),
     "loop": Plan("--rounds 1"),
     "parameters": Plan("", 1),
     "rotation": Plan("--rounds 1 --bauds 500000 1500000 --kinds bare asyncio process"),

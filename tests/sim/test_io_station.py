@@ -241,6 +241,7 @@ def test_the_gsd_file_says_the_same() -> None:
     assert slave_description(device, chosen, name=NAME, ident=IDENT) == dpstack.SlaveDescription(
         **{name: getattr(own.description, name) for name in own.description.__slots__}
         | {"rates": {speed.baud: speed.max_tsdr for speed in device.speeds}, "min_slave_interval_ns": 100_000}
+        | {"vendor": "dpstack", "revision": "1"}
     )
     assert chosen.user_prm().octets() == bytes.fromhex("80 00 00 01 01 01")
     assert GSD.endswith("io-station.gsd")

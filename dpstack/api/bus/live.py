@@ -208,7 +208,8 @@ class LiveFeed:
         """Hand out the plant where it is new, with an empty whole snapshot, which the rest of this round fills."""
         bus = self._bus
         # a bus that searches its rate has neither slaves nor a time yet, one that is not open no time
-        known = (bus.searching, bus.was_opened, tuple((slave.address, id(slave.config)) for slave in bus.slaves))
+        slaves = tuple((slave.address, id(slave.config), _ident(slave)) for slave in bus.slaves)
+        known = (bus.searching, bus.was_opened, slaves)
         if known == self._known and self._plant is not None:
             return
         if known[:2] != self._known[:2]:
@@ -344,7 +345,7 @@ def _slave_plant(slave: Slave) -> dict[str, object]:
     return {
         "name": slave.name,
         "address": slave.address,
-        "ident": None if params.ident is None else f"0x{params.ident:04X}",
+        "ident": _ident(slave),
         "vendor": "" if device is None else device.vendor,
         "model": device.model if device is not None else profile.title if profile is not None else "",
         "gsd": config.gsd,
@@ -360,6 +361,14 @@ def _slave_plant(slave: Slave) -> dict[str, object]:
         "outputs": [_field(field) for field in config.output_fields.fields.values()],
         "drive": drive,
     }
+
+
+def _ident(slave: Slave) -> str | None:
+    """The ident number; with ``ident = "ask"`` that of the slave's diagnosis, None before the first."""
+    ident = slave.setup.ident
+    if ident is None and slave.diagnosis is not None:
+        ident = slave.diagnosis.ident
+    return None if ident is None else f"0x{ident:04X}"
 
 
 def _modules(config: SlaveConfig) -> list[dict[str, object]]:

@@ -215,3 +215,17 @@ async def test_a_reader_costs_calls_a_snapshot_and_none_a_telegram() -> None:
 def test_an_impossible_interval_is_refused(interval: Any) -> None:
     with pytest.raises(UsageError, match=r"give the seconds between two snapshots, 0\.02 or more"):
         bus_of(RAW).live(interval)
+
+
+@in_virtual_time
+async def test_an_ident_number_that_was_asked_for_is_in_the_plant() -> None:
+    state = LiveState()
+    async with bus_of({**RAW, "ident": "ask"}) as bus:
+        stream = bus.live(0.05)
+        first = await anext(stream)
+        assert first["plant"]["slaves"]["9"]["ident"] is None
+        await follow(stream, state, 1.0)
+        assert state.plant is not None
+        device = bench_of(bus).device(9)
+        assert state.plant["slaves"]["9"]["ident"] == f"0x{device.ident:04X}"
+        assert state.slaves["9"]["state"] == "data_exchange"
