@@ -64,7 +64,8 @@ async def test_process_data_events_and_the_end(driver: Driver) -> None:
             assert bus.snapshot.in_ring
             assert bus.snapshot.las == {2}
             story = await bus.why("valves")
-            steps = [(step["asked"], step["answered"]) for step in story.steps]
+            # a busy computer may leave a request without an answer
+            steps = [(step["asked"], step["answered"]) for step in story.steps if step["answered"] != "nothing"]
             assert steps[:3] == [("Slave_Diag", "DL"), ("Set_Prm", "SC"), ("Chk_Cfg", "SC")]
             assert steps[-1] == ("Data_Exchange", "DL")
             assert story.state == "data_exchange"
