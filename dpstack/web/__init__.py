@@ -10,7 +10,6 @@ WebSocket and the rights.
 - ``messages``: Messages of a page, checked: ``hello``, ``ask``, ``order``; answers to it
 - ``orders``: Orders of a page, and the commands of the run that carry them out
 - ``page_files``: The files of the page, and the headers of every response
-- ``replay_source``: A recording as a source
 - ``rights``: Tokens, the secret of a start, TLS
 - ``run_link``: The connection to the run: its stream of items, and commands
 - ``run_source``: The run of a configuration as a source: joins it, or starts one

@@ -79,7 +79,7 @@ class Hasty(PassiveStation):
 
 
 class Deaf:
-    """What a station that only sends does with all that it hears: nothing."""
+    """A station that only sends leaves out all that it receives."""
 
     def receive(self, chunk: bytes, now: int) -> None:
         pass

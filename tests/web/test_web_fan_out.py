@@ -1,4 +1,4 @@
-"""What a page still has to get: merged snapshots, bounded events, and pages that never read."""
+"""Messages that wait for a page: merged snapshots, bounded events, and pages that never read."""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@ import pytest
 from web_kit import page_of
 
 from dpstack.cli.main import main
-from dpstack.web.replay_source import ReplaySource
 from dpstack.web.server import serve
+from dpstack.web.source import ReplaySource
 
 #: a CSV file of somebody else: no description, one unit
 LINES = """time,t,boiler.state,boiler.level [bar]

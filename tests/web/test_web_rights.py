@@ -1,4 +1,4 @@
-"""Who may look and who may give orders: tokens, the secret of a start, TLS, wrong files."""
+"""Rights to look and to give orders: tokens, the secret of a start, TLS, wrong files."""
 
 from __future__ import annotations
 

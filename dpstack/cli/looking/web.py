@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dpstack.api.commissioning.commissioning import Commissioning
 from dpstack.api.config.config import load_config
@@ -16,12 +15,9 @@ from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import UsageError
 from dpstack.web.address import DEFAULT, Listen, is_local
-from dpstack.web.replay_source import ReplaySource
 from dpstack.web.rights import make_rights, read_tokens, tls_context, who_may
 from dpstack.web.run_source import RunSource
-
-if TYPE_CHECKING:
-    from dpstack.web.source import Source
+from dpstack.web.source import ReplaySource, Source
 
 
 def add_to(parser: Parser) -> None:
