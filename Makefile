@@ -4,13 +4,14 @@ VENV := .venv
 PY := $(VENV)/bin/python
 
 .NOTPARALLEL:
-.PHONY: help demo test check soak strangers clean
+.PHONY: help demo test check soak fuzz strangers clean
 
 help:
 	@echo "make demo    the simulated plant in one process (installs what it needs into $(VENV))"
 	@echo "make test    all tests"
 	@echo "make check   lint, types, documentation"
 	@echo "make soak    the long runs"
+	@echo "make fuzz    random inputs for parsers and machines, guided by coverage (MINUTES=10 TARGETS=... SEED=...)"
 	@echo "make strangers  the tests with programs of others (installs them: Debian packages, and Python's into $(VENV))"
 
 demo: $(VENV)/.core
@@ -34,6 +35,12 @@ soak: SEED := $(shell date +%s)
 soak: $(VENV)/.test
 	@echo "what hypothesis tries: SEED=$(SEED)"
 	$(PY) -m pytest -m soak --hypothesis-profile=soak --hypothesis-seed=$(SEED) $(TESTS)
+
+# Inputs that fail are written into build/fuzz, with a line that says how to replay them; the seed makes a run repeat
+fuzz: MINUTES := 10
+fuzz: SEED := 1
+fuzz: $(VENV)/.fuzz
+	$(PY) -m tools.fuzz --minutes $(MINUTES) --seed $(SEED) $(TARGETS)
 
 # Programs of others at one end: each is installed where that may be (root, or sudo without a password), run in processes
 # of its own, and missed with an error, not skipped. make strangers TESTS=tests/strangers/test_report_in_chromium.py runs a part
@@ -60,3 +67,8 @@ $(VENV)/.test: pyproject.toml | $(PY)
 $(VENV)/.check: pyproject.toml | $(PY)
 	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[test,check]'
 	@touch $@ $(VENV)/.core $(VENV)/.test
+
+# atheris has wheels for Linux on x86-64 only: elsewhere the targets run without it, and tools.fuzz says so.
+$(VENV)/.fuzz: pyproject.toml | $(VENV)/.test
+	-$(PY) -m pip install --quiet --disable-pip-version-check -e '.[test,fuzz]'
+	@touch $@

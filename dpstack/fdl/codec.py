@@ -3,8 +3,8 @@
 Layouts: docs/protocol.md#telegrams, docs/protocol.md#addresses (extension octets: those of DA come first, then SA's),
 docs/protocol.md#function-code.
 
-Only :func:`parse` judges octets. It recognises a frame that cannot become a telegram by the first octet that shows it,
-not at the end of the frame.
+Only :func:`parse` judges octets. It recognises a frame that cannot become a telegram by the first octet that shows it
+(an impossible LE by its repetition), not at the end of the frame.
 """
 
 from __future__ import annotations
@@ -265,9 +265,11 @@ def _extended(kind: Kind, body: bytes | bytearray) -> Telegram | Flaw:
 def _short_sd2(octets: bytes | bytearray, at: int, end: int) -> Flaw | None:
     """The flaw in the first octets of an SD2 frame that is shorter than the shortest, or None."""
     have = end - at
-    if have > 1 and not EMPTY_LE <= octets[at + 1] <= MAX_LE:
+    if have < 3:
+        return None  # an impossible LE, too: LEr decides how long the damaged frame may be (claimed)
+    if not EMPTY_LE <= octets[at + 1] <= MAX_LE:
         return Flaw.LE_RANGE
-    if have > 2 and octets[at + 2] != octets[at + 1]:
+    if octets[at + 2] != octets[at + 1]:
         return Flaw.LE_MISMATCH
     if have > 3 and octets[at + 3] != _SD2:
         return Flaw.BAD_SECOND_SD

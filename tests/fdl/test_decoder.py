@@ -205,6 +205,14 @@ def test_no_acknowledgement_or_token_out_of_a_damaged_telegram() -> None:
         assert decoder.stats.bad == 1
 
 
+def test_an_impossible_le_waits_for_ler_however_the_octets_arrive() -> None:
+    damaged = bytes.fromhex("68 00 20 68 82 E3 6D 3C 3E") + bytes(2) + SC + TOKEN  # LEr says 38 octets
+    for size in (1, 2, 3, len(damaged)):
+        decoder = fresh()
+        assert feed_all(decoder, [damaged[at : at + size] for at in range(0, len(damaged), size)]) == []
+        assert decoder.stats.by_cause() == {"skipped": len(damaged), "le_range": 1, "doubtful": 2}
+
+
 def test_doubt_ends_with_a_checked_telegram_with_the_length_and_with_silence() -> None:
     broken = bytes.fromhex("68 05 05 68 82 E3 6D 3C 3E 4D 16")
     assert fresh().feed(broken + SC + TOKEN, 0) == [SHORT_ACK, TOKEN_T]
