@@ -11,10 +11,12 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import hmac
+import ipaddress
 import os
 import secrets
 import ssl
 import stat
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,8 +37,11 @@ _HOW: Final = (
 )
 #: seconds before the next token of an address is looked at, by the number of wrong ones before it
 _PAUSES_S: Final = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-#: addresses whose wrong tokens are remembered
-_MOST_ADDRESSES: Final = 1_024
+#: networks whose wrong tokens are remembered, and tokens of one that wait
+_MOST_NETWORKS: Final = 1_024
+_MOST_WAITING: Final = 4
+#: bits of an IPv6 address that one computer does not choose itself
+_IPV6_NETWORK: Final = 64
 #: verify codes of OpenSSL (X509_V_ERR_...)
 _NOT_YET_VALID: Final = 9
 _EXPIRED: Final = 10
@@ -81,27 +86,52 @@ def _digest(token: str) -> bytes:
     return hashlib.sha256(token.encode("utf-8", "surrogatepass")).digest()
 
 
+def network_of(address: str) -> str:
+    """All addresses that one computer can take by itself: an IPv4 address, the /64 of an IPv6 address."""
+    try:
+        found = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if found.version == 6:
+        return str(ipaddress.ip_network((found, _IPV6_NETWORK), strict=False))
+    return address
+
+
 class Pauses:
-    """Slows down those who try tokens: one token of an address at a time, and the later the more wrong ones it sent."""
+    """Slows down those who try tokens: one token of a network (:func:`network_of`) at a time, and the later the more
+    wrong ones it sent."""
 
     def __init__(self) -> None:
         self._wrong: dict[str, int] = {}
         self._locks: dict[str, asyncio.Lock] = {}
+        self._waiting: Counter[str] = Counter()
 
-    async def wait(self, address: str) -> None:
-        """Wait before looking at a token from ``address``."""
-        wrong = self._wrong.get(address, 0)
-        if wrong:
-            async with self._locks.setdefault(address, asyncio.Lock()):
+    async def wait(self, address: str) -> bool:
+        """Wait before looking at a token from ``address``. False, at once, where too many of its network wait."""
+        network = network_of(address)
+        wrong = self._wrong.get(network, 0)
+        if not wrong:
+            return True
+        if self._waiting[network] >= _MOST_WAITING:
+            return False
+        self._waiting[network] += 1
+        try:
+            async with self._locks.setdefault(network, asyncio.Lock()):
                 await asyncio.sleep(_PAUSES_S[min(wrong, len(_PAUSES_S) - 1)])
+        finally:
+            self._waiting[network] -= 1
+            if not self._waiting[network]:
+                del self._waiting[network]
+        return True
 
     def judge(self, address: str, right: bool) -> None:
+        network = network_of(address)
         if right:
-            self._wrong.pop(address, None)
-            self._locks.pop(address, None)
+            self._wrong.pop(network, None)
+            self._locks.pop(network, None)
             return
-        self._wrong[address] = self._wrong.pop(address, 0) + 1
-        while len(self._wrong) > _MOST_ADDRESSES:
+        self._wrong[network] = self._wrong.pop(network, 0) + 1
+        while len(self._wrong) > _MOST_NETWORKS:
             oldest = next(iter(self._wrong))
             del self._wrong[oldest]
             self._locks.pop(oldest, None)

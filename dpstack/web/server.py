@@ -11,6 +11,7 @@ import logging
 import socket
 import ssl
 import weakref
+from collections import Counter
 from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -29,15 +30,16 @@ from dpstack.web.fan_out import FanOut, Item, Reader
 from dpstack.web.messages import MOST_OCTETS, Ask, Hello, MessageError, Order, answer, encode, parse
 from dpstack.web.orders import carry_out
 from dpstack.web.page_files import FOLDER, HEADERS, read_page
-from dpstack.web.rights import Rights, Visitor
+from dpstack.web.rights import Rights, Visitor, network_of
 from dpstack.web.source import Source
 
 #: writes a line of the log
 Log = Callable[[str], None]
 
-#: pages at the same time, WebSockets that have not said hello, connections of all kinds
+#: pages at the same time, WebSockets that have not said hello (in all, and of one network), connections of all kinds
 _MOST_PAGES: Final = 64
 _MOST_STRANGERS: Final = 32
+_MOST_OF_A_NETWORK: Final = 16
 _MOST_CONNECTIONS: Final = 256
 _BACKLOG: Final = 64
 #: hosts of --listen that are no address to open
@@ -90,7 +92,8 @@ class WebServer:
         self._base = f"{'http' if tls is None else 'https'}://{join(host or bound, port)}/"
         self._files = read_page(folder)
         self._pages: set[_Page] = set()
-        self._strangers = 0
+        self._strangers: Counter[str] = Counter()  # by network
+        self._handshakes = 0
         self._strange = ""  # the last error of an item
         self._tasks: set[asyncio.Task[None]] = set()
         self._runner: web.AppRunner | None = None
@@ -124,9 +127,9 @@ class WebServer:
         await self._runner.setup()
         loop = asyncio.get_running_loop()
         try:
+            # without ssl: asyncio tells of a connection after its handshake, so their number would have no limit
             self._listening = [
-                await loop.create_server(self._accept, sock=one, ssl=self._tls, backlog=_BACKLOG)
-                for one in self._sockets
+                await loop.create_server(self._accept, sock=one, backlog=_BACKLOG) for one in self._sockets
             ]
         except OSError as exc:  # somebody else has begun to listen there
             raise PortError(f"{self._base}: {exc.strerror or exc}; give another address with --listen") from None
@@ -211,15 +214,46 @@ class WebServer:
     # --- requests -------------------------------------------------------------------------------------------------
 
     def _accept(self) -> asyncio.Protocol:
-        """The protocol of a connection. One without a request within 10 s is closed, and one too many at once."""
+        """The protocol of a connection. One without a handshake, or then without a request, within 10 s is closed, and
+        one too many at once."""
         assert self._runner is not None
         server = self._runner.server
         assert server is not None
-        if len(server.connections) >= _MOST_CONNECTIONS:
+        if len(server.connections) + self._handshakes >= _MOST_CONNECTIONS:
             return _Refused()
-        handler = server()
+        return self._handler() if self._tls is None else _Handshake(self._shake_hands)
+
+    def _handler(self) -> web.RequestHandler:
+        assert self._runner is not None
+        assert self._runner.server is not None
+        handler = self._runner.server()
         asyncio.get_running_loop().call_later(_HELLO_S, self._drop_silent, handler)
         return handler
+
+    def _shake_hands(self, transport: asyncio.Transport, waiting: _Handshake) -> None:
+        self._handshakes += 1
+        self.spawn(self._serve_over_tls(transport, waiting))
+
+    async def _serve_over_tls(self, transport: asyncio.Transport, waiting: _Handshake) -> None:
+        assert self._tls is not None
+        try:
+            over_tls = await asyncio.get_running_loop().start_tls(
+                transport, waiting, self._tls, server_side=True, ssl_handshake_timeout=_HELLO_S
+            )
+        except OSError:  # of TLS too; start_tls has closed it
+            return
+        except asyncio.CancelledError:
+            transport.abort()
+            raise
+        finally:
+            self._handshakes -= 1
+        if over_tls is None or over_tls.is_closing():
+            return
+        handler = self._handler()
+        over_tls.set_protocol(handler)
+        handler.connection_made(over_tls)
+        if waiting.octets:
+            handler.data_received(bytes(waiting.octets))
 
     def _drop_silent(self, handler: web.RequestHandler) -> None:
         transport = handler.transport
@@ -244,7 +278,8 @@ class WebServer:
         return web.Response(body=file.octets, headers={**HEADERS, "Content-Type": file.content_type})
 
     async def _talk(self, request: web.Request) -> web.StreamResponse:
-        if self._strangers >= _MOST_STRANGERS:
+        network = network_of(request.remote or "")
+        if self._strangers.total() >= _MOST_STRANGERS or self._strangers[network] >= _MOST_OF_A_NETWORK:
             return _refusal(503, "too many connections have not said hello")
         if len(self._pages) >= _MOST_PAGES:
             return _refusal(503, f"{_MOST_PAGES} pages are open: close one")
@@ -254,11 +289,11 @@ class WebServer:
             return _refusal(426, "this address is for a WebSocket")
         await ws.prepare(request)
         with contextlib.suppress(ConnectionError):  # the page has gone
-            self._strangers += 1
+            self._strangers[network] += 1
             try:
                 visitor = await self._let_in(ws, request.remote or "")
             finally:
-                self._strangers -= 1
+                self._strangers -= Counter((network,))
             if visitor is not None:
                 page = _Page(self, ws, request, visitor)
                 self._pages.add(page)
@@ -282,8 +317,9 @@ class WebServer:
         except (MessageError, TimeoutError) as error:
             await _refuse(ws, str(error) or why)
             return None
-        if hello.token is not None:
-            await self.rights.pauses.wait(remote)
+        if hello.token is not None and not await self.rights.pauses.wait(remote):
+            await _refuse(ws, "too many wrong tokens from this address: wait half a minute")
+            return None
         visitor = self.rights.visitor(hello.token)
         if hello.token is not None:
             self.rights.pauses.judge(remote, visitor is not None)
@@ -297,6 +333,24 @@ class WebServer:
             else:
                 await _refuse(ws, "the token is wrong")
         return visitor
+
+
+class _Handshake(asyncio.Protocol):
+    """A connection until its TLS handshake is over. Keeps octets that come with the end of the handshake."""
+
+    def __init__(self, begin: Callable[[asyncio.Transport, _Handshake], None]) -> None:
+        self._begin: Callable[[asyncio.Transport, _Handshake], None] | None = begin
+        self.octets = bytearray()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        begin, self._begin = self._begin, None
+        if begin is not None:
+            transport.pause_reading()  # the first octets are for TLS
+            begin(transport, self)
+
+    def data_received(self, data: bytes) -> None:
+        self.octets += data
 
 
 class _Refused(asyncio.Protocol):

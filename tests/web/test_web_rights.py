@@ -187,6 +187,51 @@ def test_a_file_of_tokens_that_cannot_be_read(tmp_path: Path) -> None:
         read_tokens(tmp_path / "octets")
 
 
+async def test_the_addresses_of_one_computer_wait_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A computer takes any address of its IPv6 network, so a pause for each of them would be none."""
+    slept: list[float] = []
+
+    async def sleep(seconds: float) -> None:
+        slept.append(seconds)
+
+    monkeypatch.setattr("dpstack.web.rights.asyncio.sleep", sleep)
+    pauses = rights_module.Pauses()
+    for number in range(1, 6):
+        assert await pauses.wait(f"2001:db8::{number:x}%eth0")
+        pauses.judge(f"2001:db8::{number:x}%eth0", False)
+    assert slept == [0.5, 1.0, 2.0, 4.0]
+    assert await pauses.wait("2001:db8:0:1::1")
+    assert len(slept) == 4
+
+
+async def test_tokens_of_one_network_do_not_pile_up() -> None:
+    pauses = rights_module.Pauses()
+    pauses.judge("192.0.2.1", False)
+    waiting = [asyncio.ensure_future(pauses.wait("192.0.2.1")) for _ in range(4)]
+    await asyncio.sleep(0)
+    assert await pauses.wait("192.0.2.1") is False
+    assert await pauses.wait("192.0.2.2")
+    waiting.pop().cancel()
+    await asyncio.sleep(0)
+    waiting.append(asyncio.ensure_future(pauses.wait("192.0.2.1")))
+    await asyncio.sleep(0)
+    assert not any(one.done() for one in waiting)
+    for one in waiting:
+        one.cancel()
+
+
+async def test_one_network_does_not_take_all_places_before_hello(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dpstack.web.server._MOST_OF_A_NETWORK", 1)
+    async with serve(GivenItems([PLANT])) as server, stranger(server) as silent:
+        with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
+            async with stranger(server):
+                pass
+        await silent.send({"hello": {"token": None}})
+        await silent.until("welcome")
+        async with page_of(server) as page:
+            await page.until("welcome")
+
+
 # --- TLS ----------------------------------------------------------------------------------------------------------
 
 
@@ -207,6 +252,28 @@ async def test_a_page_over_tls(tmp_path: Path) -> None:
         async with aiohttp.ClientSession() as session:
             with pytest.raises(aiohttp.ClientError):
                 await session.get(plain)
+
+
+async def test_connections_without_a_handshake_are_closed_and_their_number_is_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dpstack.web.server._HELLO_S", 0.2)
+    monkeypatch.setattr("dpstack.web.server._MOST_CONNECTIONS", 3)
+    cert, key = write(tmp_path / "cert.pem", CERT), write(tmp_path / "key.pem", KEY)
+    context, names = tls_context(cert, key)
+    trusting = ssl.create_default_context(cafile=str(cert))
+    trusting.verify_flags &= ~ssl.VERIFY_X509_STRICT
+    async with serve(GivenItems([PLANT]), rights=Rights(True, TOKENS), tls=context, names=names) as server:
+        place = server.url.removeprefix("https://").rstrip("/").split(":")
+        opened = [await asyncio.open_connection(place[0], int(place[1])) for _ in range(4)]
+        refused = await asyncio.wait_for(opened[3][0].read(), 5)
+        assert refused == b""
+        assert not opened[0][0].at_eof()
+        for reader, writer in opened:
+            assert await asyncio.wait_for(reader.read(), 5) == b""
+            writer.close()
+        async with page_of(server, ANNA, ssl=trusting) as page:
+            assert (await page.until("welcome"))["name"] == "anna"
 
 
 @pytest.mark.parametrize(
