@@ -39,6 +39,23 @@ class Transmission:
         self.notes: list[str] = []
         self.forced = node is None
         self.whole = self.lost = self.collided = self.cut = False
+        #: it is on the wire again so long after its end; None: once
+        self.repeat_after_ns: int | None = None
+
+    def cut_short(self, octets: int) -> None:
+        """Leave only the first ``octets`` of it on the wire."""
+        self.notes.append(f"cut off after {octets} of {len(self.octets)} octets")
+        self.octets = self.octets[:octets]
+        self.end_ns = self.heard_ns = self.start_ns + chars_to_ns(octets, self.baud)
+        self.telegram = _decode(self.octets)
+        self.forced = True
+
+    def again(self) -> Transmission:
+        """Its repetition, which no station sends."""
+        start_ns = self.end_ns + (self.repeat_after_ns or 0)
+        tx = Transmission(None, self.sender, self.octets, self.baud, start_ns, start_ns + self.end_ns - self.start_ns)
+        tx.notes.append("repeated")
+        return tx
 
 
 #: An octet as a receiver gets it: ns from the first start edge of the transmission to the octet's end, value.

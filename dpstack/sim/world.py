@@ -156,6 +156,9 @@ class Medium:
 
     # --- the line ---
     def _start_or_schedule(self, tx: Transmission, now: int) -> None:
+        if tx.repeat_after_ns is not None and not tx.lost:
+            again = tx.again()
+            self._world.schedule(again.start_ns, _TIMERS, self._begin_late, again)
         if tx.lost:
             self._world.schedule(tx.end_ns, _ENDS, self._transmission_ended, tx)
         elif tx.start_ns > now:

@@ -259,6 +259,67 @@ def test_a_delayed_transmission_begins_later(world: WorldFactory) -> None:
     assert next(iter(w.log)).note == "delayed"
 
 
+def test_a_truncated_transmission_has_its_first_octets_only(world: WorldFactory) -> None:
+    w = world(token_rules=False)
+    w.faults.truncate(from_2, octets=4)
+    receiver = sending(w, 4)
+    w.run_until(MS - 1)
+    assert receiver.text == DATA[:4]
+    assert receiver.octets[-1][0] == ends(0, DATA[:4])
+    w.faults.truncate(from_2, times=None)
+    w.run_until(5 * MS)
+    assert not receiver.heard
+    cut = [entry for entry in w.log if "cut off after" in entry.note]
+    assert len(cut) == 4
+    assert all(DATA.startswith(entry.octets) and entry.octets not in (b"", DATA) for entry in cut)
+
+
+def test_a_repeated_transmission_is_on_the_wire_twice(world: WorldFactory) -> None:
+    w = world(token_rules=False)
+    w.faults.repeat(from_2, 40 * BIT)
+    receiver = sending(w, 2)
+    w.run_until(3 * MS)
+    first = ends(0, DATA)
+    assert [at for at, _ in receiver.heard] == [first, ends(first + 40 * BIT, DATA), ends(MS, DATA)]
+    assert [entry.note for entry in w.log] == ["", "repeated", ""]
+
+
+def test_lost_octets_leave_the_others_in_their_places(world: WorldFactory) -> None:
+    w = world(seed=3, token_rules=False)
+    w.faults.lose_octets(0.2)
+    receiver = sending(w, 500)
+    w.run_until(500 * MS)
+    got = sum(len(chunk) for _, chunk in receiver.octets)
+    # eleven octets each; those of a telegram that lost none arrive as a whole: 0.8 ** 11 = 0.086
+    assert 0.05 < len(receiver.heard) / 500 < 0.13
+    assert 0.77 < (got + len(DATA) * len(receiver.heard)) / (500 * len(DATA)) < 0.83
+    w.faults.lose_octets(0)
+    assert not w.faults.armed
+
+
+def test_bursts_damage_neighbouring_octets(world: WorldFactory) -> None:
+    w = world(seed=3, token_rules=False)
+    seen: list[dict[int, int]] = []
+    w.faults.bursts(1e-3, 40)
+
+    def see(tx: Transmission) -> bool:
+        seen.append(tx.flips)
+        return False
+
+    w.faults.drop(see, times=None)
+    sending(w, 2_000)
+    w.run_until(2_000 * MS)
+    # a burst begins in one telegram of 121 bits in eight, and half of its bits are wrong
+    damaged = [flips for flips in seen if flips]
+    assert 150 < len(damaged) < 450
+    wrong = sum(mask.bit_count() for flips in damaged for mask in flips.values())
+    assert 0.3 < wrong / (2_000 * 121 * 1e-3 * 40 / 2) < 1.2
+    assert sum(max(flips) - min(flips) > 4 for flips in damaged) < len(damaged) / 5
+    w.faults.bursts(0, 1)
+    w.faults.clear()
+    assert not w.faults.armed
+
+
 def test_a_delayed_transmission_of_a_station_that_went_never_begins(world: WorldFactory) -> None:
     w = world(token_rules=False)
     receiver = sending(w, 1)
@@ -326,6 +387,15 @@ def test_impossible_faults_are_refused(world: WorldFactory) -> None:
         faults.drop(from_2, times=0)
     with pytest.raises(ConfigError, match="before its time"):
         faults.delay(from_2, -1)
+    with pytest.raises(ConfigError, match="or drop the transmission"):
+        faults.truncate(from_2, octets=0)
+    with pytest.raises(ConfigError, match="cannot begin before the end"):
+        faults.repeat(from_2, -1)
+    for bits, per_bit in ((0, 0.1), (10, 0.6)):
+        with pytest.raises(ConfigError, match=r"0 to 0\.5"):
+            faults.bursts(per_bit, bits)
+    with pytest.raises(ConfigError, match=r"0 to 0\.5"):
+        faults.lose_octets(0.6)
     assert not faults.armed
 
 

@@ -1,0 +1,8 @@
+"""All faults of the fault matrix, in the order of its snapshot."""
+
+from __future__ import annotations
+
+from fault_matrix import Fault
+from fault_matrix_wire import WIRE_FAULTS
+
+FAULTS: list[Fault] = [*WIRE_FAULTS]
