@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import collections
+import functools
 import re
 import subprocess
 import sys
@@ -174,13 +175,28 @@ def modules(under: Path) -> list[Path]:
     return sorted(path for path in under.rglob("*.py") if "__pycache__" not in path.parts)
 
 
+@functools.cache  # parsing the whole product takes seconds
+def nodes(path: Path) -> tuple[list[ast.Import | ast.ImportFrom], set[str]]:
+    """The imports of ``path``, and the names and attributes that it uses."""
+    statements: list[ast.Import | ast.ImportFrom] = []
+    used: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        if isinstance(node, (ast.Import, ast.ImportFrom)):
+            statements.append(node)
+        elif isinstance(node, ast.Attribute):
+            used.add(node.attr)
+        elif isinstance(node, ast.Name):
+            used.add(node.id)
+    return statements, used
+
+
 def imports(path: Path) -> Iterator[tuple[int, str, str]]:
     """Line, module and target of every import of ``path``; the target of ``from package import module`` is that module,
     else the target is the module."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+    for node in nodes(path)[0]:
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name, alias.name) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
+        else:
             assert node.level == 0, f"{path}:{node.lineno}: relative import; write the whole name"
             module = node.module or ""
             for alias in node.names:
@@ -192,6 +208,7 @@ def package_of(path: Path) -> str:
     return path.relative_to(ROOT / "dpstack").with_suffix("").parts[0]
 
 
+@functools.cache
 def exists(dotted: str) -> bool:
     base = ROOT.joinpath(*dotted.split("."))
     return base.with_suffix(".py").exists() or base.is_dir()
@@ -278,13 +295,7 @@ def test_no_import_circle() -> None:
 def test_by_string_only_what_is_loaded_late() -> None:
     found = set()
     for path in modules(ROOT / "dpstack"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        names = {
-            node.attr if isinstance(node, ast.Attribute) else node.id
-            for node in ast.walk(tree)
-            if isinstance(node, (ast.Attribute, ast.Name))
-        }
-        if names & {"import_module", "__import__"}:
+        if nodes(path)[1] & {"import_module", "__import__"}:
             found.add(dotted_of(path).removeprefix("dpstack.") if path.parent != ROOT / "dpstack" else path.stem)
     assert found == BY_STRING
 
