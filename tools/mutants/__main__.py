@@ -1,0 +1,275 @@
+"""``python -m tools.mutants --sample 400 --seed 1``: whether the tests notice small changes of the protocol machines.
+
+mutmut's operators make the mutants (``[tool.mutmut]`` in pyproject.toml has the rooms and the tests). A random sample
+of them, by seed over all rooms, is tried: each mutant against the tests that execute its line, the room's own first,
+then the quickest, until one fails. It is *killed* if one fails, *timeout* if a test takes ten times as long as usual
+(counts as killed), *no tests* if no test executes its line, else it *survived*. tools/mutants/equivalent.toml explains
+those that change nothing; they are counted as *explained*, not as killed.
+
+* ``--rooms fdl,dp,dpv1,phy``: only these rooms; ``--only dpstack/fdl/active/exchange.py``: only this file or folder.
+* ``--sample 0``: all mutants.
+* ``--out FILE``: JSON lines. A run with the same file tries only those mutants that it does not have.
+* ``--survivors FILE``: print the survivors of such a file and try them again.
+* ``--branch``: no mutants; branch coverage of each room by the same tests.
+
+The first run measures which tests execute which lines (some minutes, kept in ~/.cache/dpstack-mutants); later runs
+measure only files of tests that changed. ``--measure`` measures all again (tests/kits changed much).
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import json
+import os
+import random
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+try:
+    import coverage  # noqa: F401
+    import mutmut  # noqa: F401
+except ImportError:
+    sys.exit("tools.mutants needs mutmut and coverage: pip install -e '.[test,mutation]'")
+
+from mutmut.configuration import config
+
+from tools.mutants import seen_by, trial
+from tools.mutants.made import ROOT, Mutant, SourceFile, source_paths
+
+ROOMS: Final = ("fdl", "dp", "dpv1", "phy")
+EQUIVALENT: Final = Path(__file__).with_name("equivalent.toml")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tools.mutants", description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("--sample", type=int, default=400, help="number of mutants, 0: all")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rooms", default=",".join(ROOMS), help="comma-separated rooms")
+    parser.add_argument("--only", default="", help="path of a file or folder")
+    parser.add_argument(
+        "--seconds", type=float, default=8.0, help="tests for one mutant, in seconds of their usual time"
+    )
+    parser.add_argument("--out", type=Path, help="JSON lines of the results; a run goes on where the file ends")
+    parser.add_argument("--survivors", type=Path, help="try the survivors of such a file again")
+    parser.add_argument("--measure", action="store_true", help="measure anew which tests execute which lines")
+    parser.add_argument("--branch", action="store_true", help="branch coverage of each room instead of mutants")
+    given = parser.parse_args()
+    os.chdir(ROOT)
+    sys.path[:0] = [str(ROOT)]
+    arguments = [*config().pytest_add_cli_args, *config().pytest_add_cli_args_test_selection]
+    rooms = given.rooms.split(",")
+    if given.branch:
+        branch_coverage(rooms, arguments)
+        return
+    trial.prepare_cold()
+    seen = seen_by.load(config().pytest_add_cli_args_test_selection, config().pytest_add_cli_args, anew=given.measure)
+    part = given.only.removesuffix(".py").replace("/", "-") or "-".join(rooms)
+    out = given.out or seen_by.CACHE / f"{part}-sample-{given.sample}-seed-{given.seed}.jsonl"
+    if given.survivors:
+        before = [json.loads(line) for line in given.survivors.read_text(encoding="utf-8").splitlines()]
+        wanted = [row for row in before if row["result"] in ("survived", "no tests")]
+        mutants = _same_again(wanted)
+        out = given.out or given.survivors.with_suffix(".again.jsonl")
+        out.unlink(missing_ok=True)
+    else:
+        mutants = _drawn(rooms, given.only, given.sample, given.seed)
+    done = _read(out)
+    print(f"commit {_commit()}, seed {given.seed}, results in {out}", flush=True)
+    _try_all(mutants, done, out, arguments, seen, given.seconds)
+    report(_read(out))
+
+
+def _drawn(rooms: Sequence[str], only: str, sample: int, seed: int) -> Iterator[Mutant]:
+    """A random sample of the mutants of all files, without repetition, in order of the files."""
+    files = [SourceFile(path) for path in source_paths(rooms) if path.startswith(only)]
+    places = [(index, number) for index, file in enumerate(files) for number in range(len(file))]
+    chosen = sorted(random.Random(seed).sample(places, sample)) if 0 < sample < len(places) else places
+    print(f"{len(chosen)} of {len(places)} mutants in {len(files)} files", flush=True)
+    for index, number in chosen:
+        yield files[index].mutant(number)
+
+
+def _same_again(rows: Sequence[dict[str, Any]]) -> Iterator[Mutant]:
+    """The mutants of the present sources with the same function and the same difference."""
+    for path in sorted({row["path"] for row in rows}):
+        file = SourceFile(path)
+        differences = collections.Counter((row["function"], tuple(row["diff"])) for row in rows if row["path"] == path)
+        for number in range(len(file)):
+            mutant = file.mutant(number)
+            key = (mutant.function, tuple(mutant.diff()))
+            if differences[key]:
+                differences[key] -= 1
+                yield mutant
+
+
+def _try_all(
+    mutants: Iterator[Mutant],
+    done: dict[tuple[str, int], dict[str, Any]],
+    out: Path,
+    arguments: Sequence[str],
+    seen: seen_by.SeenBy,
+    seconds: float,
+) -> None:
+    warm, known = trial.start_warm(arguments)
+    explained = _explained()
+    sound: dict[tuple[bool, str], bool] = {}
+
+    def ask(order: trial.Order, cold: bool) -> trial.Outcome:
+        if cold:
+            return trial.cold_trial(order)
+        warm.send(order)
+        answer: trial.Outcome = warm.recv()
+        return answer
+
+    def order_of(mutant: Mutant, numbers: Sequence[int], source: str) -> trial.Order:
+        place = mutant.place
+        tests = [seen.tests[number] for number in numbers]
+        return trial.Order(
+            mutant.path,
+            source,
+            place.qualname,
+            place.function_line,
+            tests,
+            [seen.seconds[number] for number in numbers],
+        )
+
+    def outcome_of(mutant: Mutant) -> trial.Outcome:
+        numbers = [n for n in seen.of_mutant(mutant) if seen.tests[n] in known]
+        cold = seen.runs_at_import(mutant)
+        while True:
+            chosen = _within(seen, numbers, seconds, files=6 if cold else 0)
+            if not chosen:
+                return trial.Outcome("no tests")
+            outcome = ask(order_of(mutant, chosen, mutant.after), cold)
+            if outcome.result == "broken" and not cold:
+                cold = True
+                continue
+            if outcome.result not in ("killed", "timeout") or not outcome.test:
+                return outcome
+            # a test that fails without the mutant too, in such a process, shows nothing
+            key = (cold, outcome.test)
+            number = seen.tests.index(outcome.test)
+            if key not in sound:
+                sound[key] = ask(order_of(mutant, [number], ""), cold).result == "survived"
+            if sound[key]:
+                return outcome
+            print(f"left out, fails without a mutant: {outcome.test}", flush=True)
+            numbers.remove(number)
+
+    with out.open("a", encoding="utf-8") as file:
+        for mutant in mutants:
+            if (mutant.path, mutant.number) in done:
+                continue
+            began = time.monotonic()
+            outcome = outcome_of(mutant)
+            diff = mutant.diff()
+            result = outcome.result
+            if result in ("survived", "no tests") and (mutant.function, tuple(diff)) in explained:
+                result = "explained"
+            row = {
+                "path": mutant.path,
+                "number": mutant.number,
+                "function": mutant.function,
+                "result": result,
+                "test": outcome.test,
+                "seconds": round(time.monotonic() - began, 2),
+                "diff": diff,
+            }
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+    warm.send(None)
+
+
+def _within(seen: seen_by.SeenBy, numbers: Sequence[int], seconds: float, *, files: int) -> list[int]:
+    """The first tests, as many as take ``seconds``; of ``files`` files at most (0: any number)."""
+    chosen: list[int] = []
+    total = 0.0
+    used: set[str] = set()
+    for number in numbers:
+        file = seen.tests[number].split("::")[0]
+        if files and file not in used and len(used) == files:
+            continue
+        used.add(file)
+        if chosen and total + seen.seconds[number] > seconds:
+            break
+        total += seen.seconds[number]
+        chosen.append(number)
+    return chosen
+
+
+def _explained() -> set[tuple[str, tuple[str, ...]]]:
+    if not EQUIVALENT.exists():
+        return set()
+    rows = tomllib.loads(EQUIVALENT.read_text(encoding="utf-8")).get("mutant", [])
+    return {(row["function"], tuple(row["diff"].strip("\n").split("\n"))) for row in rows}
+
+
+def _read(out: Path) -> dict[tuple[str, int], dict[str, Any]]:
+    if not out.exists():
+        return {}
+    rows = [json.loads(line) for line in out.read_text(encoding="utf-8").splitlines()]
+    return {(row["path"], row["number"]): row for row in rows}
+
+
+def report(rows: dict[tuple[str, int], dict[str, Any]]) -> None:
+    """Print the survivors and a table of the rooms."""
+    counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
+    for row in rows.values():
+        counts[row["path"].split("/")[1]][row["result"]] += 1
+        if row["result"] not in ("killed", "timeout", "explained"):
+            print(f"\n{row['result']}: {row['function']}")
+            print("\n".join(row["diff"]))
+    results = ("killed", "timeout", "survived", "no tests", "explained", "broken")
+    print("\n| room | mutants | " + " | ".join(results) + " | noticed |")
+    print("|---" * (len(results) + 3) + "|")
+    total: collections.Counter[str] = collections.Counter()
+    for room, count in counts.items():
+        total += count
+        _print_row(room, count, results)
+    _print_row("all", total, results)
+
+
+def _print_row(room: str, count: collections.Counter[str], results: Sequence[str]) -> None:
+    noticed = count["killed"] + count["timeout"]
+    cells = [str(count[result]) for result in results]
+    print(f"| {room} | {count.total()} | {' | '.join(cells)} | {100 * noticed / max(1, count.total()):.1f} % |")
+
+
+def _commit() -> str:
+    return subprocess.run(
+        ["git", "rev-parse", "--short=10", "HEAD"], capture_output=True, text=True, check=False
+    ).stdout.strip()
+
+
+def branch_coverage(rooms: Sequence[str], arguments: Sequence[str]) -> None:
+    """Print statements and branches of each room that the tests execute."""
+    import coverage
+    import pytest
+
+    measured: Any = coverage.Coverage(
+        data_file=None, branch=True, config_file=False, include=[f"{ROOT}/dpstack/{room}/*" for room in rooms]
+    )
+    measured.start()
+    pytest.main([*arguments, "-q", "-p", "no:cacheprovider", "-n", "0", "--tb=short"])
+    measured.stop()
+    print("\n| room | statements | executed | branches | taken |")
+    print("|---|---|---|---|---|")
+    for room in rooms:
+        count: collections.Counter[str] = collections.Counter()
+        for path in sorted((ROOT / "dpstack" / room).rglob("*.py")):
+            numbers = measured._analyze(str(path)).numbers
+            for name in ("n_statements", "n_executed", "n_branches", "n_executed_branches"):
+                count[name] += getattr(numbers, name)
+        lines = 100 * count["n_executed"] / count["n_statements"]
+        branches = 100 * count["n_executed_branches"] / count["n_branches"]
+        print(f"| {room} | {count['n_statements']} | {lines:.1f} % | {count['n_branches']} | {branches:.1f} % |")
+
+
+if __name__ == "__main__":
+    main()
