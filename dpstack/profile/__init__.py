@@ -33,6 +33,7 @@ from dpstack.profile.channel.pkw import (
     ReplyId,
     TaskId,
 )
+from dpstack.profile.channel.stored_writes import StoredWrites
 from dpstack.profile.drive_profile import DriveProfile, OptionSpec, RateSetting
 from dpstack.profile.master.core import DriveCore, Lookup, settled
 from dpstack.profile.master.mapped_core import MAP_OPS, MappedCore
@@ -105,6 +106,7 @@ __all__ = [
     "StateRow",
     "StateTable",
     "Steps",
+    "StoredWrites",
     "TaskId",
     "TelegramFamily",
     "TelegramSpec",

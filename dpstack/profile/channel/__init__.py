@@ -2,4 +2,6 @@
 
 - ``base``: Parameter channel of a drive: common interface of PKW, makers' own channels and record 47; shared checks
 - ``pkw``: The parameter channel of PPO1 and PPO2 (PKW): eight octets PKE IND PWE with a handshake, both ends
+- ``stored_writes``: Limit of the writes that a drive stores: its EEPROM wears out, often after 100 000 writes of a
+  parameter
 """

@@ -26,6 +26,7 @@ from dpstack.profile.channel.base import (
     find_parameter,
     outcome,
 )
+from dpstack.profile.channel.stored_writes import StoredWrites
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.param_errors import OPERATING_STATE, PARAMETER_ERRORS
 from dpstack.profile.model.params import ParamSpec, ParamTable
@@ -320,6 +321,7 @@ class PkwAccess(PkwChannel, ParameterChannel):
     def __init__(self, dialect: PkwDialect, core: PkwCore) -> None:
         super().__init__(dialect, core)
         self._core = core
+        self._stored_writes = StoredWrites()
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         ref = self._core.resolve(key)
@@ -339,6 +341,8 @@ class PkwAccess(PkwChannel, ParameterChannel):
             kind = TaskId.WRITE_ARRAY_LONG if long else TaskId.WRITE_ARRAY_WORD
         else:
             kind = TaskId.WRITE_LONG if long else TaskId.WRITE_WORD
+        if not key.ram:
+            self._stored_writes.admit((ref.pnu, ref.ind), ref.label, self._core.now, ref.spec)
         reply = yield from self._exchange(Pkw(kind, ref.pnu, ref.ind, pwe), ref, deadline)
         self._core.written(ref)
         return _outcome(ref, reply)

@@ -48,6 +48,7 @@ class ParamSpec:
     ``per_unit`` instead of ``decimals`` where that is no power of ten. ``index``: a fixed subindex that belongs to the
     number. ``by_name``: people know it by its name. ``per_set``: exists once in every data set. ``read_only``.
     ``text``: a string, which the parameter channel cannot carry. ``made_up``: limits or factory value are ours.
+    ``volatile``: the drive never stores it in its EEPROM.
     """
 
     number: int
@@ -67,6 +68,7 @@ class ParamSpec:
     text: bool = False
     made_up: bool = False
     by_name: bool = False
+    volatile: bool = False
 
     def to_raw(self, value: float) -> int:
         """The integer on the wire. Raises ValueError with the limits, or with the step where it lies between two."""

@@ -21,6 +21,7 @@ from dpstack.profile.channel.base import (
     outcome,
     refused,
 )
+from dpstack.profile.channel.stored_writes import StoredWrites
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.param_errors import error_text
 from dpstack.profile.model.params import ParamSpec, ParamTable
@@ -108,6 +109,7 @@ class AcyclicAccess(ParameterChannel):
         self._clock = clock
         self._turns: deque[object] = deque()
         self._formats: dict[Address, int] = {}
+        self._stored_writes = StoredWrites()
 
     @property
     def octets(self) -> bytes:
@@ -191,6 +193,7 @@ class AcyclicAccess(ParameterChannel):
             number = (yield from self._values(place, deadline)).format
         try:
             values = Values(number, (_raw(spec, number, value),))
+            self._stored_writes.admit(place.address, place.label, self._clock.now, spec)
             transport = self.client.change([(place.address, values)], deadline)
             (result,) = yield from self.run(transport, deadline, place.label)
         except ValueError as error:

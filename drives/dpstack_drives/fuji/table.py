@@ -206,7 +206,7 @@ PARAMETERS: Final = ParamTable(
     (
         _row("S01", "Frequency reference, per unit", 0, "", -32_768, 32_767, 0, made_up=True, read_only=True),
         _row("S05", "Frequency reference", 2, "Hz", 0, 655.35, 0, made_up=True, read_only=True),
-        _row("S06", "Operation command", 0, "", 0, 0xFFFF, 0, made_up=True),
+        _row("S06", "Operation command", 0, "", 0, 0xFFFF, 0, made_up=True, volatile=True),
         *(_row(f"M{16 + n}", f"Alarm code, {n} before the latest", 0, "", 0, 254, 0, read_only=True) for n in range(4)),
         _row("F01", "Frequency command source", 0, "", 0, 10, 0, made_up=True),
         _row("F03", "Maximum frequency", 1, "Hz", 25, 400, 60, made_up=True),

@@ -23,6 +23,7 @@ from dpstack.profile import (
     PkwChannel,
     PkwDialect,
     Steps,
+    StoredWrites,
 )
 from dpstack_drives.imo import table as t
 
@@ -89,6 +90,7 @@ class ImoAccess(PkwChannel, ParameterChannel):
         super().__init__(PKW, times)
         self._notice = notice
         self._warned = False
+        self._stored_writes = StoredWrites()
 
     orders = Request
     replies = Response
@@ -127,6 +129,7 @@ class ImoAccess(PkwChannel, ParameterChannel):
 
     def put(self, number: int, raw: int, deadline: int) -> Steps[Pkw]:
         """Write a word at an address."""
+        self._stored_writes.admit(number, f"parameter {_label(number)}", self._times.now, t.known(number))
         if not self._warned:
             self._warned = True
             self._notice(_EEPROM)

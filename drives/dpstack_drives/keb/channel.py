@@ -23,6 +23,7 @@ from dpstack.profile import (
     ParameterChannel,
     ParamKey,
     Steps,
+    StoredWrites,
     count_of,
 )
 from dpstack_drives.keb import table as t
@@ -125,6 +126,7 @@ class KebChannel(ParameterChannel):
 
     def __init__(self, times: CycleTimes) -> None:
         self._times = times
+        self._stored_writes = StoredWrites()
         self._queue: deque[_Request] = deque()
         self.reset()
 
@@ -211,6 +213,8 @@ class KebChannel(ParameterChannel):
 
     def put(self, target: Target, raw: int, deadline: int) -> Steps[None]:
         """Write the low 32 bits of ``raw``."""
+        spec = t.PARAMETERS.get(target.index)
+        self._stored_writes.admit((target.index, target.subindex), target.label, self._times.now, spec)
         yield from self._exchange(WRITE | _FOUR, target, raw, deadline)
 
     def _exchange(self, service: int, target: Target, raw: int, deadline: int) -> Steps[bytes]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
 
 from dpstack.profile import ParamSpec, ParamStore
 from dpstack_drives.keb import table as t
@@ -11,7 +10,6 @@ from dpstack_drives.keb.channel import RefusedError
 from dpstack_drives.keb.pdmap import Entry
 
 #: parameters that process data write: never stored
-_VOLATILE: Final = frozenset({t.CONTROL_WORD, t.SET_SPEED, t.CONTROL_LONG})
 _PASSWORD, _PASSWORD_INDEX = 440, 0x2801
 
 
@@ -100,7 +98,7 @@ class Parameters:
         value = spec.from_wire(raw, 8 * octets)
         if spec.write_error(value) is not None:
             raise RefusedError(t.BAD_VALUE)
-        self._write(spec, value, sets, ram_only=spec.number in _VOLATILE)
+        self._write(spec, value, sets, ram_only=spec.volatile)
 
     def _read(self, spec: ParamSpec, sets: int) -> int:
         live = self._live(spec.number)

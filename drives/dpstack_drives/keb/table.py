@@ -213,11 +213,11 @@ PARAMETERS: Final = ParamTable(
             for n in range(BLOCK_VALUES)
             for more, what, low, high in ((0, "definition", -1, 0x7FFF), (1, "set", 1, 0xFF))
         ),
-        _row("sy.43", "control word (long)", -_ANY, _ANY, long=True),
+        _row("sy.43", "control word (long)", -_ANY, _ANY, long=True, volatile=True),
         _row("sy.44", "status word (long)", -_ANY, _ANY, long=True, read_only=True),
-        _row("sy.50", "control word (low)"),
+        _row("sy.50", "control word (low)", volatile=True),
         _row("sy.51", "status word (low)", read_only=True),
-        _row("sy.52", "set speed value", -0x8000, 0x7FFF),
+        _row("sy.52", "set speed value", -0x8000, 0x7FFF, volatile=True),
         _row("sy.53", "actual speed value", -0x8000, 0x7FFF, read_only=True),
         _row("ru.00", "inverter state", read_only=True),
         _row("ru.12", "actual torque display", -_ANY, _ANY, long=True, read_only=True),

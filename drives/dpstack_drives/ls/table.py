@@ -288,8 +288,8 @@ def _row(
 
 PARAMETERS: Final = ParamTable(
     (
-        _row("0x0005", "Frequency command", 0, 400, 0, 2, "Hz"),
-        _row("0x0006", "Operation command", 0, 0xFFFF, 0),
+        _row("0x0005", "Frequency command", 0, 400, 0, 2, "Hz", volatile=True),
+        _row("0x0006", "Operation command", 0, 0xFFFF, 0, volatile=True),
         _row("0x000A", "Output frequency", 0, 400, 0, 2, "Hz", read_only=True),
         _row("0x000B", "Output voltage", 0, 0xFFFF, 0, read_only=True, made_up=True),
         _row("0x000E", "Operating status", 0, 0xFFFF, 0, read_only=True),
