@@ -46,17 +46,37 @@ def read(path: Path) -> list[Line]:
 
 
 def problems(line: Line) -> list[str]:
-    """Everything in the result of a slice that is a fault: counters, memory, drift, leftovers."""
+    """Everything in a result that is a fault: counters, memory, drift, leftovers."""
     found = [*line["faults"], *(f"left: {name}" for name in line["leftovers"])]
-    grown = line["rss_end"] - line["rss_warm"]
-    if grown > FLAT:
-        found.append(f"memory grew by {grown} octets after the warm-up")
-    grid = line["grid"]
-    if grid is not None and (grid["earliest_ns"] < 0 or grid["drift_ns"]):
-        found.append(f"the grid drifts: {grid}")
-    if line["before"]:
-        found += [f"left: {count} {name}" for name, count in line["objects_left"].items()]
+    for name, grown in growth(line).items():
+        if grown > (FLAT if "rss" in name or name == "octets" else 0):
+            found.append(f"{name} grew by {grown} after the warm-up")
+    if "slice" in line:
+        grid = line["grid"]
+        if grid is not None and (grid["earliest_ns"] < 0 or grid["drift_ns"]):
+            found.append(f"the grid drifts: {grid}")
+        if line["before"]:
+            found += [f"left: {count} {name}" for name, count in line["objects_left"].items()]
     return found
+
+
+def growth(line: Line) -> dict[str, int]:
+    """What has grown after the warm-up, and by how much."""
+    if "slice" in line:
+        return {"rss": line["rss_end"] - line["rss_warm"]}
+    if "ptys" in line:
+        return {name: grown for name, grown in line["growth"].items() if name != "objects"}
+    return {"octets": line["octets"][-1] - line["octets"][0]}
+
+
+def title(line: Line) -> str:
+    """One line for people."""
+    took = f"{line['cpu_s']} s of CPU time"
+    if "slice" in line:
+        return f"slice {line['slice']}: {line['telegrams']} telegrams, {took}"
+    if "ptys" in line:
+        return f"ptys, driver {line['ptys']}: {line['telegrams']} telegrams in {line['seconds']:g} s, {took}"
+    return f"tracemalloc: {line['exchanges']} exchanges, {took}"
 
 
 def slices_of(text: str) -> list[int]:
@@ -65,33 +85,94 @@ def slices_of(text: str) -> list[int]:
     return list(range(int(first), int(last or first) + 1))
 
 
-def table(lines: Iterable[Line]) -> str:
-    """The sum of all slices as Markdown, and every problem below it."""
-    by_number = {line["slice"]: line for line in lines if "slice" in line}
-    if not by_number:
-        return "no slices yet"
-    done = list(by_number.values())
+def report(lines: list[Line]) -> str:
+    """All results as Markdown: the sum of the slices, the last run of each driver on ptys, the last under tracemalloc.
+    The problems come last."""
+    slices = {line["slice"]: line for line in lines if "slice" in line}
+    ptys = {line["ptys"]: line for line in lines if "ptys" in line}
+    traced = [line for line in lines if "traced" in line][-1:]
+    parts = []
+    if slices:
+        parts.append(rows_of(("10^8 telegrams", "so far"), slice_rows(slices)))
+    if ptys:
+        parts.append(rows_of(("on ptys", *ptys), pty_rows(list(ptys.values()))))
+    parts += [rows_of(("tracemalloc", ""), traced_rows(line)) for line in traced]
+    bad = [
+        f"- {title(line)}: {text}" for line in (*slices.values(), *ptys.values(), *traced) for text in problems(line)
+    ]
+    return "\n\n".join((*parts, "\n".join(bad) or "no problems"))
+
+
+def rows_of(head: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> str:
+    """A Markdown table. Whole numbers get a blank at each thousand."""
+    texts = [[f"{cell:,}".replace(",", " ") if isinstance(cell, int) else str(cell) for cell in row] for row in rows]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *texts))
+
+
+def slice_rows(slices: dict[int, Line]) -> list[tuple[object, ...]]:
+    """The sum of all slices."""
+    done = list(slices.values())
     grids = [line["grid"] for line in done if line["grid"] is not None]
     ours = [line["ours"] for line in done]
-    acts = sum(sum(line["acts"].values()) for line in done)
-    growth = [line["rss_end"] - line["rss_warm"] for line in done]
-    bad = [f"- slice {line['slice']}: {text}" for line in done for text in problems(line)]
-    rows = [
-        ("slices", f"{len(done)}, numbers {min(by_number)} to {max(by_number)}"),
-        ("commits", ", ".join(sorted({line["commit"] for line in done}))),
-        ("telegrams on the wire", f"{sum(line['telegrams'] for line in done):_}"),
-        ("of them Data_Exchange, answered", f"{sum(mine['exchanges'] for mine in ours):_}"),
-        ("tokens", f"{sum(mine['tokens'] for mine in ours):_}"),
-        ("services beside the cycle", f"{sum(line['services'] for line in done):_}"),
-        ("acts of the programs", f"{acts:_}"),
+    grown = [line["rss_end"] - line["rss_warm"] for line in done]
+    return [
+        ("slices", f"{len(done)} of 100, numbers {min(slices)} to {max(slices)}"),
+        ("commit", ", ".join(sorted({line["commit"] for line in done}))),
+        ("telegrams on the wire", sum(line["telegrams"] for line in done)),
+        ("of them answered Data_Exchange requests", sum(mine["exchanges"] for mine in ours)),
+        ("tokens", sum(mine["tokens"] for mine in ours)),
+        ("requests of services beside the cycle", sum(line["services"] for line in done)),
+        (
+            "acts of the programs (speeds, parameters, services, faults)",
+            sum(sum(line["acts"].values()) for line in done),
+        ),
         ("bus time", f"{sum(line['bus_s'] for line in done) / 3600:.2f} h"),
         ("CPU time", f"{sum(line['cpu_s'] for line in done) / 3600:.2f} h"),
-        ("rounds of a fixed cycle", f"{sum(grid['rounds'] for grid in grids):_}"),
-        ("of them late, left out", f"{sum(g['late'] for g in grids):_}, {sum(g['left_out'] for g in grids):_}"),
-        ("largest deviation from the grid", f"{max((grid['latest_ns'] for grid in grids), default=0) / 1e6:g} ms"),
-        ("largest drift at the end of a slice", f"{max((grid['drift_ns'] for grid in grids), default=0)} ns"),
-        ("growth of memory after the warm-up", f"{min(growth) // 1024} to {max(growth) // 1024} KiB"),
-        ("slices with a fault", f"{len({line['slice'] for line in done if problems(line)})}"),
+        ("rounds of a fixed cycle", sum(grid["rounds"] for grid in grids)),
+        ("of them late by more than a tenth", sum(grid["late"] for grid in grids)),
+        ("cycles left out", sum(grid["left_out"] for grid in grids)),
+        ("largest deviation of a round from the grid", f"{max((g['latest_ns'] for g in grids), default=0) / 1e6:g} ms"),
+        ("drift of a grid", f"{max((grid['drift_ns'] for grid in grids), default=0)} ns"),
+        ("growth of memory after the warm-up of a slice", f"{min(grown) // 1024} to {max(grown) // 1024} KiB"),
+        ("differences between our counters and the wire", sum(len(line["faults"]) for line in done)),
+        ("leftovers", sum(len(line["leftovers"]) for line in done)),
     ]
-    text = "\n".join(("| | |", "|---|---|", *(f"| {name} | {value.replace('_', ' ')} |" for name, value in rows)))
-    return "\n".join((text, *bad))
+
+
+def pty_rows(runs: list[Line]) -> list[tuple[object, ...]]:
+    """The runs on ptys side by side."""
+
+    def row(name: str, key: str) -> tuple[object, ...]:
+        return (name, *(run[key] for run in runs))
+
+    def grown(key: str) -> list[str]:
+        return [f"{run['growth'][key] // 1024} KiB" if key in run["growth"] else "-" for run in runs]
+
+    return [
+        row("commit", "commit"),
+        ("length", *(f"{run['seconds'] / 60:g} min" for run in runs)),
+        row("telegrams both ways", "telegrams"),
+        row("exchanges", "exchanges"),
+        row("repeated requests", "repeats"),
+        row("cycles of 20 ms begun", "cycles"),
+        row("of the due ones late or left out", "missed"),
+        ("latest round", *(f"{run['rounds_late_ms']} ms" for run in runs)),
+        ("drift of the grid, first to last third", *(f"{run['drift_us']} us" for run in runs)),
+        ("acts of the program", *(sum(run["acts"].values()) for run in runs)),
+        ("growth of the application's memory", *grown("rss")),
+        ("growth of the bus process's memory", *grown("bus_rss")),
+        ("leftovers", *(len(run["leftovers"]) for run in runs)),
+        ("differences to the far end, lost slaves", *(len(run["faults"]) for run in runs)),
+    ]
+
+
+def traced_rows(line: Line) -> list[tuple[object, ...]]:
+    """The run under tracemalloc."""
+    at = [f"{octets / 1024:.0f} KiB at {part:.0%}" for part, octets in zip(line["parts"], line["octets"], strict=True)]
+    return [
+        ("commit", line["commit"]),
+        ("exchanges", line["exchanges"]),
+        ("allocated after so much of the run", ", ".join(at)),
+        ("peak after the warm-up", f"{max(line['peaks'][1:]) / 1024:.0f} KiB"),
+        *((f"growth at {where}", f"{size} octets, {count} blocks") for where, size, count in line["grown"][:5]),
+    ]

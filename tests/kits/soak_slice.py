@@ -81,13 +81,13 @@ class Mark:
 
 
 class Slice:
-    """Slice ``number`` with ``telegrams`` transmissions; :func:`run_slice` runs it."""
+    """Slice ``number`` until ``wanted`` transmissions are :attr:`done`; :func:`run_slice` runs it."""
 
-    def __init__(self, number: int, telegrams: int) -> None:
+    def __init__(self, number: int, wanted: int) -> None:
         self.number = number
         self.random = Random(number)
         self.cycle_ms = CYCLES_MS[number % len(CYCLES_MS)]
-        self.wanted = telegrams
+        self.wanted = wanted
         self.world = World(seed=number)
         self.wire = WireCount(MASTER)
         self.world.log.listener = self.wire
@@ -218,10 +218,7 @@ class Slice:
             begin = await self._mark()
             if self.cycle_ms:
                 self.wire.grid = Grid(self.cycle_ms * NS_PER_MS)
-            await self._work(int(self.wanted * _WARM))
-            self.memory.append(memory())
-            await self._work(self.wanted)
-            self.memory.append(memory())
+            await self.work()
             end = await self._mark()
             grid, self.wire.grid = self.wire.grid, None
         # readers end with the bus
@@ -233,8 +230,21 @@ class Slice:
         await asyncio.sleep(60)  # a timer that was forgotten would show as a task or as an event
         self.result["leftovers"] = belongings().more_than(before)
 
-    async def _work(self, until: int) -> None:
-        while self.wire.telegrams < until:
+    @property
+    def done(self) -> int:
+        """How much of the number wanted is done."""
+        return self.wire.telegrams
+
+    async def work(self) -> None:
+        """Let the program act until the slice is done."""
+        await self.work_until(int(self.wanted * _WARM))
+        self.memory.append(memory())
+        await self.work_until(self.wanted)
+        self.memory.append(memory())
+
+    async def work_until(self, done: int) -> None:
+        """Let the program act until so much is done."""
+        while self.done < done:
             await asyncio.sleep(self.random.choice((0.02, 0.1, 0.3, 1.0)))
             await self._act()
 
