@@ -6,9 +6,10 @@ then the quickest, until one fails. It is *killed* if one fails, *timeout* if a 
 (counts as killed), *no tests* if no test executes its line, else it *survived*. tools/mutants/equivalent.toml explains
 those that change nothing; they are counted as *explained*, not as killed.
 
-* ``--rooms fdl,dp,dpv1,phy``: only these rooms; ``--only dpstack/fdl/active/exchange.py``: only this file or folder.
+* ``--rooms fdl,phy`` and ``--only dpstack/fdl/active/exchange.py`` try only those mutants of the sample that are there.
 * ``--sample 0``: all mutants.
 * ``--out FILE``: JSON lines. A run with the same file tries only those mutants that it does not have.
+* ``--report FILE...``: no mutants; the table of such files together.
 * ``--survivors FILE``: print the survivors of such a file and try them again.
 * ``--branch``: no mutants; branch coverage of each room by the same tests.
 
@@ -20,6 +21,8 @@ from __future__ import annotations
 
 import argparse
 import collections
+import hashlib
+import itertools
 import json
 import os
 import random
@@ -57,6 +60,7 @@ def main() -> None:
     )
     parser.add_argument("--out", type=Path, help="JSON lines of the results; a run goes on where the file ends")
     parser.add_argument("--survivors", type=Path, help="try the survivors of such a file again")
+    parser.add_argument("--report", type=Path, nargs="+", help="print the table of such files")
     parser.add_argument("--measure", action="store_true", help="measure anew which tests execute which lines")
     parser.add_argument("--branch", action="store_true", help="branch coverage of each room instead of mutants")
     given = parser.parse_args()
@@ -64,6 +68,9 @@ def main() -> None:
     sys.path[:0] = [str(ROOT)]
     arguments = [*config().pytest_add_cli_args, *config().pytest_add_cli_args_test_selection]
     rooms = given.rooms.split(",")
+    if given.report:
+        report({key: row for file in given.report for key, row in _read(file).items()})
+        return
     if given.branch:
         branch_coverage(rooms, arguments)
         return
@@ -86,13 +93,28 @@ def main() -> None:
 
 
 def _drawn(rooms: Sequence[str], only: str, sample: int, seed: int) -> Iterator[Mutant]:
-    """A random sample of the mutants of all files, without repetition, in order of the files."""
-    files = [SourceFile(path) for path in source_paths(rooms) if path.startswith(only)]
-    places = [(index, number) for index, file in enumerate(files) for number in range(len(file))]
-    chosen = sorted(random.Random(seed).sample(places, sample)) if 0 < sample < len(places) else places
-    print(f"{len(chosen)} of {len(places)} mutants in {len(files)} files", flush=True)
-    for index, number in chosen:
-        yield files[index].mutant(number)
+    """A random sample of the mutants of all rooms, without repetition: those in ``rooms`` and in the path ``only``."""
+    paths = source_paths(ROOMS)
+    counts = _counts(paths)
+    places = [(path, number) for path in paths for number in range(counts[path])]
+    drawn = sorted(random.Random(seed).sample(places, sample)) if 0 < sample < len(places) else places
+    chosen = [place for place in drawn if place[0].split("/")[1] in rooms and place[0].startswith(only)]
+    print(f"{len(drawn)} of {len(places)} mutants are drawn, {len(chosen)} of them are tried", flush=True)
+    for path, numbers in itertools.groupby(chosen, key=lambda place: place[0]):
+        file = SourceFile(path)
+        for _, number in numbers:
+            yield file.mutant(number)
+
+
+def _counts(paths: Sequence[str]) -> dict[str, int]:
+    """The number of mutants of each file; kept, because it takes half a minute to count them all."""
+    kept = seen_by.CACHE / "counts.json"
+    counts: dict[str, int] = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else {}
+    digests = {path: hashlib.sha256((ROOT / path).read_bytes()).hexdigest() for path in paths}
+    for digest, path in ((digest, path) for path, digest in digests.items() if digest not in counts):
+        counts[digest] = len(SourceFile(path))
+    kept.write_text(json.dumps(counts), encoding="utf-8")
+    return {path: counts[digest] for path, digest in digests.items()}
 
 
 def _same_again(rows: Sequence[dict[str, Any]]) -> Iterator[Mutant]:

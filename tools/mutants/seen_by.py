@@ -23,6 +23,10 @@ from tools.mutants.made import ROOT, Mutant
 CACHE: Final = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dpstack-mutants"
 
 
+#: number of files of tests that are measured by one process
+_TOGETHER: Final = 12
+
+
 @dataclass(slots=True)
 class SeenBy:
     """The map from lines to tests."""
@@ -39,8 +43,12 @@ class SeenBy:
     #: file -> its lines when the map was made
     sources: dict[str, list[str]] = field(default_factory=dict)
 
-    def note_sources(self) -> None:
+    def keep(self, file: Path) -> None:
+        """Write the map to ``file``."""
         self.sources = {path: _lines_of(path) for path in self.lines}
+        part = file.with_suffix(f".{os.getpid()}")
+        part.write_bytes(pickle.dumps(self))
+        part.replace(file)
 
     def follow_sources(self) -> None:
         """Give the lines of files that changed the tests of the lines that stood there before."""
@@ -73,7 +81,9 @@ class SeenBy:
             }
             for path, of in self.lines.items()
         }
-        return SeenBy([self.tests[number] for number in stay], [self.seconds[n] for n in stay], lines, self.imported)
+        left = {file: digest for file, digest in self.files.items() if file not in files}
+        tests, seconds = [self.tests[number] for number in stay], [self.seconds[number] for number in stay]
+        return SeenBy(tests, seconds, lines, self.imported, left)
 
     def with_part(self, part: SeenBy) -> SeenBy:
         """The map with the tests of another one."""
@@ -83,7 +93,8 @@ class SeenBy:
             for line, bits in lines.items():
                 mine[line] = mine.get(line, 0) | bits << shift
             self.imported.setdefault(path, set()).update(part.imported.get(path, ()))
-        return SeenBy([*self.tests, *part.tests], [*self.seconds, *part.seconds], self.lines, self.imported)
+        tests, seconds = [*self.tests, *part.tests], [*self.seconds, *part.seconds]
+        return SeenBy(tests, seconds, self.lines, self.imported, self.files)
 
     def of_mutant(self, mutant: Mutant) -> list[int]:
         """The numbers of the tests that can notice ``mutant``: the room's own first, then the quickest first.
@@ -228,20 +239,19 @@ def load(selection: Sequence[str], options: Sequence[str], *, anew: bool) -> See
         for path in selection
         for file in sorted((ROOT / path).rglob("test_*.py"))
     }
-    changed = [file for file, digest in files.items() if seen is None or seen.files.get(file) != digest]
-    gone = set() if seen is None else seen.files.keys() - files.keys()
-    if changed:
-        print(f"measuring which lines the tests of {len(changed)} files execute ...", flush=True)
-        part = _measured_apart([*options, *(changed if seen else selection)])
-    else:
-        part = SeenBy([], [], {}, {})
-    if seen is not None:
-        seen.follow_sources()
-        part = seen.without(gone | set(changed)).with_part(part)
-    part.files = files
-    part.note_sources()
-    kept.write_bytes(pickle.dumps(part))
-    return part
+    if seen is None:
+        seen = SeenBy([], [], {}, {})
+    seen.follow_sources()
+    changed = [file for file, digest in files.items() if seen.files.get(file) != digest]
+    seen = seen.without((seen.files.keys() - files.keys()) | set(changed))
+    for at in range(0, len(changed), _TOGETHER):
+        some = changed[at : at + _TOGETHER]
+        print(f"measuring which lines the tests execute: {at} of {len(changed)} files", flush=True)
+        seen = seen.with_part(_measured_apart([*options, *some]))
+        seen.files |= {file: files[file] for file in some}
+        seen.keep(kept)  # a run that is stopped goes on here
+    seen.keep(kept)
+    return seen
 
 
 def _measured_apart(arguments: Sequence[str]) -> SeenBy:

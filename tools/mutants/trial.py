@@ -17,7 +17,7 @@ import resource
 import signal
 import struct
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from multiprocessing.connection import Connection, Pipe
@@ -109,31 +109,32 @@ def _codes(code: CodeType, qualname: str) -> Iterator[CodeType]:
                 yield from _codes(constant, qualname)
 
 
-def swap(order: Order) -> None:
+#: functions by file, qualified name and first line
+Live = Mapping[tuple[str, str, int], Sequence[FunctionType]]
+
+
+def live_functions(folder: str) -> Live:
+    """All functions of the files in ``folder``. (A child that looked for them would copy the whole memory.)"""
+    found: dict[tuple[str, str, int], list[FunctionType]] = {}
+    for function in gc.get_objects():
+        if isinstance(function, FunctionType) and function.__code__.co_filename.startswith(folder):
+            code = function.__code__
+            found.setdefault((code.co_filename, code.co_qualname, code.co_firstlineno), []).append(function)
+    return found
+
+
+def swap(order: Order, live: Live) -> None:
     """Give the live function of ``order`` the mutated code."""
     path = str(ROOT / order.path)
     before = compile((ROOT / order.path).read_text(encoding="utf-8"), path, "exec")
     after = compile(order.source, path, "exec")
-    pairs = list(
-        zip(
-            _codes(before, order.qualname),
-            _codes(after, order.qualname),
-            strict=True,
-        )
-    )
+    pairs = zip(_codes(before, order.qualname), _codes(after, order.qualname), strict=True)
     codes = [new for old, new in pairs if old.co_firstlineno == order.function_line]
-    live = [
-        found
-        for found in gc.get_objects()
-        if isinstance(found, FunctionType)
-        and found.__code__.co_firstlineno == order.function_line
-        and found.__code__.co_qualname == order.qualname
-        and found.__code__.co_filename == path
-    ]
-    if len(codes) != 1 or not live:
+    functions = live.get((path, order.qualname, order.function_line), ())
+    if len(codes) != 1 or not functions:
         raise CannotSwapError
     try:
-        for function in live:
+        for function in functions:
             function.__code__ = codes[0]
     except ValueError as error:  # other free variables
         raise CannotSwapError from error
@@ -144,6 +145,7 @@ class _Warm:
 
     def __init__(self, orders: Connection) -> None:
         self.orders = orders
+        self.live: Live = {}
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
@@ -153,6 +155,7 @@ class _Warm:
                 plugin.wire_log = lambda made: ""  # the log of a failing test is read by nobody
         first, other = session.items[0], session.items[-1]
         self._run(first, other)  # fixtures of the session are made once
+        self.live = live_functions(str(ROOT / "dpstack"))
         gc.collect()
         gc.freeze()
         self.orders.send(sorted(items))
@@ -172,8 +175,7 @@ class _Warm:
         def work(shared: mmap.mmap) -> int:
             if order.source:
                 try:
-                    gc.unfreeze()
-                    swap(order)
+                    swap(order, self.live)
                 except CannotSwapError:
                     return _BROKEN
                 except SyntaxError:
