@@ -21,6 +21,7 @@ from dpstack.drivers.line.timers import Timer, boottime_ns, suspended_ns
 from dpstack.drivers.runtime import OnEvents, OnFailure, PortBack, PortLost
 from dpstack.drivers.tap import Tap, TappedMachine
 from dpstack.errors import BusError, DpError, PortError, UsageError
+from dpstack.fdl.events import AddressCollision, RingLeft
 from dpstack.machine import HeldUp, LineDown, LineUp, Machine, Pumped, pump
 from dpstack.ports import Loop, Pending, Port
 from dpstack.text import printable
@@ -282,6 +283,8 @@ class LineRuntime(ABC):
         if spun:
             self._count_spinning(spun, now)
         if events:
+            if self._echo is None and self._echo_wanted is Echo.AUTO:
+                self._suspect_echo(events)
             self._dispatch(events)
 
     def _report_late_run(self, tell: OnHeldUp, now: int) -> None:
@@ -392,11 +395,19 @@ class LineRuntime(ABC):
         if echo.state is not before:
             if echo.state is Echo.ON:
                 self._dispatch([self._notice("the line echoes what is sent: the echo is removed")])
+            elif before is Echo.ON:
+                self._dispatch([self._notice("the line no longer echoes what is sent")])
             else:
                 self._echo = None
                 if self._at is not None:
                     self._port.attach(self._at, self._step, self._lost)
         return rest
+
+    def _suspect_echo(self, events: list[Event]) -> None:
+        """Look for an echo again after a telegram with this station's address: the line may have begun to echo."""
+        if self._at is not None and any(isinstance(event, AddressCollision | RingLeft) for event in events):
+            self._echo = _filter(Echo.AUTO)
+            self._port.attach(self._at, self._filtered, self._lost)
 
     # --- loss, defects, events ----------------------------------------------------------------------------------------
 

@@ -9,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpstack.drivers.line.echo import Echo, EchoFilter
+from dpstack.fdl.events import AddressCollision
 from dpstack.units import NS_PER_MS
 
 REQUEST = bytes.fromhex("68 05 05 68 82 E3 6D 3C 3E 4C 16")
 ANSWER = bytes.fromhex("68 0B 0B 68 E3 82 08 3E 3C 02 05 00 FF 0C DA D3 16")
+SAME_LENGTH = bytes.fromhex("68 05 05 68 E3 82 08 3E 3C E7 16")  # an answer as long as REQUEST
 TOKEN = bytes.fromhex("DC 02 02")
 
 
@@ -67,6 +69,63 @@ CASES: dict[str, tuple[Echo, list[bytes], list[tuple[bytes, bytes]], Echo, int]]
         [(TOKEN, b"")],
         Echo.ON,
         0,
+    ),
+    # a host that stalls longer than the patience: the repetition has been sent meanwhile
+    "two echoes may come in one piece with their answers": (
+        Echo.ON,
+        [REQUEST, REQUEST],
+        [(REQUEST + ANSWER + REQUEST + ANSWER, ANSWER + ANSWER)],
+        Echo.ON,
+        0,
+    ),
+    "a late answer may come before the echo of the next telegram, whose end is in the next piece": (
+        Echo.ON,
+        [REQUEST],
+        [(ANSWER + REQUEST[:5], ANSWER), (REQUEST[5:] + ANSWER, ANSWER)],
+        Echo.ON,
+        0,
+    ),
+    "an answer that begins like its request is whole when the echo is missing": (
+        Echo.ON,
+        [REQUEST],
+        [(SAME_LENGTH, SAME_LENGTH), (ANSWER, ANSWER)],
+        Echo.ON,
+        0,
+    ),
+    "the same in pieces": (
+        Echo.ON,
+        [REQUEST],
+        [*((b"", b"") for _ in range(2)), (SAME_LENGTH[:4], b""), (SAME_LENGTH[4:], SAME_LENGTH)],
+        Echo.ON,
+        0,
+    ),
+    "an echo without its end is removed as far as it goes": (
+        Echo.ON,
+        [REQUEST],
+        [(REQUEST[:7], b""), (ANSWER, ANSWER)],
+        Echo.ON,
+        1,
+    ),
+    "the echo of a token with one wrong address is no token": (
+        Echo.ON,
+        [TOKEN, TOKEN],
+        [(b"\xdc\x02\x03" + ANSWER, ANSWER), (b"\xdc\x12", b""), (b"\x02" + ANSWER, ANSWER)],
+        Echo.ON,
+        2,
+    ),
+    "a token of two other masters is one": (
+        Echo.ON,
+        [TOKEN],
+        [(b"\xdc\x05\x03", b"\xdc\x05\x03")],
+        Echo.ON,
+        0,
+    ),
+    "an echo that has ended is looked for anew": (
+        Echo.ON,
+        [TOKEN] * 32,
+        [(ANSWER, ANSWER)],
+        Echo.AUTO,
+        31,
     ),
     "after a proof the next echo is removed too": (
         Echo.AUTO,
@@ -124,15 +183,16 @@ def test_with_echo_only_the_answers_remain_however_they_are_cut(
     assert echo.lost == 0
 
 
-@pytest.mark.parametrize("damaged", [0, 3, 10])
+@pytest.mark.parametrize("damaged", range(11))
 def test_a_damaged_echo_is_counted_and_passed_on(damaged: int) -> None:
+    """Its sound begin is left out where it is longer than an answer's may be."""
     echo = EchoFilter(Echo.ON)
     echo.sent(REQUEST)
     heard = REQUEST[:damaged] + b"\xaa" + REQUEST[damaged + 1 :]
-    assert echo.strip(heard) == heard[damaged:]
-    assert echo.lost == 1
+    assert echo.strip(heard) == heard[damaged if damaged > 4 else 0 :]
     echo.sent(TOKEN)
     assert echo.strip(TOKEN + ANSWER) == ANSWER
+    assert echo.lost == 1
 
 
 @pytest.mark.usefixtures("each_driver")
@@ -168,3 +228,53 @@ async def test_octets_held_back_for_an_echo_reach_the_machine_at_a_deadline() ->
         rig.driver.command(NS_PER_MS)
         await until(lambda: bool(rig.machine.did("wake")), "the deadline")
         assert rig.machine.received == [REQUEST[:2]]
+
+
+@pytest.mark.usefixtures("each_driver")
+async def test_a_line_that_begins_to_echo_later_is_recognised() -> None:
+    """The machine reports another station with its own address; the driver looks for an echo again."""
+    async with Rig(echo=Echo.AUTO) as rig:
+        for _ in range(3):
+            rig.driver.command(TOKEN)
+            rig.far.write(REQUEST)
+            await rig.settle()
+        found: list[Echo] = [rig.driver.echo]
+        rig.machine.on_receive = lambda _chunk, now: rig.machine.events.append(AddressCollision(t_ns=now, address=2))
+        rig.driver.command(TOKEN)
+        rig.far.write(TOKEN)
+        await rig.settle()
+        rig.machine.on_receive = lambda _chunk, _now: None
+        rig.driver.command(TOKEN)
+        rig.far.write(TOKEN + b"\xe5")
+        await rig.settle()
+        assert [*found, rig.driver.echo] == [Echo.OFF, Echo.ON]
+        assert rig.machine.received == [REQUEST] * 3 + [TOKEN, b"\xe5"]
+
+
+@pytest.mark.usefixtures("each_driver")
+async def test_a_line_without_echo_by_order_is_never_looked_at_again() -> None:
+    async with Rig(echo=Echo.OFF) as rig:
+        rig.machine.on_receive = lambda _chunk, now: rig.machine.events.append(AddressCollision(t_ns=now, address=2))
+        for _ in range(2):
+            rig.driver.command(TOKEN)
+            rig.far.write(TOKEN)
+            await rig.settle()
+        assert rig.machine.received == [TOKEN] * 2
+
+
+@pytest.mark.usefixtures("each_driver")
+async def test_an_echo_that_ends_is_reported_and_answers_pass() -> None:
+    async with Rig(echo=Echo.AUTO) as rig:
+        rig.driver.command(TOKEN)
+        rig.far.write(TOKEN + b"\xe5")
+        await rig.settle()
+        for _ in range(40):
+            rig.driver.command(REQUEST)
+            rig.far.write(SAME_LENGTH)
+            await rig.settle()
+        assert rig.machine.received == [b"\xe5", *[SAME_LENGTH] * 40]
+        assert rig.driver.echo is Echo.OFF
+        assert [event.text.partition(" ")[2] for event in rig.events] == [
+            "the line echoes what is sent: the echo is removed",
+            "the line no longer echoes what is sent",
+        ]
