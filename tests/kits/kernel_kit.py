@@ -2,7 +2,8 @@
 
 Octets arrive when the test says; whoever sleeps is woken up ``LATE_NS`` after what it slept for. So wake-ups can be
 counted and times compared, whatever the computer that runs the test has to do. ``held_up`` keeps the processor from the
-driver, at any place a test likes: the line goes on meanwhile.
+driver, at any place a test likes: the line goes on meanwhile. The time of the line is true; the driver's clock may
+stand still, and is behind it from then on.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import pytest
 from dpstack.drivers.line import asyncio_runtime, line_runtime, select_loop, select_runtime
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.port_latency import Tune
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.line.select_runtime import SelectRuntime
 from dpstack.machine import HeldUp, Machine
@@ -28,15 +30,23 @@ from dpstack.units import NEVER, NS_PER_MS
 LATE_NS: Final = 35_000
 #: looking at the clock, and every call of the system
 TICK_NS: Final = 200
+#: looking at a clock that stands still: fewer looks while a driver waits for it
+STOPPED_TICK_NS: Final = 50_000
 #: a number that no open file has
 _LINE: Final = 1000
 
 
 class Kernel:
-    """Clock and line. ``far`` is told every write: octets and time."""
+    """Clock and line. ``far`` is told every write: octets and time. All times but the driver's clock are true ones."""
 
     def __init__(self) -> None:
         self.now = 1_000 * NS_PER_MS
+        #: the driver's clock is behind the true time by so much
+        self.behind = 0
+        #: sleep of the computer, which its sleep clock counts
+        self.asleep = 0
+        #: begin and end of the time in which the driver's clock stands still next, while the driver runs
+        self.clock_stops: tuple[int, int] = (NEVER, NEVER)
         self.coming: list[tuple[int, bytes]] = []
         self.written: list[tuple[int, bytes]] = []
         self.woken: list[int] = []  # when somebody who slept was woken up
@@ -46,9 +56,36 @@ class Kernel:
 
     def clock(self) -> int:
         self.now += TICK_NS
-        now = self.now
+        at = self.now - self.behind if self.now < self.clock_stops[0] else self._stopped_clock()
         self.now += self.held_up("clock")
-        return now
+        return at
+
+    def _stopped_clock(self) -> int:
+        begin, end = self.clock_stops
+        if self.now < end:
+            self.now += STOPPED_TICK_NS
+            return begin - self.behind
+        self.behind += end - begin
+        self.clock_stops = (NEVER, NEVER)
+        return self.now - self.behind
+
+    def sleep_clock(self) -> int:
+        """CLOCK_BOOTTIME: the driver's clock and the sleep of the computer."""
+        return self.clock() + self.asleep
+
+    def true_time(self, at: int) -> int:
+        """When the driver's clock will show ``at``."""
+        if at == NEVER:
+            return NEVER
+        at += self.behind
+        begin, end = self.clock_stops
+        return at + end - begin if at > begin else at
+
+    def true_end(self, timeout_ns: int) -> int:
+        """When ``timeout_ns`` from now is over by the driver's clock."""
+        begin, end = self.clock_stops
+        now = self.now if self.now < begin else max(begin, self.now - (end - begin))
+        return self.true_time(now - self.behind + timeout_ns)
 
     def arrive(self, at: int, octets: bytes) -> None:
         self.coming.append((at, octets))
@@ -87,8 +124,8 @@ class Kernel:
 class Line(FdPort):
     """The line as a port."""
 
-    def __init__(self, kernel: Kernel, *, paced: bool) -> None:
-        super().__init__("line", 500_000, paced=paced)
+    def __init__(self, kernel: Kernel, *, paced: bool, baud: int = 500_000) -> None:
+        super().__init__("line", baud, paced=paced)
         self._kernel = kernel
 
     def open_now(self) -> None:
@@ -112,7 +149,7 @@ class _Select:
     ) -> tuple[list[int], list[int], list[int]]:
         kernel = self._kernel
         kernel.now += TICK_NS
-        until = NEVER if timeout is None else kernel.now + round(timeout * 1e6) * 1000
+        until = NEVER if timeout is None else kernel.true_end(round(timeout * 1e6) * 1000)
         kernel.sleep(until, _LINE in readers)
         return ([_LINE] if _LINE in readers and kernel.readable else []), [], []
 
@@ -196,11 +233,11 @@ class _Asyncio:
             for call in soon:
                 if call.callback is not None:
                     call.callback()
-            at = self._at - self.early_ns
+            at = kernel.true_time(self._at - self.early_ns if self._at != NEVER else NEVER)
             kernel.sleep(kernel.now if self._soon else min(at, until), self._reader is not None)
             if self._reader is not None and kernel.readable:
                 self._reader()
-            if self._at - self.early_ns <= kernel.now:
+            if self._at != NEVER and kernel.true_time(self._at - self.early_ns) <= kernel.now:
                 self._at = NEVER
                 self._due()
 
@@ -231,32 +268,38 @@ class Driven:
         paced: bool = False,
         early_ns: int = 0,
         held_up: Callable[[HeldUp, int], bool] | None = None,
+        echo: Echo = Echo.OFF,
+        tune: Tune | None = None,
     ) -> None:
         self.kernel = kernel
         self.events: list[Any] = []
         self._loop: SelectLoop | None = None
-        port = Line(kernel, paced=paced)
+        port = Line(kernel, paced=paced, baud=machine.baud)
         for module in (line_runtime, asyncio_runtime, select_runtime, select_loop):
             patch.setattr(module, "monotonic_ns", kernel.clock)
+        for clock, shown in (("boottime_ns", kernel.sleep_clock), ("suspended_ns", lambda: kernel.asleep)):
+            patch.setattr(line_runtime, clock, shown)
         port.open_now()
+        options: dict[str, Any] = {"echo": echo, "tune": tune, "held_up": held_up}
         if kind == "asyncio":
             asyncio_loop = _Asyncio(kernel)
             asyncio_loop.early_ns = early_ns
-            runtime: Any = AsyncioRuntime(port, machine, self.events.extend, echo=Echo.OFF, held_up=held_up)
+            runtime: Any = AsyncioRuntime(port, machine, self.events.extend, **options)
             runtime._begin(asyncio_loop, asyncio_loop.timer(runtime._timer_due))
             self._run = asyncio_loop.run
             self.stop = asyncio_loop.stop
         else:
             patch.setattr(select_loop, "select", _Select(kernel))
             self._loop = loop = SelectLoop()
-            runtime = SelectRuntime(port, machine, self.events.extend, echo=Echo.OFF, held_up=held_up)
+            runtime = SelectRuntime(port, machine, self.events.extend, **options)
             runtime.open(loop)
-            self._run = partial(_run_plain, loop)
+            self._run = partial(_run_plain, loop, kernel)
             self.stop = loop.stop
         self.runtime = runtime
+        self.port = port
 
     def run(self, until: int) -> None:
-        """Up to ``until`` on the kernel's clock, or :meth:`stop`."""
+        """Up to the true time ``until``, or :meth:`stop`; not so far where the driver's clock stood still meanwhile."""
         self._run(until)
 
     def close(self) -> None:
@@ -266,7 +309,7 @@ class Driven:
             self._loop.close()
 
 
-def _run_plain(loop: SelectLoop, until: int) -> None:
-    alarm = loop.call_at(until, loop.stop)
+def _run_plain(loop: SelectLoop, kernel: Kernel, until: int) -> None:
+    alarm = loop.call_at(until - kernel.behind, loop.stop)
     loop.run()
     alarm.close()

@@ -289,23 +289,39 @@ class LineRuntime(ABC):
 
     def _report_late_run(self, tell: OnHeldUp, now: int) -> None:
         """Report to the machine, before it acts, that it did not run in time or that the computer slept."""
-        asleep = suspended_ns() - self._suspended_ns
-        if asleep >= _HELD_UP_NS:
-            self._suspended_ns += asleep
-            tell(HeldUp(asleep, f"the computer was suspended for {ms_text(asleep)}", suspended=True), now)
+        self._report_sleep(tell, now)
         late = now - max(self._deadline, self._stepped_at)
         if late >= _HELD_UP_NS:
             tell(self._late(late), now)
+
+    def _report_sleep(self, tell: OnHeldUp, now: int) -> bool:
+        """Report to the machine that the computer slept, if it did. True: a telegram is too old now."""
+        asleep = suspended_ns() - self._suspended_ns
+        if asleep < _HELD_UP_NS:
+            return False
+        self._suspended_ns += asleep
+        return tell(HeldUp(asleep, f"the computer was suspended for {ms_text(asleep)}", suspended=True), now)
+
+    def _is_outdated(self, tell: OnHeldUp, taken_at: int) -> bool:
+        """Whether the telegram handed out at ``taken_at`` is too old by a stop or a sleep since then."""
+        now = monotonic_ns()
+        outdated = self._report_sleep(tell, now)
+        if now - taken_at >= _HELD_UP_NS:
+            outdated |= tell(self._late(now - taken_at), now)
+        return outdated
 
     def _late(self, late_ns: int) -> HeldUp:
         return HeldUp(late_ns, f"{self.blocked_by} for {ms_text(late_ns)}")
 
     def _write(self, octets: bytes, now: int) -> int:
         """Transmit. Returns the estimated time at which the last bit leaves."""
-        if self._held_up is not None:
-            before = monotonic_ns()
-            if before - now >= _HELD_UP_NS and self._held_up(self._late(before - now), before):
-                return before + self._wire_ns[len(octets)]  # as if it had been lost on the line
+        # the sleep clock: the computer may have slept since the beginning of the step
+        if (
+            self._held_up is not None
+            and boottime_ns() - self._suspended_ns - now >= _HELD_UP_NS
+            and self._is_outdated(self._held_up, now)
+        ):
+            return monotonic_ns() + self._wire_ns[len(octets)]  # as if it had been lost on the line
         if self._echo is not None:
             self._echo.sent(octets)
         if not self._put(octets):

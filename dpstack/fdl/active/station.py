@@ -258,6 +258,8 @@ class ActiveStation:
 
     def held_up(self, gap: HeldUp, now: int) -> bool:
         """The driver ran this station late. True when the outputs of a user became too old by it."""
+        if gap.suspended:  # the clock does not show it
+            self._exchange.made_at -= gap.for_ns
         return self._users.broadcast(gap, now)
 
     # --- events and commands ------------------------------------------------------------------------------------

@@ -32,8 +32,9 @@ WATCHDOG_NS: Final = 200 * NS_PER_MS
 class Plant:
     """A master on the line of a kernel with one slave of two octets each way, in Operate with the outputs RUN."""
 
-    def __init__(self, kind: str, *, after_stall: str = "safe") -> None:
+    def __init__(self, kind: str, *, after_stall: str = "safe", asleep_ms: int = 0) -> None:
         self.kernel = Kernel()
+        self.kernel.asleep = asleep_ms * NS_PER_MS
         self.kernel.far = self._far
         self.given: list[tuple[int, bytes]] = []  # outputs, and when they arrived
         self.controls: list[tuple[int, int]] = []  # control octet of Global_Control, and when
@@ -120,6 +121,30 @@ def test_stopped_anywhere_nothing_old_goes_out(kind: str, what: str, number: int
     assert 890 * NS_PER_MS < stall.gap_ns < 1_000 * NS_PER_MS
 
 
+@pytest.mark.parametrize("what", ["nothing", "octets", "write", "woken"])
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_suspended_anywhere_nothing_old_goes_out(kind: str, what: str, number: int) -> None:
+    """CLOCK_MONOTONIC stands still, also between the beginning of a step and its write; CLOCK_BOOTTIME goes on."""
+    plant = Plant(kind)
+    kernel = plant.kernel
+    pause = held_up_at({(what, number): 900})
+
+    def asleep(done: str) -> int:
+        ns = pause(done)
+        kernel.behind += ns
+        kernel.asleep += ns
+        return ns
+
+    kernel.held_up = asleep
+    plant.run(3_000)
+    plant.close()
+    resumed = max(b for a, b in gaps(plant) if b - a > 800 * NS_PER_MS)
+    assert plant.master.mode is Mode.CLEAR
+    assert {octets for at, octets in plant.given if at >= resumed} == {bytes(2)}
+    (stall,) = plant.stalls
+    assert stall.blocked is Blocked.SUSPENDED
+
+
 def gaps(plant: Plant) -> list[tuple[int, int]]:
     """Ends of neighbouring telegrams to the slave and to all."""
     at = sorted([at for at, _ in plant.given] + [at for _, at in plant.controls])
@@ -162,12 +187,10 @@ def test_resume_sends_the_old_outputs_again(kind: str) -> None:
     assert not plant.stalls
 
 
-def test_a_suspended_computer(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_suspended_computer(kind: str) -> None:
     """CLOCK_MONOTONIC stands still meanwhile, CLOCK_BOOTTIME goes on."""
-    asleep = [5_000 * NS_PER_MS]
-    monkeypatch.setattr("dpstack.drivers.line.line_runtime.suspended_ns", lambda: asleep[0])
-    plant = Plant(kind)
-    asleep[0] += 3_600_000 * NS_PER_MS
+    plant = Plant(kind, asleep_ms=5_000)
+    plant.kernel.asleep += 3_600_000 * NS_PER_MS
     resumed = plant.kernel.now
     plant.run(1_000)
     plant.close()
@@ -179,12 +202,10 @@ def test_a_suspended_computer(kind: str, monkeypatch: pytest.MonkeyPatch) -> Non
     assert 3_600_000 * NS_PER_MS <= stall.gap_ns < 3_600_050 * NS_PER_MS
 
 
-def test_a_short_sleep_changes_nothing(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    asleep = [0]
-    monkeypatch.setattr("dpstack.drivers.line.line_runtime.suspended_ns", lambda: asleep[0])
+def test_a_short_sleep_changes_nothing(kind: str) -> None:
     plant = Plant(kind)
     for _ in range(5):
-        asleep[0] += 150 * NS_PER_MS
+        plant.kernel.asleep += 150 * NS_PER_MS
         plant.run(100)
     plant.close()
     assert not plant.stalls
