@@ -119,7 +119,7 @@ class Master:
                     self.handlers[address].station_found(now)
                 return False
             case HeldUp():
-                self._watch.held_up(command)
+                self._watch.held_up(command, now)
                 if not command.suspended:  # that time is not in `now`
                     self._token.held_up(command.for_ns)
                 return not self._watch.still_fresh(now)

@@ -133,13 +133,14 @@ class OutputsWatch:
         self._token_gap = now - self._token_at
         self._token_at = now
 
-    def held_up(self, gap: HeldUp) -> None:
+    def held_up(self, gap: HeldUp, now: int) -> None:
         """The driver reports a time in which it did not run the master."""
-        if gap.suspended:  # the clock does not show it
-            for handler in self._handlers.values():
+        for handler in self._handlers.values():
+            if gap.suspended:  # the clock does not show it
                 handler.asked_at -= gap.for_ns
-            if self.alive_until != NEVER:
-                self.alive_until -= gap.for_ns
+            handler.not_asked(now)
+        if gap.suspended and self.alive_until != NEVER:
+            self.alive_until -= gap.for_ns
         if self._held is None or gap.for_ns > self._held.for_ns:
             self._held = gap
         self.look_soon()
@@ -166,7 +167,10 @@ class OutputsWatch:
         self.look_at = self.alive_until
         if not self._watching:
             return
-        found: ForcedClear | None = self._stalled(now) if self._settings.safe_after_stall else None
+        asking = self._all_want_parameters(now)
+        for handler in asking:
+            handler.not_asked(now)
+        found: ForcedClear | None = self._stalled(asking, now) if self._settings.safe_after_stall else None
         if found is not None or not self.down:
             self._held = None
         if found is None and now >= self.alive_until:
@@ -174,7 +178,7 @@ class OutputsWatch:
         if found is not None:
             self._force_clear(found, now)
 
-    def _stalled(self, now: int) -> Stalled | None:
+    def _stalled(self, asking: list[SlaveHandler], now: int) -> Stalled | None:
         overdue = []
         for handler in self._handlers.values():
             watchdog = handler.watchdog_effective_ns
@@ -194,7 +198,11 @@ class OutputsWatch:
             )
             reason = f"{why}: {text}" if text else why
             return Stalled(t_ns=now, gap_ns=gap, slaves=slaves, blocked=blocked, reason=reason)
-        return self._all_want_parameters(now)
+        if not asking:
+            return None
+        slaves = tuple(sorted(handler.setup.address for handler in asking))
+        why = "all slaves with a watchdog want parameters (Prm_Req) at once, as after a time in which nobody asked them"
+        return Stalled(t_ns=now, gap_ns=None, slaves=slaves, blocked=None, reason=why)
 
     def _find_obstacle(self, handler: SlaveHandler, gap: int) -> Obstacle:
         """The cause of most of the time ``gap`` without requests to the slave of ``handler``."""
@@ -207,20 +215,18 @@ class OutputsWatch:
             return Blocked.TOKEN, f"the token did not come for {ms_text(self._token_gap)}"
         return None, ""
 
-    def _all_want_parameters(self, now: int) -> Stalled | None:
-        """A stall that no clock shows: the watchdogs of all slaves ran out at the same moment.
+    def _all_want_parameters(self, now: int) -> list[SlaveHandler]:
+        """All slaves, after a stall that no clock shows: their watchdogs ran out at the same moment. Else none.
 
         A single slave may have been restarted.
         """
         present = [h for h in self._handlers.values() if h.watchdog_effective_ns and h.state not in AWAY]
         times = [handler.prm_req_at for handler in present]
         if len(present) < _ALL or NEVER in times:
-            return None
+            return []
         if max(times) - min(times) > min(handler.watchdog_effective_ns for handler in present):
-            return None
-        slaves = tuple(sorted(handler.setup.address for handler in present))
-        why = "all slaves with a watchdog want parameters (Prm_Req) at once, as after a time in which nobody asked them"
-        return Stalled(t_ns=now, gap_ns=None, slaves=slaves, blocked=None, reason=why)
+            return []
+        return present
 
 
 #: after T_TR and this time without a token no slave can be in data exchange; an ordered end waits for this time only

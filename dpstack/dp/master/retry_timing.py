@@ -47,6 +47,7 @@ class Pacing:
         self._absent = Backoff(*_ABSENT)
         self._refused = Backoff(*_REFUSED)
         self._flapping = False
+        self._excused = False
         self._polls = _POLLS_BEFORE_LONG[0]  # unanswered polls left before the next long poll
         #: the slave had a long poll since it became absent
         self.had_long_poll = False
@@ -86,6 +87,15 @@ class Pacing:
         """The diagnosis was read in data exchange; a ``static`` one (Stat_Diag) is read again until it is gone."""
         self.due = now + _STATIC_PAUSE if static else now
 
+    def excuse(self, now: int, *, left: bool) -> None:
+        """The slave was not asked for longer than its watchdog. It leaves data exchange by that, or has done so
+        (``left``): however short its stay was, this does not delay the next bring-up."""
+        self._excused = not left
+        if left:
+            self._flapping = False
+            self._refused.reset()
+            self.due = now
+
     def left(self, now: int, stay: int, *, silent: bool) -> None:
         """The slave left data exchange after ``stay`` ns: its diagnosis is read at once.
 
@@ -93,7 +103,8 @@ class Pacing:
         bring-up, and polls begin again with the shortest pause.
         """
         self.due = now
-        stable = stay >= _STABLE
+        stable = stay >= _STABLE or self._excused
+        self._excused = False
         self._flapping = not (stable or silent)
         if stable or silent:
             self._absent.reset()

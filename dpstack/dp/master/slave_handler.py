@@ -301,6 +301,7 @@ class SlaveHandler:
             self._refused_data = False
             if diagnosis.prm_req:
                 self.prm_req_at = now
+                self._changed(self, now)
         if diagnosis.prm_req or owner is not None or diagnosis.ident != self.ident:
             self.owned = False
         if diagnosis.ident != self.ident:
@@ -350,6 +351,15 @@ class SlaveHandler:
             self.reports.observer.read(diagnosis, self.reports.flagged, self.exchanges, now)
             self.reports.flagged = 0
         self._changed(self, now)
+
+    def not_asked(self, now: int) -> None:
+        """The driver did not run, or all slaves want parameters at once: no flapping of this slave."""
+        if self.state is _DATA_EXCHANGE:
+            if self.watchdog_effective_ns and now - self.asked_at > self.watchdog_effective_ns:
+                self._pacing.excuse(now, left=False)
+        elif self.prm_req_at != NEVER:
+            self._pacing.excuse(now, left=True)
+            self._changed(self, now)
 
     def want_diagnosis(self, now: int) -> None:
         """Request Slave_Diag as the next service of the slave."""

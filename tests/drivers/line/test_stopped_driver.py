@@ -13,7 +13,7 @@ from kernel_kit import Driven, Kernel, held_up_at
 from octet_slave import SC, frame, sd1, sd2
 
 from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.events import Blocked, Stalled
+from dpstack.dp.master.events import Blocked, SlaveState, Stalled
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
@@ -143,6 +143,18 @@ def test_suspended_anywhere_nothing_old_goes_out(kind: str, what: str, number: i
     assert {octets for at, octets in plant.given if at >= resumed} == {bytes(2)}
     (stall,) = plant.stalls
     assert stall.blocked is Blocked.SUSPENDED
+
+
+def test_a_slave_lost_by_a_stall_is_not_held_for_one_that_flaps(kind: str) -> None:
+    """It had been in data exchange for less than a second, yet it is brought up again at once."""
+    plant = Plant(kind, after_stall="resume")
+    plant.kernel.held_up = held_up_at({("woken", 5): 900})
+    plant.run(1_000)
+    plant.close()
+    resumed = max(b for a, b in gaps(plant) if b - a > 800 * NS_PER_MS)
+    assert plant.given[-1] == (plant.given[-1][0], RUN)
+    assert plant.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+    assert plant.master.handlers[3].since - resumed < 50 * NS_PER_MS
 
 
 def gaps(plant: Plant) -> list[tuple[int, int]]:
