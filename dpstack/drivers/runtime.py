@@ -105,6 +105,18 @@ class BehindRealTime(Event):
         )
 
 
+#: Memory (octets) that an open bus keeps for its end where the program has used up all other: more than one arena of
+#: Python's allocator. It is never written, so it only takes addresses.
+RESERVE: Final = 2 * 1024 * 1024
+
+
+def stopped_by(error: BaseException) -> str:
+    """What an exception of the machine has stopped the bus by, for people."""
+    if isinstance(error, MemoryError):
+        return "a lack of memory in its process (MemoryError); find what fills it, or raise its limit"
+    return f"a defect in dpstack ({type(error).__name__}: {error}); please report it"
+
+
 def last_bits_ns(params: BusParams) -> int:
     """Wait in ns between the last event of the ordered end and the closing of the port: the machine reports a
     transmission before its last bit is on the wire."""
@@ -130,6 +142,10 @@ class Runtime(Protocol):
     @property
     def behind_ns(self) -> int:
         """How far the time of a simulated bus has fallen behind real time since the opening (ns), else 0."""
+
+    @property
+    def cleared(self) -> bool:
+        """The driver itself has sent Clear, because its machine failed."""
 
     async def open(self) -> None:
         """Open the line and begin. Raises PortError."""

@@ -1,7 +1,8 @@
 """Applications that end a bus in every way there is.
 
-As a program: ``python ends_programs.py PATH DRIVER WAY``. Each brings slave 4 on PATH up, sends it 11 22, says "live",
-and then ends as WAY says, which is the name of a method of :class:`Ways`.
+As a program: ``python ends_programs.py PATH DRIVER WAY``. Each brings slaves 4 (with a watchdog) and 5 (without) on
+PATH up, sends them 11 22 and 77, says "live", and then ends as WAY says, which is the name of a method of
+:class:`Ways`. Each event that is a warning or an error is a line "event: CLASS: TEXT".
 """
 
 from __future__ import annotations
@@ -15,12 +16,18 @@ import time
 from collections.abc import Awaitable, Callable
 
 from far_ends import until
-from process_kit import VALVES, bus_on
+from process_kit import LAMPS, VALVES, bus_on
 
 import dpstack
+from dpstack.api.bus.events_json import Severity, severity_of
 from dpstack.dp.master.commands import Mode
+from dpstack.trace import Event
 
 LIVE = b"\x11\x22"
+LIVE_LAMPS = b"\x77"
+#: of slave 4; long enough for a busy computer
+WATCHDOG_MS = 1000
+SLAVES = (VALVES | {"watchdog_ms": WATCHDOG_MS}, LAMPS | {"watchdog_ms": 0})
 #: for who is not ended by itself
 LONG_S = 60.0
 
@@ -40,14 +47,22 @@ class Ways:
         self.driver = driver
         #: of ways after which the bus is looked at
         self.bus_left: dpstack.Bus | None = None
+        self.is_live = False
 
     def bus(self) -> dpstack.Bus:
-        return bus_on(self.path, "process" if self.driver == "process" else "asyncio", VALVES)
+        return bus_on(self.path, "process" if self.driver == "process" else "asyncio", *SLAVES, on_event=self.on_event)
+
+    def on_event(self, event: Event) -> None:
+        if self.is_live and severity_of(event) is not Severity.INFO:
+            print(f"event: {type(event).__name__}: {event.text}", flush=True)
 
     async def live(self, bus: dpstack.Bus) -> None:
         await bus.ready(LONG_S)
         await bus.operate()
+        bus.slave("lamps").outputs = LIVE_LAMPS
         await outputs(bus, LIVE)
+        await until(lambda: bus.slave("lamps").inputs == LIVE_LAMPS, "outputs at the lamps")
+        self.is_live = True
         print("live", flush=True)
 
     def run(self, then: Callable[[dpstack.Bus], Awaitable[object]]) -> None:
@@ -207,7 +222,7 @@ class Ways:
 
 
 WAYS = [name for name, value in vars(Ways).items() if callable(value) and name not in ("__init__", "bus", "run")]
-WAYS = [name for name in WAYS if name not in ("live", "opened")]
+WAYS = [name for name in WAYS if name not in ("live", "opened", "on_event")]
 
 if __name__ == "__main__":
     getattr(Ways(sys.argv[1], sys.argv[2]), sys.argv[3])()

@@ -43,6 +43,7 @@ from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, SurveyOrder, v
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
 from dpstack.drivers.futures import run_through_cancellation, wait_through_cancellation
+from dpstack.drivers.runtime import stopped_by
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.fdl.commands import DetachUser, GoOnline
 from dpstack.fdl.events import AddressCollision, RingJoined
@@ -481,8 +482,7 @@ class Bus(Sealed, BusBase):
         """The bus has stopped: pending calls raise ``error``, as a BusError (any other kind is a defect of dpstack)."""
         failure = error
         if not isinstance(failure, BusError):
-            text = f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error}); please report it"
-            failure = BusError(text)
+            failure = BusError(f"the bus was stopped by {stopped_by(error)}")
             failure.__cause__ = error
         now = self.runtime.now()
         self._events.publish(BusFailed(t_ns=now, source="bus", message=str(failure), severity=Severity.ERROR))

@@ -21,6 +21,7 @@ from dpstack.dp.plan.plan import Plan, make_plan
 from dpstack.dp.plan.rotation_time import Case
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
+from dpstack.drivers.line.last_clear import LastClear
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.process.plugins import AttachPlugin
 from dpstack.drivers.runtime import OnEvents, OnFailure, OnRefused, Runtime
@@ -175,6 +176,7 @@ def compose(
                 on_failure=on_failure,
                 tune=station.set_patience if tune else None,
                 held_up=station.held_up,
+                last_clear=LastClear(station, stack.is_operating),
             )
         else:
             if world is None:

@@ -26,7 +26,8 @@ from typing import Final
 from dpstack.api.bus.parts import BusBase
 from dpstack.dp.master.commands import Mode
 from dpstack.drivers.futures import wait_through_cancellation
-from dpstack.drivers.line.shutdown import EndSteps, at_slaves
+from dpstack.drivers.line.shutdown import EndSteps, at_slaves, ending_signals
+from dpstack.drivers.runtime import RESERVE
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.text import printable
 from dpstack.trace import Event, Severity
@@ -38,10 +39,8 @@ _log: Final = logging.getLogger("dpstack")
 _open: weakref.WeakSet[OrderedEnd] = weakref.WeakSet()
 #: delay of a timer (ns) above which the event loop counts as blocked
 _HELD_UP_NS: Final = 10 * NS_PER_MS
-#: signals that end a program
-_ENDING_SIGNALS: Final = tuple(
-    number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None
-)
+#: signals that end a program without a handler
+ENDING_SIGNALS: Final = tuple(ending_signals())
 #: Ctrl-C within this time (s) after the beginning of the end counts as the one that began it
 SAME_SIGNAL_S: Final = 1.0
 
@@ -73,6 +72,7 @@ class OrderedEnd:
         self._wake_fd = -1
         self._held: _HeldByLoop | None = None
         self._pid = os.getpid()
+        self._reserve: bytearray | None = None
         #: see ``Bus.end_failed``
         self.failed = False
 
@@ -86,17 +86,20 @@ class OrderedEnd:
         """
         self._loop = loop = asyncio.get_running_loop()
         self._pid = os.getpid()
+        self._reserve = bytearray(RESERVE)
         _open.add(self)
         self._keeper = self._keep()
         await anext(self._keeper)
         held = _HeldByLoop()
         if hasattr(os, "eventfd"):
-            fd = os.eventfd(0, os.EFD_CLOEXEC)
+            with contextlib.suppress(OSError):  # no descriptors left
+                self._wake_fd = os.eventfd(0, os.EFD_CLOEXEC)
+        if self._wake_fd >= 0:
             try:
-                loop.add_reader(fd, held.never)
-                self._wake_fd = fd
+                loop.add_reader(self._wake_fd, held.never)
             except NotImplementedError:
-                os.close(fd)
+                os.close(self._wake_fd)
+                self._wake_fd = -1
         if self._bus.driver == "virtual":  # simulated slaves need no safe values
             return
         if self._wake_fd < 0:  # without the descriptor only the end of the interpreter runs the finaliser
@@ -122,6 +125,7 @@ class OrderedEnd:
 
     def _forget(self) -> None:
         _open.discard(self)
+        self._reserve = None
         if self._finalizer is not None:
             self._finalizer.detach()
             self._finalizer = None
@@ -162,31 +166,41 @@ class OrderedEnd:
         if self._hurried:
             steps.hurry(bus.runtime.now())
         exchanging = self._exchanging()
-        rotation = bus.rotation_limit_ns
-        with self._interrupts_deferred():
-            while (order := steps.next_order()) is not None:
-                begun = bus.runtime.now()
-                with contextlib.suppress(DpError):  # a failed step must not hold up the program
-                    ordered = bus.runtime.order(order)
-                    with contextlib.suppress(asyncio.CancelledError):
-                        await wait_through_cancellation(ordered)
-                    ordered.result()
-                    held_up = False
-                    while not steps.done and (left := steps.wait_until(begun, rotation) - bus.runtime.now()) > 0:
-                        paused = bus.runtime.now()
-                        await self._pause(ns_to_s(left))
-                        if not held_up and bus.runtime.now() - paused - left > _HELD_UP_NS:
-                            held_up = True  # another task blocked the loop, and with it the bus
-                            begun = bus.runtime.now()
-            now = bus.runtime.now()
-            # wait for the last bit by time: no port reports when it has left the line
-            self._steps = None
-            await self._pause(ns_to_s(steps.over_at(now) - now))
-        self.failed = bool(exchanging) and not steps.cleared
+        self._reserve = None
+        try:
+            with self._interrupts_deferred():
+                await self._carry_out(steps)
+        except Exception as error:  # without memory the loop cannot make it
+            steps.cleared = not bus.runtime.end_without_loop()
+            text = f"{type(error).__name__} at the end, which was made without the event loop"
+            bus.notice("bus", text, Severity.WARNING)
+        self.failed = bool(exchanging) and not (steps.cleared or bus.runtime.cleared)
         # the process driver itself reports the death of its bus process
         if self.failed and not (steps.cleared is None and bus.driver == "process"):
             text = f"the end could not be sent: the slaves got neither safe values nor Clear. {at_slaves(exchanging)}"
             bus.notice("bus", text, Severity.ERROR)
+
+    async def _carry_out(self, steps: EndSteps) -> None:
+        bus = self._bus
+        rotation = bus.rotation_limit_ns
+        while (order := steps.next_order()) is not None:
+            begun = bus.runtime.now()
+            with contextlib.suppress(DpError):  # a failed step must not hold up the program
+                ordered = bus.runtime.order(order)
+                with contextlib.suppress(asyncio.CancelledError):
+                    await wait_through_cancellation(ordered)
+                ordered.result()
+                held_up = False
+                while not steps.done and (left := steps.wait_until(begun, rotation) - bus.runtime.now()) > 0:
+                    paused = bus.runtime.now()
+                    await self._pause(ns_to_s(left))
+                    if not held_up and bus.runtime.now() - paused - left > _HELD_UP_NS:
+                        held_up = True  # another task blocked the loop, and with it the bus
+                        begun = bus.runtime.now()
+        now = bus.runtime.now()
+        # wait for the last bit by time: no port reports when it has left the line
+        self._steps = None
+        await self._pause(ns_to_s(steps.over_at(now) - now))
 
     def _exchanging(self) -> dict[str, int]:
         """By name the watchdog times (ns) of the slaves that have outputs of this master."""
@@ -240,7 +254,7 @@ class OrderedEnd:
         if os.getpid() != self._pid or bus.is_left:
             return
         where = f"the bus on {printable(bus.runtime.port_name)}"
-        with _DeferredSignals(_ENDING_SIGNALS, late=self._hurry_in_thread):
+        with _DeferredSignals(ENDING_SIGNALS, late=self._hurry_in_thread):
             if loop is not None and loop.is_running():  # in a daemon thread
                 with contextlib.suppress(Exception):
                     asyncio.run_coroutine_threadsafe(self._close(), loop).result(bus.end_limit_s)
@@ -255,6 +269,7 @@ class OrderedEnd:
 
     def _end_now(self, how: str) -> None:
         """The end in this thread, without the loop. ``how``: the way in which the program left the bus, for the log."""
+        self._reserve = None
         bus = self._bus
         exchanging = self._exchanging()
         why = bus.runtime.end_without_loop()
@@ -292,7 +307,7 @@ class OrderedEnd:
                 )
             ending.result()
         else:
-            with _DeferredSignals(_ENDING_SIGNALS):
+            with _DeferredSignals(ENDING_SIGNALS):
                 self._end_now(f"the bus on {self._bus.runtime.port_name} was closed in another event loop than its own")
         return True
 
@@ -307,7 +322,10 @@ class OrderedEnd:
     def release_after_fork(self) -> None:
         """In the child of a fork: forget the bus without effect on the parent."""
         bus = self._bus
+        if self._wake_fd >= 0:
+            os.close(self._wake_fd)  # the next step needs a descriptor, and this process may have no other
         _replace_epoll(self._wake_fd)
+        self._wake_fd = -1
         bus.runtime.release_after_fork()
         text = "this process was forked from the one that runs the bus, which goes on there: open a bus of its own"
         bus.leave(UsageError(text))
@@ -395,8 +413,8 @@ def _replace_epoll(watched_fd: int) -> None:
         return
     for name in os.listdir("/proc/self/fd"):
         with contextlib.suppress(OSError, ValueError):
-            watched = Path("/proc/self/fdinfo", name).read_text(encoding="ascii")
-            if re.search(rf"^tfd:\s*{watched_fd}\s", watched, re.MULTILINE):
+            watched = Path("/proc/self/fdinfo", name).read_bytes()  # octets: a codec may have to be imported
+            if re.search(rb"^tfd:\s*%d\s" % watched_fd, watched, re.MULTILINE):
                 with select.epoll() as fresh:
                     os.dup2(fresh.fileno(), int(name), inheritable=False)
 
@@ -408,7 +426,7 @@ def _in_child() -> None:
 
 def _at_exit() -> None:
     """End all open buses. A signal during that takes effect afterwards."""
-    with _DeferredSignals(_ENDING_SIGNALS):
+    with _DeferredSignals(ENDING_SIGNALS):
         for end in list(_open):
             end.at_exit()
 

@@ -1,4 +1,4 @@
-"""Signals that end a command: SIGINT, SIGTERM, SIGHUP; and the loss of standard output.
+"""Signals that end a command: SIGINT, SIGTERM, SIGHUP and all others that would kill it; the loss of standard output.
 
 The first signal ends the command in order. Signals within a second of it are the same one: GNU ``timeout`` and other
 wrappers send SIGTERM to a program and to its process group, half a millisecond apart. A later one skips waiting,
@@ -18,7 +18,7 @@ from time import monotonic
 from types import FrameType
 from typing import Final, TypeVar
 
-from dpstack.api.bus.shutdown import hurry_all
+from dpstack.api.bus.shutdown import ENDING_SIGNALS, hurry_all
 from dpstack.cli.terminal import output
 from dpstack.errors import BusError
 
@@ -47,7 +47,7 @@ class StopSignal:
         self._clock = clock
         self._event = asyncio.Event()
         self._loop = asyncio.get_running_loop()
-        self._old: dict[signal.Signals, object] = {}
+        self._old: dict[int, object] = {}
         self._within = False
         self._at = 0.0  # of the first signal
         self._again_at = 0.0  # of the second one
@@ -56,7 +56,7 @@ class StopSignal:
         self.hurried = False
 
     def __enter__(self) -> StopSignal:
-        for number in (signal.SIGINT, signal.SIGTERM, *_hangup()):
+        for number in dict.fromkeys((signal.SIGINT, signal.SIGTERM, *_hangup(), *_others())):
             self._old[number] = signal.signal(number, self._caught)
         output.lost.on_lost = self.stop
         self._within = True
@@ -151,6 +151,11 @@ def _alarm(seconds: float, handler: Callable[[int, FrameType | None], object] | 
     if hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, handler)
         signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def _others() -> list[int]:
+    """The other signals that would end the program without a handler: an operator may send any of them by mistake."""
+    return [number for number in ENDING_SIGNALS if signal.getsignal(number) is signal.SIG_DFL]
 
 
 def _hangup() -> list[signal.Signals]:

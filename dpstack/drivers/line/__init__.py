@@ -3,6 +3,7 @@
 - ``answer_timing``: Expected time of an answer, learned from earlier answers to requests with the same header
 - ``asyncio_runtime``: The asyncio driver: runs one protocol machine on one serial port
 - ``echo``: Echo filter for adapters that return the transmitted octets
+- ``last_clear``: Clear without the protocol machine, sent by a driver whose machine has failed
 - ``line_runtime``: Common part of the real-time drivers: steps the protocol machine, dispatches its events
 - ``port_latency``: Latency of a port: how late the first octets after a transmission arrive
 - ``rate``: Baud rate of an open port, which follows its machine; pauses between attempts to open a lost port

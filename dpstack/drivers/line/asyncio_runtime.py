@@ -10,7 +10,7 @@ from dpstack.drivers.line.line_runtime import LineRuntime
 from dpstack.drivers.line.rate import ReopenAttempts
 from dpstack.drivers.line.shutdown import end_on_port
 from dpstack.drivers.line.timers import make_timer
-from dpstack.drivers.runtime import IN_PARENT
+from dpstack.drivers.runtime import IN_PARENT, stopped_by
 from dpstack.errors import PortError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.units import NEVER, NS_PER_S
@@ -31,7 +31,7 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
     def not_running(self) -> str | None:
         if self._left is not None:
             return self._left
-        return None if self.failed is None else f"the bus was stopped by a defect in dpstack: {self.failed}"
+        return None if self.failed is None else f"the bus was stopped by {stopped_by(self.failed)}"
 
     async def open(self) -> None:
         """Open the port and begin. Raises PortError; ConfigError when the port knows none of the machine's rates."""
@@ -90,17 +90,21 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
         sleep_until = self._sleep_until
         if not sleep_until:
             super()._timer_due()
-        elif min(sleep_until, self._deadline) - monotonic_ns() > self._early_ns:
-            self._arm(min(sleep_until, self._deadline))
-        elif sleep_until < self._deadline:
-            self._armed = NEVER  # before the step, which may arm it again
-            self._sleep_until = 0
-            self._port.pause_reading(False)
-            self._step(self._drain())
-        else:
-            super()._timer_due()
-            if self._sleep_until and self._sleep_until < self._armed:
-                self._arm(self._sleep_until)
+            return
+        try:
+            if min(sleep_until, self._deadline) - monotonic_ns() > self._early_ns:
+                self._arm(min(sleep_until, self._deadline))
+            elif sleep_until < self._deadline:
+                self._armed = NEVER  # before the step, which may arm it again
+                self._sleep_until = 0
+                self._port.pause_reading(False)
+                self._step(self._drain())
+            else:
+                super()._timer_due()
+                if self._sleep_until and self._sleep_until < self._armed:
+                    self._arm(self._sleep_until)
+        except Exception as exc:  # without memory: no timer would call again
+            self._fail(exc)
 
     def _count_spinning(self, spun_ns: int, now: int) -> None:
         """Spinning is limited only in a process with real-time priority."""

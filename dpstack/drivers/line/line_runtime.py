@@ -15,10 +15,11 @@ from typing import Final
 
 from dpstack.drivers.line.answer_timing import AnswerTiming
 from dpstack.drivers.line.echo import Echo, EchoFilter
+from dpstack.drivers.line.last_clear import LastClear
 from dpstack.drivers.line.port_latency import PortLatency, Tune
 from dpstack.drivers.line.rate import BACKOFF_NS, LONGEST, NoRateError, ReopenAttempts, follow, wire_times
 from dpstack.drivers.line.timers import Timer, boottime_ns, suspended_ns
-from dpstack.drivers.runtime import OnEvents, OnFailure, PortBack, PortLost
+from dpstack.drivers.runtime import RESERVE, OnEvents, OnFailure, PortBack, PortLost, stopped_by
 from dpstack.drivers.tap import Tap, TappedMachine
 from dpstack.errors import BusError, DpError, PortError, UsageError
 from dpstack.fdl.events import AddressCollision, RingLeft
@@ -51,11 +52,12 @@ def _filter(echo: Echo) -> EchoFilter | None:
 class LineRuntime(ABC):
     """Keeps ``machine`` running on ``port`` in the loop of a subclass.
 
-    Events of the machine and of the driver go to ``on_events``. The port follows the baud rate of the machine. The
-    loss of the port is an event; the driver opens it again with back-off (``backoff_ns``: first and longest pause).
-    An exception of the machine is a defect: the driver stops, calls ``on_failure`` (without one: the loop's exception
-    handler) and keeps the exception in ``failed``. ``echo``: whether the line returns transmitted octets. ``held_up``
-    is called when the machine ran late, or the computer slept, before the machine acts.
+    Events of the machine and of the driver go to ``on_events``. The port follows the baud rate of the machine. The loss
+    of the port is an event; the driver opens it again with back-off (``backoff_ns``: first and longest pause). An
+    exception of the machine is a defect, or there is no memory: the driver sends ``last_clear``, stops, calls
+    ``on_failure`` (without one: the loop's exception handler) and keeps the exception in ``failed``. ``echo``: whether
+    the line returns transmitted octets. ``held_up`` is called when the machine ran late, or the computer slept, before
+    the machine acts.
     """
 
     #: reason for a late run, for messages
@@ -75,6 +77,7 @@ class LineRuntime(ABC):
         on_failure: OnFailure | None = None,
         tune: Tune | None = None,
         held_up: OnHeldUp | None = None,
+        last_clear: LastClear | None = None,
         backoff_ns: tuple[int, int] = BACKOFF_NS,
     ) -> None:
         self.failed: Exception | None = None
@@ -85,6 +88,8 @@ class LineRuntime(ABC):
         self._on_events = on_events
         self._on_failure = on_failure
         self._held_up = held_up
+        self._last_clear = last_clear
+        self._reserve: bytearray | None = None
         self._stepped_at = 0  # end of the last step
         self._suspended_ns = 0  # sleep of the computer that was reported to the machine
         self._spin_ns, self._early_ns = self.spin_ns, self.early_ns
@@ -116,6 +121,11 @@ class LineRuntime(ABC):
     def paced(self) -> bool:
         """True where octets take their time on a wire."""
         return self._port.paced
+
+    @property
+    def cleared(self) -> bool:
+        """The machine failed, and Clear was sent without it."""
+        return self._last_clear is not None and self._last_clear.was_sent
 
     def damage(self) -> dict[str, int]:
         """Number of damaged octets by cause, as far as the port counts them."""
@@ -188,6 +198,7 @@ class LineRuntime(ABC):
             raise
         self._at = loop
         self._timer = timer
+        self._reserve = bytearray(RESERVE)
         self._suspended_ns = suspended_ns()
         self._stepped_at = monotonic_ns()
         self._attach()
@@ -269,6 +280,10 @@ class LineRuntime(ABC):
             if sent_at:
                 self.lateness.add_answer(sent_at, self._wire_ns[min(count, LONGEST - 1)], arrived)
             events = machine.take_events()
+            if deadline < self._armed:
+                self._arm(deadline)
+            if spun:
+                self._count_spinning(spun, now)
         except NoRateError as exc:
             self._lost(str(exc))
             return
@@ -278,10 +293,6 @@ class LineRuntime(ABC):
         except BaseException:  # Ctrl-C at any place: the bus runs on as long as the loop runs
             self._let_loop_turn()
             raise
-        if deadline < self._armed:
-            self._arm(deadline)
-        if spun:
-            self._count_spinning(spun, now)
         if events:
             if self._echo is None and self._echo_wanted is Echo.AUTO:
                 self._suspect_echo(events)
@@ -339,18 +350,22 @@ class LineRuntime(ABC):
 
     def _timer_due(self) -> None:
         self._armed = NEVER  # before the step, which may arm it again
-        deadline = self._deadline
-        now = monotonic_ns()
-        if deadline - now > self._early_ns:
-            if deadline != NEVER:
-                self._arm(deadline)
-            return
-        while now < deadline:
+        try:
+            deadline = self._deadline
             now = monotonic_ns()
-        echo, chunk = self._echo, b""
-        if echo is not None:  # a deadline is due: the rest of the held octets will not arrive
-            chunk = self._drain()
-            chunk = echo.release() + chunk
+            if deadline - now > self._early_ns:
+                if deadline != NEVER:
+                    self._arm(deadline)
+                return
+            while now < deadline:
+                now = monotonic_ns()
+            echo, chunk = self._echo, b""
+            if echo is not None:  # a deadline is due: the rest of the held octets will not arrive
+                chunk = self._drain()
+                chunk = echo.release() + chunk
+        except Exception as exc:  # without memory: no timer would call again
+            self._fail(exc)
+            return
         self._step(chunk)
 
     def _read_before_deadline(self, chunk: bytes, now: int) -> tuple[bytes, int]:
@@ -508,22 +523,42 @@ class LineRuntime(ABC):
             self._report("the handler of bus events raised", exc)
 
     def _fail(self, exc: Exception) -> None:
-        """The machine raised: stop, and call the failure handler."""
+        """The machine raised, or there is no memory for it: send Clear, stop, and call the failure handler."""
         if self._at is None:
             raise exc
         self.failed = exc
-        self._halt()
-        self._port.close()
-        text = f"stopped by a defect, please report it: {type(exc).__name__}: {exc}"
-        self._dispatch([self._notice(text, Severity.ERROR)])
-        if self._on_failure is not None:
-            self._on_failure(exc)
-        else:
-            self._report(printable(f"{self.port_name}: {text}"), exc)
+        self._reserve = None
+        clear = None if self._attempts is not None else self._last_clear
+        text = ""
+        try:
+            self._halt()
+            if clear is not None:
+                clear.send(self._port)
+        except Exception as error:
+            if clear is not None:
+                clear.why_not = f"{type(error).__name__}: {error}"
+        finally:
+            self._port.close()
+            try:
+                text = f"stopped by {stopped_by(exc)}{self._text_of_clear(clear)}"
+                self._dispatch([self._notice(text, Severity.ERROR)])
+            finally:
+                if self._on_failure is not None:
+                    self._on_failure(exc)
+                else:
+                    self._report(printable(f"{self.port_name}: {text}"), exc)
+
+    def _text_of_clear(self, clear: LastClear | None) -> str:
+        if clear is None:
+            return ""
+        if clear.was_sent:
+            return ". Clear was sent before"
+        return f". Clear was not sent: {clear.why_not}"
 
     def _halt(self) -> None:
         self._at = None
         self._attempts = None
+        self._reserve = None
         self._armed = self._deadline = NEVER
         self._port.detach()
         if self._pending_step is not None:

@@ -175,7 +175,8 @@ class SelectLoop:
         """Run until :meth:`stop`. May be called again."""
         if self._is_running or self._closed:
             raise UsageError("the loop is running already" if self._is_running else "the loop is closed")
-        self._waker_fd()
+        with contextlib.suppress(OSError):  # no descriptors left: another thread's call comes with the next deadline
+            self._waker_fd()
         self._is_running = True
         self.budget.begin(monotonic_ns())
         try:

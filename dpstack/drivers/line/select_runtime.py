@@ -79,8 +79,12 @@ class SelectRuntime(LineRuntime):
             self._spin_ns = 0
 
     def _timer_due(self) -> None:
-        if not self._spin_ns and self._loop.budget.may_spin(monotonic_ns()):
-            self._spin_ns = self.spin_ns
+        try:
+            if not self._spin_ns and self._loop.budget.may_spin(monotonic_ns()):
+                self._spin_ns = self.spin_ns
+        except MemoryError as exc:
+            self._fail(exc)
+            return
         super()._timer_due()
 
     # --- a lost port ---

@@ -8,7 +8,7 @@ application, and in :func:`end_on_port`, where the application's event loop can 
 
 from __future__ import annotations
 
-import select
+import signal
 from collections.abc import Callable, Mapping
 from time import monotonic_ns
 from typing import Final
@@ -17,15 +17,14 @@ from dpstack.dp.master.commands import Shutdown
 from dpstack.dp.master.events import MasterStopped
 from dpstack.dpv1.master.orders import CloseConnections, ConnectionsClosed
 from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.last_clear import why_not_alone
 from dpstack.drivers.line.select_loop import Alarm, SelectLoop
 from dpstack.drivers.line.select_runtime import SelectRuntime
 from dpstack.drivers.runtime import END_LIMIT, last_bits_ns
 from dpstack.errors import DpError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline
-from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.events import RingLeft
-from dpstack.fdl.telegram import Kind
 from dpstack.params import BusParams
 from dpstack.ports import Port
 from dpstack.trace import Event
@@ -36,9 +35,27 @@ EndOrder = Shutdown | CloseConnections | GoOffline
 #: Longest time of a hurried end, whose callers promise to end the program within a second.
 HURRY_NS: Final = 800 * NS_PER_MS
 _STEPS: Final = 3
+#: Signals that a fault of the program raises: a handler in Python would be called for ever.
+_OF_FAULTS: Final = frozenset({"SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSEGV", "SIGSYS", "SIGTRAP"})
+#: Signals that do not end a program without a handler, and SIGKILL; Python ignores SIGPIPE and SIGXFSZ.
+_NO_END: Final = frozenset(
+    {"SIGCHLD", "SIGCONT", "SIGKILL", "SIGPIPE", "SIGSTOP", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGURG", "SIGWINCH"}
+    | {"SIGXFSZ"}
+)
 _ROTATIONS: Final = 10
-#: Number of listening periods on a line with octets of others.
-_LISTENS: Final = 3
+
+
+def ending_signals() -> list[int]:
+    """Signals that end a program without a handler and may come from outside; real-time signals are among them."""
+    out = {getattr(signal, name) for name in _OF_FAULTS | _NO_END if hasattr(signal, name)}
+    return sorted(int(number) for number in signal.valid_signals() if number not in out)
+
+
+def signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
 
 
 def end_limit_ns(params: BusParams, rotation_ns: int) -> int:
@@ -186,16 +203,9 @@ def end_on_port(port: Port, station: ActiveStation, echo: Echo) -> str:
     only when it is alone in the ring: on a bus with another master, or with octets of another station within T_TO, it
     sends nothing.
     """
-    others = sorted(station.las - {station.address})
-    if not station.in_ring:
-        return "this master is not in the token ring"
-    if others:
-        masters = f"master{'s' if len(others) > 1 else ''} {', '.join(map(str, others))}"
-        return f"{masters} may hold the token by now, and without the token nothing may be sent"
-    if port.fd is None:
-        return "a port of this kind needs the event loop"
-    if not _nobody_else_sends(port, station):
-        return "somebody else sends on the bus, and without the token nothing may be sent"
+    why_not = why_not_alone(port, station)
+    if why_not:
+        return why_not
     loop = SelectLoop()
     runtime = SelectRuntime(port, station, lambda events: ending.on_events(events), echo=echo)
 
@@ -214,23 +224,3 @@ def end_on_port(port: Port, station: ActiveStation, echo: Echo) -> str:
         runtime.close()
         loop.close()
     return "" if ending.steps.cleared else "the bus did not take them in time"
-
-
-def _nobody_else_sends(port: Port, station: ActiveStation) -> bool:
-    """Whether in a time of T_TO only answers to this station, or its own telegrams, are on the line."""
-    assert port.fd is not None
-    decoder = Decoder(stall_ns=NS_PER_S)
-    patience_ns = station.params.ns(station.params.t_to)
-    for _ in range(_LISTENS):
-        end = monotonic_ns() + patience_ns
-        octets = b""
-        while (left := end - monotonic_ns()) > 0 and not octets:
-            select.select([port.fd], [], [], left / NS_PER_S)
-            octets = port.read_now()
-        if not octets:
-            return True
-        for telegram in decoder.feed(octets, monotonic_ns()):
-            own = telegram.sa == station.address
-            if not own and (telegram.kind == Kind.SD4 or telegram.is_request):
-                return False
-    return False

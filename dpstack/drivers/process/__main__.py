@@ -14,9 +14,11 @@ import os
 import signal
 import socket
 import sys
+from functools import partial
 from typing import Final
 
 from dpstack.drivers.line.select_loop import SelectLoop
+from dpstack.drivers.line.shutdown import ending_signals, signal_name
 from dpstack.drivers.process.messages import (
     FROM_TERMINALS,
     Answer,
@@ -34,9 +36,12 @@ from dpstack.drivers.realtime.gc_control import Collector
 from dpstack.drivers.realtime.rights import become_real_time
 from dpstack.errors import BusError
 from dpstack.ports.tty import is_pty_path
+from dpstack.text import traceback_text
 
 _PR_SET_PDEATHSIG: Final = 1
 _CHUNK: Final = 65_536
+#: the ordered end is tried so often in a loop that an exception ended
+_TRIES: Final = 3
 
 
 def main(arguments: list[str]) -> int:
@@ -48,7 +53,8 @@ def main(arguments: list[str]) -> int:
     sock_fd, memory_fd, parent = map(int, arguments)
     loop = SelectLoop()
     hosts: list[Host] = []
-    loop.add_signal_handler(signal.SIGTERM, lambda: _terminated(loop, hosts))
+    for number in set(ending_signals()) - set(FROM_TERMINALS):
+        loop.add_signal_handler(number, partial(_terminated, loop, hosts, number))
     # second sign that the parent is dead; the first is the end of the socket
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
@@ -70,14 +76,20 @@ def main(arguments: list[str]) -> int:
     collector = Collector()
     collector.begin()
     loop.on_idle = collector.idle
-    loop.run()
+    for _ in range(_TRIES):
+        try:
+            loop.run()
+            break
+        except BaseException as error:  # sys.exit() in a plugin, no memory for the loop itself
+            host.end(f"the loop of the bus process was left ({type(error).__name__})")
+            print(traceback_text(error), file=sys.stderr, flush=True)
     loop.close()
     return 0
 
 
-def _terminated(loop: SelectLoop, hosts: list[Host]) -> None:
+def _terminated(loop: SelectLoop, hosts: list[Host], number: int) -> None:
     if hosts:
-        hosts[0].end_soon("it was told to end (SIGTERM)")
+        hosts[0].end_soon(f"it was told to end ({signal_name(number)})")
     else:
         loop.stop()
 

@@ -106,6 +106,7 @@ class Channel:
         self._frames = Frames(News)
         self._hello: asyncio.Future[Hello] | None = None
         self._last_words: News | None = None
+        self._unread = False  # there was no memory for its messages, so it was left to itself
         self._number = 0
         self._sent: dict[int, _Sent] = {}
         self._gone: DpError | None = None
@@ -136,7 +137,10 @@ class Channel:
         self._image = image
         self._loop = loop = asyncio.get_running_loop()
         self._hello = loop.create_future()
-        ours, theirs = socket.socketpair()
+        try:
+            ours, theirs = socket.socketpair()
+        except OSError as error:
+            raise not_started(error) from None
         self._sock = ours
         try:
             with theirs:
@@ -151,6 +155,8 @@ class Channel:
             self.release()
             if isinstance(error, TimeoutError):
                 raise BusError(f"the bus process did not start within {ns_to_s(START_LIMIT_NS):g} s") from None
+            if isinstance(error, OSError) and not isinstance(error, DpError):
+                raise not_started(error) from None
             raise
 
     async def ended(self) -> None:
@@ -183,7 +189,7 @@ class Channel:
     def hang_up_and_wait(self, error: DpError) -> bool:
         """Hang up without a loop; the process makes its ordered end. Whether it has ended in time; it is not killed."""
         self.hang_up(error)
-        self._disconnect()
+        self.disconnect()
         process = self._process
         if process is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -210,7 +216,7 @@ class Channel:
 
     def release(self) -> bool:
         """Close the socket and make sure that the process has ended. True when it had to be killed."""
-        self._disconnect()
+        self.disconnect()
         process = self._process
         if process is None or process.poll() is not None:
             return False
@@ -306,12 +312,17 @@ class Channel:
             self._hung_up()
             return False
         self._silent = False
-        for news in self._frames.feed(octets):
-            if news.over is not None:
-                self._last_words = news
-            self._on_news(news)
-            if news.answer is not None:
-                self._on_answer(news.answer)
+        try:
+            for news in self._frames.feed(octets):
+                if news.over is not None:
+                    self._last_words = news
+                self._on_news(news)
+                if news.answer is not None:
+                    self._on_answer(news.answer)
+        except MemoryError:  # the rest of the stream cannot be read any more: the bus process makes the end by itself
+            self._unread = True
+            self._hung_up()
+            raise
         return True
 
     def _on_answer(self, answer: Answer) -> None:
@@ -344,7 +355,7 @@ class Channel:
 
     def _hung_up(self) -> None:
         """The bus process is gone, or about to be."""
-        self._disconnect()
+        self.disconnect()
         self._when_ended(self._is_gone)
 
     def _is_gone(self) -> None:
@@ -352,14 +363,18 @@ class Channel:
         if process is None:
             return
         asked_for = self._gone is not None
-        error = self._gone or self._why_gone(process.poll(), self._last_words)
+        last = self._last_words
+        if self._unread and process.poll() == 0:
+            last = News(over="this program has no memory left to read its messages")
+        error = self._gone or self._why_gone(process.poll(), last)
         self.hang_up(error)
         if self._hello is not None and not self._hello.done():
             self._hello.set_exception(error)
         elif not asked_for:
             self._on_gone(error)
 
-    def _disconnect(self) -> None:
+    def disconnect(self) -> None:
+        """Close the socket: a bus process that still runs makes the ordered end."""
         sock, self._sock = self._sock, None
         outbox, self._outbox = self._outbox, None
         if sock is not None:
@@ -368,6 +383,12 @@ class Channel:
                 if outbox is not None:
                     outbox.forget()
             sock.close()
+
+
+def not_started(error: OSError) -> BusError:
+    """The error where the system has no descriptors, memory or processes left for a bus process."""
+    why = error.strerror or str(error)
+    return BusError(f'the bus process cannot be started ({why}): raise that limit, or take driver = "asyncio"')
 
 
 def _started(sock: int, memory: int) -> subprocess.Popen[bytes]:

@@ -17,7 +17,6 @@ import asyncio
 import contextlib
 import dataclasses
 import os
-import signal
 from collections.abc import Callable, Iterable, Mapping
 from time import monotonic_ns
 from typing import Final
@@ -29,7 +28,7 @@ from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
 from dpstack.drivers.futures import wait_through_cancellation
-from dpstack.drivers.line.shutdown import at_slaves
+from dpstack.drivers.line.shutdown import at_slaves, signal_name
 from dpstack.drivers.process import channel
 from dpstack.drivers.process.messages import (
     CloseBus,
@@ -99,6 +98,8 @@ class ProcessRuntime:
         self._counters = Counters()
         self._drives: dict[int, object] = {}
         self._not_running: str | None = None
+        #: the machine in the bus process failed, and Clear was sent without it
+        self.cleared = False
         self._silent_since = 0  # time of the last heartbeat before the silence; 0: the bus process is not silent
         self._silences = 0
         self._watchdogs_then: dict[str, int] = {}
@@ -131,7 +132,10 @@ class ProcessRuntime:
         if self._channel.pid is not None:
             raise UsageError("the driver is open already")
         self._loop = asyncio.get_running_loop()
-        memory = make_memory()
+        try:
+            memory = make_memory()
+        except OSError as error:
+            raise channel.not_started(error) from None
         try:
             self._image = SharedImage(memory)
             self._image.words[Word.ROUNDS_WATCHED] = self._on_round is not None
@@ -156,6 +160,8 @@ class ProcessRuntime:
                     await wait_through_cancellation(closing)
                 if not closing.cancelled() and closing.exception() is None:
                     final = dataclasses.replace(typed(closing.result(), Counters), t_ns=0)
+                else:  # it may still see that the socket is closed, and make the end by itself
+                    line.disconnect()
                 line.hang_up(UsageError("the bus is closed"))
                 await wait_through_cancellation(asyncio.ensure_future(line.ended()))
         finally:
@@ -513,6 +519,7 @@ class ProcessRuntime:
         return event
 
     def _why_gone(self, code: int | None, last: News | None) -> DpError:
+        self.cleared = last is not None and last.cleared
         return how_it_ended(code, last, self._watchdogs())
 
     def _watchdogs(self) -> dict[str, int]:
@@ -563,14 +570,14 @@ def how_it_ended(code: int | None, last: News | None, watchdogs: Mapping[str, in
     ``watchdogs``: of the slaves that were in data exchange, by name, in ns (0 is off).
     """
     if last is not None and last.defect:
-        text = f"the bus was stopped by a defect in dpstack ({last.over}); please report it. {at_slaves(watchdogs)}"
-        return BusError(text)
+        safe = "Clear was sent before" if last.cleared else at_slaves(watchdogs)
+        return BusError(f"the bus was stopped by {last.over}. {safe}")
     if last is not None:
         return BusError(f"the bus process has ended: {last.over}; outputs were set to their safe values before")
     if code is None:
         how = "does not talk any more"
     elif code < 0:
-        how = f"was killed by {_signal(-code)}"
+        how = f"was killed by {signal_name(-code)}"
     else:
         how = f"ended with exit code {code}, see what it wrote to standard error"
     return BusError(f"the bus process {how}: nothing is sent any more. {at_slaves(watchdogs)}; open the bus anew")
@@ -579,10 +586,3 @@ def how_it_ended(code: int | None, last: News | None, watchdogs: Mapping[str, in
 def killed_at_the_end(watchdogs: Mapping[str, int]) -> str:
     """Text for a bus process that did not end when ordered to; ``watchdogs`` as in :func:`how_it_ended`."""
     return f"it did not answer at the end of the bus and was killed: the end was not in order. {at_slaves(watchdogs)}"
-
-
-def _signal(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"

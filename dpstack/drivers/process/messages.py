@@ -112,10 +112,11 @@ class News:
     """Events in order, the state after them, then an ``answer``. Parts of the state that did not change are left out.
 
     ``round_over``: a round ended, ``cycle`` is its data (sent while the application watches the rounds). ``over``: the
-    reason of the end, in the last message; ``defect``: a defect of dpstack. ``silence``: the bus process answers that
-    it is alive to an application that found it silent for the so-many-th time; everything of the state is in this
-    message. ``dropped``: outputs that came too late, by address with their ``until_ns``. ``tapped``: octets on the
-    line, in a message of their own; ``tap_lost``: number of entries lost directly before them.
+    reason of the end, in the last message; ``defect``: the machine failed (a defect of dpstack, no memory),
+    ``cleared``: Clear was sent all the same. ``silence``: the bus process answers that it is alive to an application
+    that found it silent for the so-many-th time; everything of the state is in this message. ``dropped``: outputs that
+    came too late, by address with their ``until_ns``. ``tapped``: octets on the line, in a message of their own;
+    ``tap_lost``: number of entries lost directly before them.
     """
 
     bus: BusSnapshot | None = None
@@ -126,6 +127,7 @@ class News:
     cycle: CycleData | None = None
     over: str | None = None
     defect: bool = False
+    cleared: bool = False
     silence: int = 0
     dropped: dict[int, int] = field(default_factory=dict)
     tapped: list[Tapped] = field(default_factory=list)
@@ -200,10 +202,14 @@ class Frames(Generic[T]):
             yield message
 
 
+#: where a process reads its socket into: a read needs no more memory than there is to read
+_received: Final = memoryview(bytearray(_CHUNK))
+
+
 def received(sock: socket.socket) -> bytes | None:
     """The octets that ``sock`` has now: None where there are none yet, empty where the other process has hung up."""
     try:
-        return sock.recv(_CHUNK)
+        return bytes(_received[: sock.recv_into(_received)])
     except BlockingIOError:
         return None
     except OSError:

@@ -13,6 +13,7 @@ from dpstack.dp.master.commands import Mode, SendControl, Shutdown
 from dpstack.dp.master.events import DriveEvent
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.process_image import SlaveImage
+from dpstack.drivers.line.last_clear import LastClear
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.line.select_runtime import SelectRuntime
 from dpstack.drivers.line.shutdown import Ending
@@ -34,6 +35,7 @@ from dpstack.drivers.process.messages import (
 )
 from dpstack.drivers.process.plugins import AttachPlugin, core_at, load
 from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
+from dpstack.drivers.runtime import stopped_by
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import Stack, image_snapshot
 from dpstack.drivers.tap import TAP_PORTION, TAP_SHORT_PAUSE_NS, Tap
@@ -87,6 +89,7 @@ class Host:
             on_failure=self._on_failure,
             tune=self._station.set_patience if setup.tune else None,
             held_up=self._station.held_up,
+            last_clear=LastClear(self._station, stack.is_operating),
         )
         stack.line = self.runtime
         self._ending = Ending(
@@ -146,9 +149,9 @@ class Host:
         idle = not self._questions
         try:
             self._questions += self._frames.feed(octets)
-        except BusError as error:
+        except (BusError, MemoryError) as error:  # what follows in the stream cannot be read any more
             self._loop.remove_reader(self._sock.fileno())
-            self.end(str(error))
+            self.end(str(error) or "it has no memory left")
             return
         if len(self._questions) >= _WAITING:
             self._loop.remove_reader(self._sock.fileno())
@@ -159,6 +162,14 @@ class Host:
         """Carry out one order in a turn of the loop, so that the bus runs between two orders."""
         question = self._questions.popleft()
         answer = Answer(question.number)
+        order = None
+        try:
+            order = self._answer(question, answer)
+        finally:  # whatever was raised: the other orders are carried out
+            self._after(order)
+
+    def _answer(self, question: Question, answer: Answer) -> object:
+        """Carry out an order and send its answer. Returns the order."""
         order = None
         self._image.words[Word.ORDER_TAKEN] = question.number  # before the clock is read: so the application knows
         try:
@@ -173,6 +184,10 @@ class Host:
             self._outbox.send(News(answer=answer))
         else:
             self._send_news([], answer=answer)
+        return order
+
+    def _after(self, order: object) -> None:
+        """Go on after an order."""
         if isinstance(order, CloseBus):
             if self._has_ended:
                 self._stop()
@@ -310,7 +325,13 @@ class Host:
         self._send_news(events)
 
     def _send_news(
-        self, events: list[Event], *, answer: Answer | None = None, over: str | None = None, defect: bool = False
+        self,
+        events: list[Event],
+        *,
+        answer: Answer | None = None,
+        over: str | None = None,
+        defect: bool = False,
+        cleared: bool = False,
     ) -> None:
         """Send events, the changes of the state and an answer. For an application that does not read: later."""
         self._publish()
@@ -322,7 +343,7 @@ class Host:
             if not kept and answer is None and over is None:  # answers and the last words come in any case
                 return
             events = kept
-        news = News(events=[named(event) for event in events], answer=answer, over=over, defect=defect)
+        news = News(events=[named(event) for event in events], answer=answer, over=over, defect=defect, cleared=cleared)
         silences = self._image.words[Word.SILENCES]
         if silences != self._silences:  # the application gave the bus up: it gets the whole state anew
             self._silences = news.silence = silences
@@ -351,6 +372,7 @@ class Host:
         if self._over:
             return
         now = monotonic_ns()
+        self._loop.call_at(now + _HEARTBEAT, self._on_heartbeat)  # whatever is raised below
         self._image.words[Word.HEARTBEAT] = now
         self._take_outputs()
         self._follow_tap()
@@ -364,7 +386,6 @@ class Host:
                 self._send_news([_notice(text)] if missed else [])
         elif self._image.words[Word.SILENCES] != self._silences:
             self._send_news([])
-        self._loop.call_at(now + _HEARTBEAT, self._on_heartbeat)
 
     def _publish_counters(self) -> None:
         """Publish the counters."""
@@ -379,9 +400,9 @@ class Host:
         return left or self.runtime.failed is not None
 
     def _on_failure(self, error: Exception) -> None:
-        """The machine raised: a defect of ours."""
+        """The machine raised: a defect of ours, or there is no memory."""
         self._send_last_tapped()
-        self._send_news([], over=f"{type(error).__name__}: {error}", defect=True)
+        self._send_news([], over=stopped_by(error), defect=True, cleared=self.runtime.cleared)
         self._loop.call_soon(self._stop)
 
     def _finish(self, why: str) -> None:

@@ -172,7 +172,14 @@ class SharedImage:
 
 
 def make_memory() -> int:
-    """The file descriptor of fresh memory, all zeros."""
+    """The file descriptor of fresh memory, all zeros. Raises OSError.
+
+    All of its pages exist: where the system has none left, the error is here, and not SIGBUS at a later store.
+    """
     fd = os.memfd_create("dpstack", os.MFD_CLOEXEC)
-    os.ftruncate(fd, SIZE)
+    try:
+        os.posix_fallocate(fd, 0, SIZE)
+    except OSError:
+        os.close(fd)
+        raise
     return fd

@@ -107,6 +107,8 @@ class VirtualRuntime(ActsAtOnce):
 
     #: close() does not wait
     close_limit_ns = 0
+    #: simulated slaves need no Clear
+    cleared = False
 
     def end_without_loop(self) -> str:
         """Empty: the world stands still with its loop, and no real slave has outputs."""

@@ -19,7 +19,7 @@ import pytest
 from ends_kit import after_live, heard, is_in_order, table
 from ends_programs import WAYS, Ways
 from far_ends import HANG_S
-from process_kit import SPEC, eventually, octet_slaves
+from process_kit import LAMPS_SPEC, SPEC, eventually, octet_slaves
 from support_responder import Responder
 
 import dpstack
@@ -85,7 +85,7 @@ RAISED: dict[str, type[BaseException]] = {
 def test_within_this_process(way: str, caplog: pytest.LogCaptureFixture) -> None:
     raised = RAISED.get(way)
     told = ""
-    with octet_slaves(SPEC) as (path, there), heard(there) as words:
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there), heard(there) as words:
         with contextlib.nullcontext() if raised is None else pytest.raises(raised):
             getattr(Ways(path, "asyncio"), way)()
         eventually(lambda: bool(words) and words[-1] == "clear", "Clear")
@@ -95,7 +95,7 @@ def test_within_this_process(way: str, caplog: pytest.LogCaptureFixture) -> None
 
 def as_program(way: str, driver: str) -> None:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT / "tests" / "kits"), str(ROOT)])}
-    with octet_slaves(SPEC) as (path, there), heard(there) as words:
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there), heard(there) as words:
         command = [sys.executable, str(ROOT / "tests" / "kits" / "ends_programs.py"), path, driver, way]
         ended = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, env=environment, check=False)
         assert ended.stdout.startswith("live\n"), ended.stderr
@@ -141,7 +141,7 @@ def closed_loop(path: str, before_it_is_closed: Callable[[], None]) -> dpstack.B
 
 def test_the_finaliser_sends_nothing_where_somebody_else_sends(caplog: pytest.LogCaptureFixture) -> None:
     """A token between two others arrived when the loop stood still: ours is gone."""
-    with octet_slaves(SPEC) as (path, there):
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
         bus = closed_loop(path, lambda: foreign_token(there))
         (record,) = caplog.records
         assert record.levelno == logging.ERROR
@@ -161,7 +161,7 @@ def foreign_token(there: Responder) -> None:
 def test_the_finaliser_sends_nothing_beside_other_masters(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with octet_slaves(SPEC) as (path, there):
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
         closed_loop(
             path, lambda: monkeypatch.setattr(ActiveStation, "las", property(lambda _station: frozenset({2, 7, 9})))
         )
@@ -192,7 +192,7 @@ def test_the_child_of_a_fork_gets_an_epoll_of_its_own_whatever_loop_has_it() -> 
 
 
 def test_close_in_another_thread_has_the_loop_make_the_end() -> None:
-    with octet_slaves(SPEC) as (path, there), heard(there) as words:
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there), heard(there) as words:
 
         async def main() -> None:
             async with ways.bus() as bus:
@@ -210,7 +210,7 @@ def test_another_task_blocks_the_loop_for_longer_than_the_end_waits(monkeypatch:
     """The time in which the loop does not run is none in which the master could have ended."""
     monkeypatch.setattr(of_drivers, "END_LIMIT", 50_000_000)
 
-    with octet_slaves(SPEC) as (path, there), heard(there) as words:
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there), heard(there) as words:
 
         async def main() -> None:
             async with ways.bus() as bus:
@@ -226,7 +226,7 @@ def test_another_task_blocks_the_loop_for_longer_than_the_end_waits(monkeypatch:
 
 
 def test_a_closed_bus_leaves_no_finaliser(caplog: pytest.LogCaptureFixture) -> None:
-    with octet_slaves(SPEC) as (path, _there):
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, _there):
         Ways(path, "asyncio").the_block_ends()
         assert caplog.records == []
 
@@ -244,7 +244,7 @@ def test_ctrl_c_in_the_middle_of_a_telegram(then: str, monkeypatch: pytest.Monke
             raise KeyboardInterrupt
         return taken
 
-    with octet_slaves(SPEC) as (path, there), heard(there) as words:
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there), heard(there) as words:
         ways = Ways(path, "asyncio")
         loop = asyncio.new_event_loop()
         monkeypatch.setattr(TtyPort, "write", interrupt)

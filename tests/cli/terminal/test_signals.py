@@ -17,7 +17,7 @@ from process_kit import SPEC, octet_slaves
 from programs import Starter
 
 import dpstack
-from dpstack.api.bus.shutdown import OrderedEnd
+from dpstack.api.bus.shutdown import ENDING_SIGNALS, OrderedEnd
 from dpstack.cli.main import main
 from dpstack.cli.terminal import signals
 from dpstack.cli.terminal.signals import StopSignal
@@ -67,7 +67,7 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 @contextlib.contextmanager
 def old_handlers() -> Iterator[None]:
     """Signal handlers as they were before."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
+    numbers = (signal.SIGINT, *ENDING_SIGNALS)
     before = {number: signal.getsignal(number) for number in numbers}
     try:
         yield
@@ -84,7 +84,7 @@ async def caught(number: int, times: int = 1) -> None:
     await asyncio.sleep(0)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGRTMAX])
 @pytest.mark.parametrize("virtual", [False, True])
 def test_the_first_ends_the_work(left: list[int], number: signal.Signals, virtual: bool) -> None:
     before = signal.getsignal(number)

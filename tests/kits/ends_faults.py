@@ -1,0 +1,272 @@
+"""Applications that end, or go on, after exceptions in callbacks and with no handles, no memory and no disk left.
+
+As a program: ``python ends_faults.py PATH DRIVER WAY``, as ``ends_programs``; it has all ways of that, too.
+"""
+
+from __future__ import annotations
+
+import _testcapi  # type: ignore[import-not-found]  # of CPython: lets allocations fail
+import asyncio
+import concurrent.futures.thread  # noqa: F401 -- with no handles left it could not be imported
+import os
+import resource
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from ends_programs import LONG_S, Ways
+from far_ends import until
+
+import dpstack
+from dpstack.machine import Machine
+from dpstack.trace import Event
+
+
+class MisuseError(Exception):
+    """Raised by the code of a user."""
+
+
+def no_handles_left() -> None:
+    """Every file descriptor that this process may have is open."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(soft, 256), hard))
+    try:
+        while True:
+            os.open(os.devnull, os.O_RDONLY)
+    except OSError:
+        return
+
+
+class Faults(Ways):
+    """More ways; those that are no end print "goes on" while the bus runs, and end the block then."""
+
+    async def goes_on(self, bus: dpstack.Bus) -> None:
+        """The bus exchanges data after this moment, and is told to end by the recorder's test."""
+        before = bus.stats.rotations
+        await bus.rotated(before + 20, LONG_S)
+        print("goes on", flush=True)
+        await asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
+
+    # --- exceptions in callbacks of the user: the bus goes on ---
+    def in_a_reader(self) -> None:
+        """add_reader()."""
+
+        async def then(bus: dpstack.Bus) -> None:
+            read, write = os.pipe()
+            loop = asyncio.get_running_loop()
+
+            def readable() -> None:
+                loop.remove_reader(read)
+                raise MisuseError
+
+            loop.add_reader(read, readable)
+            os.write(write, b"x")
+            await self.goes_on(bus)
+
+        self.run(then)
+
+    def in_a_done_callback(self) -> None:
+        """Of a task, and of a future."""
+
+        async def then(bus: dpstack.Bus) -> None:
+            def done(_: object) -> None:
+                raise MisuseError
+
+            asyncio.ensure_future(asyncio.sleep(0)).add_done_callback(done)
+            await self.goes_on(bus)
+
+        self.run(then)
+
+    def in_a_task(self) -> None:
+        """A task that nobody awaits."""
+
+        async def then(bus: dpstack.Bus) -> None:
+            async def fails() -> None:
+                raise MisuseError
+
+            self.task = asyncio.ensure_future(fails())
+            await self.goes_on(bus)
+
+        self.run(then)
+
+    def in_on_event(self) -> None:
+        self.raises: Callable[[], None] | None = None
+
+        async def then(bus: dpstack.Bus) -> None:
+            def misuse() -> None:
+                self.raises = None
+                raise MisuseError
+
+            self.raises = misuse
+            await bus.clear()
+            await until(lambda: self.raises is None, "on_event")
+            await bus.operate()
+            await self.goes_on(bus)
+
+        self.run(then)
+
+    def sys_exit_in_on_event(self) -> None:
+        async def then(bus: dpstack.Bus) -> None:
+            self.raises = lambda: sys.exit(3)
+            await bus.sync()
+            bus.runtime.tap(None)
+            await bus.slave("lamps").deactivate() if hasattr(bus.slave("lamps"), "deactivate") else await bus.clear()
+            await asyncio.sleep(LONG_S)
+
+        self.run(then)
+
+    def on_event(self, event: Event) -> None:
+        super().on_event(event)
+        raises = getattr(self, "raises", None)
+        if self.is_live and raises is not None:
+            raises()
+
+    def in_a_thread(self) -> None:
+        async def then(bus: dpstack.Bus) -> None:
+            def fails() -> None:
+                raise MisuseError
+
+            threading.Thread(target=fails).start()
+            await self.goes_on(bus)
+
+        self.run(then)
+
+    def in_a_signal_handler(self) -> None:
+        async def then(bus: dpstack.Bus) -> None:
+            def handler(*_: object) -> None:
+                raise MisuseError
+
+            signal.signal(signal.SIGUSR1, handler)
+            os.kill(os.getpid(), signal.SIGUSR1)
+            await asyncio.sleep(LONG_S)
+
+        self.run(then)
+
+    # --- cancellations ---
+    def cancelled_once(self) -> None:
+        self.cancelled(1)
+
+    def cancelled_many_times(self) -> None:
+        self.cancelled(1000)
+
+    def cancelled(self, times: int) -> None:
+        async def then(_: dpstack.Bus) -> None:
+            task, loop = asyncio.current_task(), asyncio.get_running_loop()
+            assert task is not None
+            for number in range(times):
+                loop.call_later(number * 0.0001, task.cancel)
+            await asyncio.sleep(LONG_S)
+
+        try:
+            self.run(then)
+        except asyncio.CancelledError:
+            sys.exit("CancelledError")
+
+    # --- no handles ---
+    def no_handles(self) -> None:
+        async def then(_: dpstack.Bus) -> None:
+            no_handles_left()
+
+        self.run(then)
+
+    def no_handles_in_the_loop(self) -> None:
+        async def then(bus: dpstack.Bus) -> None:
+            no_handles_left()
+            await self.goes_on(bus)
+
+        self.run(then)
+
+    def no_handles_and_the_interpreter_ends(self) -> None:
+        self.loop = asyncio.new_event_loop()
+        self.loop.run_until_complete(self.opened())
+        no_handles_left()
+
+    def no_handles_and_the_loop_is_closed(self) -> None:
+        loop = asyncio.new_event_loop()
+        try:
+            loop.run_until_complete(self.opened())
+            no_handles_left()
+        finally:
+            loop.close()
+
+    def no_handles_and_a_forked_child_ends(self) -> None:
+        async def forks(bus: dpstack.Bus) -> None:
+            no_handles_left()
+            pid = os.fork()
+            if not pid:
+                sys.exit(0)
+            await until(lambda: os.waitpid(pid, os.WNOHANG)[0] == pid, "the end of the child")
+            await self.goes_on(bus)
+
+        self.run(forks)
+
+    def no_handles_before_the_start(self) -> None:
+        no_handles_left()
+        self.the_block_ends()
+
+    # --- no memory ---
+    def memory_error_in_the_block(self) -> None:
+        async def then(_: dpstack.Bus) -> None:
+            raise MemoryError
+
+        self.run(then)
+
+    def no_memory_in_the_block(self) -> None:
+        """The program keeps what it has got until there is no more."""
+
+        async def then(_: dpstack.Bus) -> None:
+            self.kept: list[bytes] = []
+            soft = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() + (64 << 20)
+            resource.setrlimit(resource.RLIMIT_AS, (soft, soft))
+            size = 16 << 20
+            while size:
+                try:
+                    self.kept.append(bytes(size))
+                except MemoryError:
+                    size //= 2
+            raise MemoryError
+
+        self.run(then)
+
+    def no_memory_in_the_machine(self) -> None:
+        """An allocation fails while the master handles an answer."""
+
+        async def then(bus: dpstack.Bus) -> None:
+            self.fail_in(bus, MemoryError("no memory for it"))
+            await asyncio.sleep(LONG_S)
+
+        self.run(then)
+
+    def a_defect(self) -> None:
+        async def then(bus: dpstack.Bus) -> None:
+            self.fail_in(bus, ZeroDivisionError("a defect"))
+            await bus.rotated(bus.stats.rotations + 1000, LONG_S)
+
+        self.run(then)
+
+    def fail_in(self, bus: dpstack.Bus, error: Exception) -> None:
+        machine: Machine = bus.runtime._machine  # type: ignore[attr-defined]
+
+        def receive(_chunk: bytes, _now: int) -> None:
+            raise error
+
+        machine.receive = receive  # type: ignore[assignment,method-assign]
+
+    def no_memory_from_allocation(self) -> None:
+        """Allocations from the n-th on fail, 40 of them: ``n`` is the 4th argument."""
+
+        async def then(bus: dpstack.Bus) -> None:
+            n = int(sys.argv[4])
+            _testcapi.set_nomemory(n, n + int(sys.argv[5]))
+            try:
+                await bus.rotated(bus.stats.rotations + 200, LONG_S)
+            finally:
+                _testcapi.remove_mem_hooks()
+
+        self.run(then)
+
+
+if __name__ == "__main__":
+    getattr(Faults(sys.argv[1], sys.argv[2]), sys.argv[3])()
