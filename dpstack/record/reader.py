@@ -8,8 +8,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import re
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,6 +32,8 @@ _LONGEST: Final = 1 << 22
 _SHOWN: Final = 40
 #: after so many seconds without a row of the same file nothing is known about the time between (not on change)
 GAP_S: Final = 2.5
+#: beyond it an integer of a damaged file cannot be drawn, nor compared with a time
+_LARGEST: Final = sys.float_info.max
 _ROWS_AT_ONCE: Final = 10_000
 
 
@@ -249,15 +251,18 @@ def _json_row(line: bytes, head: _Head) -> _Cells | None:
         return None
     if not isinstance(found, dict):
         return None
-    time, t, note = seconds_of(found.get(TIME)), found.get(T), found.get(NOTE, "")
-    if time is None or not isinstance(t, (int, float)) or isinstance(t, bool) or not math.isfinite(t):
+    time, t, note = seconds_of(found.get(TIME)), _plain(found.get(T)), found.get(NOTE, "")
+    if time is None or not isinstance(t, (int, float)) or isinstance(t, bool):
         return None
     values = {column.name: _plain(found.get(column.name)) for column in head.columns}
     return time, float(t), values, note if isinstance(note, str) else ""
 
 
 def _plain(value: object) -> Cell:
-    return value if isinstance(value, (bool, int, float, str)) else None
+    """A value of JSON; None for lists, objects, and numbers beyond the range of a float."""
+    if isinstance(value, (int, float)):
+        return value if -_LARGEST <= value <= _LARGEST else None
+    return value if isinstance(value, str) else None
 
 
 def _cell(text: str, column: Column) -> Cell:
@@ -275,15 +280,16 @@ def _cell(text: str, column: Column) -> Cell:
 
 
 def _number(text: str) -> int | float | None:
+    """None for anything but a number within the range of a float."""
+    number: int | float
     try:
-        return int(text)
+        number = int(text)
     except ValueError:
-        pass
-    try:
-        number = float(text)
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None
+        try:
+            number = float(text)
+        except ValueError:
+            return None
+    return number if -_LARGEST <= number <= _LARGEST else None
 
 
 def seconds_of(text: object) -> float | None:

@@ -364,3 +364,20 @@ async def test_a_replay_has_the_keys_of_a_live_stream(tmp_path: Path) -> None:
     snapshot, mine = _of(live, "snapshot")[0], _of(items, "snapshot")[0]
     (slave,), (other,) = snapshot["slaves"].values(), mine["slaves"].values()
     assert other.keys() == slave.keys()
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "-" + "9" * 4000, "NaN", "Infinity", "1e400"])
+def test_a_number_beyond_a_float_is_no_value_and_no_time(number: str, tmp_path: Path) -> None:
+    lines = tmp_path / "plant.jsonl"
+    head = '{"recording":{"slaves":[{"name":"a","columns":[{"field":"x"}]}]}}'
+    row = '{"time":"2026-01-31T12:00:00Z","t":%s,"a.x":%s}'
+    lines.write_text("\n".join((head, row % ("0", "1"), row % ("1", number), row % (number, "2"), "")))
+    recording = Recording(lines)
+    assert [row.values["a.x"] for row in recording.rows()] == [1, None]
+    assert recording.remarks == [f"{lines}: 1 line cannot be read and is left out, the first is line 4"]
+    table = tmp_path / "plant.csv"
+    table.write_text(
+        f"time,t,a.x\n2026-01-31T12:00:00Z,0,1\n2026-01-31T12:00:00Z,1,{number}\n2026-01-31T12:00:00Z,{number},2\n"
+    )
+    assert [row.t for row in Recording(table).rows()] == [0, 1]
+    assert not isinstance(list(Recording(table).rows())[1].values["a.x"], (int, float))
