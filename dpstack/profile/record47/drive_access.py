@@ -5,6 +5,7 @@ The cyclic channel of the telegram is used where the drive has no record 47.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, TypeVar
@@ -302,6 +303,8 @@ def _outcome(place: Place, values: Values) -> dict[str, object]:
     value: Value = first if form.number in _NUMBERS else form.value(first)
     if isinstance(value, (str, bytes)):
         raise CommandError("parameter", f"{place.label} is no number but {form.name}: {value!r}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise CommandError("parameter", f"{place.label} is no number: the drive answers {value} ({form.name})")
     raw = first if isinstance(first, int) else int.from_bytes(form.pack((first,)), "big")
     if spec is not None and isinstance(first, int):
         raw = spec.from_wire(first, 8 * octets)

@@ -61,6 +61,10 @@ class Format:
         except (struct.error, OverflowError):
             raise ValueError(f"{value:g} is more than {self.name} can hold") from None
 
+    def repack(self, raws: tuple[Raw, ...]) -> bytes:
+        """The octets that ``raws`` were unpacked from: also floats that are not finite, which :meth:`pack` refuses."""
+        return b"".join(raw if isinstance(raw, bytes) else struct.pack(f">{self.code}", raw) for raw in raws)
+
     @property
     def low(self) -> int:
         return -(1 << 8 * self.octets - 1) if self.code.islower() else 0

@@ -27,6 +27,8 @@ TEXT_LEN: Final = 16
 _UNKNOWN_LATENCY: Final = 5 * NS_PER_S
 #: elements of one list in a request: as many words as fit into a response
 _AT_ONCE: Final = 116
+#: subindexes: an array of a drive that always has one more element ends here
+_SUBINDEXES: Final = 1 << 16
 #: errors of a drive for an element behind the last one
 _END: Final = frozenset({BAD_SUBINDEX, BAD_ADDRESS})
 #: a description: ID, elements, factor, attribute, reserved, name, low, high, reserved, ID extension, two of the scale
@@ -129,7 +131,7 @@ class ReadParameter(NamedTuple):
         form = self.format
         if form is None or isinstance(self.result, ErrorValue):
             return ()
-        octets = format_of(self.result.format).pack(self.result.raws)
+        octets = format_of(self.result.format).repack(self.result.raws)
         return tuple(form.value(raw) for raw in form.unpack(octets)) if octets else ()
 
     @property
@@ -178,8 +180,9 @@ def _list(client: ParameterClient, pnu: int, deadline: int) -> Transport[list[in
     while count:
         if length is not None:
             count = min(_AT_ONCE, length - len(found))
-            if count <= 0:
-                break
+        count = min(count, _SUBINDEXES - len(found))
+        if count <= 0:
+            break
         (part,) = yield from client.read([Item(Address(pnu, len(found), count), width=2)], deadline)
         if isinstance(part, ErrorValue):
             if (not found and part.number in (ILLEGAL_NUMBER, NO_ARRAY)) or part.number not in _END:
@@ -220,7 +223,7 @@ def _by_elements(client: ParameterClient, pnu: int, deadline: int) -> Transport[
     found = yield from client.read(items, deadline)
     octets = b""
     for one, (_, size) in zip(found, _ELEMENTS, strict=True):
-        part = b"" if isinstance(one, ErrorValue) else format_of(one.format).pack(one.raws)
+        part = b"" if isinstance(one, ErrorValue) else format_of(one.format).repack(one.raws)
         octets += part if len(part) == size else bytes(size)
     return None if isinstance(found[0], ErrorValue) else Description.parse(octets)
 
@@ -229,7 +232,7 @@ def _description(result: Result) -> Description | None:
     if isinstance(result, ErrorValue):
         return None
     try:
-        return Description.parse(FORMATS[result.format].pack(result.raws))
+        return Description.parse(FORMATS[result.format].repack(result.raws))
     except PduError:
         return None
 
@@ -250,14 +253,14 @@ def texts(
     for one in found:
         if isinstance(one, ErrorValue):
             raise CommandError("parameter", f"texts of parameter {pnu}: {error_text(*one)}", one.number)
-        octets += format_of(one.format).pack(one.raws)
+        octets += format_of(one.format).repack(one.raws)
     return [octets[at : at + TEXT_LEN].decode("latin-1").rstrip("\0 ") for at in range(0, count * TEXT_LEN, TEXT_LEN)]
 
 
 def _is_short(result: Result, count: int) -> bool:
     if isinstance(result, ErrorValue):
         return result.number == BAD_ADDRESS
-    return len(format_of(result.format).pack(result.raws)) < count * TEXT_LEN
+    return len(format_of(result.format).repack(result.raws)) < count * TEXT_LEN
 
 
 def read_out(
@@ -305,7 +308,7 @@ def _array(client: ParameterClient, first: ReadParameter, deadline: int) -> Tran
     """All elements, up to the drive's error for the next one."""
     assert isinstance(first.result, Values)
     form, raws, count = first.result.format, first.result.raws, _AT_ONCE
-    while count:
+    while (count := min(count, _SUBINDEXES - len(raws))) > 0:
         item = Item(Address(first.pnu, len(raws), count), width=format_of(form).octets)
         (part,) = yield from client.read([item], deadline)
         if not isinstance(part, Values) or part.format != form:

@@ -107,6 +107,10 @@ def test_a_value_that_is_no_number_is_refused_with_its_format() -> None:
         read(919, "01 01 01 01 09 02 4C 53")
     with pytest.raises(CommandError, match="parameter 919 is no number but OctetString: b'12345'"):
         read(919, "01 01 01 01 0A 05 31 32 33 34 35 00")
+    with pytest.raises(CommandError, match="parameter 1520 is no number: the drive answers nan"):
+        read(1520, "01 01 01 01 08 01 7F C0 00 00")
+    with pytest.raises(CommandError, match="parameter 1520 is no number: the drive answers -inf"):
+        read(1520, "01 01 01 01 08 01 FF 80 00 00")
 
 
 @pytest.mark.parametrize(

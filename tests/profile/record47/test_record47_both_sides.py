@@ -9,10 +9,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
+from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.profile.record47.client import Item, ParameterClient
 from dpstack.profile.record47.formats import FORMATS
-from dpstack.profile.record47.param_lists import Description, ReadParameter, read_limits, read_out
-from dpstack.profile.record47.pdu import Address, ErrorValue, Limits, Refused, Request, Response, Result, Values
+from dpstack.profile.record47.param_lists import Description, ReadParameter, defined, read_limits, read_out
+from dpstack.profile.record47.pdu import (
+    Address,
+    Answer,
+    ErrorValue,
+    Limits,
+    Refused,
+    Request,
+    Response,
+    Result,
+    Service,
+    Values,
+)
 from dpstack.profile.record47.server import ParameterModel, ParameterServer, Rules
 
 # -- both ends ---------------------------------------------------------------------------------------------------------
@@ -111,6 +123,51 @@ def test_the_server_takes_any_octets(data: bytes, length: int) -> None:
         assert answer == Refused(0xB5)
     elif isinstance(answer, bytes):
         assert Response.parse(answer).reference == data[0]
+
+
+# -- drives that lie ---------------------------------------------------------------------------------------------------
+
+
+class Undescribed(Model):
+    """A drive without descriptions."""
+
+    def describe(self, address: Address) -> Result:
+        return ErrorValue(0x13)
+
+
+class Endless(Undescribed):
+    """A drive whose list has one more element behind every element."""
+
+    def read(self, address: Address) -> Result:
+        return Values(6, (7,) * max(address.elements, 1))
+
+
+class Numbers(Wire):
+    """The octets of a float that is no number instead of each value, where the request is not for the list."""
+
+    def __call__(self, service: Service) -> Answer:
+        if isinstance(service, WriteReq):
+            self.request = service.data
+        answer = super().__call__(service)
+        if isinstance(service, ReadReq) and isinstance(answer.data, bytes) and self.request[6:8] != b"\x03\xd4":
+            count = self.request[3]
+            value = bytes.fromhex("08 01 7F C0 00 00") * count
+            return Answer(answer.now, self.request[:3] + bytes((count,)) + value)
+        return answer
+
+
+def test_a_float_that_is_no_number_is_read_as_it_came() -> None:
+    wire = Numbers(ParameterServer(Undescribed({980: Values(6, (1, 2, 0))})))
+    found = talk(read_out(ParameterClient(1)), wire)
+    assert [one.pnu for one in found] == [1, 2]
+    assert all(one.description is None for one in found)
+    assert [str(value) for one in found for value in one.values] == ["nan"] * 2
+
+
+def test_the_list_of_a_drive_ends_with_the_last_subindex() -> None:
+    wire = Wire(ParameterServer(Endless({})))
+    assert talk(defined(ParameterClient(1)), wire) == [7]
+    assert wire.now < 700 * 10 * MS
 
 
 # -- the figure --------------------------------------------------------------------------------------------------------
