@@ -254,6 +254,8 @@ def parse_block(octets: bytes) -> Alarm | Status:
     """An alarm or status from a device related block, header included. Raises PduError naming the octet."""
     if octets and octets[0] != len(octets):
         raise PduError(f"alarm or status: octet 1 says {octets[0]} octets, there are {len(octets)}")
+    if len(octets) > HEAD + MAX_DATA:
+        raise PduError(f"alarm or status: {len(octets)} octets, a device related block has {HEAD + MAX_DATA} at most")
     return _LAYOUT.parse(octets)
 
 

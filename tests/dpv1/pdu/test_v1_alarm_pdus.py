@@ -73,6 +73,7 @@ def test_blocks(pdu: Alarm | Status, octets: str, text: str) -> None:
         ("", "octet 1 (header) is missing"),
         ("03 01 03", "octet 4 (sequence) is missing"),
         ("05 01 03 29", "octet 1 says 5 octets, there are 4"),
+        ("40 01 03 29" + " 00" * 60, "64 octets, a device related block has 63 at most"),  # 40: no device related block
         ("04 00 01 00", "0 is no type of alarm"),
         ("04 07 01 00", "7 is no type of alarm"),
         ("04 7F 01 00", "127 is no type of alarm"),
