@@ -16,8 +16,9 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
+T = TypeVar("T")
 HERE: Final = Path(__file__).resolve().parent
 CORPUS: Final = HERE / "corpus"
 #: most octets of an input, where the target says nothing else
@@ -89,6 +90,11 @@ def load(name: str) -> Target:
 def corpus(name: str) -> list[Path]:
     """The files of the target's corpus, by name."""
     return sorted(path for path in (CORPUS / name).glob("*") if path.is_file())
+
+
+def words(name: str) -> tuple[bytes, ...]:
+    """The lines of ``tests/fuzz/words/NAME.txt``, each with its line feed."""
+    return tuple((HERE / "words" / f"{name}.txt").read_bytes().splitlines(keepends=True))
 
 
 @dataclass
@@ -201,6 +207,15 @@ def assert_plain(text: str, *, lines: bool = False) -> None:
     for line in text.split("\n") if lines else (text,):
         bad = [letter for letter in line if not (letter.isprintable() or letter in "\u00a0\u3000")]
         assert not bad, f"{bad[0]!r} in {line!r}"
+
+
+def parsed(parse: Callable[[bytes], T], octets: bytes, *allowed: type[Exception]) -> T | None:
+    """The result of ``parse``; None where it raises one of ``allowed``, whose text has to be plain and one line."""
+    try:
+        return parse(octets)
+    except allowed as error:
+        assert_plain(str(error))
+        return None
 
 
 class Cutter:
