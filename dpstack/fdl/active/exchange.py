@@ -170,7 +170,7 @@ class Exchange(Awaiting):
         if request.patient or request.function != Req.FDL_STATUS:
             asked.timeouts += 1
             peers.expect_late(request, now, self.times.slot_known_ns)
-        elif not (asked.answers or self.garbled):
+        elif not (asked.answers or asked.timeouts or self.garbled):
             # an unknown address: no fault, and a late FDL status is as true as one in time
             del self.stats.stations[request.da]
         if SERVICES[request.function].counted:
