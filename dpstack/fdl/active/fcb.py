@@ -38,7 +38,6 @@ class FrameCount:
         if self.operational[address]:
             return False
         self.operational[address] = True
-        self._misses[address] = 0
         if bits & FC_FCV and address not in self.fcv_only:
             self.fcv_only.add(address)
             return True

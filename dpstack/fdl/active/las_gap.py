@@ -36,14 +36,11 @@ class Ring:
 
     def __init__(self, ts: int) -> None:
         self.ts = ts
-        self.members: set[int] = set()
-        self.ns = self.ps = ts
-        self.learned = False
         self.forget()
 
     def forget(self) -> None:
         """Reset the LAS to TS alone."""
-        self.members = {self.ts}
+        self.members: set[int] = {self.ts}
         self.ns = self.ps = self.ts
         self.learned = False
         self._order: list[int] = []

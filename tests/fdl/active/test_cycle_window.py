@@ -67,6 +67,43 @@ def test_a_wait_that_was_given_up_does_not_count() -> None:
             assert not window.admits(A, cycle * 1000 + 1)
 
 
+def test_a_request_that_fitted_in_between_waits_anew() -> None:
+    window = CycleWindow()
+    for cycle in range(1, 20):
+        window.begin(cycle * 1000)
+        assert window.admits(A, cycle * 1000 + (cycle != 7)) is (cycle in (7, 16))
+
+
+def test_the_end_of_the_cycles_forgets_who_waited() -> None:
+    window = CycleWindow()
+    for _ in range(8):
+        window.begin(1000)
+        assert not window.admits(A, 1001)
+    window.forced_service = window.unanswered = "x"
+    window.end()
+    assert (window.next_at, window.forced_service, window.unanswered) == (NEVER, "", "")
+    window.begin(1000)
+    assert not window.admits(A, 1001)
+
+
+def test_a_request_of_the_cycle_before_last_waits_no_longer() -> None:
+    """B was held back in cycle 1 and 2 only: in cycle 9 A is the one that waits longest."""
+    window = CycleWindow()
+    for cycle in range(1, 12):
+        window.begin(1000)
+        if cycle < 3:
+            assert not window.admits(B, 1001)
+        if cycle > 1:
+            assert window.admits(A, 1001) is (cycle == 10)
+
+
+def test_a_window_begins_alone_and_without_a_cycle() -> None:
+    window = CycleWindow()
+    assert window.alone is True
+    assert (window.next_at, window.held_back, window.forced) == (NEVER, 0, 0)
+    assert (window.forced_service, window.unanswered) == ("", "")
+
+
 @given(st.lists(st.lists(st.tuples(st.integers(0, 5), st.booleans()), max_size=6), min_size=1, max_size=120))
 def test_no_request_starves_and_late_cycles_are_bounded(cycles: list[list[tuple[int, bool]]]) -> None:
     """Whoever asks in every cycle waits eight of them for each that waits before it, at most; one in eight is late."""
