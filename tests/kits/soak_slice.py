@@ -21,6 +21,7 @@ from soak_wire import Grid, WireCount
 
 import dpstack
 from dpstack.api.server.virtual_bench import VirtualBench
+from dpstack.dp.master.events import DriveEvent
 from dpstack.live.state import LiveState
 from dpstack.profile import DriveDevice
 from dpstack.sim.world import World
@@ -37,6 +38,8 @@ SLICES: Final = WHOLE // SLICE
 CYCLES_MS: Final = (12, 14, 20, 0)
 #: memory is compared from this part of a slice on: readers, histories and histograms are filled
 _WARM: Final = 0.3
+#: events, statuses and notices that readers keep
+_FILL: Final = 1000
 _DRIVES: Final = ("demag-dedrive", "fuji-frenic", "ls-s100")
 _FIRST: Final = 3
 _COUNT: Final = 10
@@ -193,6 +196,17 @@ class Slice:
 
     # --- the course -------------------------------------------------------------------------------------------------
 
+    def _fill(self) -> None:
+        """Fill all that keeps the last events with the usual ones, the statuses of drives: no growth later."""
+        drives, now = self.bus.drives, self.bus.runtime.now()
+        for number in range(_FILL):
+            drive = drives[number % len(drives)]
+            payload: dict[str, object] = {"type": "status", "state": f"filling {number}", "settings": "none"}
+            payload |= dict.fromkeys(("running", "reached", "remote"), False)
+            payload |= dict.fromkeys(("setpoint", "speed", "frequency_hz", "current", "torque"), number / 3)
+            payload |= {name: [] for name in ("warnings", "faults", "words", "bits", "settings_texts")}
+            self.bus.publish(DriveEvent(t_ns=now, address=drive.address, name=drive.name, payload=payload))
+
     async def _mark(self) -> Mark:
         """The counters right after a round, when no Data_Exchange is under way."""
         async for _ in self.bus.cycles():
@@ -212,6 +226,7 @@ class Slice:
             readers += [asyncio.create_task(self._read_statuses(drive)) for drive in bus.drives[:3]]
             await bus.operate()
             await bus.ready()
+            self._fill()
             for drive in bus.drives:
                 await drive.start(30)
                 drive.speed = 0.5
