@@ -111,6 +111,7 @@ class Channel:
         self._sent: dict[int, _Sent] = {}
         self._gone: DpError | None = None
         self._silent = False  # an answer is overdue, and no news has come since
+        self._has_hung_up = False  # the bus process, unasked
         self._image: SharedImage | None = None
 
     @property
@@ -323,7 +324,17 @@ class Channel:
             self._unread = True
             self._hung_up()
             raise
+        except BusError as error:
+            self.give_up(error)
+            return False
         return True
+
+    def give_up(self, error: BusError) -> None:
+        """Hang up on a bus process that cannot be understood: it counts as gone at once, and ends the bus in order."""
+        if self._sock is not None:
+            self._last_words = News(over=str(error), defect=True)
+            self.disconnect()
+            self._is_gone()
 
     def _on_answer(self, answer: Answer) -> None:
         hello = self._hello
@@ -355,8 +366,14 @@ class Channel:
 
     def _hung_up(self) -> None:
         """The bus process is gone, or about to be."""
+        self._has_hung_up = True
         self.disconnect()
         self._when_ended(self._is_gone)
+
+    def settle(self) -> None:
+        """End every order now where the bus process has hung up unasked, and report how it ended."""
+        if self._has_hung_up and self._gone is None:
+            self._is_gone()
 
     def _is_gone(self) -> None:
         process = self._process

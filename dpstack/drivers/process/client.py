@@ -19,7 +19,7 @@ import dataclasses
 import os
 from collections.abc import Callable, Iterable, Mapping
 from time import monotonic_ns
-from typing import Final
+from typing import Final, TypeVar
 
 from dpstack.dp.master.bring_ups import History
 from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, Mode, RemoveSlave, ReparameteriseSlave
@@ -40,7 +40,7 @@ from dpstack.drivers.process.messages import (
     event_of,
     typed,
 )
-from dpstack.drivers.process.shared_image import Outputs, Picture, SharedImage, Word, make_memory
+from dpstack.drivers.process.shared_image import Area, Outputs, Picture, SharedImage, Word, make_memory
 from dpstack.drivers.runtime import (
     IN_PARENT,
     BusProcessBack,
@@ -55,9 +55,11 @@ from dpstack.drivers.tap import Tap
 from dpstack.errors import BusError, DpError, OrderDropped, UsageError
 from dpstack.fdl.interface import LinkStats
 from dpstack.machine import Order
+from dpstack.params import UNADDRESSED
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import s_to_ns
 
+T = TypeVar("T")
 #: interval of the checks whether the bus process is alive and reads the outputs
 _WATCH_S: Final = 0.1
 _UNKNOWN: Final = SlaveSnapshot()
@@ -159,11 +161,15 @@ class ProcessRuntime:
                 with contextlib.suppress(asyncio.CancelledError):
                     await wait_through_cancellation(closing)
                 if not closing.cancelled() and closing.exception() is None:
-                    final = dataclasses.replace(typed(closing.result(), Counters), t_ns=0)
+                    with contextlib.suppress(BusError):  # the bus process cannot be understood
+                        final = dataclasses.replace(typed(closing.result(), Counters), t_ns=0)
                 else:  # it may still see that the socket is closed, and make the end by itself
                     line.disconnect()
                 line.hang_up(UsageError("the bus is closed"))
                 await wait_through_cancellation(asyncio.ensure_future(line.ended()))
+            else:
+                await wait_through_cancellation(asyncio.ensure_future(line.ended()))
+                line.settle()
         finally:
             if line.release():
                 text = killed_at_the_end(self._watchdogs())
@@ -248,8 +254,7 @@ class ProcessRuntime:
         """The last status of the drive plugin of a slave as plain data; None where there is none."""
         if not self._channel.is_open or self._image is None:
             return None
-        new = self._image.drives.read_new()
-        self._drives = self._drives if new is None else new
+        self._drives = self._read(self._image.drives, self._drives)
         return self._drives.get(address)
 
     # --- the view ---------------------------------------------------------------------------------------------------
@@ -284,7 +289,7 @@ class ProcessRuntime:
     def counters(self) -> Counters:
         """The counters as the bus process published them last; it is never asked."""
         if self._image is not None:
-            self._counters = self._image.counters.read_new() or self._counters
+            self._counters = self._read(self._image.counters, self._counters)
         return self._counters
 
     counted = counters
@@ -306,8 +311,19 @@ class ProcessRuntime:
     def _newest_picture(self) -> Picture:
         """The newest whole process image."""
         if self._image is not None:
-            self._picture = self._image.inputs.read_new() or self._picture
+            self._picture = self._read(self._image.inputs, self._picture)
         return self._picture
+
+    def _read(self, area: Area[T], known: T) -> T:
+        """The newest picture of ``area``, else ``known``. A bus process whose pictures cannot be read is given up in
+        the next turn of the loop."""
+        try:
+            new = area.read_new()
+        except BusError as error:
+            if self._loop is not None and not self._loop.is_closed():
+                self._loop.call_soon(self._channel.give_up, error)
+            return known
+        return known if new is None else new
 
     # --- the application's outputs ----------------------------------------------------------------------------------
 
@@ -466,7 +482,7 @@ class ProcessRuntime:
         )
         fault = Fault(FaultKind.LOST, why, remedy)
         changed = []
-        for address in self.setups:
+        for address in dict.fromkeys((*self.setups, *self._slaves)):
             slave = self.slave(address)
             if slave.state is not SlaveState.DEACTIVATED:
                 if slave.state is not SlaveState.OFFLINE:
@@ -485,21 +501,24 @@ class ProcessRuntime:
     # --- from the bus process ---------------------------------------------------------------------------------------
 
     def _on_news(self, news: News) -> None:
-        if news.bus is not None:
-            self._bus = news.bus
-        self._slaves |= news.slaves
-        if news.cycle is not None:
-            self.cycle = news.cycle
+        """Raises BusError for news that cannot be."""
         if news.tapped or news.tap_lost:
             if self._tap is not None:
                 self._tap.extend(news.tapped, news.tap_lost)
             return
+        if news.cycle is not None:
+            self.cycle = news.cycle
+        events = [self._with_gsd_texts(event_of(event)) for event in news.events]
+        if any(not 0 <= address <= UNADDRESSED for address in news.slaves):
+            raise BusError("a message between bus process and application names slaves that there cannot be")
         try:
             if news.round_over:
                 if self._on_round is not None:
                     self._on_round()
                 return
-            events = [self._with_gsd_texts(event_of(event)) for event in news.events]
+            if news.bus is not None:
+                self._bus = news.bus
+            self._slaves |= news.slaves
             if self._silent_since:
                 if news.silence == self._silences:
                     events = [*self._end_silence(events), *events]

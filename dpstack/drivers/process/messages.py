@@ -311,8 +311,9 @@ def order_classes() -> dict[str, type[Order]]:
 
 @functools.cache
 def event_classes() -> dict[str, type[Event]]:
-    """Every class of events by name."""
-    return {kind.__name__: kind for kind in _below(Event)}
+    """Every class of events by name, but those that have no text: only classes derived from them happen."""
+    found = (kind for kind in _below(Event) if hasattr(kind, "TEMPLATE") or kind._text is not Event._text)
+    return {kind.__name__: kind for kind in found}
 
 
 def _below(kind: type[T]) -> Iterator[type[T]]:

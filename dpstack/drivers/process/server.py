@@ -264,7 +264,11 @@ class Host:
     def _take_outputs(self) -> None:
         """Read the outputs that the application has set since the last time. Drop those whose time limit is over: a
         process that was stopped must not send old outputs."""
-        found = self._image.take_outputs()
+        try:
+            found = self._image.take_outputs()
+        except BusError as error:  # the application cannot be understood
+            self.end(str(error))
+            return
         if found is None:
             return
         now = monotonic_ns()

@@ -24,6 +24,7 @@ from typing import Final, Generic, NamedTuple, TypeVar
 import msgspec
 
 from dpstack.drivers.snapshots import Counters, ImageSnapshot
+from dpstack.errors import BusError
 
 T = TypeVar("T")
 
@@ -117,7 +118,8 @@ class Area(Generic[T]):
         words[0] = number
 
     def read_new(self) -> T | None:
-        """The newest picture; None when it was read before, or could not be had whole."""
+        """The newest picture; None when it was read before, or could not be had whole. Raises BusError for a whole one
+        that is none of ``kind``."""
         words = self._words
         for _ in range(_TRIES):
             number = words[0]
@@ -131,7 +133,10 @@ class Area(Generic[T]):
             octets = bytes(self._memory[at : at + length])
             if zlib.crc32(octets, number & 0xFFFF_FFFF) == crc:
                 self._seen = number
-                return self._decoder.decode(octets)
+                try:
+                    return self._decoder.decode(octets)
+                except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+                    raise BusError(f"a picture in the shared memory cannot be read: {error}") from None
         return None
 
     def release(self) -> None:
@@ -160,7 +165,8 @@ class SharedImage:
         memory.release()
 
     def take_outputs(self) -> dict[int, Outputs] | None:
-        """The application's outputs by address where there is a new picture of them. For the bus process."""
+        """The application's outputs by address where there is a new picture of them. For the bus process. Raises
+        BusError as :meth:`Area.read_new`."""
         self.words[Word.OUTPUTS_TAKEN] = self.outputs.newest
         return self.outputs.read_new()
 
