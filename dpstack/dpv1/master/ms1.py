@@ -351,7 +351,8 @@ class Ms1(Provider):
         if not isinstance(order, RecordOrder) or order.address is None:
             return None
         service = order.service
-        assert not isinstance(service, DataTransport)  # goes over class 2 connections only
+        if isinstance(service, DataTransport):
+            raise UsageError("Data_Transport goes over a class 2 connection only: name one instead of an address")
         try:
             job = RecordJob(service, self.dpv1_slave(order.address), self, order.user)
         except PduError as error:

@@ -508,7 +508,10 @@ class ProcessRuntime:
             return
         if news.cycle is not None:
             self.cycle = news.cycle
-        events = [self._with_gsd_texts(event_of(event)) for event in news.events]
+        try:
+            events = [self._with_gsd_texts(event_of(event)) for event in news.events]
+        except (DpError, ValueError) as error:
+            raise BusError(str(error)) from None
         if any(not 0 <= address <= UNADDRESSED for address in news.slaves):
             raise BusError("a message between bus process and application names slaves that there cannot be")
         try:

@@ -15,7 +15,7 @@ import signal
 import socket
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Annotated, Final, Generic, TypeVar
 
 import msgspec
 
@@ -139,7 +139,7 @@ class Question:
     """An order with a number that its answer carries. The bus process drops it where it does not take it before
     ``until_ns`` (CLOCK_MONOTONIC)."""
 
-    number: int
+    number: Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
     order: Named
     until_ns: int = NEVER
 
@@ -291,8 +291,13 @@ def order_of(named_order: Named) -> Order:
 
 
 def event_of(named_event: Named) -> Event:
-    """The event that :func:`named` was given. Raises BusError."""
-    return _made(named_event, event_classes())
+    """The event that :func:`named` was given. Raises BusError, also for one whose text cannot be made."""
+    event = _made(named_event, event_classes())
+    try:
+        _ = event.text
+    except Exception as error:
+        raise BusError(f"{named_event[0]} cannot be read: {error}") from None
+    return event
 
 
 def _made(named_thing: Named, classes: Mapping[str, type[T]]) -> T:

@@ -119,6 +119,9 @@ LIES: dict[str, Callable[[Liar], object]] = {
     "too long": lambda liar: liar.sock.sendall(b"\x7f\xff\xff\xff"),
     "an event that there is not": lambda liar: liar.say(event("Nonsense")),
     "an event without a text": lambda liar: liar.say(event("SlaveEvent", address=3, name="s3")),
+    "an event with a number that cannot be": lambda liar: liar.say(
+        event("StatusTold", address=3, name="s3", status={"type": 1, "slot": 1, "specifier": 256})
+    ),
     "slaves beyond 126": lambda liar: liar.say({"slaves": {"127": {}}}),
     "a picture of another kind": lambda liar: liar.picture(b"\xc0"),
     "half a picture": lambda liar: liar.picture(b"\x93\x01"),
