@@ -5,6 +5,7 @@ A value that is not valid leaves a gap. The octets of ``bytes`` fields are not d
 
 from __future__ import annotations
 
+import contextlib
 import io
 import itertools
 import warnings
@@ -13,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from math import isfinite, nan
+from pathlib import Path
 from typing import Any, Final
 
 from dpstack.errors import UsageError
@@ -214,9 +216,14 @@ _SETTINGS: Final = {"text.parse_math": False, "svg.fonttype": "none", "svg.hashs
 
 
 def _matplotlib() -> Any:
+    """Imported elsewhere than in the working directory: a ``matplotlibrc`` there, perhaps of somebody who sent the
+    recording, could start programs (``text.usetex``) and load modules (``backend``)."""
     try:
-        import matplotlib as mpl
-        import matplotlib.dates
+        with contextlib.ExitStack() as stack:
+            with contextlib.suppress(FileNotFoundError):  # the working directory was removed
+                stack.enter_context(contextlib.chdir(Path(__file__).parent))
+            import matplotlib as mpl
+            import matplotlib.dates
     except ImportError:
         raise UsageError("dpstack plot needs matplotlib; install it: pip install 'dpstack[plot]'") from None
     return mpl

@@ -178,12 +178,13 @@ class SharedImage:
 
 
 def make_memory() -> int:
-    """The file descriptor of fresh memory, all zeros. Raises OSError.
+    """The file descriptor of fresh memory, all zeros, that no other user may open. Raises OSError.
 
     All of its pages exist: where the system has none left, the error is here, and not SIGBUS at a later store.
     """
     fd = os.memfd_create("dpstack", os.MFD_CLOEXEC)
     try:
+        os.fchmod(fd, 0o600)
         os.posix_fallocate(fd, 0, SIZE)
     except OSError:
         os.close(fd)
