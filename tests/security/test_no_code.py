@@ -90,7 +90,15 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     ".py": ("plan {}", "decode {}"),
 }
 #: those that `make test` reads; the others in `make soak`
-QUICK = ("drive_place.toml", "function.toml", "pickle.toml", "crafted.gsd", "pickle.gsd", "pickle.pcapng", "code.csv")
+QUICK: tuple[str, ...] = (
+    "drive_place.toml",
+    "function.toml",
+    "pickle.toml",
+    "crafted.gsd",
+    "pickle.gsd",
+    "pickle.pcapng",
+    "code.csv",
+)
 QUICK += ("function.scenario", "evil.py")
 #: reports events of the interpreter once it is armed: by then the commands' own modules are loaded
 PROGRAM = r"""
