@@ -56,7 +56,8 @@ Row = dict[str, int | str]
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """A fault by name. ``begin`` begins it at a plant and returns what ends it.
+    """A fault by name. ``begin`` begins it at a plant and returns what ends it; ``measure``: measures a cell at another
+    plant, by rate, stations and seed.
 
     ``rotations``: a factor on the usual number of rotations in which it acts; ``least_ns``: and so long at least.
     ``settings``: of the master; ``plug`` and ``patience``: of its station. ``masters``: 1, or as many as slaves.
@@ -65,7 +66,8 @@ class Fault:
     """
 
     name: str
-    begin: Begin
+    begin: Begin = lambda _plant: lambda: None
+    measure: Callable[[int, int, int], Row] | None = None
     rotations: float = 1
     least_ns: int = 0
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -129,6 +131,8 @@ def plant_of(cell: Cell) -> Plant:
 
 def row(cell: Cell) -> Row:
     """The figures of a cell."""
+    if cell.fault.measure is not None:
+        return cell.fault.measure(cell.baud, cell.stations, cell.seed)
     fault, plant = cell.fault, plant_of(cell)
     world, before = plant.world, plant.trouble()
     events = {number: len(end.events) for number, end in enumerate(plant.masters)}

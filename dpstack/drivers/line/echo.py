@@ -110,12 +110,13 @@ class EchoFilter:
         rest = b""
         while outstanding and octets:
             at, number = self._find(octets)
-            if at < 0 and _is_damaged_token(octets, outstanding[0]):
-                self._lose(1)
+            if at < 0:
+                number = next((n for n, sent in enumerate(outstanding) if _is_damaged_token(octets, sent)), -1)
+                if number < 0:
+                    break
+                self._lose(number + 1)
                 octets = octets[_TOKEN:]
                 continue
-            if at < 0:
-                break
             self._lose(number)  # earlier ones never came back
             rest += octets[:at]
             octets = octets[at + len(outstanding.popleft()) :]

@@ -113,6 +113,13 @@ CASES: dict[str, tuple[Echo, list[bytes], list[tuple[bytes, bytes]], Echo, int]]
         Echo.ON,
         2,
     ),
+    "the same behind a telegram whose echo never came": (
+        Echo.ON,
+        [REQUEST, TOKEN],
+        [(b"\xdc\x02\x03" + ANSWER, ANSWER)],
+        Echo.ON,
+        2,
+    ),
     "a token of two other masters is one": (
         Echo.ON,
         [TOKEN],
