@@ -106,7 +106,7 @@ class SeenBy:
         lines = self.lines.get(mutant.path, {})
         for line in range(place.first, place.last + 1):
             found |= lines.get(line, 0)
-        if place.function_line:
+        if place.function_line and found:
             return self._order(found, 0, mutant.room)
         name_it = 0
         if place.names:
