@@ -107,11 +107,15 @@ class Pacing:
         self._excused = False
         self._flapping = not (stable or silent)
         if stable or silent:
-            self._absent.reset()
-            self._polls = _POLLS_BEFORE_LONG[0]
-            self.had_long_poll = False
+            self.answered()
         if stable:
             self._refused.reset()
+
+    def answered(self) -> None:
+        """The absent slave has answered: the next time that it is absent begins with the shortest pause."""
+        self._absent.reset()
+        self._polls = _POLLS_BEFORE_LONG[0]
+        self.had_long_poll = False
 
     def pauses(self, now: int) -> bool:
         """Whether the next bring-up must wait because the last data exchange was too short. Then the diagnosis is read

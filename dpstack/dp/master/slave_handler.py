@@ -396,6 +396,8 @@ class SlaveHandler:
         was, self.state = self.state, state
         if was is SlaveState.DATA_EXCHANGE:
             self._leave_exchange(now, silent=state is SlaveState.OFFLINE)
+        elif was is SlaveState.OFFLINE:
+            self._pacing.answered()
         self.since = now
         self._busy = 0
         self._refused_data = was is _DATA_EXCHANGE and state is SlaveState.DIAGNOSIS

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 from scripted_link import (
     DIAG_FREE,
@@ -41,6 +43,25 @@ def test_absent_slave_backs_off_is_told_once_and_the_other_goes_on() -> None:
     assert bus.state(4) is SlaveState.DATA_EXCHANGE
     assert "no answer from address 3 at 500 kbit/s" in bus.only_fault().text
     assert "check power" in bus.only_fault().text
+
+
+def test_a_slave_that_answers_and_is_lost_in_its_bring_up_is_asked_again_as_soon_as_the_first_time() -> None:
+    """It is there: the pause, which doubles while nobody answers, begins anew after every answer."""
+    bus = link_to(answers={61: silent})
+    waiting: list[int] = []
+
+    def diagnosis(request: Request) -> Telegram | Failure:
+        """The first diagnosis of a bring-up has its answer, the one after Set_Prm has none."""
+        if bus.state(3) is not SlaveState.OFFLINE:
+            return Failure.NO_ANSWER
+        waiting.append(bus.now)
+        return data(request, DIAG_FREE)
+
+    bus.slave.answers[60] = diagnosis
+    bus.run(2_000 * MS)
+    pauses = [later - earlier for earlier, later in pairwise(waiting)]
+    assert len(pauses) > 15
+    assert all(100 * MS <= pause < 105 * MS for pause in pauses)
 
 
 def test_absent_polls_keep_their_share_of_the_bus() -> None:
