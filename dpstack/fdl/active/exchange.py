@@ -210,8 +210,12 @@ class Exchange(Awaiting):
 
     def abandon(self, now: int) -> None:
         """Drop the queued telegram and the current request; its user gets ABANDONED."""
-        self.line.drop()
         user, request = self.user, self.request
+        if request is not NO_REQUEST and (self._repeats or self.line.tx is None) and SERVICES[request.function].counted:
+            # it was sent: nobody knows whether the station has it, and so which FCB would be that of a new request
+            self.peers.expect_late(request, now, self.times.slot_known_ns)
+            self.fcb.given_up(request.da)
+        self.line.drop()
         self.user, self.request, self._candidate = None, NO_REQUEST, NONE
         if user is not None:
             user.result(request, Failure.ABANDONED, now)

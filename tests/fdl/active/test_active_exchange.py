@@ -136,6 +136,28 @@ def test_another_holder_makes_us_withdraw(foreign: str) -> None:
     assert station.in_ring
 
 
+def test_the_request_after_one_that_was_sent_and_abandoned_begins_with_fcv_0() -> None:
+    """The slave may have carried it out or not, so neither FCB would be that of a new request: with the wrong one the
+    slave gives its last answer again, and the outputs are lost."""
+    slave = Slave(DX_ANSWER, (60, bytes.fromhex("dc 09 07")), DX_ANSWER, DX_ANSWER)
+    bus, user, station = bus_with(slave, DX, DX, DX, DX)
+    bus.run_ms(30)
+    assert station.stats.withdrawn == 1
+    assert [o is Failure.ABANDONED for o in user.outcomes] == [False, True, False, False]
+    assert slave.fcs == ["6D", "5D", "6D", "5D"]
+
+
+def test_a_request_that_was_not_sent_when_it_was_abandoned_leaves_the_fcb() -> None:
+    bus, user, station = bus_with(Slave(), DX, DX, DX)
+    while len(user.outcomes) < 1:
+        bus.run(500)
+    before = list(station._exchange.fcb.bits)
+    assert station._exchange.line.tx is not None  # the next one waits for its gate
+    station._exchange.abandon(bus.now)
+    assert user.outcomes[-1] is Failure.ABANDONED
+    assert station._exchange.fcb.bits == before
+
+
 def test_a_repeated_token_before_we_started_is_still_ours() -> None:
     bus = ring_of(2, 5, hsa=6)
     a = bus.stations[0]
