@@ -106,6 +106,7 @@ class OutputsWatch:
         """Begin to watch, because Operate was ordered."""
         for handler in self._handlers.values():
             handler.asked_at = max(handler.asked_at, now)
+            handler.prm_req_at = NEVER  # of a time before the order
         self.down.clear()
         self._watching = True
         limit_ns = self._settings.application_watchdog_ns

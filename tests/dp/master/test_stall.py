@@ -153,6 +153,19 @@ def test_slaves_that_leave_one_after_the_other_are_no_stall() -> None:
     assert mode_of(bus) is Mode.OPERATE
 
 
+def test_an_operate_after_it_stays_though_slaves_still_want_parameters() -> None:
+    bus = running(3, 4)
+    bus.slave.configured = bus.slaves[4].configured = False
+    while not bus.events_of(Stalled):
+        bus.hold()
+    assert "data_exchange" not in (bus.state(3).value, bus.state(4).value)
+    bus.send(SetMode(Mode.OPERATE))
+    bus.run(3_000 * MS)
+    assert bus.states(3)[-1] == bus.states(4)[-1] == "data_exchange"
+    assert mode_of(bus) is Mode.OPERATE
+    assert len(bus.events_of(Stalled)) == 1
+
+
 def test_one_refuses_for_another_reason() -> None:
     """Slave 4 refuses data at the same time, but does not want parameters."""
     bus = running(3, 4)
