@@ -75,17 +75,34 @@ def when_dropped(owner: object, callback: Callable[..., object], *args: object) 
     return finalizer
 
 
-class EventStream(Stream[Event]):
-    """Events of a bus, an async iterator. Ends with the bus."""
+class Reader(AsyncIterator[T]):
+    """The items of ``stream`` for a program, which may leave its ``async for`` without :meth:`close`.
 
-    def __init__(self, backlog: Iterable[Event], forget: Callable[[EventStream], None]) -> None:
-        super().__init__(DEPTH, backlog)
-        self._forget = forget
+    The bus holds the stream: so a task that waits for an item stays alive, though event loops hold tasks weakly. Only
+    the program holds the reader: when it is gone, ``leave(stream)`` is called, in any thread.
+    """
+
+    def __init__(self, stream: Stream[T], leave: Callable[[Stream[T]], object]) -> None:
+        self._stream = stream
+        self._leave = weakref.finalize(self, leave, stream)
+        self._leave.atexit = False
+
+    @property
+    def dropped(self) -> int:
+        """The number of items lost because they were not read in time."""
+        return self._stream.dropped
 
     def close(self) -> None:
-        """Stop receiving events. May be repeated."""
-        self._forget(self)
-        self.end()
+        """Stop receiving items. May be repeated."""
+        self._leave()
+        self._stream.end()
+
+    async def __anext__(self) -> T:
+        return await anext(self._stream)
+
+
+class EventStream(Reader[Event]):
+    """Events of a bus, an async iterator. Ends with the bus."""
 
 
 def call_on_event(on_event: OnEvent | None, event: Event) -> None:
@@ -169,7 +186,7 @@ class Events:
         #: called for each event, beside streams and ``on_event``
         self.listener: OnEvent | None = None
         self._history: deque[Event] = deque(maxlen=DEPTH)
-        self._streams: set[EventStream] = set()
+        self._streams: set[Stream[Event]] = set()
         self._ended = False
         self._flapping: dict[int, Flapping] = {}
 
@@ -185,7 +202,7 @@ class Events:
 
     def _pass_on(self, event: Event) -> None:
         self._history.append(event)
-        for stream in self._streams:
+        for stream in tuple(self._streams):  # any allocation may make a reader that was left give up its stream
             stream.put(event)
         if self.listener is not None:
             self.listener(event)
@@ -197,18 +214,18 @@ class Events:
         return tuple(self._history)
 
     def stream(self) -> EventStream:
-        stream = EventStream(self._history, self._streams.discard)
+        stream = Stream[Event](DEPTH, self._history)
         self._streams.add(stream)
         if self._ended:
             stream.end()
-        return stream
+        return EventStream(stream, self._streams.discard)
 
     def end(self) -> None:
         """End all streams."""
         for flapping in self._flapping.values():
             flapping.report()
         self._ended = True
-        for stream in self._streams:
+        for stream in tuple(self._streams):
             stream.end()
 
 

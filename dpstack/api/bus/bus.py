@@ -362,7 +362,10 @@ class Bus(Sealed, BusBase):
         return tell(await gather(self, found, asked if scan else None, ask=ask, master=master))
 
     def events(self) -> EventStream:
-        """The events since the start of the bus, an async iterator. It keeps 1000; ``dropped`` counts the lost ones."""
+        """The events since the start of the bus, an async iterator. It keeps 1000; ``dropped`` counts the lost ones.
+
+        A program may leave it without ``close()``: it is forgotten once nothing refers to it.
+        """
         return self._events.stream()
 
     def publish(self, event: Event) -> None:

@@ -10,15 +10,16 @@ import asyncio
 import contextlib
 import dataclasses
 import math
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from time import time
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from dpstack.api.bus.events_json import event_json, severity_of
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.bus.statistics import bus_figures, clear_since, diagnosis_dict, drive_dict, inputs_dict
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.slave import Slave
+from dpstack.api.streams import when_dropped
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.process_data import Field, as_json
@@ -48,19 +49,15 @@ _SHORTEST_S: Final = 0.02
 _CLASSES: Final = 40
 
 
-class LiveStream(AsyncIterator[Item]):
-    """The items for one reader, an async iterator. Ends after the item ``end``.
+class LiveItems:
+    """The items that wait for one reader. The feed holds them, and so keeps a task alive that waits for the next."""
 
-    A reader that is late gets snapshots merged into one, and the last 1000 events; ``lost`` counts the others.
-    """
-
-    def __init__(self, feed: LiveFeed, interval: float) -> None:
+    def __init__(self, interval: float) -> None:
         self.interval = interval
-        self._feed = feed
         self._pending = Pending()
         self._more = asyncio.Event()
         self._due = False
-        self._ended = False
+        self.ended = False
 
     def put(self, item: Item) -> None:
         self._pending.put(item)
@@ -78,20 +75,42 @@ class LiveStream(AsyncIterator[Item]):
         item = self._pending.take(snapshots=self._due)
         if item is not None and "snapshot" in item:
             self._due = False
-        self._ended = self._ended or (item is not None and "end" in item)
+        self.ended = self.ended or (item is not None and "end" in item)
         return item
 
     async def wait(self) -> None:
         """Wait until :meth:`take` has an item, or the stream was closed."""
-        while not self._ended and not (self._pending.urgent or (self._due and self._pending.waiting)):
+        while not self.ended and not (self._pending.urgent or (self._due and self._pending.waiting)):
             self._more.clear()
             await self._more.wait()
 
-    def __aiter__(self) -> Self:
-        return self
+    def end(self) -> None:
+        self.ended = True
+        self._more.set()
+
+
+class LiveStream(AsyncIterator[Item]):
+    """The items for one reader, an async iterator. Ends after the item ``end``, or when the program leaves it.
+
+    A reader that is late gets snapshots merged into one, and the last 1000 events; ``lost`` counts the others.
+    """
+
+    def __init__(self, items: LiveItems, leave: Callable[[LiveItems], None] | None) -> None:
+        self._items = items
+        # a program may leave an ``async for`` without close()
+        self._left = None if leave is None else when_dropped(self, leave, items)
+        self._leave = leave
+
+    def take(self) -> Item | None:
+        """The next item; None where there is none at this moment."""
+        return self._items.take()
+
+    async def wait(self) -> None:
+        """Wait until :meth:`take` has an item, or the stream was closed."""
+        await self._items.wait()
 
     async def __anext__(self) -> Item:
-        while not self._ended:
+        while not self._items.ended:
             item = self.take()
             if item is not None:
                 return item
@@ -100,9 +119,9 @@ class LiveStream(AsyncIterator[Item]):
 
     def close(self) -> None:
         """Stop receiving items. May be repeated."""
-        self._ended = True
-        self._more.set()
-        self._feed.leave(self)
+        self._items.end()
+        if self._leave is not None and self._left is not None and self._left.detach() is not None:
+            self._leave(self._items)
 
 
 class LiveFeed:
@@ -110,7 +129,7 @@ class LiveFeed:
 
     def __init__(self, bus: BusBase) -> None:
         self._bus = bus
-        self._readers: dict[LiveStream, float] = {}  # with the time of its next snapshot
+        self._readers: dict[LiveItems, float] = {}  # with the time of its next snapshot
         self._task: asyncio.Task[None] | None = None
         self._end: Item | None = None
         #: time of the start of the bus in s since 1970, by the clock at the first reader: it never jumps afterwards
@@ -125,7 +144,7 @@ class LiveFeed:
 
     def join(self, interval: float) -> LiveStream:
         """A new reader. Call it in the event loop of the bus."""
-        stream = LiveStream(self, interval)
+        stream = LiveItems(interval)
         self._describe()  # a bus that has ended does not do this any more
         if self._plant is not None:
             stream.put(self._plant)
@@ -136,14 +155,14 @@ class LiveFeed:
             self._put_event(event, [stream])
         if self._end is not None:
             stream.put(self._end)
-            return stream
+            return LiveStream(stream, None)
         self._readers[stream] = 0.0
         if self._task is None:
             self._bus.listen_to_events(self._on_event)
             self._task = asyncio.get_running_loop().create_task(self._run())
-        return stream
+        return LiveStream(stream, self.leave)
 
-    def leave(self, stream: LiveStream) -> None:
+    def leave(self, stream: LiveItems) -> None:
         self._readers.pop(stream, None)
         if not self._readers:
             self._stop()
@@ -269,7 +288,7 @@ class LiveFeed:
     def _on_event(self, event: Event) -> None:
         self._put_event(event, self._readers)
 
-    def _put_event(self, event: Event, readers: Iterable[LiveStream]) -> None:
+    def _put_event(self, event: Event, readers: Iterable[LiveItems]) -> None:
         t = ns_to_s(event.t_ns - self._bus.started_ns)
         line = event_json(event, t)
         if line is None:

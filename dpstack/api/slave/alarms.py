@@ -10,12 +10,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
-import weakref
 from collections.abc import AsyncIterator, Callable, Iterable
 from typing import Any, Final
 
 from dpstack.api.slave.service_errors import error_of
-from dpstack.api.streams import Stream, when_dropped
+from dpstack.api.streams import Reader, Stream, when_dropped
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.pdu.alarm_blocks import Specifier, Status
 from dpstack.dp.pdu.diagnosis import Diagnosis
@@ -129,18 +128,19 @@ class AlarmListeners:
     def __init__(self, command: Callable[[object], None]) -> None:
         self._command = command
         self._listeners: dict[int, list[_Listener]] = {}
-        self._statuses: dict[int, weakref.WeakSet[Stream[Status]]] = {}
+        self._statuses: dict[int, set[Stream[Status]]] = {}
         #: alarms that are not acknowledged yet, by address and number
         self._held: dict[tuple[int, int], SlaveAlarm] = {}
         self._over: DpError | None = None
 
-    def statuses(self, address: int) -> Stream[Status]:
+    def statuses(self, address: int) -> Reader[Status]:
         """See :meth:`dpstack.api.slave.slave.Slave.status_messages`."""
         stream = Stream[Status](_STATUSES)
-        self._statuses.setdefault(address, weakref.WeakSet()).add(stream)
+        streams = self._statuses.setdefault(address, set())
+        streams.add(stream)
         if self._over is not None:
             stream.end()
-        return stream
+        return Reader(stream, streams.discard)
 
     # --- listeners ----------------------------------------------------------------------------------------------
 
@@ -236,7 +236,7 @@ class AlarmListeners:
         """The bus has ended; unread alarms can still be read."""
         self._over = error
         readers: Iterable[Iterable[Stream[Any]]] = (*self._listeners.values(), *self._statuses.values())
-        for reader in itertools.chain(*readers):
+        for reader in tuple(itertools.chain(*readers)):
             reader.end()
         self._end_held(str(error))
 

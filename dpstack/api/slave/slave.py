@@ -10,7 +10,7 @@ from dpstack.api.config.slave import Changes, SlaveConfig, changed
 from dpstack.api.slave.alarms import AlarmStream
 from dpstack.api.slave.host import Host
 from dpstack.api.slave.records import RecordAccess, RecordWay
-from dpstack.api.streams import Stream
+from dpstack.api.streams import Reader
 from dpstack.argcheck import Sealed
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, ReparameteriseSlave
@@ -347,7 +347,7 @@ class Slave(Sealed, RecordAccess):
         need_dpv1(self.setup, read_only=self._bus.view.read_only)
         return AlarmStream(self._bus.services.alarms, self.address, acknowledge)
 
-    def status_messages(self) -> Stream[Status]:
+    def status_messages(self) -> Reader[Status]:
         """Status messages, module status, PrmCmdAck ... from now on (:class:`~dpstack.dp.pdu.alarm_blocks.Status`): an
         async iterator. Status messages have no acknowledgement; a slow reader loses the oldest.
 
