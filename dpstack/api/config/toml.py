@@ -108,7 +108,8 @@ class _Walk:
 
     def word(self, token: str) -> None:
         """A string, a number or a bare key."""
-        if not self._in_value:
+        # more words are no key: they have no points between them, and tomllib refuses them
+        if not self._in_value and len(self._parts) <= MAX_PARTS:
             self._parts.append(_unquoted(token))
 
     def mark(self, mark: str) -> None:

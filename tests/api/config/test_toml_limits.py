@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from linear_kit import assert_linear
 
 from dpstack.api.config.config import parse_config
-from dpstack.api.config.toml import MAX_BARE, MAX_DEPTH, MAX_PARTS, TomlError, read_toml
+from dpstack.api.config.toml import MAX_BARE, MAX_DEPTH, MAX_PARTS, TomlError, line_numbers, read_toml
 from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.api.lists.record_list import RecordList
 from dpstack.errors import ConfigError
@@ -62,6 +62,15 @@ def test_texts_at_the_limits_are_read() -> None:
     assert lines["t", "b"] == 3
     assert lines[("t", *["a"] * MAX_PARTS)] == 2
     assert data["t"]["c"] == int(number)
+
+
+@pytest.mark.parametrize("text", ["a " * 1000 + "= 1\n", "[" + "b " * 1000 + "]\n", "[" + "a[" * 1000 + "]\n"])
+def test_words_that_are_no_key_are_not_kept(text: str) -> None:
+    lines = line_numbers(text)
+    assert len(lines) <= MAX_PARTS + 1
+    assert max(map(len, lines), default=0) <= MAX_PARTS + 1
+    with pytest.raises(TomlError):
+        read_toml(text)
 
 
 def test_a_file_that_is_too_long() -> None:
