@@ -205,8 +205,9 @@ def _change(out: bytearray, others: list[bytes], words: tuple[bytes, ...], chanc
 def assert_plain(text: str, *, lines: bool = False) -> None:
     """Raise AssertionError where ``text`` has a character that no terminal must get; ``lines``: also several lines."""
     for line in text.split("\n") if lines else (text,):
-        bad = [letter for letter in line if not (letter.isprintable() or letter in "\u00a0\u3000")]
-        assert not bad, f"{bad[0]!r} in {line!r}"
+        if not line.isprintable():
+            bad = [letter for letter in line if not (letter.isprintable() or letter in "\u00a0\u3000")]
+            assert not bad, f"{bad[0]!r} in {line!r}"
 
 
 def parsed(parse: Callable[[bytes], T], octets: bytes, *allowed: type[Exception]) -> T | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status, kind_of, message_dict, module_status, parse_block
-from dpstack.dp.pdu.diag_blocks import DeviceBlock, split_blocks
 from dpstack.dp.pdu.dpv1_status import ALARMS
 from dpstack.dpv1.pdu.read_write import AlarmAck
 from dpstack.errors import PduError
@@ -13,14 +12,7 @@ from tests.fuzz.frame import Target, assert_plain, parsed
 
 
 def run(octets: bytes) -> None:
-    """The octets are those of one block, and those of the blocks of a whole extended diagnosis."""
-    _block(octets)
-    for block in split_blocks(octets)[0]:
-        if isinstance(block, DeviceBlock) and block.octets != octets:
-            _block(block.octets)
-
-
-def _block(octets: bytes) -> None:
+    """The octets are those of one block."""
     found = parsed(parse_block, octets, PduError)
     if found is None:
         return

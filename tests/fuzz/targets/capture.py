@@ -71,7 +71,7 @@ def repair(octets: bytes) -> bytes:
 TARGET = Target(
     run,
     covers=("dpstack.capture", "dpstack.decode.source"),
-    max_len=300,
+    max_len=240,
     repair=repair,
     words=(
         b"\n\r\r\n\x1c\0\0\0\x4d\x3c\x2b\x1a\1\0\0\0\xff\xff\xff\xff\xff\xff\xff\xff\x1c\0\0\0",

@@ -46,7 +46,7 @@ def repair(octets: bytes) -> bytes:
 TARGET = Target(
     run,
     covers=("dpstack.api.config", "dpstack.dp.process_data", "dpstack.dp.slave_params", "dpstack.params"),
-    max_len=300,
+    max_len=220,
     repair=repair,
     words=words("config"),
     slow_s=2.0,

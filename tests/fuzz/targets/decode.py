@@ -103,7 +103,7 @@ def framed(body: bytes) -> bytes:
 TARGET = Target(
     run,
     covers=("dpstack.decode", "dpstack.capture.cutter", "dpstack.cli.listening.telegram_lines"),
-    max_len=160,
+    max_len=110,
     repair=repair,
     words=(b"\xe5", b"\xdc\x02\x01", b"\x10\x03\x02\x49\x4e\x16", *map(framed, _SERVICES)),
 )

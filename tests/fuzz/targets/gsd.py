@@ -57,7 +57,7 @@ def repair(octets: bytes) -> bytes:
 TARGET = Target(
     run,
     covers=("dpstack.gsd",),
-    max_len=400,
+    max_len=300,
     repair=repair,
     words=(*words("gsd"), b'"', b"\\\n", b";", b"\xfc", b"0x", b"-"),
     slow_s=2.0,

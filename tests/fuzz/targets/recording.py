@@ -53,7 +53,7 @@ _JSON: Final = (
 TARGET = Target(
     run,
     covers=("dpstack.record.reader", "dpstack.record.columns"),
-    max_len=400,
+    max_len=300,
     words=(
         b"time,t,a.state,a.level [bar],note\n",
         b'2026-01-31T12:00:00.005Z,0.005000,data_exchange,12.3,"x, y"\n',
