@@ -415,7 +415,7 @@ class Bus(Sealed, BusBase):
         except BaseException:
             path.discard()
             raise
-        self._recordings.append(path)
+        self._recordings = [recording for recording in self._recordings if not recording.is_over] + [path]
         return path
 
     @property

@@ -99,6 +99,11 @@ class BusRecording:
         """Rounds that are missing: this computer or its disk was too slow, or the disk was full."""
         return self._missed + self._file.rows_lost + (0 if self._writer is None else self._writer.lost)
 
+    @property
+    def is_over(self) -> bool:
+        """True once :meth:`stop` has done all that it can."""
+        return self._stopping is not None and self._stopping.done()
+
     def as_dict(self) -> dict[str, object]:
         """As in the summary of ``run --json``."""
         return {"files": [str(path) for path in self.paths], "rows": self.rows, "lost": self.lost}

@@ -1,0 +1,169 @@
+"""Whatever a program does again and again while a bus runs leaves no object of the stack behind."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import pytest
+from api_kit import HOIST, RAW, bench_of, mirror, off_and_on, operating, serving, virtual
+from soak_leftovers import stack_objects
+
+import dpstack
+
+Act = Callable[[dpstack.Bus, int], Awaitable[object]]
+
+#: filled to a limit, or counted by address
+_BOUNDED = ("dpstack.trace.WireEntry", "dpstack.fdl.telegram.Telegram")
+_TIMES = 12
+
+
+async def stack_without_events(bus: dpstack.Bus) -> Counter[str]:
+    """The objects of the stack, once the last events, which the bus keeps, are all alike."""
+    await asyncio.sleep(2)
+    for _ in range(1000):
+        bus.notice("soak", "it fills the last events")
+    return stack_objects()
+
+
+async def repeat(bus: dpstack.Bus, act: Act) -> dict[str, int]:
+    """Kinds of objects of which there is one more, or more, for every time ``act`` was done."""
+    for number in range(4):
+        await act(bus, number)
+    before = await stack_without_events(bus)
+    for number in range(4, 4 + _TIMES):
+        await act(bus, number)
+    left = await stack_without_events(bus) - before
+    return {kind: count for kind, count in left.items() if count >= _TIMES and kind not in _BOUNDED}
+
+
+async def add_and_remove(bus: dpstack.Bus, number: int) -> None:
+    slave = await bus.add_slave(RAW | {"name": f"n{number}", "address": 20 + number % 3})
+    await slave.ready()
+    await bus.remove(slave)
+    await asyncio.sleep(0.5)
+
+
+async def power_off_and_on(bus: dpstack.Bus, number: int) -> None:
+    await off_and_on(bus, 3)
+
+
+async def scan(bus: dpstack.Bus, number: int) -> None:
+    await bus.scan()
+
+
+async def sync(bus: dpstack.Bus, number: int) -> None:
+    with contextlib.suppress(dpstack.DpError):
+        await bus.sync()
+        await bus.unsync()
+
+
+async def wait_in_vain(bus: dpstack.Bus, number: int) -> None:
+    with contextlib.suppress(TimeoutError):
+        await bus.until(lambda: False, 0.01)
+    with contextlib.suppress(TimeoutError):
+        await bus.rotated(bus.stats.rotations + 10**9, 0.01)
+
+
+async def clear_and_operate(bus: dpstack.Bus, number: int) -> None:
+    await bus.clear()
+    await asyncio.sleep(0.1)
+    await bus.operate()
+    await asyncio.sleep(0.1)
+
+
+async def reparameterise(bus: dpstack.Bus, number: int) -> None:
+    await bus.slave(3).reparameterise(watchdog_ms=500 + number)
+
+
+async def cancelled_services(bus: dpstack.Bus, number: int) -> None:
+    tasks = [
+        asyncio.ensure_future(bus.class2.diagnosis(77)),
+        asyncio.ensure_future(bus.class2.config(3)),
+        asyncio.ensure_future(bus.drive(3).read(400)),
+        asyncio.ensure_future(bus.why(3)),
+        asyncio.ensure_future(bus.scan()),
+    ]
+    await asyncio.sleep(0.001 * number)
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def orders_too_late(bus: dpstack.Bus, number: int) -> None:
+    bench_of(bus).power(3, False)
+    for call in (bus.drive(3).start(0.01), bus.drive(3).read(400, timeout=0.01), bus.class2.diagnosis(3, timeout=0.01)):
+        with contextlib.suppress(dpstack.DpError):
+            await call
+    bench_of(bus).power(3, True)
+    await bus.slave(3).ready(30)
+
+
+#: a DP-V1 slave with one octet each way and one connection of class 2
+RIG = dpstack.SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, ms2=1)
+
+ACTS: tuple[Act, ...] = (
+    add_and_remove,
+    power_off_and_on,
+    scan,
+    sync,
+    wait_in_vain,
+    clear_and_operate,
+    reparameterise,
+    cancelled_services,
+    orders_too_late,
+)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("act", ACTS)
+def test_nothing_grows_by_repetition(act: Act) -> None:
+    async def run() -> None:
+        async with operating(HOIST) as bus:
+            assert await repeat(bus, act) == {}
+
+    virtual(run())
+
+
+def test_recordings_that_are_over_are_forgotten(tmp_path: Path) -> None:
+    async def record(bus: dpstack.Bus, number: int) -> None:
+        async with bus.record(tmp_path / f"{number}.csv"):
+            await asyncio.sleep(0.1)
+
+    async def run() -> None:
+        async with operating(HOIST) as bus:
+            assert await repeat(bus, record) == {}
+
+    virtual(run())
+
+
+async def connect(bus: dpstack.Bus, number: int) -> None:
+    async with bus.class2.connect(9) as connection:
+        with contextlib.suppress(dpstack.DpError):
+            await connection.read(1, 1)
+
+
+async def listen_to_alarms(bus: dpstack.Bus, number: int) -> None:
+    stream = bus.slave(9).alarms()
+    del stream
+    messages = bus.slave(9).status_messages()
+    del messages
+
+
+async def read_records(bus: dpstack.Bus, number: int) -> None:
+    for _ in range(2):
+        with contextlib.suppress(dpstack.DpError):
+            await bus.slave(9).read(1, number, timeout=1)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("act", [connect, listen_to_alarms, read_records])
+def test_no_service_of_dp_v1_leaves_anything(act: Act) -> None:
+    async def run() -> None:
+        async with serving(mirror(RIG)) as (bus, _):
+            assert await repeat(bus, act) == {}
+
+    virtual(run())
