@@ -15,12 +15,12 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, Final
 
+from dpstack.live.items import check_item
+
 #: an item of the stream: a dict with one key
 Item = dict[str, Any]
 #: events that a :class:`LiveState` keeps
 DEPTH: Final = 1000
-#: all keys of an item
-KEYS: Final = frozenset({"plant", "snapshot", "event", "lost", "end"})
 
 
 def difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
@@ -57,19 +57,9 @@ class LiveState:
 
     def apply(self, item: Mapping[str, Any]) -> None:
         """Take the next item. Raises ValueError for something else than an item; unknown keys are left out."""
-        try:
-            self._apply(item)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ValueError(
-                f"this is no item of the stream: {error!r}; is the other program another version?"
-            ) from None
-
-    def _apply(self, item: Mapping[str, Any]) -> None:
+        check_item(item)
         if "plant" in item:
-            plant = dict(item["plant"])
-            if not isinstance(plant["slaves"], dict):
-                raise TypeError("slaves")
-            self.plant, self.end = plant, None
+            self.plant, self.end = dict(item["plant"]), None
             self.t, self.bus, self.slaves = -1.0, {}, {}
         elif "snapshot" in item:
             snapshot = item["snapshot"]

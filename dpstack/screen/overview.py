@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -16,6 +17,8 @@ _BARS: Final = "▁▂▃▄▅▆▇█"
 _EVENT_STYLES: Final = {"warning": "warn", "error": "bad"}
 _MODES: Final = {"operate": "good", "clear": "warn"}
 _GAP: Final = 1
+#: a histogram with narrower classes is drawn as one bar
+_LEAST_CLASS_US: Final = 1e-3
 _EXCHANGE: Final = "data exchange"
 
 
@@ -34,7 +37,8 @@ def _title(view: View, width: int) -> Line:
     mode = str(bus.get("mode", "starting"))
     clock = ""
     if state.t >= 0 and plant:
-        clock = datetime.fromtimestamp(plant["started"] + state.t).strftime("%H:%M:%S")
+        with contextlib.suppress(ValueError, OverflowError, OSError):  # beyond the years of a clock
+            clock = datetime.fromtimestamp(plant.get("started", 0) + state.t).strftime("%H:%M:%S")
     baud = plant.get("baud")
     where: Line = [
         (f" {mode.capitalize()} ", _mode_style(mode, plant) if view.fresh else "stale"),
@@ -83,7 +87,7 @@ def bars(classes: Sequence[Sequence[float]], room: int) -> str:
     limits = [limit for limit, _ in classes]
     low, high = limits[0], limits[-1]
     narrowest = min((b - a for a, b in pairwise(limits)), default=0)
-    room = min(room, round((high - low) / narrowest) + 1) if narrowest > 0 else 1
+    room = min(room, round((high - low) / narrowest) + 1) if narrowest > _LEAST_CLASS_US else 1
     counts = [0.0] * room
     for limit, count in classes:
         counts[0 if high <= low else min(room - 1, int((limit - low) / (high - low) * room))] += count

@@ -7,12 +7,15 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any, Final
 
+from dpstack.live.items import check_item
 from dpstack.live.state import Item, LiveState
 
 #: without an item for so long (s) nothing counts as fresh: a snapshot comes every 0.1 s
 SILENT_S: Final = 2.0
 #: a value is marked as changed for so long (s)
 CHANGED_S: Final = 1.0
+#: marks of changed values that are kept, also where they are older
+_MOST_CHANGED: Final = 10_000
 _EXCHANGE: Final = "data_exchange"
 
 
@@ -29,6 +32,7 @@ class View:
 
     def apply(self, item: Item, now: float) -> None:
         """Take an item of the stream. Raises ValueError for something else."""
+        check_item(item)
         self.now = self._received_at = now
         snapshot = item.get("snapshot")
         if isinstance(snapshot, dict):
@@ -39,6 +43,8 @@ class View:
             self.process_silent = bool(event.get("silent"))
 
     def _mark_changes(self, snapshot: Mapping[str, Any], now: float) -> None:
+        if len(self._changed) > _MOST_CHANGED:
+            self._changed = {key: at for key, at in self._changed.items() if now - at < CHANGED_S}
         for address, values in snapshot.get("slaves", {}).items():
             before = self.state.slaves.get(address, {}).get("fields")
             if before:

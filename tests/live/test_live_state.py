@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from dpstack.live.pending import SLAVES_A_PORTION, Pending, portions
 from dpstack.live.state import LiveState, difference
 
-values = st.dictionaries(st.sampled_from(["state", "inputs", "retries", "fault"]), st.integers(0, 3), max_size=4)
+values = st.dictionaries(st.sampled_from(["exchanges", "telegrams", "retries", "late"]), st.integers(0, 3), max_size=4)
 slaves = st.dictionaries(st.sampled_from(["3", "4", "8"]), values, max_size=3)
 
 
@@ -110,3 +110,28 @@ def test_something_else_is_refused(item: dict[str, Any]) -> None:
 
 def test_the_difference_has_new_and_changed_keys() -> None:
     assert difference({"a": 1, "b": 2}, {"a": 1, "b": 3, "c": None}) == {"b": 3, "c": None}
+
+
+@pytest.mark.parametrize(
+    "item",
+    [
+        {"lost": float("inf")},
+        {"lost": -1},
+        {"snapshot": {"t": 1e300, "whole": False, "bus": {}, "slaves": {}}},
+        {"snapshot": {"t": 1, "whole": False, "bus": {"bad": 3}, "slaves": {}}},
+        {"snapshot": {"t": 1, "whole": False, "bus": {"histogram": [[1, float("nan")]]}, "slaves": {}}},
+        {"snapshot": {"t": 1, "whole": False, "bus": {"clear": {"since": 1}}, "slaves": {}}},
+        {"snapshot": {"t": 1, "whole": False, "bus": {}, "slaves": {"3": {"fault": "x"}}}},
+        {"snapshot": {"t": 1, "whole": False, "bus": {}, "slaves": {"1000": {}}}},
+        {"plant": {"slaves": {"3": {"inputs": [{"unit": "bar"}]}}}},
+        {"event": {"text": "x", "address": {}}},
+    ],
+)
+def test_an_item_that_no_face_could_show_is_refused_and_changes_nothing(item: dict[str, Any]) -> None:
+    state = LiveState()
+    state.apply({"plant": {"slaves": {}}})
+    state.apply({"snapshot": {"t": 1, "whole": True, "bus": {"mode": "clear"}, "slaves": {"3": {"state": "offline"}}}})
+    before = picture(state)
+    with pytest.raises(ValueError, match="this is no item of the stream"):
+        state.apply(item)
+    assert picture(state) == before

@@ -1,0 +1,193 @@
+"""The shape of the items of the stream: what every reader may rely on (docs/live.md).
+
+A program that reads the stream of another one, or replays a recording, gets items that somebody else made. Keys that
+are not named here are allowed: a newer version may have them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Required, TypedDict
+
+import msgspec
+
+#: a number that can be counted with: neither infinite nor without a value
+Number = Annotated[float, msgspec.Meta(ge=-1e15, le=1e15)]
+Count = Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
+#: a slave's address as text
+Address = Annotated[str, msgspec.Meta(pattern=r"^[0-9]{1,3}\Z")]
+#: a plain value
+Cell = str | int | float | bool | None
+Texts = list[str] | None
+
+
+class Times(TypedDict, total=False):
+    min: Number
+    p50: Required[Number]
+    p99: Required[Number]
+    p999: Number
+    max: Required[Number]
+
+
+class Held(TypedDict):
+    since: Number
+    because: str
+
+
+class Field(TypedDict, total=False):
+    name: Required[str]
+    at: Required[str]
+    unit: str | None
+
+
+class Module(TypedDict, total=False):
+    name: str | None
+    config: Cell
+    inputs: Cell
+    outputs: Cell
+
+
+class DrivePlant(TypedDict, total=False):
+    profile: str | None
+    telegram: str | None
+    reference_hz: Number | None
+    reference_rpm: Number | None
+
+
+class SlavePlant(TypedDict, total=False):
+    name: str
+    address: int | None
+    ident: Cell
+    vendor: str | None
+    model: str | None
+    gsd: str | None
+    modules: list[Module] | None
+    safe: str | None
+    watchdog_ms: Number | None
+    groups: list[int] | None
+    every: int | None
+    inputs: list[Field] | None
+    outputs: list[Field] | None
+    drive: DrivePlant | None
+
+
+class PlantBody(TypedDict, total=False):
+    started: float
+    port: str | None
+    ctl: str | None
+    baud: Count | None
+    address: int | None
+    config: str | None
+    slaves: Required[dict[Address, SlavePlant]]
+
+
+class BusValues(TypedDict, total=False):
+    mode: str | None
+    in_ring: bool | None
+    masters: list[int] | None
+    clear: Held | None
+    rotation_us: Times | None
+    telegrams: Count | None
+    retries: Count | None
+    timeouts: Count | None
+    late: Count | None
+    stray: Count | None
+    bad: dict[str, Count] | None
+    stale: bool | None
+    age_ms: Number | None
+    histogram: list[tuple[Number, Number]] | None
+
+
+class FaultValues(TypedDict, total=False):
+    text: str
+
+
+class DiagnosisValues(TypedDict, total=False):
+    flags: list[str]
+    texts: list[str]
+
+
+class DriveNotice(TypedDict):
+    t: Number
+    text: str
+
+
+class DriveValues(TypedDict, total=False):
+    state: Cell
+    running: bool | None
+    setpoint: Number | None
+    speed: Number | None
+    frequency_hz: Number | None
+    current: Number | None
+    torque: Number | None
+    warnings: list[Cell] | None
+    faults: list[Cell] | None
+    bits: Texts
+    settings: Cell
+    settings_texts: Texts
+    notices: list[DriveNotice] | None
+
+
+class SlaveValues(TypedDict, total=False):
+    state: Cell
+    inputs: str | None
+    outputs: str | None
+    held: str | None
+    inputs_valid: bool | None
+    inputs_age_ms: Number | None
+    fields: dict[str, Any] | None
+    held_fields: dict[str, Any] | None
+    fault: FaultValues | None
+    diagnosis: DiagnosisValues | None
+    conspicuous: str | None
+    alarms: dict[str, Any] | None
+    drive: DriveValues | None
+    exchanges: Count | None
+    retries: Count | None
+    timeouts: Count | None
+    telegrams: Count | None
+    late: Count | None
+    wrong: Count | None
+    bad: dict[str, Count] | None
+    watchdog_ms: Number | None
+    master: int | None
+    injected: Texts
+
+
+class SnapshotBody(TypedDict):
+    t: Number
+    whole: bool
+    bus: BusValues
+    slaves: dict[Address, SlaveValues]
+
+
+class EventBody(TypedDict, total=False):
+    event: str
+    time: str
+    severity: str
+    text: str
+    address: int | None
+    silent: bool
+
+
+class EndBody(TypedDict):
+    text: str
+
+
+class AnyItem(TypedDict, total=False):
+    plant: PlantBody
+    snapshot: SnapshotBody
+    event: EventBody
+    lost: Count
+    end: EndBody
+
+
+KEYS: Final = frozenset(AnyItem.__annotations__)
+
+
+def check_item(item: Mapping[str, Any]) -> None:
+    """Raises ValueError for something else than an item of the stream."""
+    try:
+        msgspec.convert(item, AnyItem)
+    except (msgspec.ValidationError, UnicodeError, RecursionError) as error:
+        raise ValueError(f"this is no item of the stream: {error}; is the other program another version?") from None

@@ -1,0 +1,171 @@
+"""Items of the live stream, whatever they hold, for the merged state, late readers, the screen and the page.
+
+The input bends the items of a plant (other types, keys that are missing, doubled or foreign) and their order. Judged:
+an item is taken or refused by ValueError, and a refused one changes nothing; every page of the screen can be drawn in
+any width, printable; no slave is shown as alive without data exchange and valid inputs, nothing is shown as fresh
+after the end or a silence; a late reader gets to the same state; queues have limits; and right items afterwards are
+shown as ever.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from typing import Any
+
+from dpstack.live.pending import Pending, portions
+from dpstack.live.state import DEPTH, LiveState
+from dpstack.screen import one_slave, overview
+from dpstack.screen.lines import Line, width_of
+from dpstack.screen.view import SILENT_S, View
+from dpstack.web.fan_out import FanOut
+from tests.fuzz.bent_json import bent, text_of
+from tests.fuzz.frame import Cutter, Target, assert_plain
+
+_VALUES: dict[str, Any] = {
+    "state": "data_exchange", "inputs": "00070022", "outputs": "0005", "held": None, "inputs_valid": True,
+    "inputs_age_ms": 2.0, "fields": {"level": 3.4}, "held_fields": None, "fault": None,
+    "diagnosis": {"flags": ["wd_on"], "texts": []}, "conspicuous": "", "alarms": None, "drive": None, "exchanges": 100,
+    "retries": 0, "timeouts": 0, "telegrams": 210, "late": 0, "wrong": 0, "bad": {}, "watchdog_ms": 200,
+    "master": None, "injected": [],
+}  # fmt: skip
+_DRIVE = {
+    "state": "fault", "running": False, "reached": False, "remote": True, "setpoint": 0.5, "speed": 0.1234,
+    "frequency_hz": 6.2, "current": 0.42, "torque": None, "warnings": [], "faults": ["F2100 overload"],
+    "words": ["0231"], "bits": ["fault"], "settings": "checked", "settings_texts": [],
+}  # fmt: skip
+_FIELD = {"name": "level", "type": "i16", "at": "i16@2", "scale": 1, "offset": 0, "unit": "bar"}
+_SLAVE: dict[str, Any] = {
+    "name": "valves", "address": 3, "ident": "0x1234", "vendor": "Maker", "model": "Model", "gsd": None,
+    "modules": [{"name": "2 AI", "config": "51", "inputs": 4, "outputs": 0}], "input_len": 4, "output_len": 2,
+    "safe": "0000", "watchdog_ms": 200, "groups": [], "dpv1": False, "every": 1, "inputs": [_FIELD],
+    "outputs": [], "drive": None,
+}  # fmt: skip
+_TIMES = {"min": 900, "p50": 1130, "p99": 1302, "p999": 1990, "max": 4012}
+_BUS: dict[str, Any] = {
+    "mode": "operate", "in_ring": True, "masters": [2], "clear": None, "rotations": 500, "telegrams": 4711,
+    "rotation_us": _TIMES, "retries": 3, "timeouts": 0, "token_us": _TIMES, "late": 0, "stray": 0, "bad": {},
+    "stale": False, "age_ms": 80.0, "histogram": [[1000, 20], [1200, 400], [4012, 1]],
+}  # fmt: skip
+
+
+@functools.cache
+def right_items() -> tuple[Any, ...]:
+    """A plant, snapshots and events, as a run sends them."""
+    hoist = {**_SLAVE, "name": "hoist", "address": 4, "drive": {"profile": "x", "telegram": "PPO1"}}
+    plant = {
+        "version": 1, "started": 1763830000.0, "port": "/dev/ttyUSB0", "baud": 500000, "driver": "process",
+        "address": 2, "read_only": False, "virtual": False, "paced": True, "config": "plant.toml", "parameters": {},
+        "plan": {"rotation_us": {"min": 900, "typical": 1100, "max": 4000}, "cycle_us": None},
+        "slaves": {"3": _SLAVE, "4": hoist},
+    }  # fmt: skip
+    told = {"t": 1.0, "time": "2026-01-31T12:00:01.000Z", "text": "x"}
+    return (
+        {"plant": plant},
+        snapshot(5.0, _BUS, {"3": _VALUES, "4": {**_VALUES, "drive": _DRIVE}}, whole=True),
+        snapshot(5.1, {"rotations": 501}, {"3": {"fields": {"level": 4.0}}}),
+        snapshot(5.2, {}, {"4": {"state": "fault", "fault": {"kind": "cfg", "text": "Chk_Cfg refused"}}}),
+        {"event": {"event": "notice", "severity": "info", **told}},
+        {"event": {"event": "slave", "severity": "warning", "address": 3, "name": "valves", **told}},
+        {"event": {"event": "bus_process", "silent": True, "severity": "error", **told}},
+        {"lost": 3},
+        snapshot(5.3, {"clear": {"since": 3, "because": "b"}, "stale": True}, {}),
+        {"end": {"text": "over"}},
+    )
+
+
+def snapshot(t: float, bus: dict[str, Any], slaves: dict[str, Any], *, whole: bool = False) -> Any:
+    return {"snapshot": {"t": t, "whole": whole, "bus": bus, "slaves": slaves}}
+
+
+def picture(state: LiveState) -> str:
+    return json.dumps(
+        [state.plant, state.t, state.bus, state.slaves, list(state.events), state.lost, state.end], sort_keys=True
+    )
+
+
+def draw(view: View, width: int) -> None:
+    """All pages of the screen."""
+    lines: list[Line] = [*overview.head(view, width), overview.slaves_head(width)]
+    for address in view.addresses()[:8]:
+        lines.append(overview.slave_line(view, address, width))
+        lines += one_slave.page(view, address, width)
+        style = view.mark(address)[0]
+        values = view.state.slaves.get(address, {})
+        if view.alive(address):
+            assert values.get("state") == "data_exchange"
+            assert values.get("inputs_valid")
+            assert view.fresh
+        else:
+            assert style != "*"
+    view.addresses("data 3", conspicuous=True)
+    lines += [overview.event_line(event) for event in view.events_of()[-5:]]
+    lines += [overview.event_line(event) for event in view.events_of("3")[-5:]]
+    for line in lines:
+        for text, _ in line:
+            assert_plain(text)
+    assert all(width_of(line) <= width for line in lines[:3])
+
+
+def run(octets: bytes) -> None:
+    script = Cutter(octets)
+    items = right_items()
+    view, fan_out, late, pending = View(), FanOut(), LiveState(), Pending()
+    reader = fan_out.join()
+    now, width = 1.0, 20 + script.octet() % 140
+    order = list(items) if script.octet() & 1 else []
+    while script.at < len(octets) or order:
+        head = script.octet()
+        right = order.pop(0) if order else items[head % len(items)]
+        item = bent(right, script) if head & 0xC0 else right
+        now += (head >> 4 & 3) * 0.9
+        if not isinstance(item, dict):
+            continue
+        item = json.loads(text_of(item))
+        before = picture(view.state)
+        try:
+            view.apply(item, now)
+            taken = True
+        except ValueError as error:
+            taken = False
+            assert_plain(str(error))
+            assert picture(view.state) == before
+        try:
+            fan_out.put(item)
+            assert taken
+        except ValueError:
+            assert not taken
+        if taken:
+            pending.put(item)
+        if head & 1:
+            while (found := pending.take()) is not None:
+                for part in portions(found):
+                    late.apply(part)
+            fan_out.hand_out()
+        draw(view, width)
+        assert len(view.state.events) <= DEPTH
+    while (found := pending.take()) is not None:
+        late.apply(found)
+    if view.state.plant is not None:
+        assert picture(late) == picture(view.state)
+    fan_out.hand_out()
+    for item in view.state.whole():
+        LiveState().apply(item)
+    if reader._portion is not None:
+        assert all(isinstance(text, str) for text in reader._portion.texts)
+    view.now = now + SILENT_S + 1
+    assert not any(view.alive(address) for address in view.state.slaves)
+    draw(view, width)
+    for item in items[:2]:
+        view.apply(item, now + 10)
+    view.process_silent = False
+    draw(view, width)
+    assert view.alive("3")
+
+
+TARGET = Target(
+    run=run,
+    covers=("dpstack.live", "dpstack.screen", "dpstack.web.fan_out"),
+    executions=100_000,
+    max_len=200,
+)
