@@ -285,7 +285,11 @@ class WebServer:
             return _refusal(503, f"{_MOST_PAGES} pages are open: close one")
         ws = web.WebSocketResponse(timeout=_GOODBYE_S, heartbeat=_PING_S, compress=False, max_msg_size=MOST_OCTETS + 1)
         ws.headers.update(HEADERS)
-        if not ws.can_prepare(request).ok:
+        try:
+            may_begin = ws.can_prepare(request).ok
+        except ValueError:  # a Sec-WebSocket-Key that is no ASCII
+            may_begin = False
+        if not may_begin:
             return _refusal(426, "this address is for a WebSocket")
         await ws.prepare(request)
         with contextlib.suppress(ConnectionError):  # the page has gone

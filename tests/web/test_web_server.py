@@ -145,3 +145,15 @@ async def test_a_number_that_json_does_not_have_does_not_cost_the_message() -> N
         source.put({"snapshot": {"t": 0.2, "whole": False, "bus": {}, "slaves": {"3": {"fields": fields}}}})
         message = await page.ws.receive_str(timeout=5)
         assert '"fields":{"level":null,"limits":[null,1.5]}' in message
+
+
+async def test_a_key_of_a_websocket_that_is_no_ascii_is_refused() -> None:
+    async with serve(GivenItems([PLANT])) as server:
+        host, port = server.url.split("/")[2].split(":")
+        reader, writer = await asyncio.open_connection(host, int(port))
+        writer.write(
+            f"GET /ws HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: http://{host}:{port}\r\nUpgrade: websocket\r\n"
+            "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: \xe4\r\n\r\n".encode("latin-1")
+        )
+        assert b" 426 " in await asyncio.wait_for(reader.readline(), 5)
+        writer.close()
