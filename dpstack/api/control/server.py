@@ -391,7 +391,9 @@ class ControlServer:
             name, args, until = request["command"], request.get("args", []), request.get("until_ns", NEVER)
         except (ValueError, RecursionError, TypeError, LookupError, AttributeError):
             name, args, until = None, None, NEVER
-        if isinstance(until, int) and (late := monotonic_ns() - until) > 0:
+        if type(until) is not int or abs(until) > NEVER:
+            name = None
+        elif (late := monotonic_ns() - until) > 0:
             raise OrderDropped(
                 f"this program took the order {ms_text(late)} too late (it was stopped, or busy) and dropped it"
             )

@@ -28,6 +28,9 @@ NONE_OF_OURS = [
     b'{"command":["status"]}',
     b'{"command":"status","args":{}}',
     b'{"command":"status","args":[null]}',
+    b'{"command":"status","until_ns":-1' + b"0" * 400 + b"}",
+    b'{"command":"status","until_ns":"soon"}',
+    b'{"command":"status","until_ns":true}',
 ]
 
 
