@@ -67,12 +67,14 @@ class RateRefused:
 class HeldUp:
     """Command from a driver: it ran the machine ``for_ns`` too late for one of its deadlines.
 
-    ``suspended``: the computer slept, and ``now`` does not contain this time. ``what``: the cause, for people.
+    ``suspended``: the computer slept, and ``now`` does not contain this time. ``unsent``: it did run the machine, but
+    the port took none of its telegrams. ``what``: the cause, for people.
     """
 
     for_ns: int
     what: str
     suspended: bool = False
+    unsent: bool = False
 
 
 class Pumped(Protocol):

@@ -116,7 +116,7 @@ class BusConfig:
     read_only: join the ring and show the stations, but never parameterise or write; a guard in front of every sender
         enforces this
     echo: whether the line returns the octets that are sent; the port then removes them. `"auto"` means the default.
-        Left out: found out from the first telegrams
+        Left out: found out from the first telegrams, and anew when it begins or ends
     rs485: `false`: leave the RS-485 mode of the port's driver unchanged (a converter behind an RS-232 port switches by
         itself). `true`: switch it on if the driver has it, with RTS while sending, unless it is on already
     event_char: `true`: an FTDI adapter delivers at every ED octet instead of waiting for its timer (experimental)

@@ -120,7 +120,7 @@ class Master:
                 return False
             case HeldUp():
                 self._watch.held_up(command, now)
-                if not command.suspended:  # that time is not in `now`
+                if not (command.suspended or command.unsent):  # not in `now`, or the station ran
                     self._token.held_up(command.for_ns)
                 return not self._watch.still_fresh(now)
             case _:

@@ -139,12 +139,24 @@ class OutputsWatch:
         for handler in self._handlers.values():
             if gap.suspended:  # the clock does not show it
                 handler.asked_at -= gap.for_ns
+            elif gap.unsent:
+                self._unsent(handler, gap, now)
             handler.not_asked(now)
         if gap.suspended and self.alive_until != NEVER:
             self.alive_until -= gap.for_ns
         if self._held is None or gap.for_ns > self._held.for_ns:
             self._held = gap
         self.look_soon()
+
+    def _unsent(self, handler: SlaveHandler, gap: HeldUp, now: int) -> None:
+        """No request to the slave left the port. It counts as lost with the line if it was lost meanwhile."""
+        begin = now - gap.for_ns
+        exchanged = handler.state is SlaveState.DATA_EXCHANGE
+        lost = handler.state is SlaveState.OFFLINE and handler.since >= begin and handler.image.input_time
+        if self._watching and (exchanged or lost):
+            handler.asked_at = min(handler.asked_at, begin)
+            if lost:
+                self.down.setdefault(handler, (Blocked.PORT, gap.what))
 
     def line_lost(self, reason: str, *, port: bool) -> None:
         """The port (``port``) or the token is lost. Call this before :meth:`SlaveHandler.line_lost`, by which
@@ -209,7 +221,8 @@ class OutputsWatch:
         """The cause of most of the time ``gap`` without requests to the slave of ``handler``."""
         held = self._held
         if held is not None and 2 * held.for_ns >= gap:
-            return Blocked.SUSPENDED if held.suspended else Blocked.PROGRAM, held.what
+            running = Blocked.PORT if held.unsent else Blocked.PROGRAM
+            return Blocked.SUSPENDED if held.suspended else running, held.what
         if handler in self.down:
             return self.down[handler]
         if 2 * self._token_gap >= gap:

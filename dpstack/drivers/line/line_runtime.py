@@ -108,6 +108,7 @@ class LineRuntime(ABC):
         self._flood_from = 1  # number of discarded octets from which on the next one is looked at
         self._flood_notice = 1  # and from which on the next notice is due
         self._transmit = self._write  # bound once, for speed
+        self._refused_at = 0  # first of the writes that the port has refused, all since the last that it took
         self._tap: Tap | None = None
         self._pumped: Pumped = machine  # the machine, or what copies received octets into the tap
         self._put: Callable[[bytes], bool] = port.write  # or what copies sent octets, too
@@ -336,10 +337,23 @@ class LineRuntime(ABC):
         if self._echo is not None:
             self._echo.sent(octets)
         if not self._put(octets):
-            self._dropped()
+            self._dropped(now)
         end = self.lateness.sent_at = monotonic_ns() + self._wire_ns[len(octets)]
         answers = self._answers
         self._expect(answers.sent(octets, end), answers.sleep_until)
+        return end
+
+    def _write_after_refusal(self, octets: bytes, now: int) -> int:
+        """:meth:`_write` after a write that the port refused: nobody was asked since then."""
+        refused_ns = now - self._refused_at
+        if self._held_up is not None and refused_ns >= _HELD_UP_NS:
+            what = f"the port took no octets for {ms_text(refused_ns)}"
+            if self._held_up(HeldUp(refused_ns, what, unsent=True), now):
+                return now + self._wire_ns[len(octets)]  # too old: as if it had been lost on the line
+        dropped = self._port.dropped
+        end = self._write(octets, now)
+        if self._port.dropped == dropped:
+            self._transmit = self._write
         return end
 
     def _arm(self, deadline: int) -> None:
@@ -447,6 +461,7 @@ class LineRuntime(ABC):
         if self._at is None:
             return
         self._port.close()
+        self._transmit = self._write  # the machine learns of the loss as such
         self._attempts = ReopenAttempts(self._backoff_ns)
         if self._tap is not None:
             self._tap.add((monotonic_ns(), 0, b"", False))
@@ -483,8 +498,11 @@ class LineRuntime(ABC):
             return
         self._step(b"")
 
-    def _dropped(self) -> None:
+    def _dropped(self, now: int) -> None:
         """A telegram was not sent: a notice at the first, the tenth, the hundredth ..."""
+        if self._transmit == self._write:
+            self._refused_at = now
+            self._transmit = self._write_after_refusal
         count = self._port.dropped
         if self._attempts is None and str(count).strip("0") == "1":
             self._warn_soon(f"{count} telegrams dropped: the line takes no more, is anybody reading at the other end?")

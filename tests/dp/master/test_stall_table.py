@@ -34,6 +34,10 @@ def port(bus: ScriptedLink) -> None:
     bus.send(LineUp())
 
 
+def unsent(bus: ScriptedLink) -> None:
+    bus.send(HeldUp(GAP, "the port took no octets for 500 ms", unsent=True))
+
+
 def token(bus: ScriptedLink) -> None:
     bus.now += GAP
 
@@ -67,7 +71,7 @@ def missing(bus: ScriptedLink) -> None:
 
 CASES: Final[dict[str, Callable[[ScriptedLink], None]]] = {
     case.__name__: case
-    for case in (stopped, suspended, port, token, prm_req, short, restart, no_watchdog, silent, missing)
+    for case in (stopped, suspended, port, unsent, token, prm_req, short, restart, no_watchdog, silent, missing)
 }
 OPTIONS: Final[dict[str, dict[str, Any]]] = {
     "silent": {"application_watchdog_ns": 400 * MS},

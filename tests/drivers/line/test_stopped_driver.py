@@ -157,6 +157,28 @@ def test_a_slave_lost_by_a_stall_is_not_held_for_one_that_flaps(kind: str) -> No
     assert plant.master.handlers[3].since - resumed < 50 * NS_PER_MS
 
 
+@pytest.mark.parametrize(("ms", "mode"), [(40, Mode.OPERATE), (400, Mode.CLEAR), (3_000, Mode.CLEAR)])
+def test_a_port_that_takes_nothing_is_a_stall(kind: str, ms: int, mode: Mode) -> None:
+    """The driver runs, and the machine believes that it asks its slave; nothing is on the wire."""
+    plant = Plant(kind)
+    port = plant.driven.port
+    write = port._send
+
+    def refuse(_octets: bytes) -> int:
+        raise BlockingIOError
+
+    port._send = refuse
+    plant.run(ms)
+    port._send = write
+    resumed = plant.kernel.now
+    plant.run(3_000)
+    plant.close()
+    assert plant.master.mode is mode
+    given = {octets for at, octets in plant.given if at >= resumed}
+    assert given == {RUN if mode is Mode.OPERATE else bytes(2)}
+    assert [stall.blocked for stall in plant.stalls] == [Blocked.PORT] * (mode is Mode.CLEAR)
+
+
 def gaps(plant: Plant) -> list[tuple[int, int]]:
     """Ends of neighbouring telegrams to the slave and to all."""
     at = sorted([at for at, _ in plant.given] + [at for _, at in plant.controls])
