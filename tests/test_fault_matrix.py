@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
-from fault_matrix import Cell, Fault, cells, kept, line
+from fault_matrix import NOTHING, Cell, Fault, cells, kept, line, table
 from fault_matrix_rows import FAULTS
+from fault_matrix_wire import NO_FAULT
 
 ADVICE = "read the diff; when it is meant, run: python tests/kits/fault_matrix.py, and say why in the commit"
 
@@ -24,6 +26,36 @@ def compare(chosen: Sequence[Cell]) -> None:
 @pytest.mark.parametrize("fault", [f for f in FAULTS if f.quick], ids=lambda fault: fault.name)
 def test_quick_cells(fault: Fault) -> None:
     compare([cell for cell in cells([fault]) if cell.quick])
+
+
+def test_the_matrix_is_whole() -> None:
+    assert list(kept()) == [cell.title for cell in cells(FAULTS)]
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+def test_what_every_cell_holds(fault: Fault) -> None:
+    """No wrong octet, every bus well again, no slave lost without a reason, no outputs left live."""
+    lines = kept()
+    for cell in cells([fault]):
+        row = lines[cell.title]
+        assert row["wrong data"] == 0, cell.title
+        if fault.measure is None:  # where a port holds telegrams back, the wire does not show the reason
+            assert row.get("dropped wrongly", 0) == 0, cell.title
+        assert (row["back after"] == "never") is bool(fault.not_back), cell.title
+        assert NOTHING not in str(row.get("made safe by")), cell.title
+        if fault.name == NO_FAULT:
+            assert row == {
+                "exchanges": row["exchanges"],
+                "retries": 0,
+                "wrong data": 0,
+                "back after": 1,
+                "last octets": f"{cell.stations} x zeros, Clear x 2",
+            }, cell.title
+
+
+def test_the_table_of_the_reliability_page() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "reliability.md").read_text(encoding="utf-8")
+    assert table(FAULTS) in page, "print it with: python tests/kits/fault_matrix.py --table"
 
 
 @pytest.mark.soak

@@ -5,10 +5,10 @@ Buses, all in virtual time:
 - ``support``: worlds with a referee (fixture ``world``), the decoded wire log, dummy stations.
 - ``bus_kit``: a station in a world (``add_station``), a master with mirror slaves (``SimBus``). On it: ``cycle_kit``
   (fixed cycle, every transmission kept), ``planned_bus`` (undisturbed rounds), ``fire_kit`` (token ring of several
-  masters), ``noise_matrix`` (snapshots of noisy buses).
+  masters).
 - ``fault_matrix``: faults x baud rates x stations as lines of figures; ``fault_matrix_plant`` (its buses),
-  ``fault_matrix_truth`` (what was on the wire), ``fault_matrix_wire`` (faults of the wire), ``fault_matrix_rows`` (all
-  faults).
+  ``fault_matrix_truth`` (what was on the wire), ``fault_matrix_wire`` and ``fault_matrix_stations`` (faults),
+  ``fault_matrix_rows`` (all of them).
 - ``ring_bus``: a wire of literal octets without ``World``; slaves are functions from octets to octets. On it:
   ``exchange_kit`` (one station, one slave), ``order_bus`` (a station with acyclic services, orders and their ends),
   and on that ``class2_kit``, ``ms1_kit``, ``alarm_kit`` (with a DP master), ``ms2_kit``.

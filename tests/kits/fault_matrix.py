@@ -2,7 +2,8 @@
 
 ``tests/snapshots/fault_matrix.json`` keeps the lines, so that a change of behaviour is a diff to read. One command
 writes them: ``python tests/kits/fault_matrix.py`` (``TEXT ...`` after it: only the lines of faults with such a text in
-their names, ``--quick``: only those of ``make test``). Everything is decided by the seed, so each line is exact.
+their names, ``--quick``: only those of ``make test``). ``--table`` prints the table of docs/reliability.md. All is
+decided by the seed, so each line is exact.
 
 A fault is a function that begins it at a plant and returns the function that ends it. A cell brings the plant up, lets
 the fault act for some rotations, measures how long the plant takes to be well again, then lets the fault act once more
@@ -34,18 +35,20 @@ from pathlib import Path
 from typing import Any
 
 from fault_matrix_plant import Plant, Plug
-from fault_matrix_truth import Application
+from fault_matrix_truth import NEVER_LIVE, Application
 from support import S
 
 from dpstack.phy.patience import EXACT, Patience
 
 SNAPSHOT = Path(__file__).parents[1] / "snapshots" / "fault_matrix.json"
-RATES = (9_600, 45_450, 500_000, 1_500_000, 12_000_000)
-STATIONS = (1, 8, 32)
+RATES: tuple[int, ...] = (9_600, 45_450, 500_000, 1_500_000, 12_000_000)
+STATIONS: tuple[int, ...] = (1, 8, 32)
 #: how many rotations a fault acts, by stations
 ROTATIONS = {1: 200, 3: 100, 8: 60, 32: 25}
 #: rotations of the ordered end before the order, in which the fault acts again
 BEFORE_END = 3
+#: in a line: outputs stayed live after everything
+NOTHING = "nothing"
 #: the longest recovery that is waited for
 RECOVERS_WITHIN_NS, RECOVERS_WITHIN = 60 * S, 200
 
@@ -95,7 +98,8 @@ class Cell:
         fault = self.fault
         who = f"{self.stations} slave{'s' * (self.stations > 1)}"
         ring = f"{fault.masters} masters, " if fault.masters > 1 else ""
-        return f"{fault.name}, {self.baud} bit/s, {ring}{who}, seed {self.seed}"
+        resumes = "" if fault.settings.get("safe_after_stall", True) else ' (after_stall = "resume")'
+        return f"{fault.name}{resumes}, {self.baud} bit/s, {ring}{who}, seed {self.seed}"
 
     @property
     def quick(self) -> bool:
@@ -169,10 +173,10 @@ def row(cell: Cell) -> Row:
         found[f"stalls (after_stall = {rule})"] = _counted(stalls)
     found["last octets"] = _counted(last)
     others = Counter(
-        device.safe_by or "NOTHING"
+        device.safe_by or NOTHING
         for devices in plant.devices.values()
         for device in devices
-        if device.safe_by not in ("zeros", "Clear")
+        if device.safe_by not in ("zeros", "Clear", NEVER_LIVE)
     )
     if others:
         found["made safe by"] = _counted(others)
@@ -227,8 +231,30 @@ def write(faults: Iterable[Fault], texts: Collection[str], *, quick: bool) -> No
     SNAPSHOT.write_text("{\n" + ",\n".join(lines) + "\n}\n")
 
 
+def table(faults: Iterable[Fault]) -> str:
+    """The matrix summed up by fault, for docs/reliability.md. Numbers of its lines are added up; of rotations to
+    recovery the median and the most."""
+    lines = kept()
+    rows = [
+        "| fault | cells | exchanges | retries | slaves dropped | wrong data | rotations to recovery: median, most |"
+    ]
+    rows.append("|---|---|---|---|---|---|---|")
+    by_name: dict[str, list[Row]] = {}
+    for cell in cells(faults):
+        by_name.setdefault(cell.fault.name.split(",")[0], []).append(lines[cell.title])
+    for name, found in by_name.items():
+        sums = [sum(int(row.get(key, 0)) for row in found) for key in ("exchanges", "retries", "dropped", "wrong data")]
+        back = sorted(int(row["back after"]) for row in found if row["back after"] != "never")
+        figures = " | ".join(map(str, sums))
+        rows.append(f"| {name} | {len(found)} | {figures} | {back[len(back) // 2]}, {back[-1]} |")
+    return "\n".join(rows)
+
+
 if __name__ == "__main__":
     from fault_matrix_rows import FAULTS
 
     arguments = sys.argv[1:]
+    if arguments == ["--table"]:
+        print(table(FAULTS))
+        sys.exit()
     write(FAULTS, [a for a in arguments if a != "--quick"], quick="--quick" in arguments)

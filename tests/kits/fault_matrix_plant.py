@@ -79,9 +79,8 @@ class Plant:
         params = BusParams.preset(baud, address=FIRST_MASTER, hsa=HSA, gap=1)
         shares = [setups[n::masters] for n in range(masters)]
         figures = Figures(params, shares[0], others=OtherMasters(alike=masters - 1))
-        # in a ring the GAP is polled at every second rotation, so that a master that was dropped is let in again
-        t_tr = params.t_tr if masters == 1 else figures.t_tr_needed
-        self.params = params = params.replace(t_tr=t_tr)
+        # the GAP is polled in nearly every rotation, so that a master that was dropped is let in again soon
+        self.params = params = params.replace(t_tr=figures.t_tr_needed)
         self.rotation_ns = figures.ns(Case.TYPICAL)
         self.longest_ns = figures.ns(Case.LONGEST)
         self.watchdog_ns = figures.watchdog_ms() * MS
@@ -94,6 +93,8 @@ class Plant:
             self._master(params.replace(address=FIRST_MASTER + n), share, MasterSettings(**options), plug, patience)
             for n, share in enumerate(shares)
         ]
+        #: when slaves lost their power
+        self.restarts: dict[int, list[int]] = {}
         #: when the fault ended
         self.over_ns = -1
 
@@ -210,6 +211,7 @@ class Plant:
         self.world.remove(station)
         assert isinstance(station.responder, SlaveApp)
         station.responder.restart(self.world.now)
+        self.restarts.setdefault(address, []).append(self.world.now)
         self.truth.away.setdefault(address, []).append((self.world.now, 1 << 62))
 
     def switch_on(self, address: int) -> None:
@@ -249,8 +251,8 @@ class Plant:
         attempts = self.truth.attempts(address, at + 1, tries)
         if len(attempts) == tries and all(attempt.touched for attempt in attempts):
             return False
-        restarted = [begin for begin, _ in self.truth.away.get(address, ()) if begin <= at]
-        if restarted and not any(restarted[-1] < now < at for now, _ in self.devices[address][0].taken):
+        restarted = [begin for begin in self.restarts.get(address, ()) if begin <= at]
+        if restarted and not any(restarted[-1] < now < at for now, _, _ in self.devices[address][0].taken):
             return False
         silent = self.truth.unasked_ns(address, at, 2 * self.watchdog_ns + self.longest_ns)
         return silent <= min(self.watchdog_ns, S + self.params.ns(self.params.t_tr))

@@ -29,6 +29,7 @@ BROADCAST = 127
 SAP_GLOBAL_CONTROL = 58
 CLEAR = b"\x02\x00"
 ZEROS = bytes(12)
+NEVER_LIVE = "never live"
 
 
 def fields(octets: bytes) -> tuple[int, int, int, int | None, bytes] | None:
@@ -48,7 +49,8 @@ def fields(octets: bytes) -> tuple[int, int, int, int | None, bytes] | None:
 class Device(DpV0Device):
     """A slave's device of twelve octets each way. Every exchange returns inputs that never were before.
 
-    ``given``: by inputs the outputs for which they were returned, and when. ``taken``: the outputs with their times.
+    ``given``: by inputs the outputs for which they were returned, and when. ``taken``: the outputs with their times,
+    and whether the last Global_Control was Clear: then the slave gives zeros in place of outputs.
     """
 
     ident = IDENT
@@ -58,14 +60,15 @@ class Device(DpV0Device):
     def __init__(self, address: int, mark: int = 0xA0) -> None:
         self._head = bytes((mark, address, 0x68, 0xE5))
         self.given: dict[bytes, tuple[bytes, int]] = {}
-        self.taken: list[tuple[int, bytes]] = []
+        self.taken: list[tuple[int, bytes, bool]] = []
+        self._cleared = True
         #: the reason why the outputs of now are safe; None while they are live
-        self.safe_by: str | None = "never live"
+        self.safe_by: str | None = NEVER_LIVE
         self.safe_at = 0
         self.live_at = -1
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
-        self.taken.append((now, outputs))
+        self.taken.append((now, outputs, self._cleared))
         if outputs != ZEROS:
             self.safe_by = None
             self.live_at = now
@@ -77,9 +80,14 @@ class Device(DpV0Device):
         return inputs
 
     def clear(self, now: int) -> None:
+        self._cleared = True
         self._safe("Clear", now)
 
+    def operate(self, now: int) -> None:
+        self._cleared = False
+
     def leave(self, reason: Leave, now: int) -> None:
+        self._cleared = True
         self._safe(reason.value, now)
 
     def _safe(self, by: str, now: int) -> None:
@@ -134,6 +142,8 @@ class Truth:
     which the slave could not answer because of a fault."""
 
     baud: int
+    #: by their begin: the telegrams of which only the first octets were on the wire
+    meant: dict[int, bytes] = field(default_factory=dict)
     entries: list[WireEntry] = field(default_factory=list)
     watch: list[Callable[[WireEntry], None]] = field(default_factory=list)
     away: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
@@ -158,11 +168,11 @@ class Truth:
         ]
         sent.sort()
         wrong, at, last = 0, 0, b""
-        for now, outputs in device.taken:
+        for now, outputs, cleared in device.taken:
             while at < len(sent) and sent[at][0] <= now:
                 last = sent[at][1]
                 at += 1
-            wrong += outputs != last
+            wrong += outputs != last and not (cleared and outputs == ZEROS)
         return wrong
 
     def wrong_inputs(self, application: Application, devices: list[Device]) -> int:
@@ -205,19 +215,18 @@ class Truth:
         end_ns = until_ns
         for place in range(len(self.entries) - 1, -1, -1):
             entry = self.entries[place]
-            if entry.start_ns >= until_ns:
+            if entry.start_ns >= until_ns or entry.sender == FAULTY or "repeated" in entry.note:
                 continue
-            parts = fields(entry.octets)
-            if parts is not None and parts[2] & REQUEST and entry.sender != FAULTY:
-                da = parts[0]
-                if da == address and "repeated" not in entry.note:
+            parts = fields(self.meant.get(entry.start_ns, entry.octets))
+            if entry.octets[:1] == bytes((TOKEN,)):
+                end_ns = entry.start_ns
+            elif parts is not None and parts[2] & REQUEST:
+                if parts[0] == address:
                     touched = self._touched(address, entry.start_ns - quiet, end_ns, place)
                     found.appendleft(Attempt(entry.start_ns, end_ns, entry.octets, touched))
-                    if len(found) == count:
-                        break
                 end_ns = entry.start_ns
-            elif entry.octets[:1] == bytes((TOKEN,)):
-                end_ns = entry.start_ns
+            if len(found) == count:
+                break
         return list(found)
 
     def _touched(self, address: int, start_ns: int, end_ns: int, place: int) -> bool:
