@@ -27,7 +27,7 @@ check: $(VENV)/.check
 	$(PY) -m mypy
 	$(PY) -m pytest tests/test_docs.py tests/test_imports.py
 
-# Summed up from its files, run one by one: about 40 minutes of a processor (some of it estimated), two hours where others
+# Summed up from its files, run one by one: about 45 minutes of a processor (some of it estimated), two hours where others
 # compute beside it. The longest, about five minutes each: fdl/test_autobaud.py, dp/acyclic/test_acyclic_endurance.py.
 # make soak TESTS=tests/dp runs a part (ptys: tests/cli, tests/drivers), make soak SEED=... looks again where an earlier
 # run looked
