@@ -47,7 +47,7 @@ def _title(view: View, width: int) -> Line:
         piece(f" at {baud_text(baud)}" if baud else ""),
         piece(", read-only" if plant.get("read_only") else ""),
     ]
-    others = [str(master) for master in bus.get("masters", []) if master != plant.get("address")]
+    others = [str(master) for master in bus.get("masters") or [] if master != plant.get("address")]
     if others:
         where.append(piece(f", other masters {', '.join(others)}"))
     return cut_line(where, width)

@@ -188,3 +188,11 @@ def test_a_slave_without_any_values_yet() -> None:
     assert "unknown" in text_of(slave_line(view, "5", 80))
     assert "nothing is known" in "\n".join(map(text_of, page(view, "5", 80)))
     assert all_lines(view_of([]), 80)
+
+
+def test_a_replay_has_no_masters_and_times_beyond_any_clock() -> None:
+    view = View()
+    view.apply({"plant": {"started": 1e300, "slaves": {}}}, 1.0)
+    view.apply({"snapshot": {"t": 1.0, "whole": True, "bus": {"masters": None, "bad": None}, "slaves": {}}}, 1.0)
+    assert head(view, 80)
+    assert len(bars([(0.0, 1), (5e-324, 1), (1.0, 1)], 10)) == 1
