@@ -276,8 +276,8 @@ class Run:
                 "silence": self.image.words[Word.SILENCES] if self.image is not None else 0
             }
             self.put(self.framed(right))
-            await asyncio.sleep(0.001)
-            await asyncio.sleep(0)
+            for _ in range(20):
+                await asyncio.sleep(0)
             assert runtime.slave(3).state is SlaveState.DATA_EXCHANGE
             assert runtime.bus().mode is Mode.OPERATE
         assert len(self.failures) <= 1, self.failures

@@ -24,6 +24,8 @@ from tests.fuzz.quick_loop import QuickLoop, quick_loop
 
 HOST = "127.0.0.1:8765"
 SECRET = "s" * 32
+#: pauses of a second: a page that answers no ping is disconnected after 20 s and more
+_MOST_PAUSES = 15
 _PLANT = {"plant": {"version": 1, "started": 1_763_830_000.0, "port": "/dev/ttyUSB0", "slaves": {"3": {"name": "x"}}}}
 _RIGHT: tuple[Any, ...] = (
     {"hello": {"token": None}},
@@ -197,7 +199,7 @@ class Run:
 
     async def main(self) -> None:
         script = self.script
-        head = script.octet()
+        head, pauses = script.octet(), 0
         rights = Rights(True, None, SECRET) if head & 1 else Rights()
         source = GivenItems([_PLANT])
         server = WebServer(source, [FakeSocket()], rights, self.log.append)  # type: ignore[list-item]
@@ -212,7 +214,8 @@ class Run:
             await self.feed(wire, frame_of(text_of(bent(_RIGHT[head >> 1 & 1], script)).encode()))
             while script.at < len(script.octets):
                 await self.feed(wire, self.message())
-                if head & 4:
+                if head & 4 and pauses < _MOST_PAUSES:
+                    pauses += 1
                     await asyncio.sleep(1)
             self.judge(bytes(wire.said))
             good.said.clear()
