@@ -73,6 +73,7 @@ class ListUser:
         self.starts.append((request, at))
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        assert type(now) is int
         self.results.append((request, outcome, now))
 
     def command(self, command: object, now: int) -> bool:
@@ -140,7 +141,9 @@ class RingBus(KeepsEvents):
         if station not in self.stations:
             return
         at = pump(station, chunk, self.now, lambda octets, now: self.transmit(octets, now, station.address, station))
-        self.events += station.take_events()
+        events = station.take_events()
+        assert all(type(event.t_ns) is int and 0 <= event.t_ns <= self.now + self.ns(3000) for event in events)
+        self.events += events
         if at < NEVER:
             self._due[id(station)] = at
             self.at(max(at, self.now), lambda: self._wake(station, at))

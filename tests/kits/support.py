@@ -31,7 +31,8 @@ class KeepsEvents:
     events: list[Event]
 
     def events_of(self, kind: type[E]) -> list[E]:
-        """The events of one kind, oldest first."""
+        """The events of one kind, oldest first. Each has a time."""
+        assert all(type(event.t_ns) is int for event in self.events)
         return [event for event in self.events if isinstance(event, kind)]
 
 

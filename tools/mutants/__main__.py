@@ -11,7 +11,7 @@ those that change nothing; they are counted as *explained*, not as killed.
 * ``--out FILE``: JSON lines. A run with the same file tries only those mutants that it does not have.
 * ``--report FILE...``: no mutants; the table of such files together.
 * ``--survivors FILE``: print the survivors of such a file and try them again.
-* ``--branch``: no mutants; branch coverage of each room by the same tests.
+* ``--branch``: no mutants; branch coverage of each room by the room's own tests.
 
 The first run measures which tests execute which lines (some minutes, kept in ~/.cache/dpstack-mutants); later runs
 measure only files of tests that changed. ``--measure`` measures all again (tests/kits changed much).
@@ -21,7 +21,9 @@ from __future__ import annotations
 
 import argparse
 import collections
+import contextlib
 import hashlib
+import io
 import itertools
 import json
 import os
@@ -66,16 +68,17 @@ def main() -> None:
     given = parser.parse_args()
     os.chdir(ROOT)
     sys.path[:0] = [str(ROOT)]
-    arguments = [*config().pytest_add_cli_args, *config().pytest_add_cli_args_test_selection]
+    options = config().pytest_add_cli_args
+    selection = config().pytest_add_cli_args_test_selection
     rooms = given.rooms.split(",")
     if given.report:
         report({key: row for file in given.report for key, row in _read(file).items()})
         return
     if given.branch:
-        branch_coverage(rooms, arguments)
+        branch_coverage(rooms, options)
         return
     trial.prepare_cold()
-    seen = seen_by.load(config().pytest_add_cli_args_test_selection, config().pytest_add_cli_args, anew=given.measure)
+    seen = seen_by.load(selection, options, anew=given.measure)
     part = given.only.removesuffix(".py").replace("/", "-") or "-".join(rooms)
     out = given.out or seen_by.CACHE / f"{part}-sample-{given.sample}-seed-{given.seed}.jsonl"
     if given.survivors:
@@ -88,7 +91,7 @@ def main() -> None:
         mutants = _drawn(rooms, given.only, given.sample, given.seed)
     done = _read(out)
     print(f"commit {_commit()}, seed {given.seed}, results in {out}", flush=True)
-    _try_all(mutants, done, out, arguments, seen, given.seconds)
+    _try_all(mutants, done, out, [*options, *selection], seen, given.seconds)
     report(_read(out))
 
 
@@ -269,28 +272,42 @@ def _commit() -> str:
     ).stdout.strip()
 
 
-def branch_coverage(rooms: Sequence[str], arguments: Sequence[str]) -> None:
-    """Print statements and branches of each room that the tests execute."""
+def branch_coverage(rooms: Sequence[str], options: Sequence[str]) -> None:
+    """Print the statements and branches of each room that the room's own tests execute."""
+    print("| room | statements | executed | branches | taken |\n|---|---|---|---|---|", flush=True)
+    for room in rooms:
+        child = os.fork()  # each room is measured in a process that has imported nothing of it yet
+        if not child:
+            code = 1
+            try:
+                print(_branch_coverage_of(room, options), flush=True)
+                code = 0
+            finally:
+                os._exit(code)
+        if os.waitpid(child, 0)[1]:
+            raise SystemExit(f"the tests of {room} could not be measured")
+
+
+def _branch_coverage_of(room: str, options: Sequence[str]) -> str:
     import coverage
     import pytest
 
-    measured: Any = coverage.Coverage(
-        data_file=None, branch=True, config_file=False, include=[f"{ROOT}/dpstack/{room}/*" for room in rooms]
-    )
+    folder = f"{ROOT}/dpstack/{room}"
+    measured: Any = coverage.Coverage(data_file=None, branch=True, config_file=False, source=[folder])
     measured.start()
-    pytest.main([*arguments, "-q", "-p", "no:cacheprovider", "-n", "0", "--tb=short"])
+    with contextlib.redirect_stdout(io.StringIO()) as told:
+        code = pytest.main([*options, *trial.OPTIONS, f"tests/{room}"])
     measured.stop()
-    print("\n| room | statements | executed | branches | taken |")
-    print("|---|---|---|---|---|")
-    for room in rooms:
-        count: collections.Counter[str] = collections.Counter()
-        for path in sorted((ROOT / "dpstack" / room).rglob("*.py")):
-            numbers = measured._analyze(str(path)).numbers
-            for name in ("n_statements", "n_executed", "n_branches", "n_executed_branches"):
-                count[name] += getattr(numbers, name)
-        lines = 100 * count["n_executed"] / count["n_statements"]
-        branches = 100 * count["n_executed_branches"] / count["n_branches"]
-        print(f"| {room} | {count['n_statements']} | {lines:.1f} % | {count['n_branches']} | {branches:.1f} % |")
+    if code:
+        raise SystemExit(told.getvalue())
+    count: collections.Counter[str] = collections.Counter()
+    for path in sorted(Path(folder).rglob("*.py")):
+        numbers = measured._analyze(str(path)).numbers
+        for name in ("n_statements", "n_executed", "n_branches", "n_executed_branches"):
+            count[name] += getattr(numbers, name)
+    lines = 100 * count["n_executed"] / count["n_statements"]
+    branches = 100 * count["n_executed_branches"] / count["n_branches"]
+    return f"| {room} | {count['n_statements']} | {lines:.1f} % | {count['n_branches']} | {branches:.1f} % |"
 
 
 if __name__ == "__main__":

@@ -132,6 +132,7 @@ class SourceFile:
             for node in ast.walk(target)
             if isinstance(node, ast.Name | ast.Attribute)
         }
+        names.update(path[-1:])  # a value in a class is seen through the class, too
         return Place(first, last, ".".join(path), 0, tuple(sorted(names)))
 
 

@@ -7,6 +7,7 @@ from exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
 from ring_bus import ListUser
 
 from dpstack.fdl.active.admission import Admission
+from dpstack.fdl.active.services import SERVICES
 from dpstack.fdl.active.states import State
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.events import DoesNotFit
@@ -14,6 +15,7 @@ from dpstack.fdl.interface import LONG_NS, Failure, Request
 from dpstack.fdl.telegram import Kind, Req, Telegram
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
+from dpstack.trace import Notice
 
 BIT = 2_000  # at 500 kbit/s; T_SL 200, T_ID1 37, min T_SDR 11
 MS = 1_000_000
@@ -266,3 +268,31 @@ def test_an_answer_to_a_station_without_request_is_late() -> None:
     for telegram in (Telegram(Kind.SD2, 2, 3, 0x08, data=b"\x00"), Telegram(Kind.SC, -1, -1)):
         station.telegram(telegram, bus.now)
     assert (station.stats.late, station.stats.stations[3].late, station.stats.stray) == (1, 1, 1)
+
+
+def test_a_station_that_answers_wrongly_ten_times_is_told_with_the_time() -> None:
+    bus, _, _ = bus_with(Slave(answer=wrong_from(3) + DIAG_ANSWER), *[DIAG] * 12, mode="octets")
+    bus.run_ms(40)
+    (told,) = [event for event in bus.events_of(Notice) if "more answers than it gets requests" in event.message]
+    assert 0 < told.t_ns < bus.now
+
+
+@pytest.mark.parametrize(
+    ("function", "fc", "counted", "answered"),
+    [
+        (Req.TIME_EVENT, 0x40, False, False),
+        (Req.SDA_LOW, 0x43, True, True),
+        (Req.SDN_LOW, 0x44, False, False),
+        (Req.SDA_HIGH, 0x45, True, True),
+        (Req.SDN_HIGH, 0x46, False, False),
+        (Req.MSRD, 0x47, True, True),
+        (Req.FDL_STATUS, 0x49, False, True),
+        (Req.SRD_LOW, 0x4C, True, True),
+        (Req.SRD_HIGH, 0x4D, True, True),
+        (Req.IDENT, 0x4E, False, True),
+        (Req.LSAP_STATUS, 0x4F, False, True),
+        (Req.CLOCK_VALUE, 0xC0, False, False),
+    ],
+)
+def test_the_fc_octet_of_every_service(function: Req, fc: int, counted: bool, answered: bool) -> None:
+    assert SERVICES[function] == (fc, counted, answered)

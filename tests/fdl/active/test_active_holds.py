@@ -15,7 +15,7 @@ from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline, GoOnline
 from dpstack.fdl.events import AddressCollision, RingLeft, StationFound, TokenLost
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, StationType, Telegram, token
-from dpstack.machine import LineDown, LineUp, pump
+from dpstack.machine import HeldUp, LineDown, LineUp, pump
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST, Patience
 from dpstack.trace import Notice, Severity
@@ -495,3 +495,75 @@ def test_damage_counts_for_the_station_that_is_asked() -> None:
     bus.run_ms(20)
     assert sum(station.stats.stations[3].bad.values()) > 0
     assert station.stats.stations.keys() == {3}
+
+
+# --- orders while the token is elsewhere, and the times of events ----------------------------------------------------
+def test_a_station_that_leaves_goes_offline_when_it_loses_the_token() -> None:
+    """The order comes in a hold; then another station sends with this address."""
+    bus, user, station = bus_with(Slave(delay=150), DX)
+    bus.until(station, State.AWAIT_DATA_RESPONSE)
+    bus.command(station, GoOffline())
+    station.telegram(Telegram(Kind.SD1, 9, 2, 0x49), bus.now)
+    bus.pump(station)
+    assert station.state is State.OFFLINE
+    assert not station._membership.leaving
+    assert user.outcomes == [Failure.ABANDONED]
+    assert [(e.t_ns, e.reason) for e in bus.events_of(RingLeft)] == [(bus.now, "another station has the same address")]
+
+
+@pytest.mark.parametrize("what", ["telegram", "edge"])
+def test_a_pass_between_others_is_repeated_in_vain_only_without_a_telegram_between(what: str) -> None:
+    """5 passes the token to 9 twice, then to 2, whose predecessor is 9: its ring has changed."""
+    bus = ring_of(2, 5, 9, hsa=12)
+    a = bus.stations[0]
+    bus.until(a, State.ACTIVE_IDLE)
+    bus.stations[1:] = []
+    a.telegram(token(9, 5), bus.now + 1)
+    if what == "telegram":
+        a.telegram(Telegram(Kind.SD1, 9, 7, 0x08), bus.now + 2)
+    else:
+        a.activity(bus.now + 2)
+    a.telegram(token(9, 5), bus.now + 3)
+    a.telegram(token(2, 5), bus.now + 4)
+    assert (a.state is State.ACTIVE_IDLE) is (what == "telegram")
+
+
+def test_held_up_reaches_the_users() -> None:
+    taken: list[tuple[object, int]] = []
+
+    class Old(ListUser):
+        def command(self, command: object, now: int) -> bool:
+            taken.append((command, now))
+            return len(taken) > 1
+
+    station = ActiveStation(BusParams.preset(500_000, address=2, gap=0), [Old(), Old()])
+    gap = HeldUp(1, "x")
+    assert station.held_up(gap, 77)
+    assert taken == [(gap, 77), (gap, 77)]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_damage_in_a_gap_poll_counts_for_a_known_station_only(known: bool) -> None:
+    bus, station = gap_bus("10 02 03 00 05 16", mode="chunk", gap=1, t_tr=300)
+    if known:
+        bus.run_ms(20)
+    bus.drop = lambda sent: sent.sender == 3
+    bus.run_ms(20)
+    assert station.stats.stations.keys() == ({3} if known else set())
+    if known:
+        assert sum(station.stats.stations[3].bad.values()) > 0
+
+
+@pytest.mark.parametrize(("late_ns", "asked"), [(MS, False), (MS + 1, True)])
+def test_a_request_older_than_a_millisecond_is_asked_whether_it_is_still_good(late_ns: int, asked: bool) -> None:
+    calls: list[int] = []
+
+    def still(now: int) -> bool:
+        calls.append(now)
+        return True
+
+    bus, _, station = bus_with(Slave(), DX._replace(still=still))
+    bus.until(station, State.USE_TOKEN)
+    made_at = station._exchange.made_at
+    station.take_tx(made_at + late_ns)
+    assert calls == ([made_at + late_ns] if asked else [])
