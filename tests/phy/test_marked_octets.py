@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 
 from dpstack.params import BusParams
 from dpstack.phy.line import Line
@@ -22,6 +23,7 @@ def pieces(draw: st.DrawFn) -> tuple[bytes, list[bool], bool | None]:
     return octets, marks, packets
 
 
+@examples(50)
 @given(st.lists(pieces(), min_size=1, max_size=5), st.booleans())
 def test_joined_octets_keep_their_marks(parts: list[tuple[bytes, list[bool], bool | None]], from_left: bool) -> None:
     made = [
@@ -79,6 +81,7 @@ def test_a_good_character_has_no_error(octet: int, parity_error: bool, framing_e
     assert Character(7, octet, parity_error, framing_error).good is good
 
 
+@examples(50)
 @given(st.lists(st.tuples(st.binary(min_size=1, max_size=3), st.integers(0, 60)), min_size=1, max_size=5))
 def test_transmissions_one_after_the_other_are_heard_as_sent(parts: list[tuple[bytes, int]]) -> None:
     """At the sender's rate, with pauses in bits."""

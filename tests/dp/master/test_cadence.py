@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 
 from dpstack.dp.master.events import CyclesMissed
 from dpstack.dp.master.fixed_cycle import Cadence, CycleData, CycleStats, MissReason, tolerance_ns
@@ -52,6 +53,7 @@ class Model:
         self.begun_late += first_bit - due > self.cycle // 10
 
 
+@examples(50)
 @given(
     st.sampled_from([10, 11, 100, 1_001]),
     st.lists(st.tuples(st.integers(0, 2_500), st.integers(0, 300)), min_size=1, max_size=40),

@@ -417,26 +417,24 @@ def test_a_lost_token_is_told_and_the_ring_is_kept() -> None:
 
 
 # --- requests to this station ----------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("fc", "answer"),
-    [
-        (0x4D, "10 07 02 33 3c 16"),
-        (0x43, "10 07 02 33 3c 16"),
-        (0x4E, "10 07 02 33 3c 16"),
+def test_a_master_refuses_requests_and_answers_no_broadcasts() -> None:
+    bus = ring_of(2, 5, hsa=6)
+    a = bus.stations[0]
+    bus.until(a, State.ACTIVE_IDLE)
+    refusal = bytes.fromhex("10 07 02 33 3C 16")
+    for fc, answer in (
+        (0x4D, refusal),
+        (0x43, refusal),
+        (0x4E, refusal),
         (0x44, None),
         (0x46, None),
         (0x40, None),
         (0xC0, None),
-    ],
-)
-def test_a_master_refuses_requests_and_answers_no_broadcasts(fc: int, answer: str | None) -> None:
-    bus = ring_of(2, 5, hsa=6)
-    a = bus.stations[0]
-    bus.until(a, State.ACTIVE_IDLE)
-    a.telegram(Telegram(Kind.SD2, 2, 7, fc, data=b"\x00"), bus.now)
-    assert a._line.tx == (None if answer is None else bytes.fromhex(answer))
-    a.telegram(Telegram(Kind.SD2, 9, 7, 0x4D, data=b"\x00"), bus.now)
-    assert a._line.tx is None
+    ):
+        a.telegram(Telegram(Kind.SD2, 2, 7, fc, data=b"\x00"), bus.now)
+        assert a._line.tx == answer
+        a.telegram(Telegram(Kind.SD2, 9, 7, 0x4D, data=b"\x00"), bus.now)  # another master is sending
+        assert a._line.tx is None
 
 
 # --- users that come and go ------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from itertools import product
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 
 from dpstack.fdl.active.las_gap import Announced, Gap, Ring
 from dpstack.fdl.active.membership import Membership
@@ -113,6 +114,7 @@ def membership_of(*masters: int, ts: int = TS, gap: int = 10) -> Membership:
 STEPS = st.sampled_from([(1, TS), (5, TS), (9, TS), (1, 5), (5, 9), (9, 1), (5, 1), (0, 0)])
 
 
+@examples(50)
 @given(st.lists(STEPS, max_size=14))
 def test_a_token_is_accepted_from_the_predecessor_or_the_second_time(steps: list[tuple[int, int]]) -> None:
     """The predecessor of 2 in the ring of 1, 2, 5 and 9 is 1.

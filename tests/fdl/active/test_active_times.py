@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 
 from dpstack.fdl.active.parts import ActiveLine, Times, Users
 from dpstack.fdl.allowance import Allowance
@@ -213,6 +214,7 @@ def test_deadlines_and_orders_of_users() -> None:
 
 
 # --- the account of silent polls -------------------------------------------------------------------------------------
+@examples(50)
 @given(
     st.integers(0, 7),
     st.integers(1, 30),

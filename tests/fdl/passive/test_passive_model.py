@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from passive_kit import BIT, Application
+from property_kit import examples
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
@@ -107,6 +108,7 @@ STEPS = st.tuples(
 )
 
 
+@examples(50)
 @given(st.lists(STEPS, max_size=12))
 def test_answers_and_counters_are_those_of_the_model(steps: list[tuple[int, int, int, bool, Reply | None]]) -> None:
     model, application = Model(), Application()
