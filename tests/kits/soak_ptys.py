@@ -247,8 +247,10 @@ class PtyRun:
         theirs: dict[str, int] = {
             "sent": account["telegrams"],
             "heard": account["answers"],
-            "tokens": account["tokens"] - 1 - link.tokens_lost,  # the two of a claim are one
+            # the two of a claim are one; the bus may end with a token on the line, before its next hold begins
+            "tokens": account["tokens"] - 1 - link.tokens_lost - link.token_retries,
         }
+        theirs["tokens"] -= theirs["tokens"] == link.tokens + 1
         late = sum(station.late + station.wrong for station in link.stations.values()) + link.late + link.stray
         for slave in self.bus.slaves:
             key = str(slave.address)
