@@ -10,7 +10,6 @@ from typing import Final, Protocol
 from dpstack.dp.acyclic.class2 import Class2
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.bring_ups import History
-from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.scanner import Scanner
@@ -132,10 +131,6 @@ class Stack:
         return SlaveSnapshot(
             handler.state, handler.fault, handler.diagnosis, handler.watchdog_effective_ns, handler.alarm_counts
         )
-
-    def is_operating(self) -> bool:
-        """The slaves have live outputs of this master."""
-        return self.master.mode is Mode.OPERATE and not self.read_only
 
     def bring_ups(self, address: int) -> History:
         handler = self.master.handlers.get(address)

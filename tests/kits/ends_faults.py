@@ -5,7 +5,6 @@ As a program: ``python ends_faults.py PATH DRIVER WAY``, as ``ends_programs``; i
 
 from __future__ import annotations
 
-import _testcapi  # type: ignore[import-not-found]  # of CPython: lets allocations fail
 import asyncio
 import concurrent.futures.thread  # noqa: F401 -- with no handles left it could not be imported
 import os
@@ -16,10 +15,13 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+import ends_plugin
 from ends_programs import LONG_S, Ways
 from far_ends import until
 
 import dpstack
+from dpstack.drivers.process.plugins import AttachPlugin
+from dpstack.drivers.stack import Stack
 from dpstack.machine import Machine
 from dpstack.trace import Event
 
@@ -48,6 +50,39 @@ class Faults(Ways):
         await bus.rotated(before + 20, LONG_S)
         print("goes on", flush=True)
         await asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
+
+    def waits(self) -> None:
+        """Something happens to it from outside."""
+
+        async def then(_: dpstack.Bus) -> None:
+            await asyncio.sleep(LONG_S)
+
+        self.run(then)
+
+    # --- exceptions in plugins ---
+    async def attach(self, bus: dpstack.Bus, name: str) -> None:
+        """The valves get the plugin ``name`` of ``ends_plugin``."""
+        if self.driver == "process":
+            await bus.runtime.order(AttachPlugin(address=4, place=f"ends_plugin:{name}", name="valves"))
+        else:
+            stack = bus.view
+            assert isinstance(stack, Stack)
+            stack.master.handlers[4].image.plugin = getattr(ends_plugin, name).core()
+
+    def in_a_plugin(self) -> None:
+        """The outputs of its slave are safe, and the bus goes on."""
+        self.plugin_fails("RAISES")
+
+    def sys_exit_in_a_plugin(self) -> None:
+        self.plugin_fails("EXITS")
+
+    def plugin_fails(self, name: str) -> None:
+        async def then(bus: dpstack.Bus) -> None:
+            await self.attach(bus, name)
+            await until(lambda: bus.slave("valves").fault is not None, "the fault")
+            await self.goes_on(bus)
+
+        self.run(then)
 
     # --- exceptions in callbacks of the user: the bus goes on ---
     def in_a_reader(self) -> None:
@@ -110,9 +145,7 @@ class Faults(Ways):
     def sys_exit_in_on_event(self) -> None:
         async def then(bus: dpstack.Bus) -> None:
             self.raises = lambda: sys.exit(3)
-            await bus.sync()
-            bus.runtime.tap(None)
-            await bus.slave("lamps").deactivate() if hasattr(bus.slave("lamps"), "deactivate") else await bus.clear()
+            await bus.clear()
             await asyncio.sleep(LONG_S)
 
         self.run(then)
@@ -234,8 +267,8 @@ class Faults(Ways):
         """An allocation fails while the master handles an answer."""
 
         async def then(bus: dpstack.Bus) -> None:
-            self.fail_in(bus, MemoryError("no memory for it"))
-            await asyncio.sleep(LONG_S)
+            self.fail_in(bus, MemoryError())
+            await bus.rotated(bus.stats.rotations + 1000, LONG_S)
 
         self.run(then)
 
@@ -253,19 +286,6 @@ class Faults(Ways):
             raise error
 
         machine.receive = receive  # type: ignore[assignment,method-assign]
-
-    def no_memory_from_allocation(self) -> None:
-        """Allocations from the n-th on fail, 40 of them: ``n`` is the 4th argument."""
-
-        async def then(bus: dpstack.Bus) -> None:
-            n = int(sys.argv[4])
-            _testcapi.set_nomemory(n, n + int(sys.argv[5]))
-            try:
-                await bus.rotated(bus.stats.rotations + 200, LONG_S)
-            finally:
-                _testcapi.remove_mem_hooks()
-
-        self.run(then)
 
 
 if __name__ == "__main__":

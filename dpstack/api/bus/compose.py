@@ -176,7 +176,7 @@ def compose(
                 on_failure=on_failure,
                 tune=station.set_patience if tune else None,
                 held_up=station.held_up,
-                last_clear=LastClear(station, stack.is_operating),
+                last_clear=LastClear(station),
             )
         else:
             if world is None:

@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from typing import Final
 
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.events import DriveEvent, Fault
 from dpstack.dp.master.slave_reports import SlaveReports
 from dpstack.dp.process_image import CyclicPlugin, SlaveImage
 from dpstack.dp.slave_params import SlaveParams
+
+#: Exceptions of a plugin. sys.exit() is one: beyond the plugin it would leave the master in the middle of a token hold.
+FAILURES: Final = (Exception, SystemExit)
 
 
 class PluginHost:
@@ -39,7 +43,7 @@ class PluginHost:
             try:
                 image.outputs = plugin.cyclic(image.inputs if image.valid else b"", now)
                 self._drain(plugin, now)
-            except Exception as error:
+            except FAILURES as error:
                 self._fail(plugin, error, now)
         return image.outputs
 
@@ -73,7 +77,7 @@ class PluginHost:
     def _safe_outputs_of(self, plugin: CyclicPlugin) -> bytes:
         try:
             found = plugin.safe(self._safe)
-        except Exception:  # no fault: the master stops sending outputs to this slave anyway
+        except FAILURES:  # no fault: the master stops sending outputs to this slave anyway
             return self._safe
         return found if len(found) == len(self._safe) else self._safe
 
@@ -86,7 +90,7 @@ class PluginHost:
         try:
             method(*args)
             self._drain(plugin, now)
-        except Exception as error:
+        except FAILURES as error:
             self._fail(plugin, error, now)
 
     def _drain(self, plugin: CyclicPlugin, now: int) -> None:
@@ -94,7 +98,7 @@ class PluginHost:
             json.dumps(payload, ensure_ascii=False).encode()  # else a bus process could not send it
             self._reports.event(DriveEvent, now, payload=payload)
 
-    def _fail(self, plugin: CyclicPlugin, error: Exception, now: int) -> None:
+    def _fail(self, plugin: CyclicPlugin, error: BaseException, now: int) -> None:
         self._safe = self._safe_outputs_of(plugin)
         self.fault = fault_texts.plugin(error)
         self._image.outputs = self._safe

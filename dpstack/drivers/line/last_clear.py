@@ -1,13 +1,15 @@
-"""Clear without the protocol machine, sent by a driver whose machine has failed; and whether this master is alone."""
+"""Clear without the protocol machine, sent by a driver whose machine cannot; and whether this master is alone."""
 
 from __future__ import annotations
 
+import dataclasses
 import select
 import time
-from collections.abc import Callable
 from time import monotonic_ns
 from typing import Final
 
+from dpstack.dp.master.commands import Mode
+from dpstack.dp.master.events import MasterStopped, ModeChanged
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.drivers.runtime import last_bits_ns
 from dpstack.fdl.active.station import ActiveStation
@@ -16,6 +18,7 @@ from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.telegram import FC_REQUEST, SAP_GLOBAL_CONTROL, SSAP_MS0, Kind, Req
 from dpstack.params import BROADCAST
 from dpstack.ports import Port
+from dpstack.trace import Event
 from dpstack.units import NS_PER_S
 
 #: Number of listening periods on a line with octets of others.
@@ -25,15 +28,14 @@ _TIMES: Final = 2
 
 
 class LastClear:
-    """Sends Clear twice for ``station``, whose machine can no longer be asked. ``is_operating``: the master is in
-    Operate, so that slaves have live outputs.
+    """Sends Clear twice for ``station``: its machine has failed, or has lost its token although it is alone.
 
     Its octets exist from the beginning: the machine may have failed because there is no memory.
     """
 
-    def __init__(self, station: ActiveStation, is_operating: Callable[[], bool]) -> None:
+    def __init__(self, station: ActiveStation) -> None:
         self._station = station
-        self._is_operating = is_operating
+        self._operated = False  # slaves have live outputs
         data = GlobalControl(clear=True).build()
         fc = Req.SDN_HIGH | FC_REQUEST
         self._octets = request_octets(BROADCAST, station.address, fc, data, SAP_GLOBAL_CONTROL, SSAP_MS0)
@@ -42,9 +44,19 @@ class LastClear:
         #: why they could not be sent, or need not
         self.why_not = "no slave has live outputs"
 
+    def completed(self, event: Event, port: Port) -> Event:
+        """``event`` of the machine. A master that stopped without Clear has sent it afterwards, if ``port`` can."""
+        match event:
+            case ModeChanged(mode=mode) if mode is not Mode.OFFLINE:
+                self._operated = mode is Mode.OPERATE
+            case MasterStopped(cleared=False):
+                self.send(port)
+                return dataclasses.replace(event, cleared=self.was_sent)
+        return event
+
     def send(self, port: Port) -> None:
-        """Send on the open ``port``, which is detached. Blocks for T_TO and the time of two telegrams."""
-        if not self._is_operating():
+        """Send on the open ``port``. Blocks for T_TO and the time of two telegrams."""
+        if not self._operated:
             return
         self.why_not = why_not_alone(port, self._station)
         if self.why_not:

@@ -535,7 +535,10 @@ class LineRuntime(ABC):
         """Call the event handler; the loop reports its exceptions, and the bus goes on."""
         if not events:
             return
+        clear = self._last_clear
         try:
+            if clear is not None and self._at is not None and self._attempts is None:
+                events = [clear.completed(event, self._port) for event in events]
             self._on_events(events)
         except Exception as exc:
             self._report("the handler of bus events raised", exc)

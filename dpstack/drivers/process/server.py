@@ -89,7 +89,7 @@ class Host:
             on_failure=self._on_failure,
             tune=self._station.set_patience if setup.tune else None,
             held_up=self._station.held_up,
-            last_clear=LastClear(self._station, stack.is_operating),
+            last_clear=LastClear(self._station),
         )
         stack.line = self.runtime
         self._ending = Ending(

@@ -9,6 +9,7 @@ import signal
 import socket
 from collections.abc import Callable
 
+import ends_plugin
 import pytest
 from ends_kit import after_live, heard, is_in_order
 from ends_programs import Ways
@@ -16,11 +17,13 @@ from far_ends import until
 from process_kit import LAMPS_SPEC, SPEC, eventually, octet_slaves
 
 import dpstack
+from dpstack.dp.master import plugin_host
 from dpstack.dp.master.commands import Shutdown
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.shutdown import ending_signals
 from dpstack.drivers.process import client
 from dpstack.drivers.process.shared_image import SIZE, make_memory
+from dpstack.drivers.stack import Stack
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.trace import Event
 
@@ -196,3 +199,39 @@ def test_the_signals_that_end_a_program() -> None:
         *("SIGCHLD", "SIGCONT", "SIGPIPE", "SIGURG", "SIGWINCH", "SIGXFSZ"),
         *("SIGKILL", "SIGSTOP", "SIGTSTP", "SIGTTIN", "SIGTTOU"),
     }
+
+
+def test_a_token_that_was_lost_on_the_way_out_costs_no_clear(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An exception that is none of Exception (Ctrl-C, sys.exit()) in the middle of a token hold loses the token."""
+    monkeypatch.setattr(plugin_host, "FAILURES", Exception)
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there), heard(there) as words:
+        live = Live(path)
+        loop = asyncio.new_event_loop()
+        bus = loop.run_until_complete(live.opened())
+        stack = bus.view
+        assert isinstance(stack, Stack)
+        stack.master.handlers[4].image.plugin = ends_plugin.EXITS.core()
+        with pytest.raises(SystemExit):
+            loop.run_until_complete(bus.rotated(None))
+        loop.run_until_complete(asyncio.sleep(0.1))
+        loop.run_until_complete(bus.close())
+        loop.close()
+        assert not bus.end_failed
+        eventually(lambda: words[-1] == "clear", "Clear")
+        assert after_live(words, LIVE)[1]
+
+
+@pytest.mark.parametrize("name", ["RAISES", "EXITS"])
+def test_a_plugin_that_fails_ends_neither_bus_nor_program(name: str) -> None:
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there), heard(there) as words:
+        live = Live(path)
+
+        async def then(bus: dpstack.Bus) -> None:
+            stack = bus.view
+            assert isinstance(stack, Stack)
+            stack.master.handlers[4].image.plugin = getattr(ends_plugin, name).core()
+            await until(lambda: bus.slave("valves").fault is not None, "the fault")
+            await bus.rotated(bus.stats.rotations + 20, 60)
+            assert words[-1] in (SAFE, "operate")
+
+        live.run(then)

@@ -1,0 +1,580 @@
+"""Every way out of a program with a bus, measured: the rows of docs/ends.md.
+
+    python tests/kits/ends_rows.py               measures all rows and writes tests/snapshots/ends.json
+    python tests/kits/ends_rows.py KEY ...       these only; a part of a key names all rows that contain it
+
+A program (an application of ``ends_faults``, or ``dpstack run``) has two slaves with live outputs, on a pty whose
+other end is ``recording_slave``: slave 4 with a watchdog of 1000 ms and safe values, slave 5 without either. Something
+happens to it. The row says what the slaves were sent last, by what their outputs became safe, what was told, and the
+exit code.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import functools
+import json
+import os
+import re
+import resource
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import termios
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from ends_kit import after_live
+
+KITS: Final = Path(__file__).parent
+ROOT: Final = KITS.parents[1]
+DATA: Final = ROOT / "tests" / "snapshots" / "ends.json"
+DRIVERS: Final = ("asyncio", "process")
+LIVE, SAFE, LIVE_LAMPS = "1122", "a55a", "77"
+SLAVES: Final = (f"4:1234:2111:2:2={LIVE}", f"5:1234:2010:1:1={LIVE_LAMPS}")
+WATCHDOG_MS: Final = 1000
+#: s: for hangs only
+HANG_S: Final = 60.0
+#: s after which a program that a signal has not ended goes on
+ALIVE_S: Final = 1.5
+#: and after which one without data exchange does
+LONG_ALIVE_S: Final = 8.0
+
+PLANT: Final = """
+[bus]
+port = "{port}"
+baud = 1500000
+gap = 0
+max_retry = 15
+driver = "{driver}"
+
+[[slave]]
+name = "valves"
+address = 4
+ident = 0x1234
+config = "21 11"
+safe = "A5 5A"
+watchdog_ms = 1000
+inputs = {{ level = "i16@0" }}
+
+[[slave]]
+name = "lamps"
+address = 5
+ident = 0x1234
+config = "20 10"
+watchdog_ms = 0
+"""
+
+
+class Recorder:
+    """The process of ``recording_slave``."""
+
+    def __init__(self, folder: Path) -> None:
+        self.link = str(folder / "line")
+        self.process = subprocess.Popen(
+            [sys.executable, str(KITS / "recording_slave.py"), self.link, *SLAVES],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        assert self.read() == "ready"
+
+    def read(self, timeout: float = HANG_S) -> Any:
+        """The next value; None after ``timeout``."""
+        out = self.process.stdout
+        assert out is not None
+        if not select.select([out], [], [], timeout)[0]:
+            return None
+        line = out.readline()
+        assert line, "the recorder has ended"
+        return json.loads(line)
+
+    def say(self, command: str) -> None:
+        pipe = self.process.stdin
+        assert pipe is not None
+        pipe.write(command.encode() + b"\n")
+        pipe.flush()
+
+    def record(self, command: str) -> dict[str, Any]:
+        self.say(command)
+        while (found := self.read()) == "live":
+            pass
+        assert isinstance(found, dict), f"no answer to {command}"
+        return found
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        for pipe in (self.process.stdin, self.process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+
+
+class Program:
+    """A program with a bus, and what it writes."""
+
+    def __init__(self, row: Row, link: str, folder: Path) -> None:
+        self.row = row
+        self.folder = folder
+        self.written: dict[str, list[str]] = {"out": [], "err": []}
+        self.terminal = -1
+        path = os.pathsep.join([str(KITS), str(ROOT)])
+        environment = os.environ | {"PYTHONPATH": path, "XDG_RUNTIME_DIR": str(folder)}
+        environment |= row.environment
+        if row.program == "run":
+            plant = folder / "plant.toml"
+            plant.write_text(PLANT.format(port=link, driver=row.driver), encoding="utf-8")
+            files = [argument.replace("FOLDER", str(folder)) for argument in row.arguments]
+            command = [sys.executable, "-m", "dpstack.cli.main", "run", str(plant)]
+            command += ["--outputs", f"4={LIVE}", f"5={LIVE_LAMPS}", "--plain", *files]
+        else:
+            command = [sys.executable, str(KITS / "ends_faults.py"), link, row.driver, row.way]
+        stdin = stdout = subprocess.PIPE
+        if row.terminal:
+            self.terminal, theirs = os.openpty()
+            stdin = stdout = theirs
+        if row.stdout is not None:
+            stdout = os.open(folder / row.stdout, os.O_CREAT | os.O_WRONLY)
+        self.process = subprocess.Popen(
+            command,
+            stdin=stdin,
+            stdout=stdout,
+            stderr=subprocess.PIPE,
+            env=environment,
+            cwd=folder,
+            start_new_session=row.terminal,
+            preexec_fn=functools.partial(prepare, row) if row.terminal or row.limits else None,
+        )
+        for fd in {stdin, stdout} - {subprocess.PIPE}:
+            os.close(fd)
+        self.readers = [self.follow("err", self.process.stderr)]
+        if self.process.stdout is not None:
+            self.readers.append(self.follow("out", self.process.stdout))
+
+    @property
+    def pid(self) -> int:
+        return self.process.pid
+
+    @property
+    def bus_process(self) -> int:
+        """Its only child."""
+        return int(Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text().split()[0])
+
+    def follow(self, name: str, pipe: Any) -> threading.Thread:
+        def read() -> None:
+            with contextlib.suppress(ValueError, OSError):  # closed by the test
+                for line in pipe:
+                    self.written[name].append(line.decode(errors="replace").rstrip("\n"))
+
+        thread = threading.Thread(target=read, daemon=True)
+        thread.start()
+        return thread
+
+    def settle(self, acted: float, exchanges: Callable[[], bool]) -> str:
+        """What becomes of it: "stopped", "goes on", or how it ended. ``exchanges``: whether it exchanges data."""
+        end = time.monotonic() + HANG_S
+        while time.monotonic() < end:
+            code = self.process.poll()
+            if code is not None:
+                return f"killed by {name_of(-code)}" if code < 0 else str(code)
+            if state_of(self.pid) == "T" and self.row.group == "signal":
+                return "stopped"
+            if "goes on" in self.written["out"]:
+                return "goes on"
+            late = time.monotonic() - acted
+            if self.row.may_go_on and late > (ALIVE_S if exchanges() else LONG_ALIVE_S):
+                return "goes on"
+            time.sleep(0.05)
+        return "HANGS"
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError, IndexError, ValueError):
+            os.kill(self.bus_process, signal.SIGKILL)
+        self.process.kill()
+        self.process.wait()
+        for thread in self.readers:
+            thread.join(5)
+        for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+        if self.terminal >= 0:
+            os.close(self.terminal)
+
+
+Act = Callable[["Program", Recorder], None]
+
+
+@dataclass
+class Row:
+    """One row. ``program``: application, run. ``way``: of ``ends_faults``; ``act``: what happens to it once its outputs
+    are live, where it does nothing itself. ``may_go_on``: it may outlive this. ``quick``: measured in ``make test``."""
+
+    group: str
+    text: str
+    driver: str
+    program: str = "application"
+    way: str = "waits"
+    act: Act | None = None
+    may_go_on: bool = False
+    quick: bool = False
+    terminal: bool = False
+    stdout: str | None = None
+    arguments: tuple[str, ...] = ()
+    environment: dict[str, str] = field(default_factory=dict)
+    limits: dict[int, int] = field(default_factory=dict)
+    ignored: int = 0
+
+    @property
+    def key(self) -> str:
+        return f"{self.group}: {self.text}; {self.program}, {self.driver}"
+
+
+def prepare(row: Row) -> None:
+    """In the new process."""
+    if row.terminal:
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    if row.ignored:
+        signal.signal(row.ignored, signal.SIG_IGN)
+    for which, most in row.limits.items():
+        resource.setrlimit(which, (most, resource.getrlimit(which)[1]))
+
+
+def name_of(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"SIGRTMIN+{number - signal.SIGRTMIN}"
+
+
+def state_of(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return ""
+
+
+# --- what happens to a program ----------------------------------------------------------------------------------------
+
+
+def send(number: int) -> Act:
+    return lambda program, _: os.kill(program.pid, number)
+
+
+def send_to_bus_process(number: int) -> Act:
+    return lambda program, _: os.kill(program.bus_process, number)
+
+
+def hang_up(_: Program, recorder: Recorder) -> None:
+    recorder.say("hang up")
+
+
+def close_terminal(program: Program, _: Recorder) -> None:
+    os.close(program.terminal)
+    program.terminal = -1
+
+
+def close_reader(program: Program, _: Recorder) -> None:
+    assert program.process.stdout is not None
+    fd = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(fd, program.process.stdout.fileno())
+    os.close(fd)
+
+
+def stop_and_go_on(program: Program, recorder: Recorder) -> None:
+    """Stopped until the watchdog has acted, then continued."""
+    os.kill(program.pid, signal.SIGSTOP)
+    wait_for(lambda: recorder.record("look")["4"]["expired_ms"] is not None, "the watchdog")
+    os.kill(program.pid, signal.SIGCONT)
+    wait_for(lambda: recorder.record("look")["4"]["exchanges"] > 0, "data exchange")
+
+
+def stop_bus_process_and_go_on(program: Program, recorder: Recorder) -> None:
+    number = program.bus_process
+    os.kill(number, signal.SIGSTOP)
+    wait_for(lambda: recorder.record("look")["4"]["expired_ms"] is not None, "the watchdog")
+    os.kill(number, signal.SIGCONT)
+    wait_for(lambda: recorder.record("look")["4"]["exchanges"] > 0, "data exchange")
+
+
+def wait_for(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + HANG_S
+    while not condition():
+        assert time.monotonic() < end, f"did not happen: {what}"
+        time.sleep(0.02)
+
+
+def full_disk(program: Program, _: Recorder) -> None:
+    """No file of the program may grow any more."""
+    for pid in processes_of(program):
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, 1))
+    time.sleep(1.2)  # so long the log and the recording are kept back at most
+    os.kill(program.pid, signal.SIGTERM)
+
+
+def no_handles(program: Program, _: Recorder) -> None:
+    """The limit is the lowest number that is free."""
+    for pid in processes_of(program):
+        used = {int(name) for name in os.listdir(f"/proc/{pid}/fd")}
+        free = min(set(range(len(used) + 1)) - used)
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, (free, free))
+    os.kill(program.pid, signal.SIGTERM)
+
+
+def no_memory(program: Program, _: Recorder) -> None:
+    """No page more than each process has now."""
+    for pid in processes_of(program):
+        size = int(Path(f"/proc/{pid}/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.prlimit(pid, resource.RLIMIT_AS, (size, size))
+    time.sleep(0.5)
+    os.kill(program.pid, signal.SIGTERM)
+
+
+def processes_of(program: Program) -> Iterator[int]:
+    yield program.pid
+    if program.row.driver == "process":
+        yield program.bus_process
+
+
+# --- the rows ---------------------------------------------------------------------------------------------------------
+
+#: of the application itself: the method of ``ends_faults``, the text, whether it is measured in ``make test``
+WAYS: Final = {
+    "end": {
+        "the_block_ends": "the `async with` block ends",
+        "an_exception": "an exception leaves the block",
+        "nobody_closes_it": "`open()` without `close()`, or a generator that is abandoned",
+        "closed_in_another_loop": "it is closed in another event loop than its own, which does not run",
+        "the_loop_is_closed": "the loop is closed before the bus",
+        "the_interpreter_ends": "the interpreter ends, and the loop stands still",
+        "in_a_daemon_thread": "the interpreter ends, and the loop runs in a daemon thread",
+        "os_exit": "`os._exit()`",
+        "a_forked_child_ends": "a forked child ends",
+    },
+    "exception": {
+        "in_a_plugin": "in a drive plugin",
+        "sys_exit_in_a_plugin": "`sys.exit()` in a drive plugin",
+        "in_a_reader": "in a callback of `add_reader()`",
+        "in_a_done_callback": "in a done-callback of a task",
+        "in_a_task": "in a task that nobody awaits",
+        "in_on_event": "in `on_event`",
+        "in_a_thread": "in a thread",
+        "in_a_signal_handler": "in a signal handler",
+        "sys_exit_in_a_callback": "`sys.exit()` in a callback",
+        "sys_exit_in_on_event": "`sys.exit()` in `on_event`",
+        "a_defect": "in the protocol machine (a defect of dpstack)",
+    },
+    "cancellation": {
+        "cancelled_once": "one",
+        "cancelled_many_times": "1000, one every 0.1 ms",
+        "anyio_scope": "by a scope of anyio, a task group, a time limit",
+        "ctrl_c_three_times": "by Ctrl-C, three times",
+        "ctrl_c_without_asyncio_run": "by Ctrl-C, again and again, without `asyncio.run()`",
+    },
+    "no handles": {
+        "no_handles": "as the block ends",
+        "no_handles_in_the_loop": "while the bus runs",
+        "no_handles_and_the_loop_is_closed": "as the loop is closed before the bus",
+        "no_handles_and_the_interpreter_ends": "as the interpreter ends, and the loop stands still",
+        "no_handles_and_a_forked_child_ends": "as a forked child ends",
+        "no_handles_before_the_start": "before the bus is opened",
+    },
+    "no memory": {
+        "memory_error_in_the_block": "`MemoryError` leaves the block",
+        "no_memory_in_the_block": "the block has used up all there is, and ends",
+        "no_memory_in_the_machine": "`MemoryError` in the protocol machine",
+    },
+}
+#: ways that the bus process does not have: the machines are out of the test's reach there
+ASYNCIO_ONLY: Final = {"a_defect", "no_memory_in_the_machine"}
+QUICK: Final = {
+    ("the_interpreter_ends", "asyncio"),
+    ("no_handles_and_a_forked_child_ends", "asyncio"),
+    ("no_memory_in_the_block", "asyncio"),
+    ("os_exit", "process"),
+}
+#: at the start of ``dpstack run`` and of applications: no room for the memory that bus process and application share
+SMALL: Final = {resource.RLIMIT_FSIZE: 1 << 20}
+
+
+def rows() -> list[Row]:
+    found = [
+        Row(group, text, driver, way=way, quick=(way, driver) in QUICK)
+        for group, ways in WAYS.items()
+        for way, text in ways.items()
+        for driver in DRIVERS
+        if not (driver == "process" and way in ASYNCIO_ONLY)
+    ]
+    for driver in DRIVERS:
+        for program in ("application", "run"):
+            make = functools.partial(Row, driver=driver, program=program)
+            found += [
+                *(make("signal", name_of(n), act=send(n), may_go_on=True) for n in sorted(signal.valid_signals())),
+                make("stopped", "by SIGSTOP, and goes on", act=stop_and_go_on, may_go_on=True),
+                make("terminal", "closed", act=close_terminal, terminal=True),
+                make("port", "lost", act=hang_up, may_go_on=True),
+                make("full disk", "of Python's compiled files", act=send(signal.SIGINT), environment=NO_CACHE),
+                make("full disk", "of shared memory, before the bus is opened", limits=SMALL, act=send(signal.SIGINT)),
+            ]
+        run = functools.partial(Row, driver=driver, program="run")
+        files = ("--record", "FOLDER/rows.csv", "--log", "FOLDER/events.log")
+        found += [
+            run("terminal", "closed, and SIGHUP is ignored (nohup)", act=close_terminal, terminal=True, may_go_on=True,
+                ignored=signal.SIGHUP),
+            run("standard output", "its reader ends", act=close_reader, arguments=("--json",)),
+            run("full disk", "of standard output", stdout="out.jsonl", arguments=("--json",), act=full_disk),
+            run("full disk", "of recording and log", arguments=files, act=full_disk),
+            run("no handles", "while the bus runs, and SIGTERM", act=no_handles),
+            run("no handles", "at the start (12)", limits={resource.RLIMIT_NOFILE: 12}),
+            run("no memory", "while the bus runs, and SIGTERM", act=no_memory),
+        ]  # fmt: skip
+    for program in ("application", "run"):
+        make = functools.partial(Row, driver="process", program=program, may_go_on=True)
+        found += [
+            make("bus process", name_of(number), act=send_to_bus_process(number))
+            for number in sorted(signal.valid_signals())
+            if program == "application" or number in (signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM)
+        ]
+        found.append(make("bus process", "stopped by SIGSTOP, and goes on", act=stop_bus_process_and_go_on))
+    return found
+
+
+NO_CACHE: Final = {"PYTHONPYCACHEPREFIX": "/dev/full/cache"}
+
+
+# --- measuring --------------------------------------------------------------------------------------------------------
+
+
+def measure(row: Row) -> dict[str, str]:
+    """What the slaves were sent, by what they became safe, what was told, and the exit code."""
+    with tempfile.TemporaryDirectory() as name:
+        recorder = Recorder(Path(name))
+        program = Program(row, recorder.link, Path(name))
+        try:
+            is_live = wait_until_live(program, recorder)
+            if is_live and row.act is not None:
+                recorder.say("mark")
+                row.act(program, recorder)
+            outcome = program.settle(time.monotonic(), functools.partial(exchanges, recorder))
+            record = recorder.record("look" if outcome == "goes on" else "end")
+            program.close()
+            return {**at_slaves(row, record, outcome, is_live=is_live), "told": told(program), "exit": outcome}
+        finally:
+            program.close()
+            recorder.close()
+
+
+def exchanges(recorder: Recorder) -> bool:
+    """Whether slave 4 exchanges data now."""
+    before = recorder.record("look")["4"]["exchanges"]
+    time.sleep(0.1)
+    return bool(recorder.record("look")["4"]["exchanges"] > before)
+
+
+def wait_until_live(program: Program, recorder: Recorder) -> bool:
+    end = time.monotonic() + HANG_S
+    while time.monotonic() < end:
+        if recorder.read(0.05) == "live":
+            return True
+        if program.process.poll() is not None:
+            return bool(recorder.read(0.05) == "live")
+    raise AssertionError(f"{program.row.key}: neither live nor ended: {program.written}")
+
+
+def at_slaves(row: Row, record: dict[str, Any], outcome: str, *, is_live: bool) -> dict[str, str]:
+    if not is_live:
+        return {"last": "no outputs", "safe by": "", "without watchdog": ""}
+    valves, lamps = record["4"], record["5"]
+    words = [LIVE, *valves["words"]]
+    before, rest = after_live(words, LIVE)
+    outputs = [word for word in before if word != "clear"]
+    last = "live outputs"
+    if rest:
+        last = "safe values, Clear" if outputs[:1] == [SAFE] else "Clear"
+    elif outputs:
+        last = "safe values" if outputs[0] == SAFE else "zeros"
+    expired = valves["expired_ms"]
+    if expired is not None:
+        assert expired >= WATCHDOG_MS, f"{row.key}: after {expired} ms"
+    if last != "live outputs":
+        safe = "telegrams"
+    elif outcome == "goes on" and (expired is None or row.group not in _PAUSES):
+        safe = ""
+    else:
+        safe = f"its watchdog, {WATCHDOG_MS} ms after the last telegram" if expired is not None else "nothing"
+    kept = "live outputs" if lamps["outputs"] == LIVE_LAMPS else "safe"
+    return {"last": last, "safe by": safe, "without watchdog": kept if safe else ""}
+
+
+#: what may keep a bus that goes on from asking its slaves
+_PAUSES: Final = ("stopped", "port", "bus process", "signal")
+#: parts of texts that differ from run to run
+_VARIABLE: Final = (
+    (re.compile(r"/tmp/\w+/line"), "PORT"),
+    (re.compile(r"/tmp/\w+/"), ""),
+    (re.compile(r"pid \d+"), "pid N"),
+    (re.compile(r"\b\d+(\.\d+)? (ms|s|rows|rounds|telegrams)\b"), r"N \2"),
+)
+#: what Python itself says; and events of a busy computer
+_NO_STORY: Final = re.compile(
+    r"^($|  |Traceback|Task |task:|future:|handle:|source_traceback|Exception |During|The above|sys:1|AttributeError)"
+    r"|^SlaveFaulted: .*(taken up again|wants parameters again)"
+)
+_MOST: Final = 150
+
+
+def told(program: Program) -> str:
+    """Events, log and standard error, the first sentence of each."""
+    lines = [line.removeprefix("event: ") for line in program.written["out"] if line.startswith("event: ")]
+    lines += [line.removeprefix("dpstack.errors.") for line in program.written["err"]]
+    lines = [line for line in lines if not _NO_STORY.search(line)]
+    return " / ".join(dict.fromkeys(map(plain, lines)))
+
+
+def plain(line: str) -> str:
+    for pattern, word in _VARIABLE:
+        line = pattern.sub(word, line)
+    return line if len(line) <= _MOST else line[:_MOST].rsplit(" ", 1)[0] + " ..."
+
+
+def text_of(found: dict[str, dict[str, str]]) -> str:
+    """One line a row."""
+    lines = [f"  {json.dumps(key)}: {json.dumps(row, ensure_ascii=False)}" for key, row in found.items()]
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def kept() -> dict[str, dict[str, str]]:
+    found: dict[str, dict[str, str]] = json.loads(DATA.read_text(encoding="utf-8"))
+    return found
+
+
+def main(wanted: Iterable[str]) -> None:
+    known = {row.key: row for row in rows()}
+    names = list(wanted)
+    chosen = [row for key, row in known.items() if not names or any(name in key for name in names)]
+    before = kept() if DATA.exists() else {}
+
+    def one(row: Row) -> tuple[str, dict[str, str]]:
+        try:
+            return row.key, measure(row)
+        except Exception as error:  # the other rows are measured all the same
+            return row.key, {"exit": f"NOT MEASURED: {type(error).__name__}: {error}"}
+
+    with ThreadPoolExecutor(int(os.environ.get("ENDS_AT_ONCE", "2"))) as pool:
+        for key, found in pool.map(one, chosen):
+            if before.get(key) != found:
+                print(key, "\n   was", before.get(key), "\n   is ", found, flush=True)
+            before[key] = found
+    DATA.write_text(text_of({key: before[key] for key in known if key in before}), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
