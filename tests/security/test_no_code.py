@@ -238,6 +238,16 @@ def test_the_places_in_the_source(what: str, pattern: str, places: set[str]) -> 
     )
 
 
+def test_children_take_no_modules_of_the_working_directory() -> None:
+    """Each program that is started with this interpreter gets -P, which keeps the working directory out of sys.path."""
+    started = re.compile(r"[\[(]\s*sys\.executable,\s*(?:#[^\n]*\s*)?(\S+)")
+    found = {name: words for name, text in sources().items() if (words := started.findall(text))}
+    assert len(found) == 5
+    assert found.pop("dpstack/wireshark/extcap.py") == ["*program],"]
+    assert 'program = ["-P", ' in sources()["dpstack/wireshark/extcap.py"]
+    assert {word for words in found.values() for word in words} == {'"-P",', '*("-P",'}
+
+
 def test_matplotlib_reads_no_settings_of_the_working_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """matplotlib reads ``matplotlibrc`` where it is imported: it can start latex, and load a module as a backend."""
     package = tmp_path / "matplotlib"

@@ -1,0 +1,213 @@
+"""The promises of docs/security.md and the tests that show them. Run this file to run all of them: ``--list`` prints
+them, other arguments go to pytest."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path(__file__).parents[2]
+PAGE: Final = ROOT / "docs" / "security.md"
+_PROMISE: Final = re.compile(r"^- \*\*([A-Z]\d+)\*\* (.+?)(?=^- |^$)", re.MULTILINE | re.DOTALL)
+
+_CONTROL: Final = "api/control/test_control.py::"
+_TRUST: Final = "api/control/test_control_trust.py::"
+_RIGHTS: Final = "web/test_web_rights.py::"
+_SERVER: Final = "web/test_web_server.py::"
+_CODE: Final = "security/test_no_code.py::"
+#: for each promise the tests that show it, below tests/
+PROMISES: Final[dict[str, tuple[str, ...]]] = {
+    "W1": (
+        "fdl/active/test_active_fuzz.py::test_anything_settles_and_comes_back",
+        "fdl/test_decoder.py::test_garbage_never_raises_and_every_octet_is_accounted_for",
+        "dpv1/master/test_corrupt_slave.py::test_any_octets_from_a_slave",
+        "drives/test_attacked_devices.py::test_any_octets_to_any_sap",
+    ),
+    "W2": (
+        "fdl/test_residual_errors.py::test_damage_to_one_octet_gives_no_wrong_data",
+        "fdl/test_residual_errors.py::test_how_many_errors_of_four_bits_pass",
+    ),
+    "W3": ("dp/slave/test_slave_octet_master.py::test_requests_of_another_master_change_nothing",),
+    "W4": ("dp/master/test_master_faults.py::test_slave_of_another_master_is_never_parameterised",),
+    "W5": (
+        "test_once.py::test_a_slave_that_deviates_in_another_way_each_time_fills_no_log",
+        "drives/test_attacked_devices.py::test_garbage_of_one_master_fills_no_log",
+        "ports/test_flood.py::test_a_backlog_is_handed_over_up_to_its_bound_and_the_rest_counted",
+    ),
+    "W6": ("ports/test_listening_port.py::test_it_is_opened_for_reading_only_and_writes_nothing",),
+    "W7": (
+        "security/test_read_only_octets.py::test_no_call_and_no_order_of_a_read_only_bus_sends_anything_that_writes",
+        "security/test_read_only_octets.py::test_the_judge_of_octets_knows_writes",
+        "api/bus/test_both_drivers.py::test_a_read_only_bus",
+    ),
+    "W8": (
+        "profile/channel/test_stored_writes.py::test_a_hundred_writes_at_once_then_one_a_minute",
+        "profile/channel/test_stored_writes.py::test_each_drive_spares_its_eeprom",
+    ),
+    "P1": ("security/test_listeners.py::test_no_command_listens_on_a_network",),
+    "P2": (
+        "security/test_listeners.py::test_the_page_listens_on_this_computer_alone",
+        "web/test_web_runs.py::test_the_web_server_opens_no_port_and_only_this_computer_reaches_it",
+    ),
+    "P3": (
+        "web/test_web_processes.py::test_nothing_else_listens_on_a_network",
+        _CODE + "test_the_places_in_the_source",
+    ),
+    "P4": (_CONTROL + "test_the_socket_is_the_users_alone_and_goes_with_the_program",),
+    "P5": (
+        _TRUST + "test_a_directory_that_another_user_has_planted_in_the_temporary_directory",
+        _TRUST + "test_a_runtime_directory_of_another_user",
+        _TRUST + "test_a_directory_of_ours_that_others_can_write_to",
+        _TRUST + "test_a_directory_on_the_way_that_others_can_write_to",
+        _TRUST + "test_links_on_the_way",
+        _TRUST + "test_the_directory_itself_is_no_link",
+    ),
+    "P6": (
+        "security/test_other_account.py::test_another_account_reaches_nothing",
+        "security/test_other_account.py::test_shared_memory_is_for_its_user_alone",
+    ),
+    "P7": (
+        _TRUST + "test_an_order_of_another_user_is_refused",
+        _TRUST + "test_a_program_of_another_user_behind_our_socket_is_told_nothing",
+        _TRUST + "test_a_socket_of_another_user_in_our_directory",
+    ),
+    "P8": (
+        "security/test_other_account.py::test_shared_memory_is_for_its_user_alone",
+        "security/test_listeners.py::test_no_command_listens_on_a_network",
+    ),
+    "P9": (
+        "drivers/process/test_messages.py::test_any_octets_in_a_frame",
+        "drivers/process/test_messages.py::test_garbage_is_an_error_of_the_bus",
+        _CODE + "test_the_places_in_the_source",
+    ),
+    "P10": (
+        _CONTROL + "test_a_line_without_end_is_cut",
+        _CONTROL + "test_the_seventeenth_client_pushes_out_the_one_that_was_idle_longest",
+        _CONTROL + "test_a_client_that_asks_nothing_for_long_is_told_and_dropped",
+        _CONTROL + "test_who_does_not_read_is_dropped_and_the_others_are_served",
+    ),
+    "P11": (_CONTROL + "test_a_defect_is_told_and_survived", "api/control/test_control_json.py::test_any_request"),
+    "B1": (
+        "web/test_web_orders.py::test_no_order_without_confirmation_or_without_rights",
+        _RIGHTS + "test_tokens_without_control_only_look",
+        _RIGHTS + "test_the_secret_of_a_start_gives_orders_and_without_it_one_may_look",
+    ),
+    "B2": (_RIGHTS + "test_an_address_of_others_needs_tokens_and_with_control_tls", _RIGHTS + "test_a_page_over_tls"),
+    "B3": (
+        _RIGHTS + "test_a_wrong_file_of_tokens_is_one_line_without_a_token",
+        _RIGHTS + "test_a_file_of_tokens_that_cannot_be_read",
+        _RIGHTS + "test_a_token_gives_its_name_and_a_wrong_one_nothing",
+        "web/test_web_orders.py::test_a_defect_ends_no_page_and_tells_no_secret",
+    ),
+    "B4": (_SERVER + "test_a_websocket_of_another_page_is_refused", _RIGHTS + "test_hosts_and_origins"),
+    "B5": (_SERVER + "test_a_request_for_another_host_is_refused", _RIGHTS + "test_hosts_and_origins"),
+    "B6": (_SERVER + "test_files_have_strict_headers_and_nothing_else_is_served",),
+    "B7": (
+        _RIGHTS + "test_wrong_tokens_of_one_address_wait_for_one_another",
+        _RIGHTS + "test_the_addresses_of_one_computer_wait_together",
+        _RIGHTS + "test_tokens_of_one_network_do_not_pile_up",
+        _RIGHTS + "test_addresses_of_wrong_tokens_are_bounded",
+    ),
+    "B8": (
+        _SERVER + "test_connections_without_a_request_are_closed_and_their_number_is_bounded",
+        _RIGHTS + "test_connections_without_a_handshake_are_closed_and_their_number_is_bounded",
+        _RIGHTS + "test_one_network_does_not_take_all_places_before_hello",
+    ),
+    "B9": (
+        "web/test_web_nonsense.py::test_a_page_may_err_twenty_times_and_others_do_not_notice",
+        "web/test_web_nonsense.py::test_wrong_frames_end_their_own_connection_only",
+        "web/test_web_orders.py::test_requests_under_way_are_bounded_and_end_with_their_page",
+        "web/test_web_orders.py::test_a_page_that_asks_too_often_is_told_and_goes_on",
+        "web/test_web_fan_out.py::test_a_page_that_never_reads_is_disconnected_and_disturbs_no_other",
+    ),
+    "B10": ("web/test_web_orders.py::test_other_commands_of_the_control_socket_are_no_orders_and_no_asks",),
+    "B11": ("api/commissioning/test_commissioning.py::test_nothing_outside_the_folder_is_read",),
+    "B12": ("web/test_web_runs.py::test_another_run_on_the_port_gets_no_order_of_this_page",),
+    "B13": (
+        "web/test_web_runs.py::test_the_web_server_opens_no_port_and_only_this_computer_reaches_it",
+        "web/test_web_runs.py::test_what_was_started_ends_with_the_server_and_what_was_joined_goes_on",
+    ),
+    "F1": (
+        _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",
+        "api/server/test_inputs_over_time.py::test_code_needs_a_word_for_it",
+    ),
+    "F2": (_CODE + "test_the_places_in_the_source",),
+    "F3": (_CODE + "test_the_places_in_the_source",),
+    "F4": (
+        _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",
+        "profile/test_registry.py::test_names_that_are_not_there",
+    ),
+    "F5": (_CODE + "test_matplotlib_reads_no_settings_of_the_working_directory",),
+    "F6": (
+        "cli/test_files.py::test_what_is_no_ordinary_file_is_refused_at_once",
+        "cli/test_files.py::test_a_pipe_in_place_of_the_file_that_was_looked_at",
+        "cli/test_files.py::test_one_octet_more_than_the_limit_is_read",
+        "api/config/test_toml_limits.py::test_a_file_that_is_too_long",
+    ),
+    "F7": (
+        "api/config/test_toml_limits.py::test_twice_the_text_takes_twice_the_steps",
+        "gsd/test_hostile.py::test_work_grows_with_the_size_only",
+        "capture/test_pcapng.py::test_a_length_that_lies_is_no_reason_to_keep_octets",
+    ),
+    "F8": (
+        "api/config/test_toml_limits.py::test_any_text_is_read_or_refused",
+        "gsd/test_hostile.py::test_any_octets",
+        "capture/test_pcapng.py::test_any_octets_end_with_a_line_or_an_end",
+        "record/test_recordings_read.py::test_files_that_are_no_recordings",
+    ),
+    "F9": (
+        "cli/test_files.py::test_a_new_file_is_never_written_over",
+        "cli/test_files.py::test_a_link_laid_beforehand_is_not_followed",
+        "cli/test_files.py::test_dump_replaces_its_own_file_only",
+        "api/listen/test_capture_file.py::test_only_an_empty_file_is_taken",
+        "api/recording/test_record_files.py::test_an_existing_file_stays",
+    ),
+    "F10": (
+        "test_text.py::test_any_text",
+        "test_text.py::test_errors_are_printable_wherever_they_are_shown",
+        "test_text.py::test_events_are_printable_and_their_fields_are_as_they_came",
+        "cli/terminal/test_hostile_text.py::test_a_gsd_file_for_people",
+        "cli/terminal/test_hostile_text.py::test_comments_of_a_capture",
+        "cli/terminal/test_hostile_text.py::test_answers_of_another_program",
+        "cli/terminal/test_hostile_text.py::test_every_command_is_in_the_list",
+        _SERVER + "test_octets_of_strangers_reach_no_terminal",
+    ),
+    "F11": ("api/recording/test_record_files.py::test_the_lines_of_a_log", "test_text.py::test_shown_to_people"),
+    "F12": ("monitor/test_acceptance_report.py::test_foreign_text_is_text_and_nothing_else",),
+    "E1": (
+        "profile/test_registry.py::test_known_drives_in_spite_of_broken_packages",
+        "profile/test_registry.py::test_the_entry_points_of_this_project_load",
+    ),
+    "E2": (
+        "api/bus/test_bus.py::test_a_plugin_that_raises_stops_its_drive_only",
+        "api/server/test_inputs_over_time.py::test_an_ill_function_is_told_once_and_the_last_inputs_stay",
+    ),
+    "E3": (_CODE + "test_children_take_no_modules_of_the_working_directory",),
+    "E4": ("cli/commands/test_doctor.py::test_the_set_up_script_says_what_it_would_do",),
+    "E5": ("cli/listening/test_wireshark.py::test_files_of_others_are_left",),
+    "E6": ("web/test_web_processes.py::test_a_killed_web_server_leaves_no_run_behind",),
+}
+
+
+def promises() -> dict[str, str]:
+    """The promises of the page by their number."""
+    found = _PROMISE.findall(PAGE.read_text(encoding="utf-8") + "\n\n")
+    return {number: " ".join(text.split()) for number, text in found}
+
+
+def main(arguments: list[str]) -> int:
+    if arguments == ["--list"]:
+        for number, text in promises().items():
+            print(f"{number:4}{text}")
+            print("".join(f"        tests/{test}\n" for test in PROMISES[number]), end="")
+        return 0
+    tests = dict.fromkeys(f"tests/{test}" for of_one in PROMISES.values() for test in of_one)
+    command = [sys.executable, "-m", "pytest", "-m", "soak or not soak", *tests, *arguments]
+    return subprocess.run(command, cwd=ROOT, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
