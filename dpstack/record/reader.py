@@ -11,9 +11,9 @@ import json
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import MAXYEAR, UTC, datetime
 from pathlib import Path
-from typing import Any, BinaryIO, Final, NamedTuple
+from typing import Any, BinaryIO, Final, NamedTuple, TypeGuard
 
 from dpstack.errors import UsageError
 from dpstack.record.columns import NOTE, TIME, Cell, Column, T, unique
@@ -34,6 +34,8 @@ _SHOWN: Final = 40
 GAP_S: Final = 2.5
 #: beyond it an integer of a damaged file cannot be drawn, nor compared with a time
 _LARGEST: Final = sys.float_info.max
+#: a program runs less long than 3000 years
+_LONGEST_S: Final = 1e11
 _ROWS_AT_ONCE: Final = 10_000
 
 
@@ -164,11 +166,21 @@ def _no_recording(path: Path, line: str, why: str) -> UsageError:
 
 def _about_of(text: str) -> Mapping[str, object] | None:
     try:
-        found = json.loads(text)
+        found = json.loads(text, parse_constant=_refuse, parse_float=_finite)
     except (ValueError, RecursionError):
         return None
     about = found.get("recording") if isinstance(found, dict) else None
     return about if isinstance(about, dict) else None
+
+
+def _refuse(number: str) -> float:
+    """NaN and Infinity, which JSON does not have."""
+    raise ValueError(f"{number} is no number")
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    return number if abs(number) <= _LARGEST else _refuse(text)
 
 
 def _columns_of(about: Mapping[str, object], path: Path) -> tuple[Column, ...]:
@@ -230,7 +242,7 @@ def _csv_row(line: bytes, head: _Head) -> _Cells | None:
     if cells is None or len(cells) not in (len(head.columns) + 2, len(head.columns) + 3):
         return None
     time, t = seconds_of(cells[0]), _number(cells[1])
-    if time is None or t is None:
+    if time is None or not _is_time(t):
         return None
     note = _note_of(cells[-1]) if len(cells) == len(head.columns) + 3 else ""
     return time, t, {c.name: _cell(text, c) for c, text in zip(head.columns, cells[2:], strict=False)}, note
@@ -251,18 +263,26 @@ def _json_row(line: bytes, head: _Head) -> _Cells | None:
         return None
     if not isinstance(found, dict):
         return None
-    time, t, note = seconds_of(found.get(TIME)), _plain(found.get(T)), found.get(NOTE, "")
-    if time is None or not isinstance(t, (int, float)) or isinstance(t, bool):
+    time, t, note = seconds_of(found.get(TIME)), found.get(T), found.get(NOTE, "")
+    if time is None or not _is_time(t):
         return None
     values = {column.name: _plain(found.get(column.name)) for column in head.columns}
     return time, float(t), values, note if isinstance(note, str) else ""
 
 
+def _is_time(t: object) -> TypeGuard[int | float]:
+    """Whether ``t`` is a time since the start of a program, in s."""
+    return isinstance(t, (int, float)) and not isinstance(t, bool) and abs(t) <= _LONGEST_S
+
+
+def _known(value: Any) -> Any:
+    """``value``; None for a number beyond the range of a float."""
+    return None if isinstance(value, (int, float)) and not -_LARGEST <= value <= _LARGEST else value
+
+
 def _plain(value: object) -> Cell:
     """A value of JSON; None for lists, objects, and numbers beyond the range of a float."""
-    if isinstance(value, (int, float)):
-        return value if -_LARGEST <= value <= _LARGEST else None
-    return value if isinstance(value, str) else None
+    return _known(value) if isinstance(value, (bool, int, float, str)) else None
 
 
 def _cell(text: str, column: Column) -> Cell:
@@ -293,12 +313,13 @@ def _number(text: str) -> int | float | None:
 
 
 def seconds_of(text: object) -> float | None:
-    """The time of an ISO text in s since 1970; None for anything else."""
+    """The time of an ISO text in s since 1970, of the years 1 to 9998 UTC; None for anything else."""
     if not isinstance(text, str):
         return None
     try:
         when = datetime.fromisoformat(text)
-        return (when if when.tzinfo is not None else when.replace(tzinfo=UTC)).timestamp()
+        when = (when if when.tzinfo is not None else when.replace(tzinfo=UTC)).astimezone(UTC)
+        return when.timestamp() if when.year < MAXYEAR else None  # rounded it would be beyond the last year
     except (ValueError, OverflowError):
         return None
 
@@ -362,9 +383,9 @@ def _parquet_rows(path: Path, head: _Head) -> Iterator[_Cells]:
             names = batch.schema.names
             notes = columns[names.index(NOTE)] if NOTE in names else None
             for number, (time, t) in enumerate(zip(columns[0], columns[1], strict=True)):
-                if time is None or t is None:
-                    continue
-                cells = {c.name: columns[place + 2][number] for place, c in enumerate(head.columns)}
                 seconds = time.timestamp() if isinstance(time, datetime) else seconds_of(time)
-                if seconds is not None:
-                    yield seconds, float(t), cells, _note_of(notes[number] or "") if notes else ""
+                if seconds is None or not _is_time(t):
+                    continue
+                cells = {c.name: _known(columns[place + 2][number]) for place, c in enumerate(head.columns)}
+                note = notes[number] if notes else None
+                yield seconds, float(t), cells, _note_of(note) if isinstance(note, str) else ""

@@ -20,7 +20,7 @@ from dpstack.errors import UsageError
 from dpstack.live.state import LiveState
 from dpstack.record.columns import Column, Layout, RecordedSlave
 from dpstack.record.reader import Recording
-from dpstack.record.replay import Item, replay_items
+from dpstack.record.replay import Item, Replay, replay_items
 from dpstack.record.rows import Rows, Sample
 
 SECOND = 1_000_000_000
@@ -381,3 +381,38 @@ def test_a_number_beyond_a_float_is_no_value_and_no_time(number: str, tmp_path: 
     )
     assert [row.t for row in Recording(table).rows()] == [0, 1]
     assert not isinstance(list(Recording(table).rows())[1].values["a.x"], (int, float))
+
+
+ABOUT = '{"recording":{"slaves":[{"name":"a","columns":[{"field":"x","scale":%s}]}],"bus":{"baud":%s}}}'
+LINE = '{"time":"%s","t":%s,"a.x":1}'
+
+
+@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999"])
+@pytest.mark.parametrize("head", [ABOUT % ("%s", "1"), ABOUT % ("1", "%s")])
+def test_a_description_with_a_number_that_json_does_not_have_is_refused(head: str, number: str, tmp_path: Path) -> None:
+    path = tmp_path / "plant.jsonl"
+    path.write_text(f"{head % number}\n")
+    with pytest.raises(UsageError, match="its first line describes no columns"):
+        Recording(path)
+
+
+@pytest.mark.parametrize(
+    ("time", "t"),
+    [
+        ("0001-01-01T00:00:00+23:59", "1"),
+        ("9999-12-31T23:59:59.9999999-23:59", "1"),
+        ("9999-12-31T23:59:59Z", "1"),
+        ("2026-01-31T12:00:01Z", "1e308"),
+        ("2026-01-31T12:00:01Z", "-1e308"),
+    ],
+)
+def test_a_line_with_a_time_beyond_the_calendar_is_left_out(time: str, t: str, tmp_path: Path) -> None:
+    lines, table = tmp_path / "plant.jsonl", tmp_path / "plant.csv"
+    lines.write_text("\n".join((ABOUT % (1, 1), LINE % (time, t), LINE % ("2026-01-31T12:00:02Z", "2"), "")))
+    table.write_text(f"time,t,a.x\n{time},{t},1\n2026-01-31T12:00:02Z,2,1\n")
+    for path in (lines, table):
+        recording = Recording(path)
+        assert [row.t for row in recording.rows()] == [2]
+        assert "1 line cannot be read and is left out, the first is line 2" in recording.remarks[0]
+        events = [item["event"] for _, item in Replay(recording).items() if "event" in item]
+        assert {event["time"] for event in events} == {"2026-01-31T12:00:02.000Z"}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import math
 import os
 import tempfile
@@ -11,10 +13,13 @@ from typing import Final
 from dpstack.errors import UsageError
 from dpstack.record.columns import Column
 from dpstack.record.reader import Recording
+from dpstack.record.replay import Replay
+from dpstack.text import json_text
 from tests.fuzz.frame import Target, assert_plain
 
 #: in memory where the system has such a place
 _FOLDER: Final = Path("/dev/shm") if os.access("/dev/shm", os.W_OK) else Path(tempfile.gettempdir())
+_MOST_ITEMS: Final = 30
 
 
 def run(octets: bytes) -> None:
@@ -43,6 +48,9 @@ def _read(path: Path) -> None:
         assert set(row.values) <= {column.name for column in recording.columns.values()}
     for remark in recording.remarks:
         assert_plain(remark)
+    for _, item in itertools.islice(Replay(recording).items(0.0), _MOST_ITEMS):
+        json.dumps(item, allow_nan=False)
+        assert_plain(json_text(item))
 
 
 _JSON: Final = (
@@ -52,7 +60,7 @@ _JSON: Final = (
 
 TARGET = Target(
     run,
-    covers=("dpstack.record.reader", "dpstack.record.columns"),
+    covers=("dpstack.record.reader", "dpstack.record.columns", "dpstack.record.replay"),
     max_len=300,
     words=(
         b"time,t,a.state,a.level [bar],note\n",
