@@ -1,0 +1,399 @@
+"""Cases for the texts of the room dp: refusals of PDUs, faults of slaves, plans, fields, tables of states."""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from bus_kit import setup
+from said_texts import Group, Said, refused
+
+from dpstack.dp.error_origin import error_text
+from dpstack.dp.master import fault_texts
+from dpstack.dp.master.slave_states import TABLE as BRING_UP
+from dpstack.dp.master.verdicts import deviations
+from dpstack.dp.pdu.alarm_blocks import Alarm, PrmFunction, RedState, Redundancy, Status, kind_of, message_dict
+from dpstack.dp.pdu.diag_bits import FLAGS
+from dpstack.dp.pdu.diag_blocks import (
+    ChannelBlock,
+    UserDiag,
+    channel_block,
+    device_block,
+    identifier_block,
+    revision_block,
+    split_blocks,
+)
+from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.dpv1_status import Dpv1
+from dpstack.dp.pdu.prm_blocks import (
+    BlockType,
+    DxbLink,
+    DxbSubscription,
+    DxbTable,
+    Isochronous,
+    PrmBlock,
+    PrmCmd,
+    TimeAr,
+    parse_blocks,
+)
+from dpstack.dp.pdu.requests import GlobalControl, SetPrm, SetSlaveAdd
+from dpstack.dp.plan.plan import make_plan
+from dpstack.dp.plan.rotation_time import OtherMasters
+from dpstack.dp.process_data import Field, FieldMap, field_of, with_scale
+from dpstack.dp.slave.state_table import ACCESS, CONNECTION
+from dpstack.dp.slave.state_table import TABLE as SLAVE_STATES
+from dpstack.dp.slave_params import SlaveParams, WatchdogTime
+from dpstack.fdl.interface import Failure
+from dpstack.params import BusParams
+from dpstack.units import BAUD_RATES, NS_PER_MS
+
+FILE = "said_dp.jsonl"
+
+
+def _pdus() -> Iterator[Said]:
+    yield refused(Diagnosis(0, 4, 0, None, 1, bytes(239)).build)
+    yield refused(Diagnosis(0, 4, 0, None, 0x10000).build)
+    yield refused(Diagnosis(256, 4, 0, 3, 1).build)
+    yield refused(SetPrm(1, bytes(238)).build)
+    yield refused(SetPrm(1, min_tsdr=256).build)
+    yield refused(SetPrm(1, group_mask=256).build)
+    yield refused(SetPrm(1, watchdog=(256, 1)).build)
+    yield refused(SetPrm(0x10000).build)
+    for length in (0, 3, 6, 245):
+        yield refused(SetPrm.parse, bytes(length))
+    yield refused(GlobalControl(group_mask=256).build)
+    for octets in (b"", b"\0", bytes(3)):
+        yield refused(GlobalControl.parse, octets)
+    for add in (SetSlaveAdd(126, 1), SetSlaveAdd(-1, 1), SetSlaveAdd(1, 0x10000), SetSlaveAdd(1, 1, False, bytes(241))):
+        yield refused(add.build)
+    for length in (0, 1, 3):
+        yield refused(SetSlaveAdd.parse, bytes(length))
+
+
+def _diag_blocks() -> Iterator[Said]:
+    for ext in ("", "00", "01", "40", "4112", "80", "8001", "800102", "C5", "C0", "05010203", "0401020300", "42FF41"):
+        yield refused(split_blocks, bytes.fromhex(ext))
+    for size in range(8):
+        for direction in range(4):
+            block = channel_block(
+                63, 62, size + 4 * direction, size=size, input=bool(direction & 1), output=direction > 1
+            )
+            yield f"channel {block.octets.hex()}", f"{block.text} | {block.place('AI 4', 0)}"
+    for error in range(32):
+        yield f"error {error}", ChannelBlock(b"", 0, 0, False, False, 0, error).cause
+    for call in (
+        (device_block, b""),
+        (device_block, b"\1"),
+        (device_block, bytes(62)),
+        (device_block, bytes(63)),
+        (identifier_block, [0, 7, 8], 9),
+        (identifier_block, [9], 9),
+        (identifier_block, [-1], 9),
+        (identifier_block, [], 0),
+        (identifier_block, [], 496),
+        (identifier_block, [], 497),
+        (channel_block, 64, 0, 1),
+        (channel_block, 0, 64, 1),
+        (channel_block, 0, 0, 32),
+        (revision_block, 63),
+        (revision_block, 64),
+        (revision_block, -1),
+        (UserDiag, "text"),
+    ):
+        yield refused(call[0], *call[1:])
+    full = UserDiag(bytes.fromhex("0301024101C5"), fault=True, stat=True)
+    for room in range(7):
+        yield f"limited to {room}", repr(full.limited(room))
+    yield "octets that are no blocks", repr(UserDiag(bytes.fromhex("030102FF00")).limited(4))
+    for args in ({}, {"fault": True}, {"stat": True}, {"overflow": True}):
+        yield refused(UserDiag.of, **args)
+        yield refused(UserDiag.of, device_block(b"\1"), **args)
+
+
+def _diagnoses() -> Iterator[Said]:
+    for octet in range(3):
+        for bit in range(8):
+            status = [0, 0, 0]
+            status[octet] = 1 << bit
+            read = Diagnosis(status[0], status[1], status[2], None, 0x1234)
+            yield (
+                f"octet {octet + 1} bit {bit}",
+                f"{read.texts} {[f.name for f in read.conspicuous(exchanging=True)]} "
+                f"{[f.name for f in read.conspicuous(exchanging=False)]} {list(deviations(read, 1))} {read.always_one}",
+            )
+    for ext in ("", "0401020000", "0481000003", "0300AA", "020041", "4281", "8281C5", "FF", "03AA", "06810000AABB"):
+        for dpv1 in (False, True):
+            read = Diagnosis(8, 12, 0, 129, 0x1234, bytes.fromhex(ext))
+            yield (
+                f"{ext} {dpv1=}",
+                f"{block_texts(read, dpv1=dpv1)} {conspicuous_text(read, dpv1=dpv1, exchanging=True)!r} "
+                f"{conspicuous_text(read, dpv1=dpv1, exchanging=False)!r} {list(deviations(read, 1))}",
+            )
+    for flag in FLAGS:
+        yield flag.name, repr(tuple(flag))
+
+
+def _alarms() -> Iterator[Said]:
+    for kind in (-1, 0, 1, 2, 3, 4, 5, 6, 7, 30, 31, 32, 126, 127):
+        for specifier in range(4):
+            alarm, status = Alarm(kind, 3, specifier, 31, b"\xaa\xbb", add_ack=True), Status(kind, 3, specifier, b"\7")
+            yield f"alarm {kind} {specifier}", f"{alarm.full_text} | {message_dict(alarm)} | {refused(alarm.build)[1]}"
+            yield f"status {kind} {specifier}", f"{status.full_text} | {message_dict(status)}"
+        yield refused(kind_of, kind)
+    for block in (
+        Alarm(1, 255),
+        Alarm(1, -1),
+        Alarm(1, 1, data=bytes(60)),
+        Alarm(1, 1, sequence=32),
+        Alarm(1, 1, 4),
+        Status(1, 1, data=bytes(60)),
+        Status(1, 1, reserved=63),
+        Status(1, 1, reserved=64),
+        Status(128, 1),
+    ):
+        yield refused(block.build)
+    yield "module status", Status(2, 0, data=b"\xe4\x1b").full_text
+    for count in range(5):
+        yield f"PrmCmdAck of {count} octets", Status(30, 0, 2, bytes((0x4E, 0x01, 0x7E, 9, 9)[:count]), 5).full_text
+    every = Redundancy(31, PrmFunction(0xFF), RedState(0xFF), RedState(0))
+    yield "all bits", every.text + every.octets.hex(" ")
+
+
+def _parameter_blocks() -> Iterator[Said]:
+    for number in (-1, 0, 2, 3, 4, 5, 7, 8, 0x81, 255, 256):
+        yield refused(PrmBlock, number, 0, b"")
+        if 0 <= number <= 255:
+            yield PrmBlock(number, 1, b"").title, PrmBlock(number, 1, b"\1\2", 8).octets.hex(" ")
+    for slot, data, specifier in ((255, b"", 0), (-1, b"", 0), (0, bytes(230), 0), (0, bytes(231), 0), (0, b"", 256)):
+        yield refused(PrmBlock, 2, slot, data, specifier)
+    contents: tuple[Any, ...] = (
+        PrmCmd(),
+        PrmCmd(1, 2, 0x304),
+        Isochronous(),
+        Isochronous(1, 2, 3, 4, 5, 6, 7, 8, 9, 10),
+        TimeAr(),
+        TimeAr(1, 2, 3),
+        DxbTable(1, (DxbLink(1, 2, 3, 4), DxbLink(5, 6, 7, 8))),
+        DxbTable(257, (DxbSubscription(1, 2, 3, 4, 5, 6),)),
+    )
+    for content in contents:
+        block = PrmBlock.of(content, 3, specifier=16)
+        yield repr(content), f"{block.octets.hex(' ')} {block.content!r}"
+    yield refused(PrmBlock.of, DxbTable(1, ()))
+    yield refused(PrmBlock.of, DxbTable(1, ()), kind=BlockType.DXB_LINKS)
+    yield refused(PrmBlock.of, PrmCmd(256))
+    yield refused(PrmBlock.of, PrmCmd(output_hold_time=0x10000))
+    for number in (2, 3, 4, 7, 8):
+        for length in (0, 1, 2, 4, 5, 7, 10, 27):
+            yield refused(lambda number, length: PrmBlock(number, 0, bytes(length)).content, number, length)
+    for octets in ("", "040500", "03050000", "05050000", "0405000005050000", "0402000000", "0605000001020405FF00"):
+        yield refused(parse_blocks, bytes.fromhex(octets))
+        yield refused(parse_blocks, bytes.fromhex(octets), 11)
+    for given in (
+        {"alarms": ("process", "fire")},
+        {"alarm_mode": 8},
+        {"alarm_mode": -1},
+        {"alarm_mode": 7},
+        {"c1_max_data_len": 241},
+        {"c1_max_data_len": -1},
+        {},
+    ):
+        yield refused(Dpv1, **given)
+    block = PrmBlock(32, 1, b"\xaa")
+    for dpv1 in (
+        Dpv1(),
+        Dpv1(alarms=()),
+        Dpv1(alarms=("pull_plug", "process", "diagnostic", "manufacturer", "status", "update"), alarm_mode=5),
+        Dpv1(required_alarms=("update", "status")),
+        Dpv1(check_cfg_mode=True, prm_cmd=True),
+        Dpv1(check_cfg_mode=False, prm_cmd=False),
+        Dpv1(blocks=(block, block)),
+        Dpv1(structured=True),
+    ):
+        for octets in ("000000", "FFFFF7", "0000000102", "FFFFFF0405", "00000804200000"):
+            yield repr(dpv1), f"{octets}: {refused(_applied, dpv1, bytes.fromhex(octets))[1]}"
+
+
+def _applied(dpv1: Dpv1, octets: bytes) -> bytes:
+    changed = bytearray(octets)
+    dpv1.apply(changed)
+    return bytes(changed)
+
+
+def _faults() -> Iterator[Said]:
+    slave = setup(7)
+    doubtful = dataclasses.replace(slave, prm_note="read its file otherwise")
+    fault_texts_of: dict[str, Iterable[tuple[Any, ...]]] = {
+        "absent": [(7, 1_500_000), *((7, 9600, why) for why in Failure)],
+        "lost": [("Data_Exchange", why) for why in Failure],
+        "bus_gone": [("the port is gone",)],
+        "wrong_ident": [(0x1234, 0xAB), (None, 1)],
+        "locked": [(Diagnosis(0, wd, 0, 5, 1), 5, masters) for wd in (0, 8) for masters in (None, (), (5,), (4,))],
+        "refusal": [
+            (one, Diagnosis(bits, 0, 0, 1, 1, ext), bytes(7) + user)
+            for one in (slave, doubtful)
+            for bits in (0x40, 0x10, 0x04, 0x50, 0x14, 0)
+            for ext, user in ((b"", b""), (b"\2\1", b"\3\4"))
+        ],
+        "statically_ill": [(10,), (0.5,)],
+        "refused": [(name, code) for name in ("Slave_Diag", "Data_Exchange") for code in ("RS", "RR", "UE", "NR")],
+        "prm_silent": [(b"\1\2",)],
+        "left": [(Diagnosis(0, bits, 0, 1, 1), status) for bits in (0, 1, 8, 9) for status in ("", "RS", "UE")],
+        "plugin": [(ValueError("no"),)],
+    }
+    for name, rows in fault_texts_of.items():
+        for row in rows:
+            yield (
+                f"{name}{tuple(value for value in row if not isinstance(value, SlaveParams))!r}",
+                repr(getattr(fault_texts, name)(*row)),
+            )
+    compared = (
+        fault_texts.cfg_fault(slave),
+        fault_texts.not_ready(slave, 10),
+        fault_texts.not_taken(slave),
+        fault_texts.wrong_length(slave, 3, 1),
+        fault_texts.cfg_silent(slave),
+    )
+    for fault in compared:
+        config = slave.config
+        for actual in (None, config, config[:-1] + b"\x77", config + b"\0", config[:-1], b""):
+            yield f"{fault.kind} compared with {actual!r}", repr(fault.compared(actual))
+    yield "watching", fault_texts.NOT_WATCHING
+    yield refused(error_text, ValueError())
+    yield refused(error_text, ValueError("no"))
+
+
+def _fields() -> Iterator[Said]:
+    specs = (
+        "bool@0.3", "bool@0.7", "bool@0.8", "bool@0", "bool@0.1:2", "u8@0", "u8@0.1", "i16@2", "i16le@2", "u8le@0",
+        "boolle@0.1", "bytes@4:3", "bytes@4", "bytes@4:0", "bytes@4.1:3", "bytesle@4:3", "f32@0", "f64le@0", "u64@1:2",
+        "", "u8", "@0", "u16 @ 1", "U16@1", "u17@1", "nothing@1", "u8@12345", "u8@1234", "bool@0.12345",
+        "bytes@0:12345", "u8@-1", "x" * 60 + "@1", "i8@0", "i32le@9", "u32@8", "i64@0",
+    )  # fmt: skip
+    for spec in specs:
+        case, said = refused(Field.parse, "level", spec)
+        yield case, said
+        if "Field(" in said:
+            yield f"spec of {spec}", f"{Field.parse('level', spec).spec} {Field.parse('level', spec).mask:x}"
+    for name in ("a", "Ä b-1", "1a", "a ", "", "a.b", "_", "x" * 60 + "!"):
+        yield refused(field_of, name, "u8@0", 1, "its outputs")
+    for spec, length in (("u16@1", 3), ("u16@1", 2), ("u8@0", 0), ("u8@0", 1), ("bool@1.0", 1)):
+        yield refused(field_of, "a", spec, length, "its inputs")
+    fields = FieldMap({"a": Field.parse("a", "u16@0")}, 2)
+    for length in (0, 1, 2, 3):
+        yield refused(fields.fitted, length, "its inputs")
+    numbers = ("u8@0", "i8@0", "u16@0", "i16le@0", "u32@0", "f32@0", "f64@0", "bool@0.1", "bytes@0:2")
+    values: tuple[Any, ...] = (
+        0, 1, 2, -1, 127, 128, -128, -129, 255, 256, 65535, 65536, 0.5, -0.25, 1e39, float("nan"), float("inf"),
+        True, False, None, "1", b"\1\2", b"\1", bytearray(b"\3\4"),
+    )  # fmt: skip
+    scales: tuple[dict[str, Any], ...] = (
+        {}, {"unit": "bar"}, {"scale": 0.1}, {"scale": 0.1, "offset": -5, "unit": "C"}, {"scale": -2.0}, {"offset": 3},
+        {"scale": 1e-16},
+    )  # fmt: skip
+    for spec in numbers:
+        for scale in scales if spec in ("u8@0", "i16le@0", "f32@0") else ({},):
+            found = with_scale(Field.parse("n", spec), scale)
+            for value in values[:: 3 if scale else 1]:
+                yield f"{spec} {scale} = {value!r}", refused(found.put, bytes(9), value)[1]
+            for octets in (bytes(8), b"\xff" * 8, bytes(range(1, 9))):
+                yield f"{spec} {scale} of {octets.hex()}", repr(found.get(octets))
+            for text in ("1", " 0x10 ", "on", "OFF", "true", "1.5", "aa bb", "", "1 bar", "-3 C", "zwei" * 20):
+                if not scale or " " in text:
+                    yield f"{spec} {scale} read {text!r}", refused(found.read, text)[1]
+    for spec in ("bool@0.1", "bytes@0:2", "u8@0"):
+        for given in ({"scale": 0}, {"unit": "m"}, {"scale": 2.0, "dead_band": 0.5}, {}):
+            yield refused(with_scale, Field.parse("n", spec), given)
+
+
+def _slave_params() -> Iterator[Said]:
+    base: dict[str, Any] = {"address": 5, "name": "pump", "ident": 1, "config": b"\x11\x20"}
+    for change in (
+        {"address": -1}, {"address": 126}, {"address": 127}, {"ident": -1}, {"ident": 0xFFFF}, {"ident": 0x10000},
+        {"watchdog_ms": -1}, {"watchdog_ms": 650_250}, {"watchdog_ms": 650_251}, {"groups": (1, 8)},
+        {"groups": (0,)}, {"groups": (1, 9)}, {"every": 0}, {"every": 1}, {"every": 10_000}, {"every": 10_001},
+        {"max_diag_len": 5}, {"max_diag_len": 6}, {"max_diag_len": 244}, {"max_diag_len": 245}, {"config": b""},
+        {"config": bytes(244)}, {"config": bytes(245)}, {"user_prm": bytes(237)}, {"user_prm": bytes(238)},
+        {"wd_base_1ms": True}, {"wd_base_1ms": True, "user_prm": bytes(2)}, {"wd_base_1ms": True, "user_prm": bytes(3)},
+        {"fail_safe_told": True, "user_prm": b"\0"}, {"dpv1": Dpv1()}, {"dpv1": Dpv1(), "user_prm": bytes(3)},
+        {"dpv1": Dpv1(blocks=(PrmBlock(32, 0, bytes(230)),)), "user_prm": bytes(3)},
+        {"dpv1": Dpv1(blocks=(PrmBlock(32, 0, bytes(230)),)), "user_prm": bytes(4)},
+        {"config": b"\x1f" * 16}, {"config": b"\x2f" * 15 + b"\x24"}, {"safe": b"\1"}, {"safe": b"\1\2"},
+        {"initial": b"\1"}, {"initial": b"\1\2"}, {"safe": b""}, {"initial": b""},
+    ):  # fmt: skip
+        _, said = refused(lambda given: SlaveParams(**given), base | change)
+        yield repr(change), said
+    for text in (0, 1, 9, 10, 11, 199, 2551, 65_025, 65_026, 650_250):
+        for fine in (False, True):
+            made = SlaveParams(**base | {"wd_base_1ms": fine, "user_prm": bytes(3), "watchdog_ms": text})
+            found = made.watchdog(30)
+            yield f"watchdog {text} {fine}", f"{found} {found and found.ms} {made.user_octets(found).hex()}"
+    yield "default watchdog", f"{SlaveParams(**base).watchdog(30)} {SlaveParams(**base).watchdog(0)}"
+    yield "time", repr((WatchdogTime((2, 3)).ns, WatchdogTime((2, 3), 1).ms))
+
+
+def _plans() -> Iterator[Said]:
+    dice = random.Random(7)
+    for number in range(36):
+        baud = dice.choice(BAUD_RATES)
+        slaves = []
+        for address in dice.sample(range(3, 60), dice.choice((1, 1, 2, 3, 5, 9))):
+            ways = [bytes([0x10 * way | dice.randrange(16)]) for way in dice.choice(((1,), (2,), (1, 2), (3,)))]
+            slaves.append(
+                SlaveParams(
+                    address=address,
+                    name=f"s{address}",
+                    ident=dice.choice((None, 0x4711)),
+                    config=b"".join(ways),
+                    every=dice.choice((1, 1, 1, 2, 3)),
+                    watchdog_ms=dice.choice((None, None, 0, 10, 50, 211, 1000)),
+                    min_tsdr=dice.choice((11, 11, 60, 200)),
+                    min_slave_interval_ns=dice.choice((0, 0, 100_000, 3_000_000, 40_000_000)),
+                    max_diag_len=dice.choice((None, 6, 32)),
+                    max_tsdr=dice.choice(({}, {baud: 60}, {baud: 400})),
+                    ignore_auto_clear=dice.random() < 0.2,
+                    on_loss=dice.choice(("", "coasts")),
+                )
+            )
+        params = BusParams.preset(baud)
+        others = dice.choice((None, OtherMasters(1), OtherMasters(2, (5000,)), OtherMasters(0, (90_000, 4000))))
+        given: dict[str, Any] = {} if others is None else {"others": others}
+        free = make_plan(params, slaves, **given)
+        if number % 3 == 2:
+            given["cycle_ns"] = round(free.figures.ns(dice.choice(list(free.rotations))) * dice.choice((0.9, 1.05, 2)))
+        if number % 3 == 1:
+            given |= {"data_control_ns": dice.choice((20, 5000)) * NS_PER_MS, "host_slack_ns": 2 * NS_PER_MS}
+        plan = make_plan(params, slaves, pty=number % 4 == 0, **given)
+        shown = plan.as_dict()
+        del shown["baud"], shown["address"], shown["rotation_us"], shown["parameters"]
+        yield f"plan {number} at {baud}", f"{shown} {plan.watchdog_ms}"
+        if plan.cycle is not None:
+            yield f"refusals {number}", repr(plan.refusals)
+
+
+def _tables() -> Iterator[Said]:
+    for sap, access in ACCESS.items():
+        states = sorted(state.name for state in access.states)
+        yield f"access {sap}", f"{access.name} {states} {access.owner_only} {access.clause}"
+    yield "connection", repr((CONNECTION.name, len(CONNECTION.states), CONNECTION.owner_only, CONNECTION.clause))
+    for (state, event), row in SLAVE_STATES.items():
+        yield f"slave {state.value}, {event.value}", f"{row.next.value}: {row.clause}"
+    for (before, trigger), step in BRING_UP.items():
+        yield f"master {before.value}, {trigger.value}", repr(tuple(step))
+
+
+GROUPS: dict[str, Group] = {
+    "pdus": _pdus,
+    "diag_blocks": _diag_blocks,
+    "diagnoses": _diagnoses,
+    "alarms": _alarms,
+    "parameter_blocks": _parameter_blocks,
+    "faults": _faults,
+    "fields": _fields,
+    "slave_params": _slave_params,
+    "plans": _plans,
+    "tables": _tables,
+}
