@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from bus_kit import setup
-from said_texts import Group, Said, refused
+from said_texts import Group, Said, interface, refused
 
 from dpstack.dp.error_origin import error_text
 from dpstack.dp.master import fault_texts
@@ -386,6 +386,7 @@ def _tables() -> Iterator[Said]:
 
 
 GROUPS: dict[str, Group] = {
+    "interface": lambda: interface("dpstack.dp"),
     "pdus": _pdus,
     "diag_blocks": _diag_blocks,
     "diagnoses": _diagnoses,

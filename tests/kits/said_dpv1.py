@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from said_texts import Group, Said, refused
+from said_texts import Group, Said, interface, refused
 
 from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.pdu.prm_blocks import PrmBlock
@@ -244,8 +244,8 @@ def _gsd_files() -> Iterator[Said]:
                 ("channel", None, None, 15), ("channel", None, None, 32), ("bit", None, None, 1),
                 ("bit", 1951, 1951, 1), ("bit", 1952, 1952, 1), ("bit", -1, -1, 1), ("bit", 3, 3, 0),
                 ("not_bit", 3, 3, 1),
-                ("area", 3, None, 1), ("area", 3, 2, 0), ("area", 3, 4, 4), ("area", 3, 4, 3), ("area", 3, 1952, 1), ("area", 3, 4, -1),
-                ("area", 3, 1951, 1), ("area", 3, 3, 1),
+                ("area", 3, None, 1), ("area", 3, 2, 0), ("area", 3, 4, 4), ("area", 3, 4, 3), ("area", 3, 1952, 1),
+                ("area", 3, 4, -1), ("area", 3, 1951, 1), ("area", 3, 3, 1),
             )
         ),
     )  # fmt: skip
@@ -270,6 +270,7 @@ def _told(file: bytes) -> str:
 
 
 GROUPS: dict[str, Group] = {
+    "interface": lambda: interface("dpstack.dpv1"),
     "codes": _codes,
     "records": _records,
     "connections": _connections,

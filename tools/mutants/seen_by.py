@@ -117,6 +117,9 @@ class SeenBy:
                     if line <= len(text) and name.search(text[line - 1]):
                         found |= tests
             name_it = _bits(number for number, test in enumerate(self.tests) if name.search(_source_of(test)))
+        # texts, tables and defaults of a whole room, held by tests that name none of them
+        whole = f"tests/{mutant.room}/test_{mutant.room}_texts.py::"
+        name_it |= _bits(number for number, test in enumerate(self.tests) if test.startswith(whole))
         if not found | name_it:
             for tests in lines.values():
                 found |= tests
