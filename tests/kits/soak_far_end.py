@@ -14,6 +14,7 @@ import json
 import os
 import sys
 import threading
+import time
 import tty
 from dataclasses import dataclass, field
 from time import monotonic_ns
@@ -21,6 +22,7 @@ from time import monotonic_ns
 from support_responder import Responder, cut
 
 _NS_PER_MS = 1_000_000
+_LOOK_S = 0.01
 
 
 @dataclass
@@ -63,6 +65,8 @@ class FarEnd:
         os.close(near)
         self.arrivals = Arrivals(cycle_ns, window_ns)
         self.begun = False
+        #: the longest time in which this process did not run although it could
+        self.stood_still_ns = 0
         self.octets = self.tokens = self.requests = self.answers = self.junk = self.late = self.polls = 0
         self._buffer = bytearray()
         self._last = 127
@@ -79,6 +83,13 @@ class FarEnd:
             if out:
                 self.answers += 1
                 os.write(self.fd, out)
+
+    def watch_itself(self) -> None:
+        """Note how long this process stands still; a slave is lost where that is longer than all attempts take."""
+        while True:
+            before = monotonic_ns()
+            time.sleep(_LOOK_S)
+            self.stood_still_ns = max(self.stood_still_ns, monotonic_ns() - before - int(_LOOK_S * 1e9))
 
     def feed(self, chunk: bytes, now: int) -> bytes:
         """The answer to the last request in ``chunk``; an earlier one in it is too old and is counted in ``late``."""
@@ -136,6 +147,7 @@ class FarEnd:
             "control": [slave.control.hex() for _, slave in slaves],
             "outputs": [slave.outputs.hex() for _, slave in slaves],
             "places": self.arrivals.place + 1,
+            "stood_still_ms": self.stood_still_ns // _NS_PER_MS,
             "windows": self.arrivals.windows,
         }
 
@@ -143,7 +155,8 @@ class FarEnd:
 def main() -> int:
     cycle_ms, window_s, *specs = sys.argv[1:]
     far = FarEnd(int(float(cycle_ms) * _NS_PER_MS), int(float(window_s) * 1000 * _NS_PER_MS), specs)
-    threading.Thread(target=far.serve, daemon=True).start()
+    for work in (far.serve, far.watch_itself):
+        threading.Thread(target=work, daemon=True).start()
     print(json.dumps({"port": far.name}), flush=True)
     for line in sys.stdin:
         if line.strip() == "begin":

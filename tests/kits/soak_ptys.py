@@ -46,6 +46,8 @@ _MOMENT: Final = 20
 _DRIFT_NS: Final = 1_000_000
 #: readers keep the last 1000 events: with so many at the beginning they are full
 _FILL: Final = 1000
+#: all attempts of a request: the first one and ``max_retry`` 15, each with T_SL of a port, about 50 ms
+_ATTEMPTS_MS: Final = 16 * 50
 
 
 class FarProcess:
@@ -82,6 +84,8 @@ class PtyRun:
         self.seconds = seconds
         self.random = Random(driver)
         self.faults: list[str] = []
+        #: changes of states of slaves, which is the far end's doing only if that stood still
+        self.changes: list[str] = []
         self.acts: Counter[str] = Counter()
         self.errors: Counter[str] = Counter()
         self.events: Counter[str] = Counter()
@@ -106,7 +110,7 @@ class PtyRun:
 
     def _on_event(self, event: Event) -> None:
         if self.running and isinstance(event, SlaveStateChanged):
-            self.faults.append(event.text)
+            self.changes.append(event.text)
 
     # --- readers and the program ------------------------------------------------------------------------------------
 
@@ -260,6 +264,12 @@ class PtyRun:
             # where an answer came too late, its exchange may count at one end only
             if abs(mine - theirs[key]) > (late if "exchanges" in key else 0):
                 self.faults.append(f"{key}: {mine} of ours, {theirs[key]} at the far end")
+        still_ms: int = account["stood_still_ms"]
+        if self.changes and still_ms < _ATTEMPTS_MS:
+            first = "; ".join(self.changes[:3])
+            self.faults.append(
+                f"{len(self.changes)} changes of states ({first}); the far end stood still for {still_ms} ms"
+            )
         if account["junk"] or account["expired"]:
             self.faults.append(f"far end: {account['junk']} octets of no telegram, {account['expired']} watchdogs")
         if set(account["control"]) != {"0200"} or any(any(bytes.fromhex(octets)) for octets in account["outputs"]):
@@ -303,6 +313,8 @@ class PtyRun:
             "missed": cycles.missed,
             "left_out": cycles.left_out,
             "rounds_seen": sum(window[0] for window in windows),
+            "changes": len(self.changes),
+            "stood_still_ms": account["stood_still_ms"],
             "drift_us": self.drift_ns // 1000,
             "rounds_late_ms": round(max(window[3] - window[2] for window in windows) / 1e6, 1),
             "acts": dict(self.acts),
