@@ -10,6 +10,8 @@ those that change nothing; they are counted as *explained*, not as killed.
 * ``--sample 0``: all mutants.
 * ``--out FILE``: JSON lines. A run with the same file tries only those mutants that it does not have.
 * ``--report FILE...``: no mutants; the table of such files together.
+* ``--tests tests/fdl,tests/phy``: only these tests, in place of those in pyproject.toml.
+* ``--also tests/sim,tests/test_noise_truth.py``: afterwards those that survived are tried against these tests, too.
 * ``--survivors FILE``: print the survivors of such a file and try them again.
 * ``--branch``: no mutants; branch coverage of each room by the room's own tests.
 
@@ -32,7 +34,7 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -61,6 +63,8 @@ def main() -> None:
         "--seconds", type=float, default=8.0, help="tests for one mutant, in seconds of their usual time"
     )
     parser.add_argument("--out", type=Path, help="JSON lines of the results; a run goes on where the file ends")
+    parser.add_argument("--tests", help="comma-separated folders or files of tests in place of pyproject.toml's")
+    parser.add_argument("--also", help="further ones, which only those see that survived")
     parser.add_argument("--survivors", type=Path, help="try the survivors of such a file again")
     parser.add_argument("--report", type=Path, nargs="+", help="print the table of such files")
     parser.add_argument("--measure", action="store_true", help="measure anew which tests execute which lines")
@@ -69,7 +73,7 @@ def main() -> None:
     os.chdir(ROOT)
     sys.path[:0] = [str(ROOT)]
     options = config().pytest_add_cli_args
-    selection = config().pytest_add_cli_args_test_selection
+    selection = given.tests.split(",") if given.tests else config().pytest_add_cli_args_test_selection
     rooms = given.rooms.split(",")
     if given.report:
         report({key: row for file in given.report for key, row in _read(file).items()})
@@ -92,6 +96,16 @@ def main() -> None:
     done = _read(out)
     print(f"commit {_commit()}, seed {given.seed}, results in {out}", flush=True)
     _try_all(mutants, done, out, [*options, *selection], seen, given.seconds)
+    if given.also:
+        further = given.also.split(",")
+        left = {
+            key: row
+            for key, row in _read(out).items()
+            if row["result"] in ("survived", "no tests") and row.get("also") != given.also
+        }
+        seen = seen_by.load(further, options, anew=given.measure)
+        again = (file.mutant(number) for file, number in _places(left))
+        _try_all(again, {}, out, [*options, *further], seen, given.seconds, also=given.also)
     report(_read(out))
 
 
@@ -103,10 +117,14 @@ def _drawn(rooms: Sequence[str], only: str, sample: int, seed: int) -> Iterator[
     drawn = sorted(random.Random(seed).sample(places, sample)) if 0 < sample < len(places) else places
     chosen = [place for place in drawn if place[0].split("/")[1] in rooms and place[0].startswith(only)]
     print(f"{len(drawn)} of {len(places)} mutants are drawn, {len(chosen)} of them are tried", flush=True)
-    for path, numbers in itertools.groupby(chosen, key=lambda place: place[0]):
+    for file, number in _places(chosen):
+        yield file.mutant(number)
+
+
+def _places(keys: Iterable[tuple[str, int]]) -> Iterator[tuple[SourceFile, int]]:
+    for path, numbers in itertools.groupby(sorted(keys), key=lambda place: place[0]):
         file = SourceFile(path)
-        for _, number in numbers:
-            yield file.mutant(number)
+        yield from ((file, number) for _, number in numbers)
 
 
 def _counts(paths: Sequence[str]) -> dict[str, int]:
@@ -140,6 +158,7 @@ def _try_all(
     arguments: Sequence[str],
     seen: seen_by.SeenBy,
     seconds: float,
+    also: str = "",
 ) -> None:
     warm, known = trial.start_warm(arguments)
     explained = _explained()
@@ -206,6 +225,8 @@ def _try_all(
                 "seconds": round(time.monotonic() - began, 2),
                 "diff": diff,
             }
+            if also:
+                row["also"] = also
             file.write(json.dumps(row) + "\n")
             file.flush()
     warm.send(None)

@@ -240,13 +240,14 @@ def load(selection: Sequence[str], options: Sequence[str], *, anew: bool) -> See
     files = {
         str(file.relative_to(ROOT)): hashlib.sha256(file.read_bytes()).hexdigest()
         for path in selection
-        for file in sorted((ROOT / path).rglob("test_*.py"))
+        for file in ([ROOT / path] if path.endswith(".py") else sorted((ROOT / path).rglob("test_*.py")))
     }
     if seen is None:
         seen = SeenBy([], [], {}, {})
     seen.follow_sources()
     changed = [file for file, digest in files.items() if seen.files.get(file) != digest]
-    seen = seen.without((seen.files.keys() - files.keys()) | set(changed))
+    gone = {file for file in seen.files if not (ROOT / file).exists()}
+    seen = seen.without(gone | set(changed))
     for at in range(0, len(changed), _TOGETHER):
         some = changed[at : at + _TOGETHER]
         print(f"measuring which lines the tests execute: {at} of {len(changed)} files", flush=True)
