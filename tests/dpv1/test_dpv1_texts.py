@@ -1,4 +1,4 @@
-"""Every text of the room dpv1 that needs no bus, in full: what a person reads, and the octets and tables beside it."""
+"""Texts of the room dpv1 in full, with the octets, tables and defaults beside them, and transcripts of its masters."""
 
 from __future__ import annotations
 

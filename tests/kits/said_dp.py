@@ -7,6 +7,7 @@ import random
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+import said_buses
 from bus_kit import setup
 from said_texts import Group, Said, interface, refused
 
@@ -397,4 +398,7 @@ GROUPS: dict[str, Group] = {
     "slave_params": _slave_params,
     "plans": _plans,
     "tables": _tables,
+    "bring_ups": said_buses.bring_ups,
+    "controls": said_buses.controls,
+    "class2_outcomes": said_buses.class2_outcomes,
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import said_buses
 from said_texts import Group, Said, interface, refused
 
 from dpstack.dp.pdu.alarm_blocks import Alarm
@@ -277,4 +278,6 @@ GROUPS: dict[str, Group] = {
     "im": _im,
     "descriptions": _descriptions,
     "gsd_files": _gsd_files,
+    "ms1_outcomes": said_buses.ms1_outcomes,
+    "ms2_outcomes": said_buses.ms2_outcomes,
 }
