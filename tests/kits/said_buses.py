@@ -5,11 +5,13 @@ One line a situation, kept by :mod:`said_texts`; the slaves are scripts of octet
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import groupby
 from typing import Any
 
+from alarm_kit import ALL, AlarmBus, block
 from class2_kit import Class2Bus
 from ms1_kit import Ms1Bus, answer, status
 from ms2_kit import Ms2Bus
@@ -38,6 +40,8 @@ from dpstack.dp.acyclic.job import Outcome
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, SendControl, SetMode
 from dpstack.dp.pdu.dpv1_status import Dpv1
+from dpstack.dpv1.master.orders import AlarmDone, AlarmRaised, RecordDone, RecordOrder, StatusTold
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import DpError
 from dpstack.fdl.interface import Failure
 
@@ -280,3 +284,50 @@ def class2_outcomes() -> Iterator[Said]:
             yield repr(change), _ended(kit.change(change))
         except DpError as error:
             yield repr(change), f"{type(error).__name__}: {error}"
+
+
+def alarms() -> Iterator[Said]:
+    """Alarms of a slave that repeats, replaces, refuses and loses them, by seed."""
+    for seed in range(10):
+        dice = random.Random(seed)
+        kit = AlarmBus(dpv1=Dpv1(alarms=ALL, alarm_mode=(0, 0, 1, 3)[seed % 4]))
+        slave = kit.alarm_slave
+        slave.at_a_time, slave.keeps = (0, 0, 2, 40)[seed % 4], dice.random() < 0.4
+        for _ in range(12):
+            match dice.randrange(8):
+                case 0 | 1 | 2:
+                    kind = dice.choice((1, 2, 2, 3, 5, 32))
+                    slave.raises(block(kind, dice.choice((1, 2)), dice.choice((0, 1)), 0, dice.choice(("", "AA"))))
+                case 3:
+                    slave.changes(block(0x81, 1, dice.choice((0, 1)), data=dice.choice(("", "55"))))
+                case 4:
+                    slave.lose(dice.choice(("a", "r", "aa", "rara")))
+                case 5:
+                    slave.refuses.append(dice.choice(("B5", "B0", "C2")))
+                case 6:
+                    kit.hold(dice.random() < 0.5)
+                case _:
+                    kit.acknowledge(dice.randrange(1, 5))
+            kit.run(dice.choice((1, 5, 30)))
+        kit.run(250)
+        events = [event for kind in (AlarmRaised, AlarmDone, StatusTold) for event in kit.events_of(kind)]
+        told = " | ".join(f"{event.t_ns // 1000} {event.text}" for event in events)
+        acks = " ".join(ack.hex() for ack in slave.acks)
+        yield f"seed {seed}", f"{told} || {acks} || {kit.counts} {slave.diagnosed} {kit.remarks}"
+
+
+def services_cut_short() -> Iterator[Said]:
+    """Services of MS2 that are cancelled before they are sent, and after."""
+    for service_time in (0, 20):
+        kit = Ms2Bus()
+        kit.open()
+        kit.slave.serve = _always(None)
+        tokens = [kit.next_token(), kit.next_token()]
+        for token in tokens:
+            kit.send(RecordOrder(token, Function.READ, 1, 2, connection=1))
+        kit.run(service_time)
+        for token in reversed(tokens):
+            kit.send(CancelService(token))
+        kit.run(50)
+        ends = [f"{one.token} {one.stale} {_ended(one.outcome, one.text)}" for one in kit.events_of(RecordDone)]
+        yield f"after {service_time} ms", " | ".join(ends)

@@ -191,7 +191,8 @@ def _descriptions() -> Iterator[Said]:
             octets = bytes.fromhex(prm)
             yield f"{extra} {prm}", f"{refused(slave.check_prm, octets)[1]} {refused(slave.blocks, octets)[1]}"
     for given in (
-        {"safe": b"\1\2\3"}, {"config": b"\x12"}, {"ms2": 50}, {"im": [Im1("x" * 40)]}, {"colour": 1},
+        {"safe": b"\1\2\3"}, {"config": b"\x12"}, {"ms2": 50}, {"config": 5}, {"safe": 5}, {"ms2": "1"},
+        {"on_prm": 5}, {"im": [Im1("x" * 40)]}, {"colour": 1},
         {"parameters": PrmBlock},
     ):  # fmt: skip
         yield repr(given)[:60], refused(lambda given: DpSlave(one, lambda outputs, now: b"", **given), given)[1][:200]
@@ -205,7 +206,8 @@ def _gsd_files() -> Iterator[Said]:
     modules = (SlaveModule("a", b"\x10", b"\1", (SlaveParameter("P", 2, "Unsigned16", 7),)), SlaveModule("b", b"\x21"))
     texts = (
         DiagText("area", 8, 11, 5, "hot", "wait"), DiagText("area", 8, 11, 6, "cold", ""),
-        DiagText("bit", 0, 0, 1, "x", ""), DiagText("area", 16, 17, 3, "c", ""), DiagText("not_bit", 1, 1, 0, "y", "z"),
+        DiagText("bit", 0, 0, 1, "x", ""), DiagText("area", 9, 11, 5, "other", ""),
+        DiagText("area", 16, 17, 3, "c", ""), DiagText("not_bit", 1, 1, 0, "y", "z"),
         DiagText("channel", None, None, 16, "stuck", ""), DiagText("channel", None, None, 31, "gone", "look"),
     )  # fmt: skip
     changes: tuple[dict[str, Any], ...] = (
@@ -280,4 +282,6 @@ GROUPS: dict[str, Group] = {
     "gsd_files": _gsd_files,
     "ms1_outcomes": said_buses.ms1_outcomes,
     "ms2_outcomes": said_buses.ms2_outcomes,
+    "alarms": said_buses.alarms,
+    "services_cut_short": said_buses.services_cut_short,
 }
