@@ -135,7 +135,7 @@ def _run(
     most = _MOST if seconds is None else max(1, int(seconds))
     job = work.parent / f".{work.name}.json"
     limits = {"executions": executions, "seconds": most, "seed": seed}
-    job.write_text(json.dumps({**limits, "work": str(work), "covers": target.covers}))
+    job.write_text(json.dumps({**limits, "work": str(work), "covers": target.covers, "compares": target.compares}))
     command = [sys.executable, "-m", "tools.fuzz", name, "--child", str(job)]
     environment = dict(os.environ, PYTHONHASHSEED="0")
     report = Report(0, 0.0)
@@ -200,7 +200,7 @@ def _with_atheris(name: str, finds: Finds, job: dict[str, Any]) -> None:
 
         def get_code(self, fullname: str) -> CodeType | None:
             code = super().get_code(fullname)
-            return None if code is None else cast(CodeType, atheris.patch_code(code, True))
+            return None if code is None else cast(CodeType, atheris.patch_code(code, job["compares"]))
 
     class Finder(MetaPathFinder):
         """Finds the modules that the target covers."""

@@ -13,6 +13,7 @@ import importlib
 import random
 import time
 import traceback
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,6 +41,7 @@ class Target:
     ``executions``: at least so many are due for a figure. ``max_len``: most octets of an input. ``repair``: gives a
     mutated input the right FCS, LE and the like, so that it gets deeper; two of ten mutations are left as they are.
     ``words``: octets that mutations insert. ``slow_s``: seconds of the processor, of which no input may take more.
+    ``compares``: atheris also follows comparisons, which finds constants of a format but takes up to a third more time.
     """
 
     run: Callable[[bytes], object]
@@ -50,6 +52,7 @@ class Target:
     repair: Callable[[bytes], bytes] | None = None
     words: tuple[bytes, ...] = ()
     slow_s: float = SLOW_S
+    compares: bool = True
 
     def once(self, octets: bytes) -> None:
         """Judge one input. Raises what the product must not raise, and :class:`TooSlowError`."""
@@ -217,6 +220,11 @@ def parsed(parse: Callable[[bytes], T], octets: bytes, *allowed: type[Exception]
     except allowed as error:
         assert_plain(str(error))
         return None
+
+
+def one_in(many: int, octets: bytes) -> bool:
+    """Whether the input belongs to the share of one in ``many`` that gets a check that takes long."""
+    return zlib.crc32(octets) % many == 0
 
 
 class Cutter:

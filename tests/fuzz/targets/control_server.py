@@ -164,4 +164,4 @@ def run(octets: bytes) -> None:
         loop.play(Run(octets, loop).main())
 
 
-TARGET = Target(run=run, covers=("dpstack.api.control.server",), executions=100_000, max_len=200)
+TARGET = Target(run=run, covers=("dpstack.api.control.server",), executions=100_000, compares=False, max_len=200)

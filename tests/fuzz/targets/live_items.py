@@ -2,9 +2,9 @@
 
 The input bends the items of a plant (other types, keys that are missing, doubled or foreign) and their order. Judged:
 an item is taken or refused by ValueError, and a refused one changes nothing; every page of the screen can be drawn in
-any width, printable; no slave is shown as alive without data exchange and valid inputs, nothing is shown as fresh
-after the end or a silence; a late reader gets to the same state; queues have limits; and right items afterwards are
-shown as ever.
+any width, printable (behind some items, as the input says, at the end, and after right items); no slave is shown as
+alive without data exchange and valid inputs, nothing is shown as fresh after the end or a silence; a late reader gets
+to the same state; queues have limits; and right items afterwards are shown as ever.
 """
 
 from __future__ import annotations
@@ -49,6 +49,10 @@ _BUS: dict[str, Any] = {
 }  # fmt: skip
 
 
+#: the screen is drawn behind an item whose first octet has these bits: one in four, as drawing takes most of the time
+_DRAWN = 0x0C
+
+
 @functools.cache
 def right_items() -> tuple[Any, ...]:
     """A plant, snapshots and events, as a run sends them."""
@@ -84,20 +88,24 @@ def picture(state: LiveState) -> str:
     )
 
 
+def judge_alive(view: View) -> None:
+    """No slave is shown as alive without data exchange and valid inputs."""
+    for address in view.addresses():
+        if view.alive(address):
+            values = view.state.slaves.get(address, {})
+            assert values.get("state") == "data_exchange"
+            assert values.get("inputs_valid")
+            assert view.fresh
+        else:
+            assert view.mark(address)[0] != "*"
+
+
 def draw(view: View, width: int) -> None:
     """All pages of the screen."""
     lines: list[Line] = [*overview.head(view, width), overview.slaves_head(width)]
     for address in view.addresses()[:8]:
         lines.append(overview.slave_line(view, address, width))
         lines += one_slave.page(view, address, width)
-        style = view.mark(address)[0]
-        values = view.state.slaves.get(address, {})
-        if view.alive(address):
-            assert values.get("state") == "data_exchange"
-            assert values.get("inputs_valid")
-            assert view.fresh
-        else:
-            assert style != "*"
     view.addresses("data 3", conspicuous=True)
     lines += [overview.event_line(event) for event in view.events_of()[-5:]]
     lines += [overview.event_line(event) for event in view.events_of("3")[-5:]]
@@ -113,7 +121,9 @@ def run(octets: bytes) -> None:
     view, fan_out, late, pending = View(), FanOut(), LiveState(), Pending()
     reader = fan_out.join()
     now, width = 1.0, 20 + script.octet() % 140
-    order = list(items) if script.octet() & 1 else []
+    how = script.octet()
+    order = list(items) if how & 1 else []
+    before = picture(view.state)
     while script.at < len(octets) or order:
         head = script.octet()
         right = order.pop(0) if order else items[head % len(items)]
@@ -122,7 +132,6 @@ def run(octets: bytes) -> None:
         if not isinstance(item, dict):
             continue
         item = json.loads(text_of(item))
-        before = picture(view.state)
         try:
             view.apply(item, now)
             taken = True
@@ -130,6 +139,8 @@ def run(octets: bytes) -> None:
             taken = False
             assert_plain(str(error))
             assert picture(view.state) == before
+        else:
+            before = picture(view.state)
         try:
             fan_out.put(item)
             assert taken
@@ -142,20 +153,25 @@ def run(octets: bytes) -> None:
                 for part in portions(found):
                     late.apply(part)
             fan_out.hand_out()
-        draw(view, width)
+        judge_alive(view)
+        if head & _DRAWN == _DRAWN:
+            draw(view, width)
         assert len(view.state.events) <= DEPTH
     while (found := pending.take()) is not None:
         late.apply(found)
     if view.state.plant is not None:
-        assert picture(late) == picture(view.state)
+        assert picture(late) == before
     fan_out.hand_out()
     for item in view.state.whole():
         LiveState().apply(item)
     if reader._portion is not None:
         assert all(isinstance(text, str) for text in reader._portion.texts)
+    if how & 2:
+        draw(view, width)
     view.now = now + SILENT_S + 1
     assert not any(view.alive(address) for address in view.state.slaves)
-    draw(view, width)
+    if not how & 2:
+        draw(view, width)
     for item in items[:2]:
         view.apply(item, now + 10)
     view.process_silent = False
@@ -165,7 +181,14 @@ def run(octets: bytes) -> None:
 
 TARGET = Target(
     run=run,
-    covers=("dpstack.live", "dpstack.screen", "dpstack.web.fan_out"),
+    covers=(
+        "dpstack.live",
+        "dpstack.screen.view",
+        "dpstack.screen.overview",
+        "dpstack.screen.one_slave",
+        "dpstack.web.fan_out",
+    ),
     executions=100_000,
+    compares=False,
     max_len=200,
 )

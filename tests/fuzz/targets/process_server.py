@@ -29,7 +29,7 @@ from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import PortLatency
 from dpstack.drivers.process import messages, server
 from dpstack.drivers.process.server import Host
-from dpstack.drivers.process.shared_image import SharedImage, Word, make_memory
+from dpstack.drivers.process.shared_image import SharedImage, Word
 from dpstack.drivers.stack import StackSpec
 from dpstack.machine import Machine
 from dpstack.params import BusParams
@@ -38,7 +38,7 @@ from dpstack.units import NEVER
 from tests.fuzz.bent_json import bent, sample, text_of
 from tests.fuzz.frame import Cutter, Target, assert_plain
 from tests.fuzz.octet_line import CorrectSlave, Line
-from tests.fuzz.targets.process_client import keyed
+from tests.fuzz.targets.process_client import keyed, make_memory
 
 MS = 1_000_000
 BAUD = 500_000
@@ -208,11 +208,14 @@ class Run:
         self.answers: list[messages.Answer] = []
         self.number = 0
         self.gone = False
+        #: the bus process may have something to read
+        self.waiting = False
 
     def put(self, octets: bytes) -> None:
         if not self.gone:
             with contextlib.suppress(OSError):
                 self.theirs.send(octets)
+                self.waiting = True
 
     def ask(self, name: str, **fields: Any) -> None:
         """Give a right order."""
@@ -241,12 +244,16 @@ class Run:
             case 10:
                 self.image.words[script.octet() % len(Word)] = int.from_bytes(script.take(head & 7), "little")
             case 11 if head & 8:
-                self.theirs.close()
-                self.gone = True
+                self.hang_up()
             case 12:
                 self.run(script.octet() * MS // 4)
             case _:
                 self.ask("SetMode", mode=192)
+
+    def hang_up(self) -> None:
+        """The application is gone."""
+        self.theirs.close()
+        self.gone = self.waiting = True
 
     def write_outputs(self, head: int) -> None:
         area, script = self.image.outputs, self.script
@@ -269,15 +276,17 @@ class Run:
         loop, runtime = self.loop, self.runtime
         end = loop.now + ns
         while not loop.stopped and loop.now < end:
-            if (reader := loop.readers.get(self.ours.fileno())) is not None and self.readable():
-                reader()
+            if self.waiting and (reader := loop.readers.get(self.ours.fileno())) is not None:
+                self.waiting = self.readable()
+                if self.waiting:
+                    reader()
             loop.turn()
             if not self.runtime.is_open and not loop.timers:
-                return
+                break
             due = min(loop.timers[0][0] if loop.timers else NEVER, runtime.line.due if runtime.is_open else NEVER, end)
             runtime.run_until(max(loop.now, min(due, end)))
             loop.now = max(loop.now, min(due, end))
-            self.read()
+        self.read()
 
     def readable(self) -> bool:
         try:
@@ -292,7 +301,7 @@ class Run:
         """The application reads the news."""
         if self.gone:
             return
-        with contextlib.suppress(BlockingIOError):
+        with contextlib.suppress(BlockingIOError, ConnectionResetError):
             for news in self.news.feed(self.theirs.recv(1 << 16)):
                 for event in news.events:
                     assert_plain(messages.event_of(event).text)
@@ -315,16 +324,18 @@ class Run:
         host = self.begin()
         if self.script.octet() & 1:
             self.ask("GoOnline")
-            self.run(130 * MS)
-            handlers = host._master.handlers
-            assert all(handler.state is SlaveState.DATA_EXCHANGE for handler in handlers.values())
+            handlers = host._master.handlers.values()
+            for _ in range(13):
+                self.run(10 * MS)
+                if all(handler.state is SlaveState.DATA_EXCHANGE for handler in handlers):
+                    break
+            assert all(handler.state is SlaveState.DATA_EXCHANGE for handler in handlers)
         while self.script.at < len(self.script.octets) and not self.loop.stopped:
             self.step()
             self.run(5 * MS)
         assert len(host._questions) <= 32 + 70_000 // 20
         if not self.gone:
-            self.theirs.close()
-            self.gone = True
+            self.hang_up()
         self.run(120_000 * MS)
         assert self.loop.stopped
         assert not self.runtime.is_open
@@ -365,7 +376,8 @@ def run(octets: bytes) -> None:
 
 TARGET = Target(
     run=run,
-    covers=("dpstack.drivers.process", "dpstack.drivers.stack", "dpstack.drivers.line.shutdown", "dpstack.dp.master"),
+    covers=("dpstack.drivers.process", "dpstack.drivers.stack", "dpstack.drivers.line.shutdown"),
     executions=100_000,
+    compares=False,
     max_len=300,
 )

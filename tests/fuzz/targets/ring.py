@@ -116,7 +116,7 @@ class Run:
             case 11:
                 line.say(bytes((0xDC, who, who)), at, bits)
             case 12:
-                line.run(script.octet() * MS // 4)
+                line.run(script.octet() * MS // 16)
             case 13:
                 for _ in range(3):
                     at = line.say(bytes((0xDC, OTHERS[1 - (head & 1)], who)), at, 40)
@@ -164,4 +164,4 @@ def run(octets: bytes) -> None:
     Run(octets).run()
 
 
-TARGET = Target(run=run, covers=("dpstack.fdl", "dpstack.phy"), executions=100_000, max_len=200)
+TARGET = Target(run=run, covers=("dpstack.fdl.active",), executions=100_000, compares=False, max_len=200)

@@ -341,7 +341,8 @@ class Run:
         assert self.refusals <= 153
         self.line.run(100 * MS)
         self.put(sd1(127, 2, 0x49))
-        self.line.run((3_600_000 if ms2_of(app).connections else 100) * MS)
+        if ms2_of(app).connections:
+            self.line.run(3_600_000 * MS)
         self.drain()
         assert ms2_of(app).connections == ()
         assert ms2_of(app).free == self.device.ms2
@@ -368,10 +369,9 @@ TARGET = Target(
         "dpstack.fdl.passive",
         "dpstack.dp.slave",
         "dpstack.dpv1.slave",
-        "dpstack.dpv1.pdu",
         "dpstack.profile",
-        "dpstack.sim",
     ),
     executions=100_000,
+    compares=False,
     max_len=300,
 )

@@ -26,6 +26,8 @@ HOST = "127.0.0.1:8765"
 SECRET = "s" * 32
 #: pauses of a second: a page that answers no ping is disconnected after 20 s and more
 _MOST_PAUSES = 15
+#: seconds until a page that hung up is forgotten
+_MOST_S = 40
 _PLANT = {"plant": {"version": 1, "started": 1_763_830_000.0, "port": "/dev/ttyUSB0", "slaves": {"3": {"name": "x"}}}}
 _RIGHT: tuple[Any, ...] = (
     {"hello": {"token": None}},
@@ -190,7 +192,7 @@ class Run:
             case 4:
                 return frame_of(script.take(script.octet() & 63), how & 15, last=bool(how & 16))
             case 5:
-                return frame_of(b"[" * (script.octet() << 6))
+                return frame_of(b"[" * (script.octet() << 4))
             case 6:
                 return script.take(script.octet() & 31)
             case _:
@@ -225,7 +227,10 @@ class Run:
             assert [one["answer"]["id"] for one in answers if "answer" in one] == [9], answers
             for one in (wire, good):
                 one.close()
-            await asyncio.sleep(40)
+            for _ in range(_MOST_S):
+                if server.pages == 0 and not server._strangers.total():
+                    break
+                await asyncio.sleep(1)
             assert server.pages == 0
             assert not server._strangers.total()
         finally:
@@ -261,4 +266,4 @@ def run(octets: bytes) -> None:
     loop.play(Run(octets, loop).main())
 
 
-TARGET = Target(run=run, covers=("dpstack.web",), executions=100_000, max_len=300)
+TARGET = Target(run=run, covers=("dpstack.web",), executions=100_000, compares=False, max_len=300)
