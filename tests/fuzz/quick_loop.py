@@ -46,7 +46,9 @@ class QuickLoop(asyncio.SelectorEventLoop):
     def play(self, work: Coroutine[Any, Any, T]) -> T:
         """Run ``work``. Raises AssertionError where an exception reached the loop's handler."""
         self.failures.clear()
+        _loops.clear()  # what a failing execution leaves behind does not disturb the next one
         result = self.run_until_complete(work)
+        _loops.append(self)
         assert not self.failures, self.failures
         return result
 

@@ -118,8 +118,9 @@ class Run:
         sent += b"\n"
         with contextlib.suppress(OSError):
             ours.sendall(b"\n")
-        await asyncio.sleep(5)
-        got += read(ours)
+        for _ in range(20):  # up to 200 orders of 0.1 s; a client that does not read for five seconds is disconnected
+            await asyncio.sleep(1)
+            got += read(ours)
         self.judge(sent, got)
         good.sendall(b'{"command":"number","args":["7"]}\n')
         await asyncio.sleep(0.1)
