@@ -52,7 +52,7 @@ _EXT = bytes.fromhex("08 0C 00 02 06 96 42 01 03 AA BB 85 41 C6 FF")
 def transcript(bus: ScriptedLink) -> str:
     """Events with their time in us, and the requests as runs of equal ones."""
     events = " | ".join(f"{event.t_ns // 1000} {type(event).__name__}: {event.text}" for event in bus.events)
-    asked = ((r.da, r.dsap, r.data.hex()) for r in bus.requests)
+    asked = ((r.da, r.dsap, f"{int(r.function):02X} {r.data.hex()}".strip()) for r in bus.requests)
     runs = ", ".join(f"{da}/{dsap} {octets}*{len(list(same))}" for (da, dsap, octets), same in groupby(asked))
     return f"{events} || {runs}"[:6000]
 

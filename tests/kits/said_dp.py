@@ -44,7 +44,17 @@ from dpstack.dp.pdu.requests import GlobalControl, SetPrm, SetSlaveAdd
 from dpstack.dp.plan.plan import make_plan
 from dpstack.dp.plan.rotation_time import OtherMasters
 from dpstack.dp.process_data import Field, FieldMap, field_of, with_scale
-from dpstack.dp.slave.state_table import ACCESS, CONNECTION
+from dpstack.dp.slave.cyclic_data import wrong_inputs
+from dpstack.dp.slave.events import (
+    AddressChanged,
+    DeviceFailed,
+    Report,
+    RequestRefused,
+    SlaveAppEvent,
+    SlaveAppStateChanged,
+    WatchdogExpired,
+)
+from dpstack.dp.slave.state_table import ACCESS, CONNECTION, AppTrigger, SlaveAppState
 from dpstack.dp.slave.state_table import TABLE as SLAVE_STATES
 from dpstack.dp.slave_params import SlaveParams, WatchdogTime
 from dpstack.fdl.interface import Failure
@@ -386,7 +396,39 @@ def _tables() -> Iterator[Said]:
         yield f"master {before.value}, {trigger.value}", repr(tuple(step))
 
 
+def _slave_events() -> Iterator[Said]:
+    slave: dict[str, Any] = {"t_ns": 1, "address": 7, "name": "pump"}
+    events: list[SlaveAppEvent] = [
+        *(
+            AddressChanged(**slave | {"address": address}, before=before, master=master, fixed=fixed, kept=kept)
+            for address, before in ((7, 126), (126, None), (None, 3))
+            for master in (None, 2)
+            for fixed, kept in ((False, True), (True, False))
+        ),
+        *(SlaveAppStateChanged(**slave, state=state, why=why, master=4) for state, why in SLAVE_STATES),
+        SlaveAppStateChanged(**slave, state=SlaveAppState.WAIT_PRM, why=AppTrigger.POWER_ON, master=None),
+        WatchdogExpired(**slave, master=3, watchdog_ns=1_999_999),
+        RequestRefused(**slave, service="Set_Prm", master=3, reason="octet 8"),
+        DeviceFailed(**slave, during="Set_Prm", error="ValueError: no", origin="f(), a.py line 3"),
+        DeviceFailed(**slave, during="Set_Prm", error="ValueError"),
+    ]
+    yield from ((f"{type(event).__name__} {number}", event.text) for number, event in enumerate(events))
+    report = Report("pump", None)
+    for number in range(60):
+        for _ in range(2):
+            report.refused("Set_Prm", 3, f"reason {number}", number)
+    report.refused("Set_Prm", 4, "reason 0", 0)
+    report.failed("Chk_Cfg", ValueError("no"), 5)
+    report.report_again()
+    report.refused("Set_Prm", 3, "reason 0", 9)
+    yield "reported", " | ".join(f"{event.t_ns} {event.text}" for event in report.take_events()[48:])
+    yield "counted", f"{report.stats} {report.baud} {report.address} {report.take_events()}"
+    for inputs in (b"\1\2", "text", None):
+        yield refused(wrong_inputs, inputs, 3)
+
+
 GROUPS: dict[str, Group] = {
+    "slave_events": _slave_events,
     "interface": lambda: interface("dpstack.dp"),
     "pdus": _pdus,
     "diag_blocks": _diag_blocks,

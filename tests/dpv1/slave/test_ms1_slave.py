@@ -71,6 +71,16 @@ def test_closed_without_dpv1_enable(prm: bytes) -> None:
     assert ask(bench, "5E 00 01 F0") == RS_REPLY
 
 
+@pytest.mark.parametrize("request_", ["5E 00", "57 00 00 00", "5E 00 01 F0"])
+def test_an_answer_that_nobody_fetched_ends_with_data_exchange(request_: str) -> None:
+    bench = bench_with(RecordTable(TABLE))
+    assert ask(bench, request_) == SC_REPLY
+    bench.prm(UNLOCK)
+    bench.prm(ENABLE)
+    bench.cfg()
+    assert ask(bench, "") == SC_REPLY
+
+
 def test_closed_without_records_and_for_others_and_outside_data_exchange() -> None:
     assert ask(bench_with(None), "5E 00 01 F0") == RS_REPLY
     bench = bench_with(RecordTable(TABLE))
