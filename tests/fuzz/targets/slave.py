@@ -3,8 +3,8 @@
 The input chooses the device and what masters 2, 9 and 1 send: a right bring-up, bent PDUs at every SAP, repetitions,
 raw octets, telegrams in pieces, other stations' telegrams, times; and what the device's own program does meanwhile.
 Judged: one answer at most, from its own address, with SAPs crosswise and T_SDR kept; outputs of the owner only, and
-safe as soon as nobody owns it; no exception in the device; printable texts; a limit of reports; after silence no
-connection is left, and after a restart a right master gets it into data exchange.
+safe as soon as nobody owns it; no exception in the device; printable texts; a limit of reports; and (one input in
+four) after silence no connection is left, and after a restart a right master gets it into data exchange.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import BusParams
 from dpstack.profile.registry import find
 from dpstack.sim.io_station.station import IoStation
-from tests.fuzz.frame import Cutter, Target, assert_plain
+from tests.fuzz.frame import Cutter, Target, assert_plain, one_in
 from tests.fuzz.octet_line import Asked, Line, sd1, sd2
 
 MS = 1_000_000
@@ -37,6 +37,8 @@ BAUD = 500_000
 PARAMS = BusParams.preset(BAUD)
 BIT_NS = 2_000
 ADDRESS = 8
+#: behind one input in so many come a silence, a restart and a right master, which takes a third of the time of an input
+_RECOVERS = 4
 INITIATE = bytes.fromhex("57 00 00 00 00 64 01 00 00 00 00 00 00 02 00 02 00 00 00 00")
 #: right requests, which the input bends
 PDUS = tuple(
@@ -333,12 +335,18 @@ class Run:
             assert_plain(event.text)
 
     def run(self) -> None:
-        app, script = self.app, self.script
+        script = self.script
         self.line.pump()
         while script.at < len(script.octets):
             self.step()
             self.drain()
         assert self.refusals <= 153
+        if one_in(_RECOVERS, script.octets):
+            self.recover()
+
+    def recover(self) -> None:
+        """Silence, a restart, and a right master."""
+        app = self.app
         self.line.run(100 * MS)
         self.put(sd1(127, 2, 0x49))
         if ms2_of(app).connections:

@@ -11,10 +11,14 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import functools
 import json
 import struct
 from typing import Any
+from unittest import mock
 
+from dpstack.web import server as module
+from dpstack.web.page_files import read_page
 from dpstack.web.rights import Rights
 from dpstack.web.server import WebServer
 from dpstack.web.source import GivenItems
@@ -261,9 +265,14 @@ class Run:
                 assert_plain(item["refused"])
 
 
+#: the page's files are read once, and not for every input
+_read_page = functools.cache(read_page)
+
+
 def run(octets: bytes) -> None:
     loop = quick_loop()
-    loop.play(Run(octets, loop).main())
+    with mock.patch.object(module, "read_page", _read_page):
+        loop.play(Run(octets, loop).main())
 
 
 TARGET = Target(run=run, covers=("dpstack.web",), executions=100_000, compares=False, max_len=300)
