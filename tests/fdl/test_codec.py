@@ -276,3 +276,20 @@ def test_request_octets_takes_the_shortest() -> None:
     assert request_octets(2, 99, 0x6D, b"", 60, 62) == bytes.fromhex("68 05 05 68 82 E3 6D 3C 3E 4C 16")
     assert request_octets(3, 2, 0x5D, b"", 0, None) == bytes.fromhex("68 04 04 68 83 02 5D 00 E2 16")
     assert SC_OCTETS == b"\xe5"
+
+
+def test_the_fc_octets_that_a_telegram_may_have() -> None:
+    """Bit 7 is set in a clock value request only: FC C0 to FF without bits 3 to 0."""
+    good = {*range(0x80), 0xC0, 0xD0, 0xE0, 0xF0}
+    for fc in range(256):
+        frames = []
+        for body in (bytes((3, 2, fc)), bytes((3, 2, fc, 7)), bytes((0x83, 0x82, fc, 60, 62))):
+            tail = bytes((sum(body) & 0xFF, 0x16))
+            size = len(body)
+            frames.append(b"\x10" + body + tail if size == 3 else bytes((0x68, size, size, 0x68)) + body + tail)
+        body = bytes((3, 2, fc)) + bytes(8)
+        frames.append(b"\xa2" + body + bytes((sum(body) & 0xFF, 0x16)))
+        for octets in frames:
+            telegram = decode(octets)
+            assert (telegram is not None) is (fc in good), octets.hex(" ")
+            assert telegram is None or telegram.fc == fc

@@ -411,3 +411,16 @@ def test_a_length_that_looks_like_a_start_octet() -> None:
     decoder = fresh()
     assert feed_all(decoder, bytewise(frame[1:])) == []
     assert decoder.stalled(STALL) == []
+
+
+@pytest.mark.parametrize("end", ["stalled", "reset"])
+def test_what_was_skipped_before_says_nothing_about_the_next_octets(end: str) -> None:
+    """A frame with LE = 0 claims nine octets; the octets skipped before it are no LE of a lost head."""
+    decoder = Decoder(stall_ns=1_000)
+    decoder.feed(b"\x44\x44\x10\x05", 0)
+    if end == "stalled":
+        assert decoder.stalled(10) == []
+    else:
+        decoder.reset()
+    assert decoder.feed(b"\x68\x00\x00" + bytes(6) + b"\xe5", 20) == [SHORT_ACK]
+    assert decoder.stats.doubtful == 0

@@ -1,6 +1,7 @@
-"""The texts of the rooms dp and dpv1 in full, one line each, kept in ``tests/snapshots`` so that a change is a diff.
+"""The texts of fdl, phy, dp and dpv1 in full, one line each, kept in ``tests/snapshots`` so that a change is a diff.
 
-``python tests/kits/said_texts.py`` writes the files anew. :mod:`said_dp` and :mod:`said_dpv1` have the cases.
+``python tests/kits/said_texts.py`` writes the files anew. :mod:`said_fdl`, :mod:`said_dp`
+and :mod:`said_dpv1` have the cases.
 """
 
 from __future__ import annotations
@@ -99,8 +100,9 @@ def kept(file: str, name: str) -> list[str]:
 def main() -> None:
     import said_dp
     import said_dpv1
+    import said_fdl
 
-    for module in (said_dp, said_dpv1):
+    for module in (said_dp, said_dpv1, said_fdl):
         (SNAPSHOTS / module.FILE).write_text("\n".join([*lines_of(module.GROUPS), ""]), encoding="utf-8")
 
 

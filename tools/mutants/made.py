@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import difflib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -34,6 +34,8 @@ class Place:
     function_line: int
     #: names that a statement outside of functions defines
     names: tuple[str, ...]
+    #: names at the level of the module through which a test sees it: it is part of their values
+    through: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +94,28 @@ class SourceFile:
         after: str = deep_replace(self._module, mutation.original_node, mutation.mutated_node).code
         position = self._positions.get(mutation.original_node)
         line = position.start.line if position else _first_difference(self.before, after)
-        return Mutant(self.path, number, self.place(line), self.before, after)
+        place = self.place(line)
+        name = place.qualname.split(".")[0] or next(iter(place.names), "")
+        return Mutant(self.path, number, replace(place, through=self.seen_through(name)), self.before, after)
+
+    def seen_through(self, name: str) -> tuple[str, ...]:
+        """The names at the level of the module whose statements name ``name``, and those that name them, and so on."""
+        found, new = {name}, {name}
+        while new:
+            new = {one for one, named in self._named_by.items() if named & new} - found
+            found |= new
+        return tuple(sorted(found))
+
+    @cached_property
+    def _named_by(self) -> dict[str, set[str]]:
+        """Name at the level of the module -> the names in its statement (of a class or a function: in all of it)."""
+        named: dict[str, set[str]] = {}
+        for statement in self._tree.body:
+            names = {node.id for node in ast.walk(statement) if isinstance(node, ast.Name)}
+            for target in [ast.Name(statement.name)] if isinstance(statement, Function) else _targets(statement):
+                if isinstance(target, ast.Name):
+                    named.setdefault(target.id, set()).update(names - {target.id})
+        return named
 
     @cached_property
     def _tree(self) -> ast.Module:

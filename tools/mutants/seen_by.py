@@ -100,7 +100,8 @@ class SeenBy:
         """The numbers of the tests that can notice ``mutant``: the room's own first, then the quickest first.
 
         A line in a function: the tests that execute it. Elsewhere: the tests that name what the statement defines, then
-        those that execute a line which names it, else those that execute anything of the file's functions.
+        those that execute a line which names it. Where nobody names it: the tests that name a value made of it, then
+        those that execute anything of the file's functions.
         """
         place, found = mutant.place, 0
         lines = self.lines.get(mutant.path, {})
@@ -116,14 +117,21 @@ class SeenBy:
                 for line, tests in others.items():
                     if line <= len(text) and name.search(text[line - 1]):
                         found |= tests
-            name_it = _bits(number for number, test in enumerate(self.tests) if name.search(_source_of(test)))
+            name_it = self._that_name(place.names)
+        if not found | name_it:
+            name_it = self._that_name(place.through)
         # texts, tables and defaults of a whole room, held by tests that name none of them
         whole = f"tests/{mutant.room}/test_{mutant.room}_texts.py::"
         name_it |= _bits(number for number, test in enumerate(self.tests) if test.startswith(whole))
-        if not found | name_it:
+        if not found:
             for tests in lines.values():
                 found |= tests
         return self._order(found | name_it, name_it, mutant.room)
+
+    def _that_name(self, names: Sequence[str]) -> int:
+        """The tests whose functions name one of ``names``."""
+        name = re.compile(rf"\b(?:{'|'.join(map(re.escape, names))})\b")
+        return _bits(number for number, test in enumerate(self.tests) if name.search(_source_of(test)))
 
     def runs_at_import(self, mutant: Mutant) -> bool:
         """Whether the mutated line is executed before the first test."""

@@ -565,3 +565,15 @@ def test_a_request_older_than_a_millisecond_is_asked_whether_it_is_still_good(la
     made_at = station._exchange.made_at
     station.take_tx(made_at + late_ns)
     assert calls == ([made_at + late_ns] if asked else [])
+
+
+def test_an_acknowledgement_before_the_first_request_counts_for_nobody() -> None:
+    bus = RingBus()
+    station = bus.master(2, gap=0)
+    bus.run_ms(50)
+    assert station.in_ring
+    for _ in range(20):
+        bus.run(100 * BIT)
+        station.telegram(SHORT_ACK, bus.now)
+    assert station.stats.stray > 0
+    assert station.stats.stations == {}

@@ -1,0 +1,156 @@
+"""Cases for the rooms fdl and phy: the state table in full, texts of events, refusals, defaults, names of services."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+from said_texts import Group, Said, interface, refused
+
+from dpstack.errors import ConfigError, UsageError
+from dpstack.fdl.active.services import SERVICES
+from dpstack.fdl.active.states import TABLE
+from dpstack.fdl.active.station import ActiveStation
+from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound, Confidence, Missing
+from dpstack.fdl.codec import encode, encode_sd1, encode_sd2, encode_token
+from dpstack.fdl.events import (
+    AddressCollision,
+    DoesNotFit,
+    MasterSeen,
+    RingJoined,
+    RingLeft,
+    StationFound,
+    TokenLost,
+    le3_notice,
+)
+from dpstack.fdl.interface import Request, Responder
+from dpstack.fdl.passive.multi_station import Multidrop
+from dpstack.fdl.passive.station import PassiveStation
+from dpstack.fdl.service_names import request_name, service
+from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Resp, StationType, Telegram, token
+from dpstack.params import BusParams
+from dpstack.phy.noise import BitNoise
+from dpstack.units import BAUD_RATES
+
+FILE = "said_fdl.jsonl"
+_PARAMS = BusParams.preset(500_000, address=2)
+_MS = 1_000_000
+
+
+def _states() -> Iterator[Said]:
+    for row in TABLE:
+        targets = ", ".join(target.name for target in row.next)
+        yield f"{row.state.name} {row.input.name}", f"{row.handler} | {targets} | {row.does} | {row.source}"
+
+
+def _services() -> Iterator[Said]:
+    for function, known in SERVICES.items():
+        yield function.name, repr(known)
+    saps = (None, 0, 16, 48, *range(49, 64))
+    for function in Req:
+        for dsap, ssap in ((None, None), (60, 62)):
+            fc = 0xC0 if function is Req.CLOCK_VALUE else 0x40 | function
+            yield f"{function.name} {dsap}", request_name(Request(3, function, dsap=dsap, ssap=ssap))
+            yield f"{function.name} {dsap}, telegram", service(Telegram(Kind.SD2, 3, 2, fc, dsap, ssap))
+    for dsap, ssap in product(saps, (None, 50, 54, 62)):
+        yield f"{dsap} to {ssap}", request_name(Request(3, Req.SRD_HIGH, dsap=dsap, ssap=ssap))
+        yield f"answer of {dsap} to {ssap}", service(Telegram(Kind.SD2, 2, 3, Resp.DL, ssap, dsap, b"x"))
+    for telegram in (SHORT_ACK, token(2, 3), Telegram(Kind.SD1, 2, 3, 0), Telegram(Kind.SD2, 2, 3, 8, None, None, b"")):
+        yield repr(telegram), service(telegram)
+    for kind in StationType:
+        yield kind.name, kind.text
+
+
+def _events() -> Iterator[Said]:
+    for claimed, masters in product((False, True), ((2,), (2, 5), (1, 2, 9))):
+        event = RingJoined(t_ns=0, address=2, claimed=claimed, masters=masters)
+        yield repr(event), str(event)
+    for present, before in product((False, True), repeat=2):
+        event_ = MasterSeen(t_ns=0, address=7, present=present, before=before)
+        yield repr(event_), str(event_)
+    others = [
+        MasterSeen(t_ns=0, address=7, present=True),
+        RingLeft(t_ns=0, address=2, reason="ordered"),
+        AddressCollision(t_ns=0, address=2),
+        TokenLost(t_ns=0, address=2),
+        *(StationFound(t_ns=0, address=4, kind=kind) for kind in (None, *StationType)),
+        le3_notice("fdl", 4, 77),
+        *(DoesNotFit(t_ns=0, service="Get_Cfg", address=4, takes_ns=7 * _MS, slack_ns=ns) for ns in (0, 1, 2 * _MS)),
+        *(
+            BaudFound(t_ns=0, baud=baud, listened_ns=_MS, confidence=confidence, telegrams=2, tried=3)
+            for baud, confidence in product((9_600, 1_500_000), Confidence)
+        ),
+        *(
+            BaudNotFound(t_ns=0, why=why, listened_ns=2_340 * _MS, octets=17, slowest=93_750, complete=complete)
+            for why, complete in product(Missing, (False, True))
+        ),
+    ]
+    for other in others:
+        yield repr(other), str(other)
+
+
+class _Silent(Responder):
+    def serve(self, request: Telegram, now: int) -> None:
+        """No answer."""
+
+
+def _refusals() -> Iterator[Said]:
+    for da, sa, fc in product((-1, 0, 127, 128), (-1, 0, 126, 127), (-1, 0, 255, 256)):
+        yield refused(encode_sd1, da, sa, fc)
+    for da, sa, fc in ((128, 0, 0), (0, 127, 0), (0, 0, 256), (-1, 0, 0), (0, -1, 0), (0, 0, -1), (127, 126, 255)):
+        yield refused(encode_sd2, da, sa, fc, b"x")
+    for size, dsap, ssap in ((0, None, None), (246, None, None), (247, None, None), (244, 1, 2), (245, 1, 2)):
+        yield refused(encode_sd2, 3, 2, 0x4D, bytes(size), dsap, ssap)
+    for dsap, ssap in ((-1, None), (64, None), (None, -1), (None, 64), (0, 63)):
+        yield refused(encode_sd2, 3, 2, 0x4D, b"x", dsap, ssap)
+    for da, sa in product((-1, 0, 126, 127), repeat=2):
+        yield refused(encode_token, da, sa)
+    base = Telegram(Kind.SD1, 3, 2, 0x49)
+    for change in ({"data": b"x"}, {"dsap": 0}, {"ssap": 0}, {"dseg": 0}, {"sseg": 0}, {}, {"kind": Kind.SD3}):
+        yield refused(encode, base._replace(**change))
+    for dseg, sseg in product((None, -1, 0, 63, 64), repeat=2):
+        yield refused(encode, Telegram(Kind.SD2, 3, 2, 0x4D, 5, None, b"x", dseg, sseg))
+    yield refused(encode, token(3, 2))
+    yield refused(encode, SHORT_ACK)
+    for rates in ((), (9_600,), (9_601,), tuple(BAUD_RATES)):
+        yield f"rates {rates}", _said_by(rates)
+    for address in (-1, 0, 126, 127):
+        yield (
+            refused(PassiveStation, address, None, _PARAMS)
+            if not 0 <= address <= 126
+            else (
+                f"PassiveStation {address}",
+                repr(PassiveStation(address, _Silent(), _PARAMS)),
+            )
+        )
+    for t_sdr in (-1, 0, 10):
+        yield f"t_sdr {t_sdr}", refused(PassiveStation, 3, None, _PARAMS, t_sdr=t_sdr)[1]
+    stations = [PassiveStation(address, _Silent(), _PARAMS) for address in (3, 5)]
+    line = Multidrop(stations, _PARAMS)
+    for call in (line.remove, line.silence, line.resume, line.silent_until):
+        yield refused(call, 4)
+    for other in (PassiveStation(5, _Silent(), _PARAMS), PassiveStation(6, _Silent(), BusParams.preset(9_600))):
+        yield f"add {other!r}", refused(line.add, other)[1]
+    for station in (stations[0], line, ActiveStation(_PARAMS, []), AutoBaud(0)):
+        yield f"{type(station).__name__} order", refused(station.command, "an order", 0)[1]
+        yield f"{type(station).__name__} hears all", repr(getattr(station, "hears_all", None))
+    yield "AutoBaud address", repr(AutoBaud(0).address)
+    for rate in (-1e-9, 1.0):
+        yield f"noise {rate}", refused(BitNoise, rate, None)[1]
+
+
+def _said_by(rates: tuple[int, ...]) -> str:
+    try:
+        return str(AutoBaud(0, rates=rates).baud)
+    except (ConfigError, UsageError) as error:
+        return f"{type(error).__name__}: {error}"
+
+
+GROUPS: dict[str, Group] = {
+    "interface_fdl": lambda: interface("dpstack.fdl"),
+    "interface_phy": lambda: interface("dpstack.phy"),
+    "states": _states,
+    "services": _services,
+    "events": _events,
+    "refusals": _refusals,
+}

@@ -1,0 +1,12 @@
+"""The texts and defaults of the room phy in full, one line each in a snapshot."""
+
+from __future__ import annotations
+
+import pytest
+import said_fdl
+from said_texts import kept, lines_of
+
+
+@pytest.mark.parametrize("name", ["interface_phy", "refusals"])
+def test_texts(name: str) -> None:
+    assert lines_of({name: said_fdl.GROUPS[name]}) == kept(said_fdl.FILE, name)
