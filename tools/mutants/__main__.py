@@ -34,7 +34,7 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -105,7 +105,7 @@ def main() -> None:
         }
         seen = seen_by.load(further, options, anew=given.measure)
         again = (file.mutant(number) for file, number in _places(left))
-        _try_all(again, {}, out, [*options, *further], seen, given.seconds, also=given.also)
+        _try_all(again, {}, out, [*options, *further], seen, given.seconds, also=given.also, before=left)
     report(_read(out))
 
 
@@ -159,6 +159,7 @@ def _try_all(
     seen: seen_by.SeenBy,
     seconds: float,
     also: str = "",
+    before: Mapping[tuple[str, int], dict[str, Any]] = {},
 ) -> None:
     warm, known = trial.start_warm(arguments)
     explained = _explained()
@@ -214,6 +215,8 @@ def _try_all(
             outcome = outcome_of(mutant)
             diff = mutant.diff()
             result = outcome.result
+            if result == "no tests" and (mutant.path, mutant.number) in before:
+                result = before[mutant.path, mutant.number]["result"]  # the further tests do not execute it
             if result in ("survived", "no tests") and (mutant.function, tuple(diff)) in explained:
                 result = "explained"
             row = {
