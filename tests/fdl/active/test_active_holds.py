@@ -255,6 +255,19 @@ def test_a_poll_of_a_known_station_counts_as_a_failed_attempt() -> None:
     assert station._peers.due[3][0].function is Req.FDL_STATUS
 
 
+@pytest.mark.parametrize(("slack_ns", "cycles", "late"), [(0, True, False), (MS, True, True), (MS, False, False)])
+def test_a_silent_gap_address_may_answer_late_where_a_cycle_cuts_its_time_short(
+    slack_ns: int, cycles: bool, late: bool
+) -> None:
+    bus, station = gap_bus(None, mode="chunk", gap=1, t_tr=300)
+    station.set_patience(Patience(unknown_ns=slack_ns, known_ns=slack_ns), bus.now)
+    if cycles:
+        station._hold.window.begin(10**12)
+    bus.run_ms(40)
+    assert station.stats.gap_polls > 3
+    assert bool(station._peers.due) is late
+
+
 # --- passing the token on --------------------------------------------------------------------------------------------
 def test_three_attempts_then_the_next_station_is_dropped() -> None:
     bus = ring_of(2, 5, 9, hsa=12)
