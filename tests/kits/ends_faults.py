@@ -6,7 +6,6 @@ As a program: ``python ends_faults.py PATH DRIVER WAY``, as ``ends_programs``; i
 from __future__ import annotations
 
 import asyncio
-import concurrent.futures.thread  # noqa: F401 -- with no handles left it could not be imported
 import os
 import resource
 import signal
@@ -43,13 +42,6 @@ def no_handles_left() -> None:
 
 class Faults(Ways):
     """More ways; those that are no end print "goes on" while the bus runs, and end the block then."""
-
-    async def goes_on(self, bus: dpstack.Bus) -> None:
-        """The bus exchanges data after this moment, and is told to end by the recorder's test."""
-        before = bus.stats.rotations
-        await bus.rotated(before + 20, LONG_S)
-        print("goes on", flush=True)
-        await asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
 
     def waits(self) -> None:
         """Something happens to it from outside."""

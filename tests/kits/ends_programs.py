@@ -1,6 +1,6 @@
 """Applications that end a bus in every way there is.
 
-As a program: ``python ends_programs.py PATH DRIVER WAY``. Each brings slaves 4 (with a watchdog) and 5 (without) on
+As a program: ``python ends_faults.py PATH DRIVER WAY``. Each brings slaves 4 (with a watchdog) and 5 (without) on
 PATH up, sends them 11 22 and 77, says "live", and then ends as WAY says, which is the name of a method of
 :class:`Ways`. Each event that is a warning or an error is a line "event: CLASS: TEXT".
 """
@@ -74,6 +74,12 @@ class Ways:
                 await then(bus)
 
         asyncio.run(main())
+
+    async def goes_on(self, bus: dpstack.Bus) -> None:
+        """The bus exchanges data after this moment, until the test ends this program."""
+        await bus.rotated(bus.stats.rotations + 20, LONG_S)
+        print("goes on", flush=True)
+        await asyncio.sleep(LONG_S)
 
     async def opened(self) -> dpstack.Bus:
         bus = self.bus_left = self.bus()
@@ -185,18 +191,6 @@ class Ways:
         live.wait(LONG_S)
 
     # --- without any end by the application ---
-    def killed(self) -> None:
-        async def kills(_: dpstack.Bus) -> None:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-        self.run(kills)
-
-    def sigterm_without_handler(self) -> None:
-        async def told_to_end(_: dpstack.Bus) -> None:
-            os.kill(os.getpid(), signal.SIGTERM)
-
-        self.run(told_to_end)
-
     def os_exit(self) -> None:
         async def exits(_: dpstack.Bus) -> None:
             os._exit(3)
@@ -216,13 +210,6 @@ class Ways:
             await asyncio.to_thread(time.sleep, 0.01)  # a thread still wakes the loop up
             await outputs(bus, b"\x33\x44")
             await outputs(bus, LIVE)
-            print("goes on", flush=True)
+            await self.goes_on(bus)
 
         self.run(forks)
-
-
-WAYS = [name for name, value in vars(Ways).items() if callable(value) and name not in ("__init__", "bus", "run")]
-WAYS = [name for name in WAYS if name not in ("live", "opened", "on_event")]
-
-if __name__ == "__main__":
-    getattr(Ways(sys.argv[1], sys.argv[2]), sys.argv[3])()
