@@ -206,9 +206,12 @@ class Program:
         self.process.wait()
         for thread in self.readers:
             thread.join(5)
-        for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
-            if pipe is not None:
-                with contextlib.suppress(OSError):
+        if self.process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self.process.stdin.close()
+        if not any(thread.is_alive() for thread in self.readers):  # a read that goes on holds the pipe
+            for pipe in (self.process.stdout, self.process.stderr):
+                if pipe is not None:
                     pipe.close()
         if self.terminal >= 0:
             os.close(self.terminal)
