@@ -19,7 +19,7 @@ from dpstack.fdl.telegram import FC_REQUEST, SAP_GLOBAL_CONTROL, SSAP_MS0, Kind,
 from dpstack.params import BROADCAST
 from dpstack.ports import Port
 from dpstack.trace import Event
-from dpstack.units import NS_PER_S
+from dpstack.units import NS_PER_MS, NS_PER_S
 
 #: Number of listening periods on a line with octets of others.
 _LISTENS: Final = 3
@@ -90,11 +90,13 @@ def _nobody_else_sends(port: Port, station: ActiveStation) -> bool:
     assert port.fd is not None
     decoder = Decoder(stall_ns=NS_PER_S)
     patience_ns = station.params.ns(station.params.t_to)
+    line = select.poll()
+    line.register(port.fd, select.POLLIN)
     for _ in range(_LISTENS):
         end = monotonic_ns() + patience_ns
         octets = b""
         while (left := end - monotonic_ns()) > 0 and not octets:
-            select.select([port.fd], [], [], left / NS_PER_S)
+            line.poll(left / NS_PER_MS)  # up to the next millisecond
             octets = port.read_now()
         if not octets:
             return True

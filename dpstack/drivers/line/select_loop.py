@@ -28,7 +28,7 @@ from typing import Final
 from dpstack.drivers.realtime.cpu_budget import Budget
 from dpstack.errors import UsageError
 from dpstack.text import traceback_text
-from dpstack.units import NEVER, NS_PER_S, NS_PER_US
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US
 
 #: The loop wakes up this much before a deadline: first value, minimum, maximum.
 _LEAD_NS: Final = 40 * NS_PER_US
@@ -38,7 +38,7 @@ _MOST_LEAD_NS: Final = 90 * NS_PER_US
 _LEAD_STEP_NS: Final = NS_PER_US // 2
 _LEAD_STEPS_UP: Final = 9
 
-#: select's own limit (FD_SETSIZE)
+#: select's own limit (FD_SETSIZE); beyond it the loop sleeps in poll(), whose grain is 1 ms
 _MOST_FDS: Final = 1024
 
 #: Called with a sentence and the exception of a callback.
@@ -98,6 +98,7 @@ class SelectLoop:
         self._write_fds: list[int] = []
         self._quiet_fd: int | None = None
         self._sleep_until = 0
+        self._has_high_fd = False
         self._poll = select.poll()
         self._soon: deque[_Soon] = deque()
         self._alarms: list[Alarm] = []
@@ -287,6 +288,11 @@ class SelectLoop:
         if now < self._sleep_until < target:
             target = self._sleep_until
             read_fds = [fd for fd in read_fds if fd != self._quiet_fd]
+        if self._has_high_fd:
+            ready = self._poll.poll(None if target == NEVER else max(0, target - now) // NS_PER_MS)
+            woke = monotonic_ns()
+            budget.slept(woke - now, woke)
+            return ready
         timeout = None if target == NEVER else max(0, target - now) / NS_PER_S
         try:
             readable, writable, _ = select.select(read_fds, self._write_fds, (), timeout)
@@ -302,10 +308,9 @@ class SelectLoop:
 
     # --- book-keeping ---
     def _register(self, fd: int) -> None:
-        if fd >= _MOST_FDS:
-            raise UsageError(f"descriptor {fd}: this loop waits for numbers below {_MOST_FDS}; close some files")
         self._read_fds = list(self._readers)
         self._write_fds = list(self._writers)
+        self._has_high_fd = max(*self._read_fds, *self._write_fds, 0, 0) >= _MOST_FDS
         events = (select.POLLIN if fd in self._readers else 0) | (select.POLLOUT if fd in self._writers else 0)
         if events:
             self._poll.register(fd, events)

@@ -59,7 +59,8 @@ def main(arguments: list[str]) -> int:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
         return 1
-    sock = socket.socket(fileno=sock_fd)
+    sock = socket.socket(fileno=os.dup(sock_fd))  # a low number, whatever the application has open
+    os.close(sock_fd)
     image = SharedImage(memory_fd)
     os.close(memory_fd)
     try:

@@ -139,7 +139,10 @@ class ProcessRuntime:
         except OSError as error:
             raise channel.not_started(error) from None
         try:
-            self._image = SharedImage(memory)
+            try:
+                self._image = SharedImage(memory)
+            except OSError as error:  # it takes one more descriptor
+                raise channel.not_started(error) from None
             self._image.words[Word.ROUNDS_WATCHED] = self._on_round is not None
             self._image.words[Word.TAPPED] = self._tap is not None
             self._publish()

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import os
+import resource
 import signal
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import ends_plugin
 import pytest
 from ends_kit import after_live, heard, is_in_order
 from ends_programs import Ways
 from far_ends import until
-from process_kit import LAMPS_SPEC, SPEC, eventually, octet_slaves
+from process_kit import DRIVERS, LAMPS_SPEC, SPEC, Driver, eventually, octet_slaves
 
 import dpstack
 from dpstack.dp.master import plugin_host
@@ -122,6 +124,30 @@ def test_no_memory_for_the_end_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> N
         assert "bus: MemoryError at the end, which was made without the event loop" in live.told
 
 
+@contextlib.contextmanager
+def many_files_open() -> Iterator[None]:
+    """The lowest free descriptor is beyond what select() can wait for."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 2048)), hard))
+    files = [os.open(os.devnull, os.O_RDONLY)]
+    try:
+        while files[-1] < 1030:
+            files.append(os.dup(files[0]))
+        yield
+    finally:
+        for fd in files:
+            os.close(fd)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_the_finaliser_of_a_program_with_a_thousand_open_files(driver: Driver) -> None:
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there), heard(there) as words, many_files_open():
+        Ways(path, driver).the_loop_is_closed()
+        eventually(lambda: words[-1] == "clear", "Clear")
+        assert is_in_order(words, live=LIVE, safe=SAFE)
+
+
 def test_the_finaliser_needs_no_handles(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     with octet_slaves(SPEC, LAMPS_SPEC) as (path, there), heard(there) as words:
         live = Live(path)
@@ -179,11 +205,12 @@ def test_all_of_the_shared_memory_exists() -> None:
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.EFBIG, errno.ENOMEM])
-async def test_a_bus_process_for_which_nothing_is_left(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse() -> int:
+@pytest.mark.parametrize("step", ["make_memory", "SharedImage"])
+async def test_a_bus_process_for_which_nothing_is_left(step: str, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: int) -> int:
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(client, "make_memory", refuse)
+    monkeypatch.setattr(client, step, refuse)
     with octet_slaves(SPEC, LAMPS_SPEC) as (path, _), pytest.raises(dpstack.BusError) as raised:
         await Ways(path, "process").bus().open()
     assert str(raised.value) == (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import signal
 import socket
@@ -370,9 +371,34 @@ def test_misuse_raises_at_once(loop: SelectLoop) -> None:
     loop.call_soon(nested)
     run(loop)
     assert raised == ["the loop is running already", "the loop is running: stop it first"]
-    with pytest.raises(UsageError, match="below 1024; close some files"):
-        loop.add_reader(2000, lambda: None)
     loop.close()
     assert loop.is_closed()
     with pytest.raises(UsageError, match="closed"):
         loop.run()
+
+
+def test_a_descriptor_beyond_the_limit_of_select(loop: SelectLoop, pair: tuple[socket.socket, socket.socket]) -> None:
+    near, far = pair
+    high = fcntl.fcntl(near.fileno(), fcntl.F_DUPFD, 1024)
+    got: list[bytes] = []
+
+    def readable() -> None:
+        got.append(os.read(high, 10))
+        loop.stop()
+
+    try:
+        loop.add_reader(high, readable)
+        rung: list[int] = []
+        due = monotonic_ns() + 2 * NS_PER_MS + 500_000
+
+        def ring() -> None:
+            rung.append(monotonic_ns())
+            far.send(b"x")
+
+        loop.call_at(due, ring)
+        run(loop)
+        assert got == [b"x"]
+        assert rung[0] >= due
+        loop.remove_reader(high)
+    finally:
+        os.close(high)
