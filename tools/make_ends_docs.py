@@ -12,6 +12,7 @@ import json
 import re
 import subprocess
 import sys
+import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Final
@@ -31,27 +32,31 @@ _PROGRAMS: Final = {"application": "application", "run": "`dpstack run`"}
 #: the groups of the data in the order of the page, with the words before a row's own
 _GROUPS: Final = {
     "end": "",
-    "exception": "exception ",
-    "cancellation": "cancellation ",
+    "exception": "exception: ",
+    "cancellation": "cancellation: ",
     "signal": "signal ",
     "stopped": "stopped ",
     "terminal": "terminal ",
     "standard output": "standard output: ",
     "port": "port ",
     "bus process": "bus process: ",
-    "full disk": "full disk ",
-    "no handles": "no file descriptors ",
+    "full disk": "full disk: ",
+    "no handles": "no file descriptors: ",
     "no memory": "no memory: ",
 }
 _KEY: Final = re.compile(r"(?P<group>[\w ]+): (?P<text>.*); (?P<program>\w+), (?P<driver>\w+)")
 _REAL_TIME: Final = re.compile(r"SIGRT(MIN|MAX)?(\+\d+)?$")
+
+#: characters of each text that is told, on the page
+_MOST: Final = 110
 
 #: what was measured of one row
 Cells = tuple[str, ...]
 
 
 def _cells(row: Mapping[str, str]) -> Cells:
-    told = " / ".join(f"`{part}`" for part in row["told"].replace("`", "'").split(" / ")) if row["told"] else "nothing"
+    parts = row["told"].replace("`", "'").split(" / ") if row["told"] else []
+    told = " / ".join(f"`{textwrap.shorten(part, _MOST, placeholder=' ...')}`" for part in parts) or "nothing"
     return (row["last"], row["safe by"], row["without watchdog"], told, row["exit"])
 
 
@@ -61,10 +66,11 @@ def _without_own_name(cells: Cells, text: str) -> Cells:
 
 
 def _joined(names: Iterable[str]) -> str:
-    """Signals in words; all real-time signals are one."""
+    """Signals in words; all real-time signals are one. A text may have commas of its own."""
     plain = [name for name in names if not _REAL_TIME.match(name)]
     real_time = [name for name in names if _REAL_TIME.match(name)]
-    return ", ".join(plain + (["SIGRTMIN to SIGRTMAX"] if len(real_time) > 1 else real_time))
+    mark = ", " if all(name.startswith("SIG") for name in plain) else "; "
+    return mark.join(plain + (["SIGRTMIN to SIGRTMAX"] if len(real_time) > 1 else real_time))
 
 
 def rows(data: Mapping[str, Mapping[str, str]]) -> list[str]:

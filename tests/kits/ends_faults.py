@@ -136,7 +136,11 @@ class Faults(Ways):
 
     def sys_exit_in_on_event(self) -> None:
         async def then(bus: dpstack.Bus) -> None:
-            self.raises = lambda: sys.exit(3)
+            def leaves() -> None:
+                self.raises = None
+                sys.exit(3)
+
+            self.raises = leaves
             await bus.clear()
             await asyncio.sleep(LONG_S)
 

@@ -16,7 +16,7 @@ import time
 from collections.abc import Awaitable, Callable
 
 from far_ends import until
-from process_kit import LAMPS, VALVES, bus_on
+from process_kit import LAMPS, VALVES, Driver, bus_on
 
 import dpstack
 from dpstack.api.bus.events_json import Severity, severity_of
@@ -50,7 +50,8 @@ class Ways:
         self.is_live = False
 
     def bus(self) -> dpstack.Bus:
-        return bus_on(self.path, "process" if self.driver == "process" else "asyncio", *SLAVES, on_event=self.on_event)
+        driver: Driver = "process" if self.driver == "process" else "asyncio"
+        return bus_on(self.path, driver, *SLAVES, on_event=self.on_event, after_stall="safe")
 
     def on_event(self, event: Event) -> None:
         if self.is_live and severity_of(event) is not Severity.INFO:
@@ -103,8 +104,13 @@ class Ways:
     def ctrl_c_three_times(self) -> None:
         async def interrupted(_: dpstack.Bus) -> None:
             loop = asyncio.get_running_loop()
-            for at in (0.02, 0.03, 0.04):  # the end takes 0.05 s: safe values stand so long
-                loop.call_later(at, signal.raise_signal, signal.SIGINT)
+
+            def interrupt(left: int) -> None:
+                if left:  # in a later turn of the loop, however busy the computer is; the end takes 0.05 s and more
+                    loop.call_later(0.01, interrupt, left - 1)
+                signal.raise_signal(signal.SIGINT)
+
+            loop.call_later(0.01, interrupt, 2)
             await asyncio.sleep(LONG_S)
 
         self.run(interrupted)

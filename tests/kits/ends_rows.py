@@ -199,10 +199,14 @@ class Program:
         return "HANGS"
 
     def close(self) -> None:
-        with contextlib.suppress(OSError, IndexError):
-            path = Path(f"/proc/{self.pid}/task/{self.pid}/children")
-            os.kill(int(path.read_text().split()[0]), signal.SIGKILL)
+        """The program first: it has no time to say anything about the end of its bus process."""
+        children = ""
+        with contextlib.suppress(OSError):
+            children = Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text()
         self.process.kill()
+        for child in children.split():
+            with contextlib.suppress(OSError):
+                os.kill(int(child), signal.SIGKILL)
         self.process.wait()
         for thread in self.readers:
             thread.join(5)
@@ -294,7 +298,7 @@ def stop_and_go_on(program: Program, recorder: Recorder) -> None:
     os.kill(program.pid, signal.SIGSTOP)
     wait_for(lambda: recorder.record("look")["4"]["expired_ms"] is not None, "the watchdog")
     os.kill(program.pid, signal.SIGCONT)
-    wait_for(lambda: recorder.record("look")["4"]["exchanges"] > 0, "data exchange")
+    wait_for(functools.partial(exchanges, recorder), "data exchange")
 
 
 def wait_for(condition: Callable[[], bool], what: str, seconds: float = HANG_S) -> None:
@@ -365,8 +369,8 @@ WAYS: Final = {
         "a_defect": "in the protocol machine (a defect of dpstack)",
     },
     "cancellation": {
-        "cancelled_once": "one",
-        "cancelled_many_times": "1000, one every 0.1 ms",
+        "cancelled_once": "once",
+        "cancelled_many_times": "1000 times, one every 0.1 ms",
         "anyio_scope": "by a scope of anyio, a task group, a time limit",
         "ctrl_c_three_times": "by Ctrl-C, three times",
         "ctrl_c_without_asyncio_run": "by Ctrl-C, again and again, without `asyncio.run()`",
@@ -390,7 +394,6 @@ ASYNCIO_ONLY: Final = {"a_defect", "no_memory_in_the_machine"}
 QUICK: Final = {
     ("the_interpreter_ends", "asyncio"),
     ("no_handles_and_a_forked_child_ends", "asyncio"),
-    ("no_memory_in_the_block", "asyncio"),
     ("os_exit", "process"),
 }
 #: of the real-time signals, which are alike, the first and the last
@@ -428,9 +431,9 @@ def rows() -> list[Row]:
             run("no memory", "while the bus runs, and SIGTERM", act=no_memory),
         ]
         if driver == "asyncio":  # files and terminal are the application's, whatever the driver
-            nohup = {"ignored": signal.SIGHUP, "terminal": True, "may_go_on": True}
+            nohup = functools.partial(run, ignored=signal.SIGHUP, terminal=True, may_go_on=True)
             found += [
-                run("terminal", "closed, and SIGHUP is ignored (nohup)", act=close_terminal, **nohup),
+                nohup("terminal", "closed, and SIGHUP is ignored (nohup)", act=close_terminal),
                 run("full disk", "of standard output", stdout="out.jsonl", arguments=("--json",), act=full_disk),
                 run("full disk", "of recording and log", arguments=files, act=full_disk),
             ]
@@ -473,6 +476,15 @@ def exchanges(recorder: Recorder) -> bool:
 
 
 def wait_until_live(program: Program, recorder: Recorder) -> bool:
+    """Whether the slaves have live outputs, and an application to which something will happen knows it."""
+    if not slaves_are_live(program, recorder):
+        return False
+    if program.row.program == "application" and program.row.act is not None and program.process.stdout is not None:
+        wait_for(lambda: "live" in program.written["out"], "the application's own word")
+    return True
+
+
+def slaves_are_live(program: Program, recorder: Recorder) -> bool:
     end = time.monotonic() + HANG_S
     while time.monotonic() < end:
         if recorder.read(0.05) == "live":
@@ -514,12 +526,13 @@ _VARIABLE: Final = (
     (re.compile(r"/tmp/\w+/line"), "PORT"),
     (re.compile(r"/tmp/\w+/"), ""),
     (re.compile(r"pid \d+"), "pid N"),
+    (re.compile(r"vanished \([^)]*\)"), "vanished (WHY)"),
     (re.compile(r"\b\d+(\.\d+)? (ms|s|rows|rounds|telegrams)\b"), r"N \2"),
 )
 #: what Python itself says; and events of a busy computer
 _NO_STORY: Final = re.compile(
     r"^($|  |Traceback|Task |task:|future:|handle:|source_traceback|Exception |During|The above|sys:1|AttributeError)"
-    r"|^SlaveFaulted: .*(taken up again|wants parameters again)"
+    r"|^SlaveFaulted: .*(taken up again|wants parameters again)|^Notice: .*telegrams dropped"
 )
 _MOST: Final = 150
 
@@ -535,6 +548,7 @@ def told(program: Program) -> str:
 def plain(line: str) -> str:
     for pattern, word in _VARIABLE:
         line = pattern.sub(word, line)
+    line = line.rstrip(": ")  # an exception without a text
     return line if len(line) <= _MOST else line[:_MOST].rsplit(" ", 1)[0] + " ..."
 
 
