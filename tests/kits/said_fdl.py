@@ -64,10 +64,10 @@ def _services() -> Iterator[Said]:
 def _events() -> Iterator[Said]:
     for claimed, masters in product((False, True), ((2,), (2, 5), (1, 2, 9))):
         event = RingJoined(t_ns=0, address=2, claimed=claimed, masters=masters)
-        yield repr(event), str(event)
+        yield repr(event), event.text
     for present, before in product((False, True), repeat=2):
         event_ = MasterSeen(t_ns=0, address=7, present=present, before=before)
-        yield repr(event_), str(event_)
+        yield repr(event_), event_.text
     others = [
         MasterSeen(t_ns=0, address=7, present=True),
         RingLeft(t_ns=0, address=2, reason="ordered"),
@@ -86,7 +86,7 @@ def _events() -> Iterator[Said]:
         ),
     ]
     for other in others:
-        yield repr(other), str(other)
+        yield repr(other), other.text
 
 
 class _Silent(Responder):
