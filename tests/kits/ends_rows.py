@@ -151,7 +151,7 @@ class Program:
             stderr=subprocess.PIPE,
             env=environment,
             cwd=folder,
-            start_new_session=row.terminal,
+            start_new_session=True,  # nobody could continue it after SIGTSTP, wherever the test was started
             preexec_fn=functools.partial(prepare, row) if row.terminal or row.limits else None,
         )
         for fd in {stdin, stdout} - {subprocess.PIPE}:
