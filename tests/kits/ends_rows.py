@@ -398,8 +398,8 @@ QUICK: Final = {
 }
 #: of the real-time signals, which are alike, the first and the last
 SIGNALS: Final = sorted(n for n in signal.valid_signals() if not signal.SIGRTMIN < n < signal.SIGRTMAX)
-#: of a terminal, and that end a program; SIGKILL and SIGSTOP: tests/drivers/process
-TO_BUS_PROCESS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGTERM, signal.SIGUSR1)
+#: of a terminal, and that end a program; SIGSTOP: tests/drivers/process
+TO_BUS_PROCESS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGTERM, signal.SIGUSR1, signal.SIGKILL)
 #: at the start of ``dpstack run`` and of applications: no room for the memory that bus process and application share
 SMALL: Final = {resource.RLIMIT_FSIZE: 1 << 20}
 
@@ -430,13 +430,12 @@ def rows() -> list[Row]:
             run("no handles", "while the bus runs, and SIGTERM", act=no_handles),
             run("no memory", "while the bus runs, and SIGTERM", act=no_memory),
         ]
-        if driver == "asyncio":  # files and terminal are the application's, whatever the driver
-            nohup = functools.partial(run, ignored=signal.SIGHUP, terminal=True, may_go_on=True)
-            found += [
-                nohup("terminal", "closed, and SIGHUP is ignored (nohup)", act=close_terminal),
-                run("full disk", "of standard output", stdout="out.jsonl", arguments=("--json",), act=full_disk),
-                run("full disk", "of recording and log", arguments=files, act=full_disk),
-            ]
+        nohup = functools.partial(run, ignored=signal.SIGHUP, terminal=True, may_go_on=True)
+        found += [
+            nohup("terminal", "closed, and SIGHUP is ignored (nohup)", act=close_terminal),
+            run("full disk", "of standard output", stdout="out.jsonl", arguments=("--json",), act=full_disk),
+            run("full disk", "of recording and log", arguments=files, act=full_disk),
+        ]
     make = functools.partial(Row, driver="process", may_go_on=True)
     found += [make("bus process", name_of(n), act=send_to_bus_process(n)) for n in TO_BUS_PROCESS]
     return found
