@@ -283,9 +283,8 @@ class Run:
         await asyncio.sleep(0.001)
         whole = runtime._channel.is_open and not runtime._channel._frames._rest
         if not self.failures and whole and theirs is not None and theirs.fileno() >= 0:
-            right = dict(right_messages()[0]) | {
-                "silence": self.image.words[Word.SILENCES] if self.image is not None else 0
-            }
+            # not the word in the shared memory, which the bus process may have overwritten
+            right = dict(right_messages()[0]) | {"silence": runtime._silences}
             self.put(self.framed(right))
             for _ in range(20):
                 await asyncio.sleep(0)
