@@ -98,4 +98,4 @@ def stack_objects() -> Counter[str]:
     """The objects of dpstack that are alive and followed by the garbage collector, by type."""
     gc.collect()
     kinds = (type(thing) for thing in gc.get_objects())
-    return Counter(f"{k.__module__}.{k.__qualname__}" for k in kinds if k.__module__.startswith("dpstack"))
+    return Counter(f"{k.__module__}.{k.__qualname__}" for k in kinds if str(k.__module__).startswith("dpstack"))

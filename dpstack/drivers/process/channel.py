@@ -41,6 +41,7 @@ from dpstack.drivers.process.messages import (
     typed,
 )
 from dpstack.drivers.process.shared_image import SharedImage, Word
+from dpstack.drivers.runtime import stopped_by
 from dpstack.errors import BusError, DpError, OrderDropped, UsageError
 from dpstack.machine import Order
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ms_text, ns_to_s
@@ -332,7 +333,7 @@ class Channel:
     def give_up(self, error: BusError) -> None:
         """Hang up on a bus process that cannot be understood: it counts as gone at once, and ends the bus in order."""
         if self._sock is not None:
-            self._last_words = News(over=str(error), defect=True)
+            self._last_words = News(over=stopped_by(error), defect=True)
             self.disconnect()
             self._is_gone()
 
