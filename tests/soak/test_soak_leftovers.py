@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import fcntl
+import mmap
 import os
 import subprocess
 import sys
@@ -48,15 +49,15 @@ async def test_every_kind_of_leftover_is_found(tmp_path: Path) -> None:
 
 def test_memory_and_objects_of_the_stack_are_counted() -> None:
     small, objects = memory(), stack_objects()
-    kept = [bytearray(1 << 20) for _ in range(8)]
-    for block in kept:
-        block[::4096] = b"x" * len(block[::4096])
+    kept = mmap.mmap(-1, 8 << 20)  # not from memory that earlier tests have given back to the allocator
+    kept.write(b"x" * (8 << 20))
     logs = [WireLog() for _ in range(3)]
     large = memory()
     assert large.rss - small.rss > 7 << 20
     assert large.objects > small.objects
     assert (stack_objects() - objects)["dpstack.trace.WireLog"] == len(logs)
     assert rss_of(1) > 0
+    kept.close()
 
 
 def test_every_kind_of_problem_is_told() -> None:

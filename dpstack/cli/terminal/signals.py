@@ -154,8 +154,16 @@ def _alarm(seconds: float, handler: Callable[[int, FrameType | None], object] | 
 
 
 def _others() -> list[int]:
-    """The other signals that would end the program without a handler: an operator may send any of them by mistake."""
-    return [number for number in ENDING_SIGNALS if signal.getsignal(number) is signal.SIG_DFL]
+    """The other signals that would end the program without a handler: an operator may send any of them by mistake.
+
+    Also those whose handler an earlier StopSignal has left, because a copy of its signal might still come.
+    """
+    handlers = {number: signal.getsignal(number) for number in ENDING_SIGNALS}
+    return [
+        number
+        for number, handler in handlers.items()
+        if handler is signal.SIG_DFL or getattr(handler, "__func__", None) is StopSignal._caught
+    ]
 
 
 def _hangup() -> list[signal.Signals]:

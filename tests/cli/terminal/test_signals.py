@@ -104,6 +104,24 @@ def test_the_first_ends_the_work(left: list[int], number: signal.Signals, virtua
     assert signal.getsignal(number) is before
 
 
+def test_a_command_after_one_that_a_signal_ended_has_all_signals(left: list[int]) -> None:
+    """The first one keeps its handlers for a second, as the second copy of its signal may still come."""
+    first, second = Clock(), Clock()
+
+    async def program() -> None:
+        with StopSignal(first):
+            await caught(signal.SIGTERM)
+        first.now += 2
+        with StopSignal(second) as stop:
+            await caught(signal.SIGUSR1)
+            assert stop.received
+            second.now += 2
+        assert left == []
+
+    with old_handlers():
+        asyncio.run(program())
+
+
 def test_first_same_second_and_third(left: list[int], hurried: list[str]) -> None:
     clock = Clock()
 
