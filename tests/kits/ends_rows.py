@@ -448,7 +448,7 @@ NO_CACHE: Final = {"PYTHONPYCACHEPREFIX": "/dev/full/cache"}
 
 
 def measure(row: Row) -> dict[str, str]:
-    """What the slaves were sent, by what they became safe, what was told, and the exit code."""
+    """The last octets to the slaves, the cause of their safe state, the texts that were printed, and the exit code."""
     with tempfile.TemporaryDirectory() as name:
         recorder = Recorder(Path(name))
         program = Program(row, recorder.link, Path(name))

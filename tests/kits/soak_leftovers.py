@@ -58,7 +58,7 @@ def children_of(pid: int) -> list[int]:
 
 
 class Belongings(NamedTuple):
-    """What a process has that an ended bus must have given back."""
+    """The belongings of a process that an ended bus must have given back."""
 
     handles: Counter[str]
     threads: Counter[str]

@@ -61,7 +61,7 @@ def problems(line: Line) -> list[str]:
 
 
 def growth(line: Line) -> dict[str, int]:
-    """What has grown after the warm-up, and by how much."""
+    """The growth of each kind of memory after the warm-up."""
     if "slice" in line:
         return {"rss": line["rss_end"] - line["rss_warm"]}
     if "ptys" in line:

@@ -243,7 +243,7 @@ class Run:
             assert_plain(line)
 
     def judge(self, said: bytes) -> None:
-        """What the server sent to the stranger."""
+        """The octets that the server sent to the stranger."""
         if not said:
             return
         assert said.startswith(b"HTTP/1."), said[:80]
