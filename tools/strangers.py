@@ -46,10 +46,22 @@ def missing_programs() -> dict[str, str]:
 
 
 def python_packages() -> dict[str, str]:
-    """The requirements of the extra ``strangers``, and the module by which each is found."""
+    """The requirements of the extra ``strangers``, and the module by which each is found. An extra of dpstack among
+    them (``dpstack[parquet,plot]``) stands for its own requirements."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras: Mapping[str, Sequence[str]] = project["optional-dependencies"]
+
+    def requirements(extra: str) -> Iterable[str]:
+        for requirement in extras[extra]:
+            own = re.fullmatch(rf"{project['name']}\[([\w,-]+)\]", requirement)
+            if own is None:
+                yield requirement
+            else:
+                for name in own[1].split(","):
+                    yield from requirements(name)
+
     found = {}
-    for requirement in project["optional-dependencies"]["strangers"]:
+    for requirement in requirements("strangers"):
         name = re.split(r"[^\w.-]", requirement)[0]
         found[requirement] = MODULES.get(name, name.replace("-", "_"))
     return found
