@@ -56,7 +56,7 @@ def room(module: str, deep: frozenset[str]) -> str | None:
 def graph(deep: frozenset[str] = frozenset()) -> Graph:
     found: Graph = {}
     for top, name in ((ROOT / "dpstack", "dpstack"), (ROOT / "drives" / "dpstack_drives", "dpstack_drives")):
-        for path in sorted(set(top.rglob("*.py")) - {top / "__init__.py"}):
+        for path in sorted(set(top.rglob("*.py")) - {top / "__init__.py", top / "__main__.py"}):
             own = room(".".join((name, *path.relative_to(top).with_suffix("").parts)), deep)
             if own is None:
                 continue

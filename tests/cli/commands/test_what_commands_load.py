@@ -58,6 +58,15 @@ def test_what_is_heard_is_explained_and_judged_without_ports_drives_and_an_event
         assert rooms.isdisjoint({"dpstack.drivers", "dpstack.ports", "dpstack.sim", "dpstack.profile"})
 
 
+def test_the_module_dpstack_is_the_program() -> None:
+    """``python -m dpstack`` from any directory, with the program's name in its errors, and its exit code."""
+    command = [sys.executable, "-P", "-m", "dpstack"]
+    done = subprocess.run([*command, "decode", "nonsense"], cwd="/", capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("dpstack: ")
+    assert done.stderr.count("\n") == 1
+
+
 def test_the_package_loads_nothing_of_itself() -> None:
     assert loaded("import sys, dpstack; print('loaded', *sys.modules)") == ({"dpstack"}, set())
 
