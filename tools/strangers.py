@@ -33,6 +33,9 @@ PROGRAMS: Final[Mapping[str, str]] = {
     "pdfinfo": "poppler-utils",
     "pdftotext": "poppler-utils",
     "tmux": "tmux",
+    "bash": "bash",
+    "zsh": "zsh",
+    "fish": "fish",
 }
 #: Python packages of the extra ``strangers`` whose module has another name
 MODULES: Final[Mapping[str, str]] = {"python-pcapng": "pcapng"}

@@ -42,6 +42,7 @@ _COMMANDS = {
     "ports": "serial adapters with their lasting path, chip and holder",
     "doctor": "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
     "gsd": "GSD files: show, check, configure",
+    "completion": "the completion script for bash, zsh or fish",
 }
 #: those whose modules stand in the room ``listening``
 _LISTENING = ("baud", "capture", "decode", "monitor", "wireshark")

@@ -33,11 +33,19 @@ class Parser(argparse.ArgumentParser):
             self.flag("--json", "print JSON lines")
         self.set_defaults(execute=execute)
 
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Also called for the help of a command."""
+    def load(self) -> None:
+        """Let the module of the command add its arguments."""
         if self.module:
             importlib.import_module(self.module).add_to(self)
             self.module = ""
+
+    def actions(self) -> list[argparse.Action]:
+        """The arguments and options so far."""
+        return list(self._actions)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Also called for the help of a command."""
+        self.load()
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:

@@ -174,6 +174,11 @@ def toml(text: str) -> None:
     _write(text.removesuffix("\n"))
 
 
+def raw(text: str) -> None:
+    """Write ``text`` of our own as it is, for a program that reads it."""
+    _write(text.removesuffix("\n"))
+
+
 def line(text: str, style: str = "") -> None:
     """Write one line; on a terminal in ``style``, wrapped between words only."""
     if on_terminal():

@@ -195,6 +195,7 @@ NAMES = [
     ["segment", "--baud", EVIL],
     ["plot", EVIL],
     ["plot", f"{EVIL}.csv"],
+    ["completion", EVIL],
     ["ctl", EVIL, EVIL, EVIL],
     ["drive", EVIL, "x", "status"],
     ["drive", "CONFIG", EVIL, "status"],
