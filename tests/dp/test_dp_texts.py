@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-import said_dp
-from said_texts import kept, lines_of
+import texts_dp
+from texts_snapshot import lines_of, snapshot_lines
 
 
-@pytest.mark.parametrize("name", said_dp.GROUPS)
+@pytest.mark.parametrize("name", texts_dp.GROUPS)
 def test_texts(name: str) -> None:
-    assert lines_of({name: said_dp.GROUPS[name]}) == kept(said_dp.FILE, name)
+    assert lines_of({name: texts_dp.GROUPS[name]}) == snapshot_lines(texts_dp.FILE, name)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-import said_dpv1
-from said_texts import kept, lines_of
+import texts_dpv1
+from texts_snapshot import lines_of, snapshot_lines
 
 
-@pytest.mark.parametrize("name", said_dpv1.GROUPS)
+@pytest.mark.parametrize("name", texts_dpv1.GROUPS)
 def test_texts(name: str) -> None:
-    assert lines_of({name: said_dpv1.GROUPS[name]}) == kept(said_dpv1.FILE, name)
+    assert lines_of({name: texts_dpv1.GROUPS[name]}) == snapshot_lines(texts_dpv1.FILE, name)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-import said_fdl
-from said_texts import kept, lines_of
+import texts_fdl
+from texts_snapshot import lines_of, snapshot_lines
 
 
 @pytest.mark.parametrize("name", ["interface_phy", "refusals"])
 def test_texts(name: str) -> None:
-    assert lines_of({name: said_fdl.GROUPS[name]}) == kept(said_fdl.FILE, name)
+    assert lines_of({name: texts_fdl.GROUPS[name]}) == snapshot_lines(texts_fdl.FILE, name)

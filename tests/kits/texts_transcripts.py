@@ -1,6 +1,6 @@
 """Transcripts of the masters in troubled situations: the time and text of each event, and all requests to the slave.
 
-One line a situation, kept by :mod:`said_texts`; the slaves are scripts of octets.
+One line a situation, in the snapshots of :mod:`texts_snapshot`; the slaves are scripts of octets.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from class2_kit import Class2Bus
 from ms1_kit import Ms1Bus, answer, status
 from ms2_kit import Ms2Bus
 from octet_slave import DL, NR, RR, RS, SC, UE, OctetSlave, sd1, sd2
-from said_texts import Said
 from scripted_link import (
     DIAG_FREE,
     DIAG_LOCKED,
@@ -34,6 +33,7 @@ from scripted_link import (
     setup,
     silent,
 )
+from texts_snapshot import Case
 
 from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService, Service
 from dpstack.dp.acyclic.job import Outcome
@@ -68,7 +68,7 @@ def _slow(**slave: Any) -> ScriptedLink:
     return bus
 
 
-def bring_ups() -> Iterator[Said]:
+def bring_ups() -> Iterator[Case]:
     """Trouble with each service, from the beginning and in data exchange."""
     answers = {
         "silent": silent,
@@ -124,7 +124,7 @@ def bring_ups() -> Iterator[Said]:
     yield "orders", transcript(bus)
 
 
-def controls() -> Iterator[Said]:
+def controls() -> Iterator[Case]:
     """Orders of SYNC and FREEZE: refused, sent, failed."""
     slaves = (
         setup(3, groups=(1,), sync=True, freeze=True),
@@ -174,7 +174,7 @@ def _polled(octets: str, data: bytes) -> bytes:
     return SC if data else answer(4, octets)
 
 
-def ms1_outcomes() -> Iterator[Said]:
+def ms1_outcomes() -> Iterator[Case]:
     """The outcome of a Read and a Write of a slave with these answers at SAP 51."""
     short = Dpv1(c1_response_timeout_ns=30 * MS)
     for code in (RS, RR, UE, NR, 0, 1):
@@ -224,7 +224,7 @@ def _refusal(call: Any) -> str:
         return f"{type(error).__name__}: {error}"
 
 
-def ms2_outcomes() -> Iterator[Said]:
+def ms2_outcomes() -> Iterator[Case]:
     """Initiate and services of a slave with these answers at the resource manager and the server SAP."""
     for sap in (49, 48):
         for name, octets in (
@@ -240,8 +240,8 @@ def ms2_outcomes() -> Iterator[Said]:
             kit = Ms2Bus()
             kit.slave.says = {sap: _always(octets)}
             opened = kit.open(response_ns=50 * MS)
-            said = f"{_ended(opened.outcome)} {opened.server_sap} {opened.send_timeout_ns} {opened.max_len}"
-            yield f"{sap} {name}", f"{said} {kit.bus.now // 1000}"
+            text = f"{_ended(opened.outcome)} {opened.server_sap} {opened.send_timeout_ns} {opened.max_len}"
+            yield f"{sap} {name}", f"{text} {kit.bus.now // 1000}"
     for name, served in (
         ("nothing", _always(None)), ("Abort", _always(bytes.fromhex("580013"))), ("Idle", _always(b"\x48\x01")),
         *(
@@ -257,7 +257,7 @@ def ms2_outcomes() -> Iterator[Said]:
             yield f"{name} {service}", f"{_ended(done.outcome, done.text)} {done.stale} {done.t_ns // 1000}"
 
 
-def class2_outcomes() -> Iterator[Said]:
+def class2_outcomes() -> Iterator[Case]:
     """Reading services and changes of address with these answers."""
     reads = (Service.DIAGNOSIS, Service.CONFIG, Service.INPUTS, Service.OUTPUTS)
     for service in reads:
@@ -286,7 +286,7 @@ def class2_outcomes() -> Iterator[Said]:
             yield repr(change), f"{type(error).__name__}: {error}"
 
 
-def alarms() -> Iterator[Said]:
+def alarms() -> Iterator[Case]:
     """Alarms of a slave that repeats, replaces, refuses and loses them, by seed."""
     for seed in range(10):
         dice = random.Random(seed)
@@ -316,7 +316,7 @@ def alarms() -> Iterator[Said]:
         yield f"seed {seed}", f"{told} || {acks} || {kit.counts} {slave.diagnosed} {kit.remarks}"
 
 
-def services_cut_short() -> Iterator[Said]:
+def services_cut_short() -> Iterator[Case]:
     """Services of MS2 that are cancelled before they are sent, and after."""
     for service_time in (0, 20):
         kit = Ms2Bus()

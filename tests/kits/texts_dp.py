@@ -7,9 +7,9 @@ import random
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-import said_buses
+import texts_transcripts
 from bus_kit import setup
-from said_texts import Group, Said, interface, refused
+from texts_snapshot import Case, Group, attempt, interface
 
 from dpstack.dp.error_origin import error_text
 from dpstack.dp.master import fault_texts
@@ -61,32 +61,32 @@ from dpstack.fdl.interface import Failure
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_MS
 
-FILE = "said_dp.jsonl"
+FILE = "texts_dp.jsonl"
 
 
-def _pdus() -> Iterator[Said]:
-    yield refused(Diagnosis(0, 4, 0, None, 1, bytes(239)).build)
-    yield refused(Diagnosis(0, 4, 0, None, 0x10000).build)
-    yield refused(Diagnosis(256, 4, 0, 3, 1).build)
-    yield refused(SetPrm(1, bytes(238)).build)
-    yield refused(SetPrm(1, min_tsdr=256).build)
-    yield refused(SetPrm(1, group_mask=256).build)
-    yield refused(SetPrm(1, watchdog=(256, 1)).build)
-    yield refused(SetPrm(0x10000).build)
+def _pdus() -> Iterator[Case]:
+    yield attempt(Diagnosis(0, 4, 0, None, 1, bytes(239)).build)
+    yield attempt(Diagnosis(0, 4, 0, None, 0x10000).build)
+    yield attempt(Diagnosis(256, 4, 0, 3, 1).build)
+    yield attempt(SetPrm(1, bytes(238)).build)
+    yield attempt(SetPrm(1, min_tsdr=256).build)
+    yield attempt(SetPrm(1, group_mask=256).build)
+    yield attempt(SetPrm(1, watchdog=(256, 1)).build)
+    yield attempt(SetPrm(0x10000).build)
     for length in (0, 3, 6, 245):
-        yield refused(SetPrm.parse, bytes(length))
-    yield refused(GlobalControl(group_mask=256).build)
+        yield attempt(SetPrm.parse, bytes(length))
+    yield attempt(GlobalControl(group_mask=256).build)
     for octets in (b"", b"\0", bytes(3)):
-        yield refused(GlobalControl.parse, octets)
+        yield attempt(GlobalControl.parse, octets)
     for add in (SetSlaveAdd(126, 1), SetSlaveAdd(-1, 1), SetSlaveAdd(1, 0x10000), SetSlaveAdd(1, 1, False, bytes(241))):
-        yield refused(add.build)
+        yield attempt(add.build)
     for length in (0, 1, 3):
-        yield refused(SetSlaveAdd.parse, bytes(length))
+        yield attempt(SetSlaveAdd.parse, bytes(length))
 
 
-def _diag_blocks() -> Iterator[Said]:
+def _diag_blocks() -> Iterator[Case]:
     for ext in ("", "00", "01", "40", "4112", "80", "8001", "800102", "C5", "C0", "05010203", "0401020300", "42FF41"):
-        yield refused(split_blocks, bytes.fromhex(ext))
+        yield attempt(split_blocks, bytes.fromhex(ext))
     for size in range(8):
         for direction in range(4):
             block = channel_block(
@@ -114,17 +114,17 @@ def _diag_blocks() -> Iterator[Said]:
         (revision_block, -1),
         (UserDiag, "text"),
     ):
-        yield refused(call[0], *call[1:])
+        yield attempt(call[0], *call[1:])
     full = UserDiag(bytes.fromhex("0301024101C5"), fault=True, stat=True)
     for room in range(7):
         yield f"limited to {room}", repr(full.limited(room))
     yield "octets that are no blocks", repr(UserDiag(bytes.fromhex("030102FF00")).limited(4))
     for args in ({}, {"fault": True}, {"stat": True}, {"overflow": True}):
-        yield refused(UserDiag.of, **args)
-        yield refused(UserDiag.of, device_block(b"\1"), **args)
+        yield attempt(UserDiag.of, **args)
+        yield attempt(UserDiag.of, device_block(b"\1"), **args)
 
 
-def _diagnoses() -> Iterator[Said]:
+def _diagnoses() -> Iterator[Case]:
     for octet in range(3):
         for bit in range(8):
             status = [0, 0, 0]
@@ -147,13 +147,13 @@ def _diagnoses() -> Iterator[Said]:
         yield flag.name, repr(tuple(flag))
 
 
-def _alarms() -> Iterator[Said]:
+def _alarms() -> Iterator[Case]:
     for kind in (-1, 0, 1, 2, 3, 4, 5, 6, 7, 30, 31, 32, 126, 127):
         for specifier in range(4):
             alarm, status = Alarm(kind, 3, specifier, 31, b"\xaa\xbb", add_ack=True), Status(kind, 3, specifier, b"\7")
-            yield f"alarm {kind} {specifier}", f"{alarm.full_text} | {message_dict(alarm)} | {refused(alarm.build)[1]}"
+            yield f"alarm {kind} {specifier}", f"{alarm.full_text} | {message_dict(alarm)} | {attempt(alarm.build)[1]}"
             yield f"status {kind} {specifier}", f"{status.full_text} | {message_dict(status)}"
-        yield refused(kind_of, kind)
+        yield attempt(kind_of, kind)
     for block in (
         Alarm(1, 255),
         Alarm(1, -1),
@@ -165,7 +165,7 @@ def _alarms() -> Iterator[Said]:
         Status(1, 1, reserved=64),
         Status(128, 1),
     ):
-        yield refused(block.build)
+        yield attempt(block.build)
     yield "module status", Status(2, 0, data=b"\xe4\x1b").full_text
     for count in range(5):
         yield f"PrmCmdAck of {count} octets", Status(30, 0, 2, bytes((0x4E, 0x01, 0x7E, 9, 9)[:count]), 5).full_text
@@ -173,13 +173,13 @@ def _alarms() -> Iterator[Said]:
     yield "all bits", every.text + every.octets.hex(" ")
 
 
-def _parameter_blocks() -> Iterator[Said]:
+def _parameter_blocks() -> Iterator[Case]:
     for number in (-1, 0, 2, 3, 4, 5, 7, 8, 0x81, 255, 256):
-        yield refused(PrmBlock, number, 0, b"")
+        yield attempt(PrmBlock, number, 0, b"")
         if 0 <= number <= 255:
             yield PrmBlock(number, 1, b"").title, PrmBlock(number, 1, b"\1\2", 8).octets.hex(" ")
     for slot, data, specifier in ((255, b"", 0), (-1, b"", 0), (0, bytes(230), 0), (0, bytes(231), 0), (0, b"", 256)):
-        yield refused(PrmBlock, 2, slot, data, specifier)
+        yield attempt(PrmBlock, 2, slot, data, specifier)
     contents: tuple[Any, ...] = (
         PrmCmd(),
         PrmCmd(1, 2, 0x304),
@@ -193,16 +193,16 @@ def _parameter_blocks() -> Iterator[Said]:
     for content in contents:
         block = PrmBlock.of(content, 3, specifier=16)
         yield repr(content), f"{block.octets.hex(' ')} {block.content!r}"
-    yield refused(PrmBlock.of, DxbTable(1, ()))
-    yield refused(PrmBlock.of, DxbTable(1, ()), kind=BlockType.DXB_LINKS)
-    yield refused(PrmBlock.of, PrmCmd(256))
-    yield refused(PrmBlock.of, PrmCmd(output_hold_time=0x10000))
+    yield attempt(PrmBlock.of, DxbTable(1, ()))
+    yield attempt(PrmBlock.of, DxbTable(1, ()), kind=BlockType.DXB_LINKS)
+    yield attempt(PrmBlock.of, PrmCmd(256))
+    yield attempt(PrmBlock.of, PrmCmd(output_hold_time=0x10000))
     for number in (2, 3, 4, 7, 8):
         for length in (0, 1, 2, 4, 5, 7, 10, 27):
-            yield refused(lambda number, length: PrmBlock(number, 0, bytes(length)).content, number, length)
+            yield attempt(lambda number, length: PrmBlock(number, 0, bytes(length)).content, number, length)
     for octets in ("", "040500", "03050000", "05050000", "0405000005050000", "0402000000", "0605000001020405FF00"):
-        yield refused(parse_blocks, bytes.fromhex(octets))
-        yield refused(parse_blocks, bytes.fromhex(octets), 11)
+        yield attempt(parse_blocks, bytes.fromhex(octets))
+        yield attempt(parse_blocks, bytes.fromhex(octets), 11)
     for given in (
         {"alarms": ("process", "fire")},
         {"alarm_mode": 8},
@@ -212,7 +212,7 @@ def _parameter_blocks() -> Iterator[Said]:
         {"c1_max_data_len": -1},
         {},
     ):
-        yield refused(Dpv1, **given)
+        yield attempt(Dpv1, **given)
     block = PrmBlock(32, 1, b"\xaa")
     for dpv1 in (
         Dpv1(),
@@ -225,7 +225,7 @@ def _parameter_blocks() -> Iterator[Said]:
         Dpv1(structured=True),
     ):
         for octets in ("000000", "FFFFF7", "0000000102", "FFFFFF0405", "00000804200000"):
-            yield repr(dpv1), f"{octets}: {refused(_applied, dpv1, bytes.fromhex(octets))[1]}"
+            yield repr(dpv1), f"{octets}: {attempt(_applied, dpv1, bytes.fromhex(octets))[1]}"
 
 
 def _applied(dpv1: Dpv1, octets: bytes) -> bytes:
@@ -234,7 +234,7 @@ def _applied(dpv1: Dpv1, octets: bytes) -> bytes:
     return bytes(changed)
 
 
-def _faults() -> Iterator[Said]:
+def _faults() -> Iterator[Case]:
     slave = setup(7)
     doubtful = dataclasses.replace(slave, prm_note="read its file otherwise")
     fault_texts_of: dict[str, Iterable[tuple[Any, ...]]] = {
@@ -273,11 +273,11 @@ def _faults() -> Iterator[Said]:
         for actual in (None, config, config[:-1] + b"\x77", config + b"\0", config[:-1], b""):
             yield f"{fault.kind} compared with {actual!r}", repr(fault.compared(actual))
     yield "watching", fault_texts.NOT_WATCHING
-    yield refused(error_text, ValueError())
-    yield refused(error_text, ValueError("no"))
+    yield attempt(error_text, ValueError())
+    yield attempt(error_text, ValueError("no"))
 
 
-def _fields() -> Iterator[Said]:
+def _fields() -> Iterator[Case]:
     specs = (
         "bool@0.3", "bool@0.7", "bool@0.8", "bool@0", "bool@0.1:2", "u8@0", "u8@0.1", "i16@2", "i16le@2", "u8le@0",
         "boolle@0.1", "bytes@4:3", "bytes@4", "bytes@4:0", "bytes@4.1:3", "bytesle@4:3", "f32@0", "f64le@0", "u64@1:2",
@@ -285,17 +285,17 @@ def _fields() -> Iterator[Said]:
         "bytes@0:12345", "u8@-1", "x" * 60 + "@1", "i8@0", "i32le@9", "u32@8", "i64@0",
     )  # fmt: skip
     for spec in specs:
-        case, said = refused(Field.parse, "level", spec)
-        yield case, said
-        if "Field(" in said:
+        case, text = attempt(Field.parse, "level", spec)
+        yield case, text
+        if "Field(" in text:
             yield f"spec of {spec}", f"{Field.parse('level', spec).spec} {Field.parse('level', spec).mask:x}"
     for name in ("a", "Ä b-1", "1a", "a ", "", "a.b", "_", "x" * 60 + "!"):
-        yield refused(field_of, name, "u8@0", 1, "its outputs")
+        yield attempt(field_of, name, "u8@0", 1, "its outputs")
     for spec, length in (("u16@1", 3), ("u16@1", 2), ("u8@0", 0), ("u8@0", 1), ("bool@1.0", 1)):
-        yield refused(field_of, "a", spec, length, "its inputs")
+        yield attempt(field_of, "a", spec, length, "its inputs")
     fields = FieldMap({"a": Field.parse("a", "u16@0")}, 2)
     for length in (0, 1, 2, 3):
-        yield refused(fields.fitted, length, "its inputs")
+        yield attempt(fields.fitted, length, "its inputs")
     numbers = ("u8@0", "i8@0", "u16@0", "i16le@0", "u32@0", "f32@0", "f64@0", "bool@0.1", "bytes@0:2")
     values: tuple[Any, ...] = (
         0, 1, 2, -1, 127, 128, -128, -129, 255, 256, 65535, 65536, 0.5, -0.25, 1e39, float("nan"), float("inf"),
@@ -309,18 +309,18 @@ def _fields() -> Iterator[Said]:
         for scale in scales if spec in ("u8@0", "i16le@0", "f32@0") else ({},):
             found = with_scale(Field.parse("n", spec), scale)
             for value in values[:: 3 if scale else 1]:
-                yield f"{spec} {scale} = {value!r}", refused(found.put, bytes(9), value)[1]
+                yield f"{spec} {scale} = {value!r}", attempt(found.put, bytes(9), value)[1]
             for octets in (bytes(8), b"\xff" * 8, bytes(range(1, 9))):
                 yield f"{spec} {scale} of {octets.hex()}", repr(found.get(octets))
             for text in ("1", " 0x10 ", "on", "OFF", "true", "1.5", "aa bb", "", "1 bar", "-3 C", "zwei" * 20):
                 if not scale or " " in text:
-                    yield f"{spec} {scale} read {text!r}", refused(found.read, text)[1]
+                    yield f"{spec} {scale} read {text!r}", attempt(found.read, text)[1]
     for spec in ("bool@0.1", "bytes@0:2", "u8@0"):
         for given in ({"scale": 0}, {"unit": "m"}, {"scale": 2.0, "dead_band": 0.5}, {}):
-            yield refused(with_scale, Field.parse("n", spec), given)
+            yield attempt(with_scale, Field.parse("n", spec), given)
 
 
-def _slave_params() -> Iterator[Said]:
+def _slave_params() -> Iterator[Case]:
     base: dict[str, Any] = {"address": 5, "name": "pump", "ident": 1, "config": b"\x11\x20"}
     for change in (
         {"address": -1}, {"address": 126}, {"address": 127}, {"ident": -1}, {"ident": 0xFFFF}, {"ident": 0x10000},
@@ -335,18 +335,18 @@ def _slave_params() -> Iterator[Said]:
         {"config": b"\x1f" * 16}, {"config": b"\x2f" * 15 + b"\x24"}, {"safe": b"\1"}, {"safe": b"\1\2"},
         {"initial": b"\1"}, {"initial": b"\1\2"}, {"safe": b""}, {"initial": b""},
     ):  # fmt: skip
-        _, said = refused(lambda given: SlaveParams(**given), base | change)
-        yield repr(change), said
-    for text in (0, 1, 9, 10, 11, 199, 2551, 65_025, 65_026, 650_250):
+        _, text = attempt(lambda given: SlaveParams(**given), base | change)
+        yield repr(change), text
+    for wished_ms in (0, 1, 9, 10, 11, 199, 2551, 65_025, 65_026, 650_250):
         for fine in (False, True):
-            made = SlaveParams(**base | {"wd_base_1ms": fine, "user_prm": bytes(3), "watchdog_ms": text})
+            made = SlaveParams(**base | {"wd_base_1ms": fine, "user_prm": bytes(3), "watchdog_ms": wished_ms})
             found = made.watchdog(30)
-            yield f"watchdog {text} {fine}", f"{found} {found and found.ms} {made.user_octets(found).hex()}"
+            yield f"watchdog {wished_ms} {fine}", f"{found} {found and found.ms} {made.user_octets(found).hex()}"
     yield "default watchdog", f"{SlaveParams(**base).watchdog(30)} {SlaveParams(**base).watchdog(0)}"
     yield "time", repr((WatchdogTime((2, 3)).ns, WatchdogTime((2, 3), 1).ms))
 
 
-def _plans() -> Iterator[Said]:
+def _plans() -> Iterator[Case]:
     dice = random.Random(7)
     for number in range(36):
         baud = dice.choice(BAUD_RATES)
@@ -385,7 +385,7 @@ def _plans() -> Iterator[Said]:
             yield f"refusals {number}", repr(plan.refusals)
 
 
-def _tables() -> Iterator[Said]:
+def _tables() -> Iterator[Case]:
     for sap, access in ACCESS.items():
         states = sorted(state.name for state in access.states)
         yield f"access {sap}", f"{access.name} {states} {access.owner_only} {access.clause}"
@@ -396,7 +396,7 @@ def _tables() -> Iterator[Said]:
         yield f"master {before.value}, {trigger.value}", repr(tuple(step))
 
 
-def _slave_events() -> Iterator[Said]:
+def _slave_events() -> Iterator[Case]:
     slave: dict[str, Any] = {"t_ns": 1, "address": 7, "name": "pump"}
     events: list[SlaveAppEvent] = [
         *(
@@ -424,7 +424,7 @@ def _slave_events() -> Iterator[Said]:
     yield "reported", " | ".join(f"{event.t_ns} {event.text}" for event in report.take_events()[48:])
     yield "counted", f"{report.stats} {report.baud} {report.address} {report.take_events()}"
     for inputs in (b"\1\2", "text", None):
-        yield refused(wrong_inputs, inputs, 3)
+        yield attempt(wrong_inputs, inputs, 3)
 
 
 GROUPS: dict[str, Group] = {
@@ -440,7 +440,7 @@ GROUPS: dict[str, Group] = {
     "slave_params": _slave_params,
     "plans": _plans,
     "tables": _tables,
-    "bring_ups": said_buses.bring_ups,
-    "controls": said_buses.controls,
-    "class2_outcomes": said_buses.class2_outcomes,
+    "bring_ups": texts_transcripts.bring_ups,
+    "controls": texts_transcripts.controls,
+    "class2_outcomes": texts_transcripts.class2_outcomes,
 }

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import said_buses
-from said_texts import Group, Said, interface, refused
+import texts_transcripts
+from texts_snapshot import Case, Group, attempt, interface
 
 from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.pdu.prm_blocks import PrmBlock
@@ -37,10 +37,10 @@ from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.gsd.model import DiagText
 from dpstack.units import BAUD_RATES, NS_PER_MS
 
-FILE = "said_dpv1.jsonl"
+FILE = "texts_dpv1.jsonl"
 
 
-def _codes() -> Iterator[Said]:
+def _codes() -> Iterator[Case]:
     for code in range(256):
         yield f"code {code:02X}", f"{code_text(code)} | {remedy(code)}{' | again' if code in AGAIN else ''}"
     for number in range(16):
@@ -57,36 +57,36 @@ def _request(octets: bytes) -> object:
         return f"{error}: {error.negative.build().hex(' ')}"
 
 
-def _records() -> Iterator[Said]:
+def _records() -> Iterator[Case]:
     for function in sorted(FUNCTIONS):
         yield f"function {function:02X}", Function(function).title
         for first in (function, function | 0x80):
             octets = bytes((first, 1, 2, 0))
-            yield f"{octets.hex(' ')}", f"{refused(_request, octets)[1]} | {refused(parse_response, octets)[1]}"
+            yield f"{octets.hex(' ')}", f"{attempt(_request, octets)[1]} | {attempt(parse_response, octets)[1]}"
     for text in (
         "", "00", "4D010200", "5E", "5E01", "5E0102", "5E010200", "5E0102F0", "5E0102F1", "5EFE0200", "5EFF0200",
         "5E01020100", "5E010201AA", "5E010202AA", "5F", "5F010200", "5F010201AA", "5F010201", "5F0102F1", "5FFF0200",
         "DE80B200", "DF80B2", "DE80B20000", "5F01020500", "51010200", "51010201AA", "51010202AA",
     ):  # fmt: skip
         octets = bytes.fromhex(text)
-        said = [refused(call, octets)[1] for call in (_request, parse_response, DataTransport.parse, Negative.parse)]
-        yield text, " | ".join(said)
+        results = [attempt(call, octets)[1] for call in (_request, parse_response, DataTransport.parse, Negative.parse)]
+        yield text, " | ".join(results)
     for service in (
         ReadReq(0, 0), ReadReq(254, 255, 240), ReadReq(255, 0), ReadReq(-1, 0), ReadReq(0, 256), ReadReq(0, -1),
         ReadReq(0, 0, 241), ReadReq(0, 0, -1), WriteReq(1, 2, bytes(240)), WriteReq(1, 2, bytes(241)),
         DataTransport(1, 2, bytes(241)), DataTransport(1, 2, b"\1"), ReadRes(1, 2, b"\1"), WriteRes(1, 2, 3),
     ):  # fmt: skip
-        yield refused(service.build)[0] + repr(service)[:60], f"{refused(service.build)[1]} {service.title}"
+        yield attempt(service.build)[0] + repr(service)[:60], f"{attempt(service.build)[1]} {service.title}"
     for text in ("5C", "5C010203", "5C01020300", "5D010203", "5C0102FF"):
-        yield refused(AlarmAck.parse, bytes.fromhex(text))
+        yield attempt(AlarmAck.parse, bytes.fromhex(text))
     yield "acknowledgement", repr(AlarmAck.of(Alarm(2, 3, 1, 17, b"\1", add_ack=True)))
     for ack in (AlarmAck(256, 1), AlarmAck(1, 256), AlarmAck(1, 1, 4), AlarmAck(1, 1, 0, 32), AlarmAck(1, 1)):
-        yield repr(ack), refused(ack.build)[1]
+        yield repr(ack), attempt(ack.build)[1]
     for negative in (Negative(0x5E, 256), Negative(0x5E, 1, 256), Negative(0x5E, 1, 2, 256), Negative(0x5F, 1)):
-        yield repr(negative), refused(negative.build)[1]
+        yield repr(negative), attempt(negative.build)[1]
 
 
-def _connections() -> Iterator[Said]:
+def _connections() -> Iterator[Case]:
     far = Address(1, 2, bytes(7))
     for pdu in (
         ResourceManagerRes(48, 10_000_000), ResourceManagerRes(49, 0), ResourceManagerRes(0, -1),
@@ -95,13 +95,13 @@ def _connections() -> Iterator[Said]:
         InitiateReq(1, profile_ident=-1), InitiateReq(1, profile_features=65536), InitiateRes(), InitiateRes(256),
         Abort(16), Abort(0, 4), Abort(0, 0, 256), Abort(3),
     ):  # fmt: skip
-        yield repr(pdu), refused(pdu.build)[1]
+        yield repr(pdu), attempt(pdu.build)[1]
     octets = bytes.fromhex("57 00 00 00 01 90 01 00 00 00 00 00 00 02 00 02 00 00 00 00")
     for length in (0, 1, 5, 19, 20):
-        yield refused(InitiateReq.parse, octets[:length])
+        yield attempt(InitiateReq.parse, octets[:length])
     for place, value in ((0, 0x58), (12, 1), (12, 2), (13, 3), (14, 1), (14, 9), (15, 1)):
         changed = octets[:place] + bytes((value,)) + octets[place + 1 :]
-        yield f"octet {place + 1} {value}", refused(InitiateReq.parse, changed)[1]
+        yield f"octet {place + 1} {value}", attempt(InitiateReq.parse, changed)[1]
     for (state, trigger), row in MS2_STATES.items():
         yield f"{state.value}, {trigger.value}", f"{row.act.value}: {row.source}"
     for baud in BAUD_RATES:
@@ -110,7 +110,7 @@ def _connections() -> Iterator[Said]:
     yield "service", repr([timeouts.service_timeout(ns) for ns in (0, NS_PER_MS, 100_000 * NS_PER_MS)])
 
 
-def _im() -> Iterator[Said]:
+def _im() -> Iterator[Case]:
     records: tuple[Any, ...] = (
         Im0(), Im0(order_id="x" * 20), Im0(order_id="x" * 21), Im0(order_id="ä"), Im0(order_id="a\n"),
         Im0(serial_number="1" * 17), Im0(serial_number="1" * 16), Im0(manufacturer_id=65536), Im0(revision_counter=-1),
@@ -120,17 +120,17 @@ def _im() -> Iterator[Said]:
         Im2("x" * 17), Im3("x" * 54), Im3("x" * 55), Im4(b"\1\2"), Im4(bytes(54)),
     )  # fmt: skip
     for record in records:
-        case, said = repr(record)[:150], refused(record.build)[1]
-        yield case, said
-        if "Error" not in said:
+        case, text = repr(record)[:150], attempt(record.build)[1]
+        yield case, text
+        if "Error" not in text:
             yield f"{case} in octets", f"{record.build().hex()} {type(record).parse(record.build() + b'x') == record}"
-    yield refused(Im4, bytes(55))
+    yield attempt(Im4, bytes(55))
     for letter in (b"V", b"\0", b"\xe4"):
         changed = Im0().build()[:50] + letter + bytes((1, 2, 3)) + Im0().build()[54:]
         yield f"letter {letter.hex()}", repr(Im0.parse(changed))
     for text in ("", "08", "0800FD", "0800FDE8", "0900FDE8", "0800FDE7", "0800FEAF", "0800FEB0", "08FFFDE8AA"):
         octets = bytes.fromhex(text)
-        yield text, f"{refused(parse_call, octets)[1]} | {refused(parse_answer, octets, 1)[1]}"
+        yield text, f"{attempt(parse_call, octets)[1]} | {attempt(parse_answer, octets, 1)[1]}"
     yield "call", build_call(3).hex()
     yield "change", build_call(3, Im3("x")).hex()
     tables: tuple[Any, ...] = (
@@ -145,14 +145,14 @@ def _im() -> Iterator[Said]:
         [Im1("x" * 40)],
     )
     for given in tables:
-        case, said = refused(lambda given: ImRecords(given).of(254), given)
-        yield case[:120], said
+        case, text = attempt(lambda given: ImRecords(given).of(254), given)
+        yield case[:120], text
     slots: dict[int, list[Im]] = {0: [Im0(supported=1), Im2("now")], 3: []}
     found = ImRecords(slots)
     yield "I&M of slots", repr([found.of(slot) for slot in (0, 1, 3)])
 
 
-def _descriptions() -> Iterator[Said]:
+def _descriptions() -> Iterator[Case]:
     base: dict[str, Any] = {"ident": 0x1234, "name": "tank", "configs": (b"\x11\x20",)}
     modular: dict[str, Any] = base | {"configs": (), "modules": (SlaveModule("a", b"\x10"), SlaveModule("b", b"\x21"))}
     for change in (
@@ -167,19 +167,19 @@ def _descriptions() -> Iterator[Said]:
         {"dpv1": True, "alarms": ("process",), "max_diag_len": 10}, {"ms2_max_len": 0}, {"ms2_max_initiate": 19},
         {"ms2_max_initiate": 20}, {"ms2_max_initiate": 245}, {"ms2": 10},
     ):  # fmt: skip
-        yield repr(change), refused(lambda given: SlaveDescription(**given), base | change)[1]
-    yield repr({"max_modules": 0}), refused(lambda given: SlaveDescription(**given), modular | {"max_modules": 0})[1]
-    yield refused(SlaveModule, "empty", b"")
-    yield refused(SlaveDescription.simple, 1, inputs=3, outputs=2, dpv1=True, ms2=1, alarms=("update",))
+        yield repr(change), attempt(lambda given: SlaveDescription(**given), base | change)[1]
+    yield repr({"max_modules": 0}), attempt(lambda given: SlaveDescription(**given), modular | {"max_modules": 0})[1]
+    yield attempt(SlaveModule, "empty", b"")
+    yield attempt(SlaveDescription.simple, 1, inputs=3, outputs=2, dpv1=True, ms2=1, alarms=("update",))
     for sequence in (0, 1, 2, 32, 33):
-        yield refused(AlarmSupport, frozenset({"process"}), sequence)
+        yield attempt(AlarmSupport, frozenset({"process"}), sequence)
     two = SlaveDescription(**modular | {"max_modules": 2, "presets": (SlaveModule("p", b"\x30"),), "max_output_len": 3})
     one = SlaveDescription(**base)
     for config in ("", "30", "3010", "301021", "30102110", "10", "3020", "302121", "1120", "112021", "30102F"):
-        yield f"config {config}", " | ".join(refused(slave.check_cfg, bytes.fromhex(config))[1] for slave in (one, two))
+        yield f"config {config}", " | ".join(attempt(slave.check_cfg, bytes.fromhex(config))[1] for slave in (one, two))
     yield "default", f"{two.default_config.hex()} {SlaveDescription(**modular).default_config.hex()}"
-    yield refused(two.table, 5)
-    yield refused(two.table, 5, b"\x30\x10")
+    yield attempt(two.table, 5)
+    yield attempt(two.table, 5, b"\x30\x10")
     for extra in (
         {}, {"alarms": ("process", "update")}, {"alarms": ("process",), "alarm_sequence": 5},
         {"alarms": ("process",), "alarm_sequence": 32}, {"prm_blocks_required": True}, {"prm_blocks": False},
@@ -189,18 +189,18 @@ def _descriptions() -> Iterator[Said]:
         yield f"table {extra}", repr(slave.table(7))
         for prm in ("", "000000", "000008", "00000804200000", "0000080420", "0000000102030405060708"):
             octets = bytes.fromhex(prm)
-            yield f"{extra} {prm}", f"{refused(slave.check_prm, octets)[1]} {refused(slave.blocks, octets)[1]}"
+            yield f"{extra} {prm}", f"{attempt(slave.check_prm, octets)[1]} {attempt(slave.blocks, octets)[1]}"
     for given in (
         {"safe": b"\1\2\3"}, {"config": b"\x12"}, {"ms2": 50}, {"config": 5}, {"safe": 5}, {"ms2": "1"},
         {"on_prm": 5}, {"im": [Im1("x" * 40)]}, {"colour": 1},
         {"parameters": PrmBlock},
     ):  # fmt: skip
-        yield repr(given)[:60], refused(lambda given: DpSlave(one, lambda outputs, now: b"", **given), given)[1][:200]
-    yield refused(DpSlave, "slave", print)
-    yield "modular and safe", refused(lambda: DpSlave(two, lambda outputs, now: b"", safe=b""))[1]
+        yield repr(given)[:60], attempt(lambda given: DpSlave(one, lambda outputs, now: b"", **given), given)[1][:200]
+    yield attempt(DpSlave, "slave", print)
+    yield "modular and safe", attempt(lambda: DpSlave(two, lambda outputs, now: b"", safe=b""))[1]
 
 
-def _gsd_files() -> Iterator[Said]:
+def _gsd_files() -> Iterator[Case]:
     base: dict[str, Any] = {"ident": 0x1234, "name": "tank", "configs": (b"\x11\x20",)}
     valve = SlaveParameter("Valve", 1, "Bit(3)", 1, ((0, 1),), {0: "shut", 1: "open"})
     modules = (SlaveModule("a", b"\x10", b"\1", (SlaveParameter("P", 2, "Unsigned16", 7),)), SlaveModule("b", b"\x21"))
@@ -255,7 +255,7 @@ def _gsd_files() -> Iterator[Said]:
     for change in changes:
         case = repr(change)[:200]
         slave = SlaveDescription(**base | change)
-        file = refused(gsd_octets, slave)[1]
+        file = attempt(gsd_octets, slave)[1]
         yield case, file if "Error" in file else f"{as_gsd_file(slave)[1]} {_told(gsd_octets(slave))}"
 
 
@@ -280,8 +280,8 @@ GROUPS: dict[str, Group] = {
     "im": _im,
     "descriptions": _descriptions,
     "gsd_files": _gsd_files,
-    "ms1_outcomes": said_buses.ms1_outcomes,
-    "ms2_outcomes": said_buses.ms2_outcomes,
-    "alarms": said_buses.alarms,
-    "services_cut_short": said_buses.services_cut_short,
+    "ms1_outcomes": texts_transcripts.ms1_outcomes,
+    "ms2_outcomes": texts_transcripts.ms2_outcomes,
+    "alarms": texts_transcripts.alarms,
+    "services_cut_short": texts_transcripts.services_cut_short,
 }

@@ -1,7 +1,7 @@
-"""The texts of fdl, phy, dp and dpv1 in full, one line each, kept in ``tests/snapshots`` so that a change is a diff.
+"""Snapshots of the texts, tables and defaults of fdl, phy, dp and dpv1: one line a case in ``tests/snapshots``.
 
-``python tests/kits/said_texts.py`` writes the files anew. :mod:`said_fdl`, :mod:`said_dp`
-and :mod:`said_dpv1` have the cases.
+``python tests/kits/texts_snapshot.py`` writes the files anew. :mod:`texts_fdl` (with phy), :mod:`texts_dp`
+and :mod:`texts_dpv1` have the cases, :mod:`texts_transcripts` the cases that run a bus.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from typing import Any
 
 SNAPSHOTS = Path(__file__).parents[1] / "snapshots"
 #: a case and its text
-Said = tuple[str, str]
-Group = Callable[[], Iterable[Said]]
+Case = tuple[str, str]
+Group = Callable[[], Iterable[Case]]
 
 
-def refused(call: Callable[..., Any], *values: Any, **named: Any) -> Said:
-    """The call as a person writes it, and the class and message of what it raises, or its result."""
+def attempt(call: Callable[..., Any], *values: Any, **named: Any) -> Case:
+    """The call as source text, and its result or the class and message of the exception."""
     name = getattr(call, "__qualname__", repr(call))
     arguments = ", ".join([*map(_shown, values), *(f"{key}={_shown(value)}" for key, value in named.items())])
     try:
-        said = _shown(call(*values, **named))
+        text = _shown(call(*values, **named))
     except Exception as error:
-        said = f"{type(error).__name__}: {error}"
-    return f"{name}({arguments})", said
+        text = f"{type(error).__name__}: {error}"
+    return f"{name}({arguments})", text
 
 
 def _shown(value: object) -> str:
@@ -41,10 +41,10 @@ def _shown(value: object) -> str:
     return repr(value)
 
 
-def interface(package: str) -> Iterator[Said]:
+def interface(package: str) -> Iterator[Case]:
     """Members of enums, defaults of arguments and fields, plain attributes of the public classes and functions.
 
-    ``package`` is searched with all that is in it. A name of ``__all__`` that is not there is a line too.
+    All modules of ``package`` are searched. A name of ``__all__`` that its module does not have is a case too.
     """
     found = importlib.import_module(package)
     modules = [package, *(info.name for info in pkgutil.walk_packages(found.__path__, f"{package}."))]
@@ -54,10 +54,10 @@ def interface(package: str) -> Iterator[Said]:
             yield module.__name__, f"__all__ names {missing}"
         for name, made in vars(module).items():
             if getattr(made, "__module__", "") == module.__name__ and not name.startswith("_"):
-                yield from _without_more(f"{module.__name__}.{name}", made)
+                yield from _defaults(f"{module.__name__}.{name}", made)
 
 
-def _without_more(name: str, made: Any) -> Iterator[Said]:
+def _defaults(name: str, made: Any) -> Iterator[Case]:
     if isinstance(made, type) and issubclass(made, Enum):
         yield name, ", ".join(f"{key} = {member.value!r}" for key, member in made.__members__.items())
         return
@@ -88,21 +88,21 @@ def _without_more(name: str, made: Any) -> Iterator[Said]:
 
 def lines_of(groups: Mapping[str, Group]) -> list[str]:
     """One line of JSON for each case: group, case, text."""
-    return [json.dumps([name, *said], ensure_ascii=False) for name, group in groups.items() for said in group()]
+    return [json.dumps([name, *case], ensure_ascii=False) for name, group in groups.items() for case in group()]
 
 
-def kept(file: str, name: str) -> list[str]:
-    """The lines of the group ``name`` in the snapshot."""
+def snapshot_lines(file: str, name: str) -> list[str]:
+    """The lines of the group ``name`` in the snapshot ``file``."""
     lines = (SNAPSHOTS / file).read_text(encoding="utf-8").splitlines()
     return [line for line in lines if json.loads(line)[0] == name]
 
 
 def main() -> None:
-    import said_dp
-    import said_dpv1
-    import said_fdl
+    import texts_dp
+    import texts_dpv1
+    import texts_fdl
 
-    for module in (said_dp, said_dpv1, said_fdl):
+    for module in (texts_dp, texts_dpv1, texts_fdl):
         (SNAPSHOTS / module.FILE).write_text("\n".join([*lines_of(module.GROUPS), ""]), encoding="utf-8")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import product
 
-from said_texts import Group, Said, interface, refused
+from texts_snapshot import Case, Group, attempt, interface
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.active.services import SERVICES
@@ -32,18 +32,18 @@ from dpstack.params import BusParams
 from dpstack.phy.noise import BitNoise
 from dpstack.units import BAUD_RATES
 
-FILE = "said_fdl.jsonl"
+FILE = "texts_fdl.jsonl"
 _PARAMS = BusParams.preset(500_000, address=2)
 _MS = 1_000_000
 
 
-def _states() -> Iterator[Said]:
+def _states() -> Iterator[Case]:
     for row in TABLE:
         targets = ", ".join(target.name for target in row.next)
         yield f"{row.state.name} {row.input.name}", f"{row.handler} | {targets} | {row.does} | {row.source}"
 
 
-def _services() -> Iterator[Said]:
+def _services() -> Iterator[Case]:
     for function, known in SERVICES.items():
         yield function.name, repr(known)
     saps = (None, 0, 16, 48, *range(49, 64))
@@ -61,7 +61,7 @@ def _services() -> Iterator[Said]:
         yield kind.name, kind.text
 
 
-def _events() -> Iterator[Said]:
+def _events() -> Iterator[Case]:
     for claimed, masters in product((False, True), ((2,), (2, 5), (1, 2, 9))):
         event = RingJoined(t_ns=0, address=2, claimed=claimed, masters=masters)
         yield repr(event), event.text
@@ -94,29 +94,29 @@ class _Silent(Responder):
         """No answer."""
 
 
-def _refusals() -> Iterator[Said]:
+def _refusals() -> Iterator[Case]:
     for da, sa, fc in product((-1, 0, 127, 128), (-1, 0, 126, 127), (-1, 0, 255, 256)):
-        yield refused(encode_sd1, da, sa, fc)
+        yield attempt(encode_sd1, da, sa, fc)
     for da, sa, fc in ((128, 0, 0), (0, 127, 0), (0, 0, 256), (-1, 0, 0), (0, -1, 0), (0, 0, -1), (127, 126, 255)):
-        yield refused(encode_sd2, da, sa, fc, b"x")
+        yield attempt(encode_sd2, da, sa, fc, b"x")
     for size, dsap, ssap in ((0, None, None), (246, None, None), (247, None, None), (244, 1, 2), (245, 1, 2)):
-        yield refused(encode_sd2, 3, 2, 0x4D, bytes(size), dsap, ssap)
+        yield attempt(encode_sd2, 3, 2, 0x4D, bytes(size), dsap, ssap)
     for dsap, ssap in ((-1, None), (64, None), (None, -1), (None, 64), (0, 63)):
-        yield refused(encode_sd2, 3, 2, 0x4D, b"x", dsap, ssap)
+        yield attempt(encode_sd2, 3, 2, 0x4D, b"x", dsap, ssap)
     for da, sa in product((-1, 0, 126, 127), repeat=2):
-        yield refused(encode_token, da, sa)
+        yield attempt(encode_token, da, sa)
     base = Telegram(Kind.SD1, 3, 2, 0x49)
     for change in ({"data": b"x"}, {"dsap": 0}, {"ssap": 0}, {"dseg": 0}, {"sseg": 0}, {}, {"kind": Kind.SD3}):
-        yield refused(encode, base._replace(**change))
+        yield attempt(encode, base._replace(**change))
     for dseg, sseg in product((None, -1, 0, 63, 64), repeat=2):
-        yield refused(encode, Telegram(Kind.SD2, 3, 2, 0x4D, 5, None, b"x", dseg, sseg))
-    yield refused(encode, token(3, 2))
-    yield refused(encode, SHORT_ACK)
+        yield attempt(encode, Telegram(Kind.SD2, 3, 2, 0x4D, 5, None, b"x", dseg, sseg))
+    yield attempt(encode, token(3, 2))
+    yield attempt(encode, SHORT_ACK)
     for rates in ((), (9_600,), (9_601,), tuple(BAUD_RATES)):
-        yield f"rates {rates}", _said_by(rates)
+        yield f"rates {rates}", _chosen_baud(rates)
     for address in (-1, 0, 126, 127):
         yield (
-            refused(PassiveStation, address, None, _PARAMS)
+            attempt(PassiveStation, address, None, _PARAMS)
             if not 0 <= address <= 126
             else (
                 f"PassiveStation {address}",
@@ -124,22 +124,22 @@ def _refusals() -> Iterator[Said]:
             )
         )
     for t_sdr in (-1, 0, 10):
-        yield f"t_sdr {t_sdr}", refused(PassiveStation, 3, None, _PARAMS, t_sdr=t_sdr)[1]
+        yield f"t_sdr {t_sdr}", attempt(PassiveStation, 3, None, _PARAMS, t_sdr=t_sdr)[1]
     stations = [PassiveStation(address, _Silent(), _PARAMS) for address in (3, 5)]
     line = Multidrop(stations, _PARAMS)
     for call in (line.remove, line.silence, line.resume, line.silent_until):
-        yield refused(call, 4)
+        yield attempt(call, 4)
     for other in (PassiveStation(5, _Silent(), _PARAMS), PassiveStation(6, _Silent(), BusParams.preset(9_600))):
-        yield f"add {other!r}", refused(line.add, other)[1]
+        yield f"add {other!r}", attempt(line.add, other)[1]
     for station in (stations[0], line, ActiveStation(_PARAMS, []), AutoBaud(0)):
-        yield f"{type(station).__name__} order", refused(station.command, "an order", 0)[1]
+        yield f"{type(station).__name__} order", attempt(station.command, "an order", 0)[1]
         yield f"{type(station).__name__} hears all", repr(getattr(station, "hears_all", None))
     yield "AutoBaud address", repr(AutoBaud(0).address)
     for rate in (-1e-9, 1.0):
-        yield f"noise {rate}", refused(BitNoise, rate, None)[1]
+        yield f"noise {rate}", attempt(BitNoise, rate, None)[1]
 
 
-def _said_by(rates: tuple[int, ...]) -> str:
+def _chosen_baud(rates: tuple[int, ...]) -> str:
     try:
         return str(AutoBaud(0, rates=rates).baud)
     except (ConfigError, UsageError) as error:
