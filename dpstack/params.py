@@ -1,7 +1,7 @@
 """Bus parameters under the standard's names: presets for each baud rate, limits.
 
-All times are bit times. Table and limits with their sources: docs/protocol.md#bus-parameters; what follows from them:
-docs/bus-parameters.md.
+All times are bit times. Table and limits with their sources: docs/reference/protocol.md#bus-parameters; what follows
+from them: docs/reference/bus-parameters.md.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ BUS_LIMITS: Final = {
 }
 
 
-# Columns as in Felser's table; gap, retry and T_TR by the Softing table (docs/protocol.md#bus-parameters).
+# Columns as in Felser's table; gap, retry and T_TR by the Softing table (docs/reference/protocol.md#bus-parameters).
 _COLUMNS: Final = ("t_sl", "min_tsdr", "max_tsdr", "t_set", "t_qui", "gap", "max_retry", "t_tr")
 _PRESETS: Final = {
     9_600: (100, 11, 60, 1, 0, 1, 1, 50_000),
@@ -149,7 +149,7 @@ class BusParams:
         return self.t_to_of(self.address)
 
     def t_to_of(self, address: int) -> int:
-        """T_TO in bit times of the master ``address`` on this bus (docs/protocol.md#t_to)."""
+        """T_TO in bit times of the master ``address`` on this bus (docs/reference/protocol.md#t_to)."""
         return (6 + 2 * address) * self.t_sl
 
 

@@ -1,7 +1,7 @@
 """A program that computes and blocks, beside a bus that does not notice: the bus runs in a process of its own.
 
 No hardware needed: the drive is a simulated one, at the other end of a pseudo terminal. On a real line `driver` may be
-left out (docs/drivers.md). Linux only.
+left out (docs/explanation/drivers.md). Linux only.
 """
 
 import asyncio

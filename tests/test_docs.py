@@ -40,7 +40,7 @@ _OLD_CITATION = re.compile(
     r"protocol facts|\bsection [A-J]\b(?! of)|\b[Rr]ows? [DKILF]\d+|\bspec p\.? ?\d|check list|"
     r"\((?:[A-D]\d|J|section [A-J])(?:, (?:[A-D]\d|J))*\)"
 )
-_ARCHITECTURE = ROOT / "docs" / "architecture.md"
+_ARCHITECTURE = ROOT / "docs" / "development" / "architecture.md"
 SOURCES = sorted(
     path
     for room in ("dpstack", "drives", "tests", "bench", "tools", "examples")
@@ -122,7 +122,7 @@ def test_the_program_with_a_gsd_file_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(ROOT)
-    (text,) = [text for mark, text in blocks(ROOT / "docs" / "gsd.md", "python") if mark != "run"]
+    (text,) = [text for mark, text in blocks(ROOT / "docs" / "how-to" / "gsd.md", "python") if mark != "run"]
     program = tmp_path / "program.py"
     program.write_text(text, encoding="utf-8")
     runpy.run_path(str(program))
@@ -289,13 +289,16 @@ def test_citations_in_the_sources_lead_to_an_anchor(find: Callable[[str], list[s
 
 
 def test_a_citation_of_nothing_is_found() -> None:
-    assert missing("docs/protocol.md#t-sl, docs/protocol.md") == []
-    assert missing("docs/protocol.md#nothing and docs/nothing.md") == ["docs/protocol.md#nothing", "docs/nothing.md#"]
+    assert missing("docs/reference/protocol.md#t-sl, docs/reference/protocol.md") == []
+    assert missing("docs/reference/protocol.md#nothing and docs/nothing.md") == [
+        "docs/reference/protocol.md#nothing",
+        "docs/nothing.md#",
+    ]
     assert _OLD_CITATION.findall("(protocol facts B6), row D17 (C3, J)") == ["protocol facts", "row D17", "(C3, J)"]
 
 
 def test_every_command_and_option_is_documented() -> None:
-    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
     for name in _COMMANDS:
         assert f"`dpstack {name}" in text
 
@@ -303,7 +306,7 @@ def test_every_command_and_option_is_documented() -> None:
 def test_every_control_command_is_documented() -> None:
     from dpstack.api.control.commands import KINDS
 
-    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
     names = {spec.name for specs in KINDS.values() for spec in specs}
     assert [name for name in sorted(names) if not re.search(rf"`{name}[ `]", text)] == []
 
@@ -314,7 +317,7 @@ def test_the_tables_of_keys_are_those_of_the_readers() -> None:
 
 
 def test_the_table_of_bus_parameters_is_the_programs() -> None:
-    text = (ROOT / "docs" / "bus-parameters.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "bus-parameters.md").read_text(encoding="utf-8")
     rows = [row.strip("|").split("|") for row in text.splitlines() if re.match(r"\| [\d.]", row)]
     seen = 0
     for row in rows:
@@ -330,7 +333,7 @@ def test_the_table_of_bus_parameters_is_the_programs() -> None:
 def test_every_fault_is_in_the_troubleshooting() -> None:
     from dpstack.dp.master.events import FaultKind
 
-    text = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "troubleshooting.md").read_text(encoding="utf-8")
     assert [kind.value for kind in FaultKind if f"| `{kind.value}` |" not in text] == []
 
 
@@ -359,7 +362,7 @@ def test_the_table_of_neighbours_is_the_programs() -> None:
     from dpstack.phy.neighbours import Neighbours
     from dpstack.phy.patience import ADAPTER, measured
 
-    text = (ROOT / "docs" / "bus-parameters.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "bus-parameters.md").read_text(encoding="utf-8")
     rows = re.findall(r"\| (not measured, 20|measured (\d)) ms(?:, lowest other master (\d))? \|(.*)\|", text)
     for _, ms, lowest, cells in rows:
         patience = measured(int(ms) * 1_000_000) if ms else ADAPTER

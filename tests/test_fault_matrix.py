@@ -54,7 +54,7 @@ def test_what_every_cell_holds(fault: Fault) -> None:
 
 
 def test_the_table_of_the_reliability_page() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "reliability.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[1] / "docs" / "development" / "reliability.md").read_text(encoding="utf-8")
     assert table(FAULTS) in page, "print it with: python tests/kits/fault_matrix.py --table"
 
 

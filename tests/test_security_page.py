@@ -1,4 +1,4 @@
-"""docs/security.md: every promise has tests that exist; every dependency has a range and a reason."""
+"""docs/explanation/security.md: every promise has tests that exist; every dependency has a range and a reason."""
 
 from __future__ import annotations
 
@@ -77,6 +77,6 @@ def test_every_dependency_has_a_range_and_a_reason() -> None:
 
 
 def test_the_release_page_names_every_extra_and_the_tools() -> None:
-    page = (ROOT / "docs" / "release.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "development" / "release.md").read_text(encoding="utf-8")
     for tool in ("cyclonedx-py environment", "pip-audit", "python -m build", "SOURCE_DATE_EPOCH"):
         assert tool in page

@@ -1,10 +1,11 @@
-"""Writes the tables of docs/configuration.md from the keys that the readers know; a test holds the page to them."""
+"""Writes the tables of docs/reference/configuration.md from the keys of the readers; a test holds the page to them."""
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,7 +21,7 @@ from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.process_data import Field
 from dpstack.dp.slave_params import SlaveParams
 
-TARGET: Final = Path(__file__).resolve().parent.parent / "docs" / "configuration.md"
+TARGET: Final = Path(__file__).resolve().parent.parent / "docs" / "reference" / "configuration.md"
 #: the class of each table, and the one whose fields have the plain defaults
 TABLES: Final[Mapping[str, tuple[type, type]]] = {
     "bus": (BusConfig, BusConfig),
@@ -34,11 +35,20 @@ TABLES: Final[Mapping[str, tuple[type, type]]] = {
 _PLAIN: Final = {str: "a text", bool: "true, false", bytes: "octets", Mapping: "a table"}
 #: an entry of a docstring: the key, and its sentence in lines that are set in
 _ENTRY: Final = re.compile(r"^(\w+): (.*(?:\n +.*)*)", re.MULTILINE)
+#: a link in a docstring names a page of docs/ without its folder
+_LINK: Final = re.compile(r"(?<=\]\()[\w-]+\.md")
 
 
 def sentences(table: type) -> dict[str, str]:
     """The text for each key from the docstring of ``table``."""
-    return {key: " ".join(text.split()) for key, text in _ENTRY.findall(inspect.getdoc(table) or "")}
+    entries = _ENTRY.findall(inspect.getdoc(table) or "")
+    return {key: _LINK.sub(_relative, " ".join(text.split())) for key, text in entries}
+
+
+def _relative(link: re.Match[str]) -> str:
+    """The path of the linked page, as seen from TARGET."""
+    (page,) = TARGET.parent.parent.glob(f"*/{link[0]}")
+    return os.path.relpath(page, TARGET.parent)
 
 
 def _number(value: float) -> str:

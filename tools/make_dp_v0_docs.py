@@ -1,5 +1,6 @@
-"""Writes docs/dp-v0.md: every service, option and diagnosis bit of DP-V0 at both ends with the tests that show it, from
-tools/dp_v0_rows.toml and the table of bits; a test holds the page to them and looks whether the tests exist.
+"""Writes docs/reference/dp-v0.md: every service, option and diagnosis bit of DP-V0 at both ends with the tests that
+show it, from tools/dp_v0_rows.toml and the table of bits; a test holds the page to them and looks whether the tests
+exist.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import Any, Final
 
 from dpstack.dp.pdu.diag_bits import FLAGS, Flag, Reaction
 
-TARGET: Final = Path(__file__).resolve().parent.parent / "docs" / "dp-v0.md"
+TARGET: Final = Path(__file__).resolve().parent.parent / "docs" / "reference" / "dp-v0.md"
 ROWS: Final = Path(__file__).resolve().with_name("dp_v0_rows.toml")
 
 _HEAD: Final = """# DP-V0

@@ -1,4 +1,4 @@
-"""Writes the table of docs/ends.md from tests/snapshots/ends.json, which a recording slave has measured.
+"""Writes the table of docs/explanation/ends.md from tests/snapshots/ends.json, which a recording slave has measured.
 
     python tools/make_ends_docs.py              the page from the data
     python tools/make_ends_docs.py --measure    measures all rows first, about 10 minutes (see tests/kits/ends_rows.py)
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parent.parent
-TARGET: Final = ROOT / "docs" / "ends.md"
+TARGET: Final = ROOT / "docs" / "explanation" / "ends.md"
 DATA: Final = ROOT / "tests" / "snapshots" / "ends.json"
 _MEASURE: Final = ROOT / "tests" / "kits" / "ends_rows.py"
 _BEGIN: Final = "<!-- table: ways out -->\n"

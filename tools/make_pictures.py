@@ -1,7 +1,7 @@
 """Draws the pictures of the documents as Mermaid: rooms and their imports, and the tables of states.
 
-Writes docs/states.md, and in docs/architecture.md the block behind each ``<!-- picture: NAME -->``. A test holds both
-to what this makes: no picture is drawn by hand.
+Writes docs/reference/states.md, and in docs/development/architecture.md the block behind each ``<!-- picture: NAME
+-->``. A test holds both to what this makes: no picture is drawn by hand.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from dpstack.dpv1.slave import ms2_states
 from dpstack.fdl.active import states as ring_states
 
 ROOT: Final = Path(__file__).resolve().parent.parent
-ARCHITECTURE: Final = ROOT / "docs" / "architecture.md"
-STATES: Final = ROOT / "docs" / "states.md"
-RING: Final = ROOT / "docs" / "fdl-states.md"
+ARCHITECTURE: Final = ROOT / "docs" / "development" / "architecture.md"
+STATES: Final = ROOT / "docs" / "reference" / "states.md"
+RING: Final = ROOT / "docs" / "reference" / "fdl-states.md"
 #: single modules that everything may import
 _BASE: Final = "base"
 _MARK: Final = re.compile(r"(<!-- picture: ([\w-]+) -->\n)(?:```mermaid\n.*?^```\n)?", re.DOTALL | re.MULTILINE)
@@ -198,7 +198,7 @@ def token_ring() -> str:
 
 def _source(text: str) -> str:
     """A source of a table with its citations as links."""
-    return re.sub(r"docs/([\w/-]+\.md)(#[\w-]+)", r"[\2](\1\2)", text)
+    return re.sub(r"docs/reference/([\w/-]+\.md)(#[\w-]+)", r"[\2](\1\2)", text)
 
 
 def states() -> str:

@@ -1,4 +1,4 @@
-"""Endurance runs, whose figures are in docs/reliability.md; ``make soak`` runs a short part of each.
+"""Endurance runs, whose figures are in docs/development/reliability.md; ``make soak`` runs a short part of each.
 
     python -m tools.soak --slices 0-99      10^8 telegrams in virtual time, a slice of 10^6 after the other
     python -m tools.soak --ptys 60          an hour on ptys with both drivers, side by side

@@ -1,8 +1,8 @@
 """The course of a bus: which request a telegram answers or repeats, who holds the token, what is out of order.
 
-Facts: docs/protocol.md#frame-count-bit, docs/protocol.md#the-token-ring. It sees one telegram after another, of any
-number of masters, and takes nothing for granted but what it has seen: the first request of a pair of stations can be
-neither a retry nor wrong, and nothing is called wrong that damaged octets may explain.
+Facts: docs/reference/protocol.md#frame-count-bit, docs/reference/protocol.md#the-token-ring. It sees one telegram after
+another, of any number of masters, and takes nothing for granted but what it has seen: the first request of a pair of
+stations can be neither a retry nor wrong, and nothing is called wrong that damaged octets may explain.
 """
 
 from __future__ import annotations

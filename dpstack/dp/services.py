@@ -86,7 +86,7 @@ def refusal_text(answer: Telegram) -> str:
 
 
 #: services that only read, by DSAP: open to every master beside the one that owns the slave
-#: (docs/protocol.md#services-by-state)
+#: (docs/reference/protocol.md#services-by-state)
 _READING: Final = frozenset((SAP_SLAVE_DIAG, SAP_GET_CFG, SAP_RD_INP, SAP_RD_OUTP))
 _ASKING: Final = frozenset((Req.FDL_STATUS, Req.IDENT))
 _SRD: Final = frozenset((Req.SRD_LOW, Req.SRD_HIGH))

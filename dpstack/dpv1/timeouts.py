@@ -18,7 +18,7 @@ _EAGER: Final = 4
 _PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
 
 #: the shortest send time-out of a class 2 connection by rate in bit/s: what slave chips keep to, slower ones the last
-#: (docs/protocol.md#initiate)
+#: (docs/reference/protocol.md#initiate)
 _SEND_TIMEOUTS: Final = {1_500_000: NS_PER_S, 500_000: 2 * NS_PER_S, 0: 4 * NS_PER_S}
 
 #: a master sends Idle over a connection that was quiet for this share of its send time-out: a slave waits twice the

@@ -1,7 +1,7 @@
 """Codec between telegrams and octets: SD1, SD2, SD3, SD4 and SC, the FC octet, address extension octets, FCS.
 
-Layouts: docs/protocol.md#telegrams, docs/protocol.md#addresses (extension octets: those of DA come first, then SA's),
-docs/protocol.md#function-code.
+Layouts: docs/reference/protocol.md#telegrams, docs/reference/protocol.md#addresses (extension octets: those of DA come
+first, then SA's), docs/reference/protocol.md#function-code.
 
 Only :func:`parse` judges octets. It recognises a frame that cannot become a telegram by the first octet that shows it
 (an impossible LE by its repetition), not at the end of the frame.

@@ -1,7 +1,7 @@
 """The live list: stations 0..126 on the bus with type and readiness, polled by FDL status.
 
-The live list is the user of the link layer with the lowest priority (docs/protocol.md#token-rotation): it sends one
-request a token hold, in the time that other users leave. Its polls of silent addresses stay within an
+The live list is the user of the link layer with the lowest priority (docs/reference/protocol.md#token-rotation): it
+sends one request a token hold, in the time that other users leave. Its polls of silent addresses stay within an
 :class:`Allowance`. Its requests change no station.
 """
 

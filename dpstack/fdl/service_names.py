@@ -1,6 +1,6 @@
 """Names of the services of the link layer and of DP, by function code and service access point.
 
-Facts: docs/protocol.md#saps.
+Facts: docs/reference/protocol.md#saps.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 
 class Kind(IntEnum):
-    """The kinds of telegram; the value is the start octet (docs/protocol.md#telegrams)."""
+    """The kinds of telegram; the value is the start octet (docs/reference/protocol.md#telegrams)."""
 
     SD1 = 0x10
     SD2 = 0x68

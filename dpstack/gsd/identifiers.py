@@ -1,6 +1,6 @@
 """Identifier octets of Chk_Cfg and Get_Cfg: parser of the I/O configuration of a slave, general and special format.
 
-Layouts: docs/protocol.md#identifiers, docs/protocol.md#special-identifiers.
+Layouts: docs/reference/protocol.md#identifiers, docs/reference/protocol.md#special-identifiers.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ MAX_IO: Final = 244
 #: an identifier of the general format has one of these bits
 _GENERAL: Final = 0x30
 #: low nibble of a special one in Chk_Cfg: no manufacturer octets follow, and none are compared
-#: (docs/protocol.md#special-identifiers)
+#: (docs/reference/protocol.md#special-identifiers)
 _NOT_COMPARED: Final = 0x0F
 
 

@@ -1,4 +1,4 @@
-"""The shape of the items of the stream: what every reader may rely on (docs/live.md).
+"""The shape of the items of the stream: what every reader may rely on (docs/reference/live.md).
 
 A program that reads the stream of another one, or replays a recording, gets items that somebody else made. Keys that
 are not named here are allowed: a newer version may have them.

@@ -1,6 +1,6 @@
 """The plant as the items so far describe it, for a face that shows it.
 
-Items of the stream, each a dict with one key (docs/live.md):
+Items of the stream, each a dict with one key (docs/reference/live.md):
 
 - ``plant``: the bus and its slaves as configured; first, and again when the configuration of the running bus changes
 - ``snapshot``: state and values; whole after ``plant``, later only the keys that have changed

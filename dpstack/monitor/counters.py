@@ -63,7 +63,7 @@ _LONGEST: Final = 256
 _ANY_BAUD: Final = 9600
 _NOT_ASKED = tuple(number in UNANSWERED for number in range(16))
 _IS_COUNTED = tuple(number in COUNTED for number in range(16))
-#: functions and states without a meaning (docs/protocol.md#function-code)
+#: functions and states without a meaning (docs/reference/protocol.md#function-code)
 _RESERVED_FUNCTION = tuple(number not in Req._value2member_map_ for number in range(16))
 _RESERVED_STATUS = tuple(number not in Resp._value2member_map_ for number in range(16))
 #: answers of a slave in data exchange; OK and NR come from slaves without inputs

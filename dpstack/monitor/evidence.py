@@ -2,7 +2,8 @@
 
 M-Bus (EN 13757-2) and IEC 60870-5-101 use the frames of IEC 60870-5-1, FT1.2, as PROFIBUS does: start octet 68, the
 length twice, a sum as check sequence, the end octet 16, and E5 for an acknowledgement. So one telegram can only be
-called a telegram of this form. PROFIBUS is what only PROFIBUS does, again and again (docs/protocol.md#is-it-profibus):
+called a telegram of this form. PROFIBUS is what only PROFIBUS does, again and again
+(docs/reference/protocol.md#is-it-profibus):
 
 * a token is passed on: its sender is the receiver of the token before,
 * an answer fits its request: both addresses and SAPs exchanged. In FT1.2 the octet at DA's place is the control field,

@@ -67,7 +67,7 @@ class Thresholds:
 
 
 def limits() -> tuple[Limit, ...]:
-    """All thresholds, in the order of docs/monitor.md."""
+    """All thresholds, in the order of docs/how-to/monitor.md."""
     return tuple(_of(one.name, one.default, one.metadata["limit"]) for one in fields(Thresholds))
 
 

@@ -4,7 +4,8 @@ The other masters do not know the delay ``unknown_ns`` of this port (there and b
 first octet of the station after a token, or the answer of a simulated slave, is late by this delay. It has to begin
 within T_SL, else the other master passes the token on or repeats the request. Second, while the station holds the token
 it waits longer for stations that do not answer: another master with address n claims the token after a silence of
-T_TO = (6 + 2 n) T_SL (docs/protocol.md#t_to). All masters of a bus have the same T_SL, so one calculation is enough.
+T_TO = (6 + 2 n) T_SL (docs/reference/protocol.md#t_to). All masters of a bus have the same T_SL, so one calculation is
+enough.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The page in the browser: a web server beside the run that drives the bus (``dpstack web``).
 
-It joins the run through its control socket, and never opens a port itself. docs/web.md has the protocol of the
+It joins the run through its control socket, and never opens a port itself. docs/how-to/web.md has the protocol of the
 WebSocket and the rights.
 
 - ``address``: ``--listen HOST:PORT``, its sockets, and the ``Host`` and ``Origin`` that a request may have

@@ -1,4 +1,5 @@
-"""The fixed list of causes, each with its meaning, how it is told, and the next step; docs/why.md is made from it."""
+"""The fixed list of causes, each with its meaning, how it is told, and the next step; docs/how-to/why.md is made from
+it."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ local function refuse(...)
     error({ pdu = string.format(...) }, 0)
 end
 
--- --- the link layer: docs/protocol.md of dpstack, "Telegrams" --------------------------------------------------------
+-- --- the link layer: docs/reference/protocol.md of dpstack, "Telegrams" --------------------------------------------------------
 
 local SD1, SD2, SD3, SD4, SC, ED = 0x10, 0x68, 0xA2, 0xDC, 0xE5, 0x16
 local KINDS = { [SD1] = "SD1", [SD2] = "SD2", [SD3] = "SD3", [SD4] = "SD4", [SC] = "SC" }

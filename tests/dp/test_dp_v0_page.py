@@ -1,4 +1,4 @@
-"""docs/dp-v0.md is the program's, and every test that it, dp-v1.md and ends.md name exists."""
+"""docs/reference/dp-v0.md is the program's, and every test that it, dp-v1.md and ends.md name exists."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from dpstack.dp.slave.state_table import ACCESS
 from tools.make_dp_v0_docs import TARGET, render
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-DP_V1 = ROOT / "docs" / "dp-v1.md"
-ENDS = ROOT / "docs" / "ends.md"
+DP_V1 = ROOT / "docs" / "how-to" / "dp-v1.md"
+ENDS = ROOT / "docs" / "explanation" / "ends.md"
 
 
 @functools.cache

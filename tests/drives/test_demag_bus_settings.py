@@ -1,4 +1,4 @@
-"""Demag: Set_Prm, DC brake, toggle bit, address, limits, warnings and SYNC (docs/drives/demag.md).
+"""Demag: Set_Prm, DC brake, toggle bit, address, limits, warnings and SYNC (docs/reference/drives/demag.md).
 
 Both ends alone, against literal octets.
 """
@@ -14,7 +14,7 @@ from dpstack.dp.slave.application import SlaveApp
 from dpstack.errors import ConfigError
 from dpstack_drives.demag import DRIVE
 
-# -- docs/drives/demag.md#gsd-facts -----------------------------------------------------------------------------------
+# -- docs/reference/drives/demag.md#gsd-facts --------------------------------------------------------------------------
 
 
 def test_d1_what_set_prm_and_chk_cfg_bring() -> None:
@@ -29,7 +29,7 @@ def test_d1_what_set_prm_and_chk_cfg_bring() -> None:
     assert device.fail_safe
 
 
-# -- docs/drives/demag.md#stopping -----------------------------------------------------------------------------------
+# -- docs/reference/drives/demag.md#stopping ---------------------------------------------------------------------------
 
 
 def braking() -> DemagBench:
@@ -75,7 +75,7 @@ def test_d8_392_by_the_kind_of_application() -> None:
         DRIVE.device("PPO3", {"392": 1, "application": "speed"})
 
 
-# -- docs/drives/demag.md#toggle-bit ---------------------------------------------------------------------------------
+# -- docs/reference/drives/demag.md#toggle-bit -------------------------------------------------------------------------
 
 
 def test_d10_the_drive_waits_for_the_first_copy_and_then_limits_each_answer() -> None:
@@ -152,7 +152,7 @@ def test_d10_the_plugin_warns_when_881_is_too_short(limit: str, told: bool) -> N
     assert all("50 ms, two scans of the drive and two rotations take 68 ms" in text for text in notices)
 
 
-# -- docs/drives/demag.md#address ------------------------------------------------------------------------------------
+# -- docs/reference/drives/demag.md#address ----------------------------------------------------------------------------
 
 
 def test_d19_a_write_of_391_resets_the_drive() -> None:

@@ -1,4 +1,4 @@
-"""Demag: facts of the GSD file, state and command tables, readings of status words (docs/drives/demag.md)."""
+"""Demag: facts of the GSD file, state and command tables, readings of status words (docs/reference/drives/demag.md)."""
 
 from __future__ import annotations
 

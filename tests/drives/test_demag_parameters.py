@@ -1,4 +1,4 @@
-"""Demag's parameter channel, the master's end alone, fed with literal octets (docs/drives/demag.md)."""
+"""Demag's parameter channel, the master's end alone, fed with literal octets (docs/reference/drives/demag.md)."""
 
 from __future__ import annotations
 

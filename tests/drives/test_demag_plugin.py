@@ -1,4 +1,4 @@
-"""Demag, the master's end alone: fed with literal octets of the manual (docs/drives/demag.md)."""
+"""Demag, the master's end alone: fed with literal octets of the manual (docs/reference/drives/demag.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Demag, the simulated drive alone: literal outputs in, literal inputs out (docs/drives/demag.md)."""
+"""Demag, the simulated drive alone: literal outputs in, literal inputs out (docs/reference/drives/demag.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Demag: OUT-PZD and IN-PZD, the trace of the manual's lines (docs/drives/demag.md). Both ends alone, literal
+"""Demag: OUT-PZD and IN-PZD, the trace of the manual's lines (docs/reference/drives/demag.md). Both ends alone, literal
 octets."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from drive_bench import as_mapping
 from dpstack.errors import ConfigError
 from dpstack_drives.demag import DRIVE
 
-# -- docs/drives/demag.md#out-pzd -------------------------------------------------------------------------------------
+# -- docs/reference/drives/demag.md#out-pzd ----------------------------------------------------------------------------
 
 VALUES = [
     ("bool", 1, "FF FF"),
@@ -100,7 +100,7 @@ def test_d14_sources_are_there_in_ppo2_and_ppo4_only() -> None:
         sim("PPO4").device.source(762)
 
 
-# -- docs/drives/demag.md#trace-lines --------------------------------------------------------------------------------
+# -- docs/reference/drives/demag.md#trace-lines ------------------------------------------------------------------------
 
 
 def test_d16_the_lines_of_the_manual_from_live_data() -> None:

@@ -19,7 +19,7 @@ from typing import Final
 import pytest
 
 TESTS: Final = Path(__file__).parent.parent
-_PAGES: Final = Path(__file__).resolve().parents[2] / "docs" / "drives"
+_PAGES: Final = Path(__file__).resolve().parents[2] / "docs" / "reference" / "drives"
 ROWS: Final = tuple(
     name.upper()
     for page in sorted(_PAGES.glob("*.md"))

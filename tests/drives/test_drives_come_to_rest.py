@@ -17,7 +17,7 @@ FAN: Mapping[str, object] = {"name": "fan", "address": 4, "drive": "fuji-frenic"
 @pytest.mark.parametrize("way", ["clear", "stop"])
 def test_a_running_fuji_comes_to_rest(way: str) -> None:
     """Its CTW bit 10 makes it ignore the zeros of Clear: only 047E before them ramps it down
-    (docs/drives/fuji.md#control-and-status-word)."""
+    (docs/reference/drives/fuji.md#control-and-status-word)."""
 
     async def program() -> None:
         async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[FAN]) as bus:
@@ -61,7 +61,7 @@ def test_a_start_nobody_waits_for_any_more_never_comes_true() -> None:
 
 
 def test_a_start_cancelled_half_way_takes_its_command_back() -> None:
-    """Octets by docs/drives/fuji.md#worked-run: 047F begins the run, 047E ends it."""
+    """Octets by docs/reference/drives/fuji.md#worked-run: 047F begins the run, 047E ends it."""
     bench = PluginBench(find("fuji-frenic").core("fan", "PPO3", {}), "02 40 00 00")
     start = bench.order("start", timeout_s=60)
     assert bench.see("02 31 00 00", 2) == "04 7F 00 00"

@@ -1,4 +1,4 @@
-"""Fuji: what stands in the table and in the registry, and what is made up (docs/drives/fuji.md)."""
+"""Fuji: what stands in the table and in the registry, and what is made up (docs/reference/drives/fuji.md)."""
 
 from __future__ import annotations
 

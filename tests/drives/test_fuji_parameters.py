@@ -1,4 +1,4 @@
-"""Fuji's parameters and words of PCD, each end against literal octets (docs/drives/fuji.md)."""
+"""Fuji's parameters and words of PCD, each end against literal octets (docs/reference/drives/fuji.md)."""
 
 from __future__ import annotations
 

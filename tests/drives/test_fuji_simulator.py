@@ -1,4 +1,4 @@
-"""The simulated Fuji against literal octets, the worked run of the manual in order (docs/drives/fuji.md)."""
+"""The simulated Fuji against literal octets, the worked run of the manual in order (docs/reference/drives/fuji.md)."""
 
 from __future__ import annotations
 

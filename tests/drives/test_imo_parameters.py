@@ -1,4 +1,4 @@
-"""IMO's PKW zone, the plugin's end against literal octets (docs/drives/imo-hd2.md#pkw-zone)."""
+"""IMO's PKW zone, the plugin's end against literal octets (docs/reference/drives/imo-hd2.md#pkw-zone)."""
 
 from __future__ import annotations
 

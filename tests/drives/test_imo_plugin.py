@@ -1,4 +1,5 @@
-"""IMO's plugin against literal octets: codes of CW and SW (docs/drives/imo-hd2.md), what start and faults tell."""
+"""IMO's plugin against literal octets: codes of CW and SW (docs/reference/drives/imo-hd2.md), what start and faults
+tell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated IMO HD2 against literal octets (docs/drives/imo-hd2.md)."""
+"""The simulated IMO HD2 against literal octets (docs/reference/drives/imo-hd2.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""IMO's process data by P15, the plugin's end against literal octets (docs/drives/imo-hd2.md#process-data)."""
+"""IMO's process data by P15, the plugin's end against literal octets
+(docs/reference/drives/imo-hd2.md#process-data)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""KEB's parameter channel: each end against the octets of the manual (docs/drives/keb-f5.md#administration-byte)."""
+"""KEB's parameter channel: each end against the octets of the manual
+(docs/reference/drives/keb-f5.md#administration-byte)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""KEB: telegrams and GSD facts, names and indexes, what the profile says (docs/drives/keb-f5.md)."""
+"""KEB: telegrams and GSD facts, names and indexes, what the profile says (docs/reference/drives/keb-f5.md)."""
 
 from __future__ import annotations
 

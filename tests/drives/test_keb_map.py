@@ -1,5 +1,5 @@
-"""KEB's process data map (docs/drives/keb-f5.md#process-data-map): typed, checked, written over the channel, acting
-after power-on."""
+"""KEB's process data map (docs/reference/drives/keb-f5.md#process-data-map): typed, checked, written over the channel,
+acting after power-on."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dpstack_drives.keb.simulator import KebDevice
 EXAMPLE_1_IN = [4, 0x2033, 1, 0, 0, 0x2035, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
 EXAMPLE_1_OUT = [4, 0x2032, 1, 0, 0, 0x2034, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
 EXAMPLE_2 = [8, 0x233B, 1, 0, 0, 0, 0, 0, 0, 0x2D00, 1, 0, 0, 0, 0, 0, 0]
-#: docs/drives/keb-f5.md#second-block
+#: docs/reference/drives/keb-f5.md#second-block
 TEST_INPUTS = "202C:long 2033 2035 2200 2227"
 TEST_OUTPUTS = "2F13:long 2032 2034 230A"
 

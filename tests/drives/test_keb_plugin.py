@@ -1,5 +1,5 @@
-"""KEB's plugin against literal octets: words and bits that the user names (docs/drives/keb-f5.md#default-map), orders
-that cannot be without them."""
+"""KEB's plugin against literal octets: words and bits that the user names
+(docs/reference/drives/keb-f5.md#default-map), orders that cannot be without them."""
 
 from __future__ import annotations
 

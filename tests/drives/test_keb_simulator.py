@@ -1,5 +1,5 @@
 """KEB's simulated drive against literal octets: services, control and status word, timing, watchdog
-(docs/drives/keb-f5.md)."""
+(docs/reference/drives/keb-f5.md)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dpstack_drives.keb.watchdog import Life, Watchdog
 RUN = "00 05 05 DC"
 
 
-# -- docs/drives/keb-f5.md#services ----------------------------------------------------------------------------------
+# -- docs/reference/drives/keb-f5.md#services --------------------------------------------------------------------------
 
 
 def test_k1_every_service() -> None:
@@ -105,7 +105,7 @@ def test_limits_and_ramps() -> None:
     assert bench.send(RUN, 600) == "00 15 02 EE"
 
 
-# -- docs/drives/keb-f5.md#when-data-move ----------------------------------------------------------------------------
+# -- docs/reference/drives/keb-f5.md#when-data-move --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("cycle", "presets"), [(25, NONE), (7, {"Fb.09": 7}), (1, {"Fb.09": 0})])
@@ -136,7 +136,7 @@ def test_k9_outputs_reach_the_inverter_only_when_they_change() -> None:
 
 
 def _two_blocks(com_cycle: float = 0.0) -> KebBench:
-    """The test map of docs/drives/keb-f5.md#second-block, active."""
+    """The test map of docs/reference/drives/keb-f5.md#second-block, active."""
     telegram = "8+2/8+4 own-gsd"
     options: Mapping[str, object] = {"Fb.09": 0, "com_cycle_us": com_cycle}
     first = device(telegram, options)
@@ -197,7 +197,7 @@ def test_k9_the_cyclic_mode_has_a_grid(com_cycle: float, cycle: int) -> None:
     assert bench.device.operator.output_telegrams - before == pytest.approx(2 * 100 / cycle, abs=2)
 
 
-# -- docs/drives/keb-f5.md#watchdog-of-the-operator ------------------------------------------------------------------
+# -- docs/reference/drives/keb-f5.md#watchdog-of-the-operator ----------------------------------------------------------
 
 #: trips at once after 0.1 s
 TRIPS: Mapping[str, object] = {"Pn.05": 0, "Pn.06": 0.1}
@@ -308,7 +308,7 @@ def test_clear_writes_zeros() -> None:
     assert bench.send(RUN, 60)[:5] == "00 05"
 
 
-# -- docs/drives/keb-f5.md#address-and-maps-over-power-off -----------------------------------------------------------
+# -- docs/reference/drives/keb-f5.md#address-and-maps-over-power-off ---------------------------------------------------
 
 
 def test_k11_the_address_and_what_power_on_keeps() -> None:

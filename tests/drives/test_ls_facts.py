@@ -1,4 +1,4 @@
-"""LS S100: what stands in the manual's tables (docs/drives/ls-s100.md)."""
+"""LS S100: what stands in the manual's tables (docs/reference/drives/ls-s100.md)."""
 
 from __future__ import annotations
 

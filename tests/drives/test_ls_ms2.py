@@ -1,5 +1,5 @@
-"""The simulated LS S100 (docs/drives/ls-s100.md#record-47) for masters of both classes at once: record 47 is carried
-out for one at a time."""
+"""The simulated LS S100 (docs/reference/drives/ls-s100.md#record-47) for masters of both classes at once: record 47 is
+carried out for one at a time."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ def test_l9_972_zeroes_944_947_and_953_when_it_rises() -> None:
     assert pkw(bench, "23 CC 00 00 00 00 00 02") == "73 CC 00 00 00 00 00 02"
 
 
-# -- docs/drives/ls-s100.md#swap-and-lost-command --------------------------------------------------------------------
+# -- docs/reference/drives/ls-s100.md#swap-and-lost-command ------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

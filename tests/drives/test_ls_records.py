@@ -1,5 +1,5 @@
-"""Record 47 of the LS S100 (docs/drives/ls-s100.md#record-47), each end against the manual's octets, and PKW where the
-module has none."""
+"""Record 47 of the LS S100 (docs/reference/drives/ls-s100.md#record-47), each end against the manual's octets, and PKW
+where the module has none."""
 
 from __future__ import annotations
 

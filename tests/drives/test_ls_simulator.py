@@ -1,4 +1,4 @@
-"""The simulated LS S100 against literal octets (docs/drives/ls-s100.md)."""
+"""The simulated LS S100 against literal octets (docs/reference/drives/ls-s100.md)."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from dpstack.fdl.codec import (
 )
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Resp, StationType, Telegram, token
 
-# Bus logs (docs/protocol.md#known-telegrams) and what they say, by hand.
+# Bus logs (docs/reference/protocol.md#known-telegrams) and what they say, by hand.
 VECTORS: list[tuple[str, Telegram]] = [
     ("68 05 05 68 82 E3 6D 3C 3E 4C 16", Telegram(Kind.SD2, 2, 99, 0x6D, 60, 62)),
     (

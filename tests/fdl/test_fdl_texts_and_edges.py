@@ -126,7 +126,7 @@ def test_counters_begin_at_zero(made: Callable[[], object]) -> None:
 
 
 def test_every_row_of_the_state_table_is_on_its_page() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "fdl-states.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "fdl-states.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line[:1] == "|"]
     texts = {cell for row in rows for cell in row}
     assert {row.does for row in TABLE} <= texts

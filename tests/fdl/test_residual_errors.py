@@ -1,7 +1,8 @@
 """What no UART and no check sum can see: how often a damaged telegram passes for a sound one, counted out.
 
-The figures are those of docs/bus-parameters.md and docs/reliability.md. A character with an error of an odd number of
-bits is dropped, so it takes two inverted bits in each of two octets, and the two changes have to cancel in the sum.
+The figures are those of docs/reference/bus-parameters.md and docs/development/reliability.md. A character with an error
+of an odd number of bits is dropped, so it takes two inverted bits in each of two octets, and the two changes have to
+cancel in the sum.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def test_how_many_errors_of_four_bits_pass() -> None:
     assert 1e-9 < per_telegram < 3e-9
 
 
-# --- the share that no station can see, for any telegram: docs/reliability.md, "Fault matrix" ---
+# --- the share that no station can see, for any telegram: docs/development/reliability.md, "Fault matrix" ---
 # Nothing below uses the codec, the decoder or the UART of the project.
 
 #: patterns of two errors in each of two characters that cancel in the sum, on average over all octets

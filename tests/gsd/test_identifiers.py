@@ -1,4 +1,5 @@
-"""Identifier octets against the examples of manuals (docs/protocol.md#identifiers), and the watchdog factors."""
+"""Identifier octets against the examples of manuals (docs/reference/protocol.md#identifiers), and the watchdog
+factors."""
 
 from __future__ import annotations
 

@@ -35,8 +35,8 @@ def enable(bench: DemagBench, outputs: str = "20 00", *, head: str = "", words: 
 
 
 def pkw(bench: DeviceBench[Any], order: str) -> str:
-    """One order with its handshake (docs/drives/demag.md#handshake-of-the-parameter-channel) in PPO1; the reply's eight
-    octets."""
+    """One order with its handshake (docs/reference/drives/demag.md#handshake-of-the-parameter-channel) in PPO1; the
+    reply's eight octets."""
     assert bench.send(ZERO + "00 00 00 00")[:23] == ZERO.strip()
     return bench.send(order + " 00 00 00 00")[:23]
 

@@ -16,11 +16,12 @@ from support_responder import Responder
 
 #: octet 1 of Global_Control by what it says; the other bits are SYNC and FREEZE
 CLEAR = 0x02
-ENDS: Final = Path(__file__).parents[2] / "docs" / "ends.md"
+ENDS: Final = Path(__file__).parents[2] / "docs" / "explanation" / "ends.md"
 
 
 def table(heading: str, first: str) -> Iterator[tuple[str, list[str]]]:
-    """The rows of docs/ends.md under ``heading``, whose first column is ``first``: the name in code font, the cells.
+    """The rows of docs/explanation/ends.md under ``heading``, whose first column is ``first``: the name in code font,
+    the cells.
 
     A row without a name belongs to the one above.
     """

@@ -1,4 +1,4 @@
-"""Every way out of a program with a bus, measured: the rows of docs/ends.md.
+"""Every way out of a program with a bus, measured: the rows of docs/explanation/ends.md.
 
     python tests/kits/ends_rows.py               measures all rows and writes tests/snapshots/ends.json
     python tests/kits/ends_rows.py KEY ...       these only; a part of a key names all rows that contain it

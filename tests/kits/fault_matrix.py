@@ -2,8 +2,8 @@
 
 ``tests/snapshots/fault_matrix.json`` keeps the lines, so that a change of behaviour is a diff to read. One command
 writes them: ``python tests/kits/fault_matrix.py`` (``TEXT ...`` after it: only the lines of faults with such a text in
-their names, ``--quick``: only those of ``make test``). ``--table`` prints the table of docs/reliability.md. All is
-decided by the seed, so each line is exact.
+their names, ``--quick``: only those of ``make test``). ``--table`` prints the table of docs/development/reliability.md.
+All is decided by the seed, so each line is exact.
 
 A fault is a function that begins it at a plant and returns the function that ends it. A cell brings the plant up, lets
 the fault act for some rotations, measures how long the plant takes to be well again, then lets the fault act once more
@@ -232,8 +232,8 @@ def write(faults: Iterable[Fault], texts: Collection[str], *, quick: bool) -> No
 
 
 def table(faults: Iterable[Fault]) -> str:
-    """The matrix summed up by fault, for docs/reliability.md. Numbers of its lines are added up; of rotations to
-    recovery the median and the most."""
+    """The matrix summed up by fault, for docs/development/reliability.md. Numbers of its lines are added up; of
+    rotations to recovery the median and the most."""
     lines = kept()
     rows = [
         "| fault | cells | exchanges | retries | slaves dropped | wrong data | rotations to recovery: median, most |"

@@ -77,7 +77,7 @@ class NeverReady(SlaveApp):
 
 
 class SilentRefusal(SlaveApp):
-    """Does not answer a Set_Prm or Chk_Cfg that it refuses (docs/protocol.md#refusal-without-answer)."""
+    """Does not answer a Set_Prm or Chk_Cfg that it refuses (docs/reference/protocol.md#refusal-without-answer)."""
 
     __slots__ = ()
 

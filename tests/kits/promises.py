@@ -1,5 +1,5 @@
-"""The promises of docs/security.md and the tests that show them. Run this file to run all of them: ``--list`` prints
-them, other arguments go to pytest."""
+"""The promises of docs/explanation/security.md and the tests that show them. Run this file to run all of them:
+``--list`` prints them, other arguments go to pytest."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 ROOT: Final = Path(__file__).parents[2]
-PAGE: Final = ROOT / "docs" / "security.md"
+PAGE: Final = ROOT / "docs" / "explanation" / "security.md"
 _PROMISE: Final = re.compile(r"^- \*\*([A-Z]\d+)\*\* (.+?)(?=^- |^$)", re.MULTILINE | re.DOTALL)
 
 _CONTROL: Final = "api/control/test_control.py::"

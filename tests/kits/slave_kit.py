@@ -16,8 +16,8 @@ MASTER = 2
 OTHER = 9
 SLAVE = 8
 
-# Literal PDUs (docs/protocol.md#known-telegrams, docs/protocol.md#set_prm): lock, watchdog 1 x 10 (100 ms), min T_SDR
-# 11, ident 0A35, group 2
+# Literal PDUs (docs/reference/protocol.md#known-telegrams, docs/reference/protocol.md#set_prm): lock, watchdog 1 x 10
+# (100 ms), min T_SDR 11, ident 0A35, group 2
 PRM = bytes.fromhex("88 01 0A 0B 0A 35 02")
 PRM_NO_WD = bytes.fromhex("80 01 01 0B 0A 35 00")
 UNLOCK = bytes.fromhex("40 01 01 00 0A 35 00")

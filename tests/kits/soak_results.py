@@ -1,4 +1,5 @@
-"""The results file of the long runs: JSON lines, the judgement of each, and the table for docs/reliability.md."""
+"""The results file of the long runs: JSON lines, the judgement of each, and the table for
+docs/development/reliability.md."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from dpstack.why.evidence import Evidence, Line, Neighbour, Ring
 from dpstack.why.steps import refused_by, words
 from dpstack.why.story import story_lines, tell
 
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "why.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "why.md"
 SETUP = SlaveParams(address=8, name="valves", ident=0x1234, config=b"\x20\x10", user_prm=b"\x00\x07")
 EMPTY = Evidence(
     setup=SETUP, state=SlaveState.OFFLINE, ring=Ring(own=2), line=Line(baud=500_000, slot_bits=200)

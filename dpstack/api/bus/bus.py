@@ -373,7 +373,8 @@ class Bus(Sealed, BusBase):
         self._events.publish(event)
 
     def live(self, interval: float = 0.1) -> LiveStream:
-        """Plant, snapshots and events of the bus as one stream of plain data (docs/live.md), an async iterator.
+        """Plant, snapshots and events of the bus as one stream of plain data (docs/reference/live.md), an async
+        iterator.
 
         A snapshot comes every ``interval`` seconds (0.02 or more), an event at once. A slow reader gets the latest
         snapshot and up to 1000 events; the bus never waits. It ends with the bus, or by ``close()``.
@@ -397,7 +398,7 @@ class Bus(Sealed, BusBase):
         rotate: str | None = None,
     ) -> BusRecording:
         """Keep named values, states and drive quantities of every round in the file ``path``, which ends in .csv,
-        .jsonl or .parquet (docs/record.md). Recording begins at once, and never delays the bus.
+        .jsonl or .parquet (docs/how-to/record.md). Recording begins at once, and never delays the bus.
 
         ``on_change``: only rounds in which a value has changed by more than its ``dead_band`` (here: of all numbers, in
         their units; the key ``dead_band`` of a field if it is greater). ``rotate``: a new file after a size or a time,
@@ -539,10 +540,10 @@ def open_bus(
     Use it as ``async with open_bus(...) as bus``: entering listens, joins the token ring and begins to bring the slaves
     up in Clear; ``await bus.operate()`` lets outputs out. ``slaves`` are mappings with the keys of a [[slave]] table,
     ``bus`` further keys of [bus]. ``driver="process"``: the bus runs in a process of its own, which the application
-    cannot hold up (docs/drivers.md). ``port="virtual"`` simulates the slaves in this process. ``on_event`` is called
-    for every event at once; ``world`` joins an existing simulated bus (see :func:`simulate`). ``join_timeout`` in
-    seconds: how long to wait for the token beside other masters (default: two passes over a GAP like this master's,
-    30 s at least).
+    cannot hold up (docs/explanation/drivers.md). ``port="virtual"`` simulates the slaves in this process. ``on_event``
+    is called for every event at once; ``world`` joins an existing simulated bus (see :func:`simulate`).
+    ``join_timeout`` in seconds: how long to wait for the token beside other masters (default: two passes over a GAP
+    like this master's, 30 s at least).
 
     ``baud="auto"``: entering listens for the rate first. Until it is found ``bus.searching`` is true, and what depends
     on it (``plan``, ``params``, slaves and drives) raises UsageError. After 5 s of silence it gives up: a master that

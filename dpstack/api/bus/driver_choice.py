@@ -1,4 +1,5 @@
-"""The choice of the driver: asyncio, process or virtual. The rule of "auto" is by measurements (docs/drivers.md)."""
+"""The choice of the driver: asyncio, process or virtual. The rule of "auto" is by measurements
+(docs/explanation/drivers.md)."""
 
 from __future__ import annotations
 

@@ -48,8 +48,8 @@ class BaudReport:
 
     ``telegrams``: received in a row, without odd octets between them. ``confidence``: "checked" (telegrams with check
     sum) or "token" (the same token three times). ``missing``: "silence" or "noise". ``text``: the result for people.
-    ``profibus``: tokens and answers at this rate show that it is PROFIBUS (docs/protocol.md#is-it-profibus), with the
-    reason in ``evidence``; None: nobody looked.
+    ``profibus``: tokens and answers at this rate show that it is PROFIBUS (docs/reference/protocol.md#is-it-profibus),
+    with the reason in ``evidence``; None: nobody looked.
     """
 
     baud: int | None

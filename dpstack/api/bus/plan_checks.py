@@ -16,7 +16,8 @@ from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text, ms_text
 
 __all__ = ["Verdict"]  # for the command line
 
-#: time (ns) of an exchange and of the token over an adapter with a latency timer of 1 ms (docs/bus-parameters.md)
+#: time (ns) of an exchange and of the token over an adapter with a latency timer of 1 ms
+#: (docs/reference/bus-parameters.md)
 _ADAPTER_EXCHANGE: Final = 2 * NS_PER_MS
 _ADAPTER_TOKEN: Final = NS_PER_MS
 

@@ -1,6 +1,6 @@
 """The ordered end of a bus: despite cancellations and Ctrl-C, by a finaliser without event loop, not in a fork.
 
-The steps are :class:`dpstack.drivers.line.shutdown.EndSteps`; docs/ends.md lists every way out.
+The steps are :class:`dpstack.drivers.line.shutdown.EndSteps`; docs/explanation/ends.md lists every way out.
 """
 
 from __future__ import annotations

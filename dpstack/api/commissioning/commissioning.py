@@ -126,8 +126,8 @@ class Commissioning:
         """The [[slave]] table with the keys ``slave``: ``{"text", "errors", "inputs", "outputs", "config", "user_prm",
         "notes"}``.
 
-        The keys are those of docs/configuration.md; ``ident`` may be a text like "0x0FFE". ``errors`` as those of
-        :meth:`check`; with errors the other values but ``text`` are null. ``inputs``, ``outputs``: octets.
+        The keys are those of docs/reference/configuration.md; ``ident`` may be a text like "0x0FFE". ``errors`` as
+        those of :meth:`check`; with errors the other values but ``text`` are null. ``inputs``, ``outputs``: octets.
         """
         self.folder.refresh()
         return self._table(_keys(slave))

@@ -79,7 +79,8 @@ def _echo(table: Table, name: str, key: Key) -> object:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusConfig:
-    """The keys of [bus], as docs/configuration.md has them. ``port`` and ``baud`` may be missing until they are needed.
+    """The keys of [bus], as docs/reference/configuration.md has them. ``port`` and ``baud`` may be missing until they
+    are needed.
 
     port: a device, `socket://host:port`, `rfc2217://host:port`, or `"virtual"`: dpstack simulates the slaves. Left out:
         `--port`

@@ -34,7 +34,7 @@ def _blocks(table: Table, key: str, _: Key) -> tuple[PrmBlock, ...]:
 
 
 class Dpv1Keys(TypedDict, total=False):
-    """The keys of [slave.dpv1], as docs/configuration.md has them.
+    """The keys of [slave.dpv1], as docs/reference/configuration.md has them.
 
     alarms: the kinds of alarms that the slave may raise: `pull_plug`, `process`, `diagnostic`, `manufacturer`,
         `status`, `update` ([alarms.md](alarms.md)). Left out: those that its GSD file requires, and those set in

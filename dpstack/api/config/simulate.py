@@ -16,7 +16,7 @@ _FUNCTION: Final = re.compile(r"[^\W\d]\w*(?:\.[^\W\d]\w*)*:[^\W\d]\w*(?:\.[^\W\
 
 
 class SimulateKeys(TypedDict, total=False):
-    """The keys of [slave.simulate], as docs/configuration.md has them.
+    """The keys of [slave.simulate], as docs/reference/configuration.md has them.
 
     recording: a [recording](simulate.md#inputs-from-a-recording), relative to the configuration. Left out: none
     repeat: the recording begins again at its end

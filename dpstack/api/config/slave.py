@@ -55,7 +55,7 @@ def read_fields(table: Table, input_len: int, output_len: int) -> tuple[FieldMap
 
 
 class FieldKeys(TypedDict, total=False):
-    """The keys of one named value, as docs/configuration.md has them.
+    """The keys of one named value, as docs/reference/configuration.md has them.
 
     at: type and place, for instance `"i16@2"`. Left out: required
     scale: the value of one step; not 0. A field that is no number (bool, bytes) has none of these keys. Left out: 1
@@ -125,7 +125,7 @@ def _interval(table: Table, name: str, key: Key) -> object:
 
 
 class SlaveKeys(TypedDict, total=False):
-    """The keys of [[slave]] that describe the slave, as docs/configuration.md has them.
+    """The keys of [[slave]] that describe the slave, as docs/reference/configuration.md has them.
 
     name: the name in programs and messages, unique. Left out: `slaveN`
     address: the station address, unique. Left out: required

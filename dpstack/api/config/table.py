@@ -1,7 +1,8 @@
 """Typed reading of configuration tables; every error is one line: file and line, problem, remedy.
 
 A class lists the keys of a table: its annotations are types or ``Annotated[type, Key(...)]``, its docstring has a
-sentence for each key. The reader, its error messages and the tables of docs/configuration.md follow from the class.
+sentence for each key. The reader, its error messages and the tables of docs/reference/configuration.md follow from the
+class.
 """
 
 from __future__ import annotations

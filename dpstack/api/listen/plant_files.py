@@ -82,7 +82,7 @@ def load_thresholds(path: str | Path) -> Thresholds:
         text = read_file(path, _MOST).decode()
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
-        raise ConfigError(f"{path}: {why}; give a TOML file with thresholds, see docs/monitor.md") from None
+        raise ConfigError(f"{path}: {why}; give a TOML file with thresholds, see docs/how-to/monitor.md") from None
     try:
         values, lines = read_toml(text)
     except TomlError as error:

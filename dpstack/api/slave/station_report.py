@@ -159,8 +159,8 @@ class KnownDevices:
 def station_report(
     reading: StationReading, slave: SlaveConfig | None = None, devices: KnownDevices | None = None
 ) -> dict[str, Any]:
-    """The report as plain data, its keys as docs/diag.md has them. ``slave``: as it is configured, None for a station
-    that the configuration does not have."""
+    """The report as plain data, its keys as docs/how-to/diag.md has them. ``slave``: as it is configured, None for a
+    station that the configuration does not have."""
     diagnosis = None if reading.diagnosis is None else Diagnosis.parse(reading.diagnosis)
     head: dict[str, Any] = {
         "address": reading.address,

@@ -70,14 +70,14 @@ def add_to(parser: Parser) -> None:
         default=USER0,
     )
     add_names(parser)
-    parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/decode.md", type=filter_argument)
+    parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/how-to/decode.md", type=filter_argument)
     parser.value("--ring", "N", "keep N files at most, the oldest goes; needs --write and --size", type=_files)
     parser.value("--size", "MB", "of each file of the ring, in 10^6 octets", type=_megabytes)
     parser.value(
         "--trigger",
         "COND",
         'keep only what lies around it: lost, diagnosis, "retry>2", "bad fcs", "station 5", octets in hex (see '
-        "docs/capture.md); may be given several times",
+        "docs/how-to/capture.md); may be given several times",
         type=_trigger,
         action="append",
         default=[],

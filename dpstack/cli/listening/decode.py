@@ -27,7 +27,7 @@ def add_to(parser: Parser) -> None:
     what = "a pcapng file, or a text file of hex digits; octets; or - for standard input"
     parser.add_argument("source", metavar="FILE|HEX|-", nargs="+", help=what)
     add_names(parser)
-    parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/decode.md", type=filter_argument)
+    parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/how-to/decode.md", type=filter_argument)
     parser.run_by(execute)
 
 

@@ -21,7 +21,7 @@ def execute(args: argparse.Namespace) -> int:
     if args.action == "install":
         _show(there, there.install(), json=args.json)
         if not args.json:
-            output.line("start Wireshark again; tshark has it at once. docs/wireshark.md shows what to do with it")
+            output.line("start Wireshark again; tshark has it at once; see docs/how-to/wireshark.md")
     elif args.action == "remove":
         _remove(there, json=args.json)
     else:

@@ -34,7 +34,7 @@ _BEHIND: Final = 0.02
 #: limits, as number and as a part of its requests, for advice on the repetitions of a slave
 _REPETITIONS: Final = 10
 _REPEATED: Final = 0.05
-#: extra_idle_bits for a slave that finds the end of a telegram by a pause (docs/foreign.md)
+#: extra_idle_bits for a slave that finds the end of a telegram by a pause (docs/development/foreign.md)
 _EXTRA_IDLE_BITS: Final = 60
 _STYLES = {Severity.INFO: "", Severity.WARNING: "yellow", Severity.ERROR: "red"}
 

@@ -1,13 +1,14 @@
 """A class 2 master, beside any class 1 master: Slave_Diag, Get_Cfg, RD_Inp, RD_Outp, Set_Slave_Add.
 
 The orders, the jobs that carry them out, and the judgement of the answers; queue and token are in
-:mod:`dpstack.dp.acyclic.queue`. Services (docs/protocol.md#services-by-state): Slave_Diag and Get_Cfg are open in every
-state, RD_Inp and RD_Outp in data exchange, all of them to every master; none of these changes anything in the slave.
+:mod:`dpstack.dp.acyclic.queue`. Services (docs/reference/protocol.md#services-by-state): Slave_Diag and Get_Cfg are
+open in every state, RD_Inp and RD_Outp in data exchange, all of them to every master; none of these changes anything in
+the slave.
 
-Giving a slave another address (docs/protocol.md#set_slave_add): its acknowledgement proves nothing. Some slaves act at
-once, some acknowledge and ignore the service (docs/protocol.md#set-slave-add-ignored), some take the address at the
-next power-up. So: Slave_Diag first (the right device, nobody's slave), FDL status of the new address (nobody there),
-the service, then Slave_Diag at the new address and silence at the old one.
+Giving a slave another address (docs/reference/protocol.md#set_slave_add): its acknowledgement proves nothing. Some
+slaves act at once, some acknowledge and ignore the service (docs/reference/protocol.md#set-slave-add-ignored), some
+take the address at the next power-up. So: Slave_Diag first (the right device, nobody's slave), FDL status of the new
+address (nobody there), the service, then Slave_Diag at the new address and silence at the old one.
 """
 
 from __future__ import annotations
@@ -139,7 +140,7 @@ class Class2Job(Job):
         if not isinstance(answer, Telegram):
             return self.unanswered(service, answer)
         reads_data = service in (Service.INPUTS, Service.OUTPUTS)
-        # without inputs, or outputs, the answer is NR, OK or SC (docs/protocol.md#function-code)
+        # without inputs, or outputs, the answer is NR, OK or SC (docs/reference/protocol.md#function-code)
         empty = answer.kind is Kind.SC or answer.function in _NO_DATA
         if not (positive(service, answer) or (reads_data and empty and not answer.data)):
             return self.refused(service, answer)
@@ -321,7 +322,7 @@ def _fdl_status(address: int) -> Steps[Telegram | Failure]:
 def answers_slave_diag(address: int, service: int) -> Steps[bool]:
     """Whether the slave answers Slave_Diag, after it did not answer at the SAP ``service``.
 
-    Some slaves do not answer a service that they do not have (docs/protocol.md#silent-service).
+    Some slaves do not answer a service that they do not have (docs/reference/protocol.md#silent-service).
     """
     if service == Service.DIAGNOSIS:
         return False
@@ -340,7 +341,8 @@ def service_unanswered(address: int, title: str, why: str) -> Outcome:
 
 def request(address: int, service: Service, data: bytes = b"") -> Request:
     """``service`` to ``address`` as SRD high, because some slaves know no other service of DP
-    (docs/protocol.md#slaves-that-know-only-fcv-1). The master sends it late in the token hold, like low priority."""
+    (docs/reference/protocol.md#slaves-that-know-only-fcv-1). The master sends it late in the token hold, like low
+    priority."""
     return Request(address, Req.SRD_HIGH, data, service, SSAP_MS0)
 
 

@@ -23,7 +23,7 @@ from dpstack.units import NS_PER_MS
 T = TypeVar("T")
 
 #: three first requests and the probe with FCV = 1 that finds slaves which know nothing else
-#: (docs/protocol.md#slaves-that-know-only-fcv-1)
+#: (docs/reference/protocol.md#slaves-that-know-only-fcv-1)
 ATTEMPTS: Final = 4
 #: before the repetition of a request that the slave refused as busy, or did not answer for the first time
 BUSY_PAUSE: Final = 10 * NS_PER_MS

@@ -7,7 +7,7 @@ silence, its refusal, a lost token, a lost port. (The services are in :mod:`dpst
 
 A slave in data exchange that left a service unanswered gets no other service before its next exchange. The reason:
 after silence the link layer sends a first request (FCV 0, FCB 1), and after three of these it probes FCV
-(docs/protocol.md#slaves-that-know-only-fcv-1). A slave takes a probe with the FCB of the request before for a
+(docs/reference/protocol.md#slaves-that-know-only-fcv-1). A slave takes a probe with the FCB of the request before for a
 repetition. After several unanswered services between two cycles that probe would be a Data_Exchange, and the master
 would lose a slave that exchanges data.
 """
@@ -306,7 +306,7 @@ class Acyclic:
 
     def _share(self, handler: SlaveHandler, request: Request, answer: Telegram, now: int) -> None:
         """Hand a diagnosis to the class 1 master too: some slaves show a fault in one diagnosis only
-        (docs/protocol.md#fault-shown-once)."""
+        (docs/reference/protocol.md#fault-shown-once)."""
         if handler.state is SlaveState.DATA_EXCHANGE:
             handler.service_result(request, answer, now)
         else:

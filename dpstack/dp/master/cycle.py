@@ -6,7 +6,7 @@ when due. Free running services belong to the round (bring-up, diagnosis; :mod:`
 while any slave is in data exchange, so that a bring-up does not delay the other slaves, else one for each slave. With a
 fixed cycle they come between the rounds, one a token hold, as far as they fit in
 (:mod:`dpstack.fdl.active.cycle_window`). The order is that of the Siemens S120 and Heidenhain manuals
-(docs/protocol.md#order-in-a-cycle).
+(docs/reference/protocol.md#order-in-a-cycle).
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ class Round:
             return (
                 handler.plugin_host.outputs(now) if context.target is _OPERATE else handler.plugin_host.safe_outputs()
             )
-        # Clear: a Fail_Safe slave gets an empty frame, the others zeros (docs/protocol.md#clear)
+        # Clear: a Fail_Safe slave gets an empty frame, the others zeros (docs/reference/protocol.md#clear)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 
     def _service(self, now: int, *, room: bool = True) -> Request | None:

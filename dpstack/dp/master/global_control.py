@@ -1,5 +1,5 @@
 """Global_Control: the master's mode, repeated; SYNC, FREEZE and their ends, each sent exactly once
-(docs/protocol.md#global_control).
+(docs/reference/protocol.md#global_control).
 
 A further SYNC or FREEZE acts again, so the master never repeats one. An order is for groups of slaves. With a fixed
 cycle the master may send FREEZE at the beginning of every cycle and SYNC at its end: inputs of one moment, outputs of

@@ -194,7 +194,7 @@ class Master:
         self._head_for(Mode.CLEAR, now)
 
     def _go_up(self, now: int) -> None:
-        """Operate with auto-clear waits in Clear for all slaves (docs/protocol.md#auto-clear)."""
+        """Operate with auto-clear waits in Clear for all slaves (docs/reference/protocol.md#auto-clear)."""
         missing = self._auto_clear.missing() if self.context.target is Mode.OPERATE else []
         if not missing:
             self._reach(self.context.target, now)

@@ -20,7 +20,8 @@ from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ms_text
 
 
 class AutoClear:
-    """Auto-clear (docs/protocol.md#auto-clear): Error_Action_Flag, Data_Control_Time, Ignore_Aclr of each slave.
+    """Auto-clear (docs/reference/protocol.md#auto-clear): Error_Action_Flag, Data_Control_Time, Ignore_Aclr of each
+    slave.
 
     If it is not enabled, no slave is late or missing.
     """

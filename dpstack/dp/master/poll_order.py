@@ -75,8 +75,8 @@ class Turns:
     """The slaves of a master in their order of polling. ``exchanging``: slaves in data exchange, by address.
 
     ``interval``: the shortest time in ns between the beginnings of two rounds. It follows from the Min_Slave_Interval
-    of the slaves that are not absent, in fault or deactivated (docs/protocol.md#min-slave-interval). ``interval_all``:
-    the same for a round in which every slave has a turn.
+    of the slaves that are not absent, in fault or deactivated (docs/reference/protocol.md#min-slave-interval).
+    ``interval_all``: the same for a round in which every slave has a turn.
 
     ``absent_divisor``: while any slave is in data exchange, polls of absent slaves take at most 1/absent_divisor of the
     bus time; 0 = no limit. Long polls (:mod:`dpstack.dp.master.retry_timing`) have a budget of their own with the same
@@ -127,7 +127,7 @@ class Turns:
         """Sort the slaves if :meth:`request_sort` was called.
 
         New slaves with a diagnosis to be read come first in the order of services, because the master answers DH at
-        once (docs/protocol.md#answers-to-data_exchange).
+        once (docs/reference/protocol.md#answers-to-data_exchange).
         """
         if not self._must_sort:
             return

@@ -1,8 +1,9 @@
 """The scanner: the live list with ident number, state and owner of each slave.
 
 It sends FDL status, Slave_Diag and, if wanted, Get_Cfg. These services change nothing in a slave and are open to every
-master in every state (docs/protocol.md#services-by-state); a request from another address leaves watchdog and frame
-count of the owner alone. The scanner sends one request a token hold, in the time that is left, like the live list.
+master in every state (docs/reference/protocol.md#services-by-state); a request from another address leaves watchdog and
+frame count of the owner alone. The scanner sends one request a token hold, in the time that is left, like the live
+list.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from dpstack.phy.patience import Patience
 from dpstack.trace import Event
 
 #: three first requests and the probe with FCV = 1 that finds slaves which know nothing else
-#: (docs/protocol.md#slaves-that-know-only-fcv-1)
+#: (docs/reference/protocol.md#slaves-that-know-only-fcv-1)
 _ATTEMPTS: Final = 4
 
 
@@ -41,7 +42,8 @@ class SlaveView(Enum):
 
 
 def view_of(diagnosis: Diagnosis | None) -> SlaveView:
-    """The state behind a diagnosis: Prm_Req, Station_Not_Ready, a master's address (docs/protocol.md#slave_diag)."""
+    """The state behind a diagnosis: Prm_Req, Station_Not_Ready, a master's address
+    (docs/reference/protocol.md#slave_diag)."""
     if diagnosis is None:
         return SlaveView.UNKNOWN
     if diagnosis.prm_req:
@@ -183,7 +185,8 @@ class Scanner(LinkUser):
             return request
         self._turn = False
         question = self._asked = self._questions.popleft()
-        # SRD high like all DP services (docs/protocol.md#slaves-that-know-only-fcv-1), but with low priority here
+        # SRD high like all DP services (docs/reference/protocol.md#slaves-that-know-only-fcv-1), but with low priority
+        # here
         return Request(question.address, Req.SRD_HIGH, b"", question.sap, SSAP_MS0, patient=True)
 
     def started(self, request: Request, at: int) -> None:

@@ -1,6 +1,7 @@
 """The master's handling of one slave as a table: (state, what happened) -> state, with the clause.
 
-Start-up order: docs/protocol.md#slave-handler. What real slaves do instead: docs/protocol.md#how-real-devices-deviate.
+Start-up order: docs/reference/protocol.md#slave-handler. What real slaves do instead:
+docs/reference/protocol.md#how-real-devices-deviate.
 """
 
 from __future__ import annotations
@@ -32,14 +33,14 @@ class Trigger(Enum):
     ACTIVATE = "order: bring it up again"
 
 
-_FCB: Final = "docs/protocol.md#frame-count-bit"
-_FC: Final = "docs/protocol.md#function-code"
-_DIAG: Final = "docs/protocol.md#slave_diag"
-_MEANS: Final = "docs/protocol.md#what-a-diagnosis-means"
-_SERVICES: Final = "docs/protocol.md#services-by-state"
-_HANDLER: Final = "docs/protocol.md#slave-handler"
-_ANSWERS: Final = "docs/protocol.md#answers-to-data_exchange"
-_REFUSALS: Final = "docs/decisions/master.md#refusals"
+_FCB: Final = "docs/reference/protocol.md#frame-count-bit"
+_FC: Final = "docs/reference/protocol.md#function-code"
+_DIAG: Final = "docs/reference/protocol.md#slave_diag"
+_MEANS: Final = "docs/reference/protocol.md#what-a-diagnosis-means"
+_SERVICES: Final = "docs/reference/protocol.md#services-by-state"
+_HANDLER: Final = "docs/reference/protocol.md#slave-handler"
+_ANSWERS: Final = "docs/reference/protocol.md#answers-to-data_exchange"
+_REFUSALS: Final = "docs/reference/decisions/master.md#refusals"
 
 
 class Row(NamedTuple):

@@ -1,8 +1,8 @@
 """Judgement of diagnoses and of answers to Data_Exchange without good data.
 
 A diagnosis: its owner, its deviations from the standard, the verdict by the table of bits, and between Set_Prm and data
-exchange the next request (docs/protocol.md#slave-handler). Answers without good data: their number up to a fault, and
-the trigger that follows (docs/protocol.md#answers-to-data_exchange).
+exchange the next request (docs/reference/protocol.md#slave-handler). Answers without good data: their number up to a
+fault, and the trigger that follows (docs/reference/protocol.md#answers-to-data_exchange).
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def foreign_owner(diagnosis: Diagnosis, own: int) -> int | None:
     """The other class 1 master that owns the slave, or None.
 
     A slave that wants parameters (Prm_Req) has no owner, even if octet 4 names one. Some slaves report ``own`` + 128,
-    or the station that asked (docs/protocol.md#how-real-devices-deviate).
+    or the station that asked (docs/reference/protocol.md#how-real-devices-deviate).
     """
     master = diagnosis.master
     if master is None or diagnosis.prm_req or master & 0x7F == own or master > MAX_STATION:
@@ -87,7 +87,8 @@ def foreign_owner(diagnosis: Diagnosis, own: int) -> int | None:
 
 
 def deviations(diagnosis: Diagnosis, own: int) -> Iterator[str]:
-    """Tolerated deviations of the diagnosis from the standard, one line each (docs/protocol.md#always-1-bit)."""
+    """Tolerated deviations of the diagnosis from the standard, one line each
+    (docs/reference/protocol.md#always-1-bit)."""
     if not diagnosis.always_one:
         yield "its diagnosis lacks the bit that is always 1 (octet 2 bit 2); tolerated"
     if diagnosis.master is not None and diagnosis.master == own + 128:
@@ -101,12 +102,13 @@ def deviations(diagnosis: Diagnosis, own: int) -> Iterator[str]:
 
 def verdict_exchanging(diagnosis: Diagnosis) -> Trigger:
     """The trigger for a diagnosis of a slave of this master in data exchange
-    (docs/protocol.md#what-a-diagnosis-means)."""
+    (docs/reference/protocol.md#what-a-diagnosis-means)."""
     return _EVENT[weightiest(tuple(flag.exchange for flag in diagnosis.findings))]
 
 
 def verdict_ready(diagnosis: Diagnosis, *, cfg_sent: bool) -> Trigger:
-    """The trigger for a diagnosis after Set_Prm and, with ``cfg_sent``, Chk_Cfg (docs/protocol.md#slave-handler)."""
+    """The trigger for a diagnosis after Set_Prm and, with ``cfg_sent``, Chk_Cfg
+    (docs/reference/protocol.md#slave-handler)."""
     verdict = _EVENT[weightiest(tuple(flag.bring_up for flag in diagnosis.findings))]
     if not cfg_sent and verdict in (Trigger.DIAG_WAIT, Trigger.DIAG_READY):
         return Trigger.DIAG_NO_CFG

@@ -1,4 +1,4 @@
-"""The blocks of alarms and status messages in the diagnosis of a DP-V1 slave (docs/protocol.md#alarms).
+"""The blocks of alarms and status messages in the diagnosis of a DP-V1 slave (docs/reference/protocol.md#alarms).
 
 A block is device related (its octets with the header, 4 to 63). Octets are counted within the block, from 1.
 """

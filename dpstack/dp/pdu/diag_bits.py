@@ -1,7 +1,7 @@
 """The bits of the diagnosis as one table: who sets each, how the master reacts, the texts for the user.
 
-The master judges by this table (:mod:`dpstack.dp.master.verdicts`), and docs/dp-v0.md is written from it. Facts:
-docs/protocol.md#slave_diag, docs/protocol.md#what-a-diagnosis-means.
+The master judges by this table (:mod:`dpstack.dp.master.verdicts`), and docs/reference/dp-v0.md is written from it.
+Facts: docs/reference/protocol.md#slave_diag, docs/reference/protocol.md#what-a-diagnosis-means.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class SetBy(Enum):
 
 
 class Reaction(Enum):
-    """The master's reaction to the bit, the most serious one last. docs/dp-v0.md prints the values."""
+    """The master's reaction to the bit, the most serious one last. docs/reference/dp-v0.md prints the values."""
 
     REPORTS = "reports it, goes on"
     WAITS = "reads the diagnosis again until the bit is 0"

@@ -1,6 +1,6 @@
 """The blocks of the extended diagnosis, read and made: device, identifier, channel related, revision.
 
-Layouts: docs/protocol.md#diagnosis-blocks.
+Layouts: docs/reference/protocol.md#diagnosis-blocks.
 
 The slave announces the length of each block, and the lengths may be wrong: a block that is longer than the rest is cut,
 a block without octets ends the splitting. Both become a finding in words, never an exception. The application of a
@@ -217,8 +217,8 @@ def channel_block(
     identifier: int, channel: int, error: int, *, size: int = 0, input: bool = False, output: bool = False
 ) -> ChannelBlock:
     """A channel related block. ``identifier`` (the module as on the wire: slot 1 is 0) and ``channel`` 0..63; ``error``
-    1..31 and ``size`` 0..7 as in docs/protocol.md#diagnosis-blocks (1 short circuit, 6 line break ..., from 16 on the
-    maker's). Raises PduError.
+    1..31 and ``size`` 0..7 as in docs/reference/protocol.md#diagnosis-blocks (1 short circuit, 6 line break ..., from
+    16 on the maker's). Raises PduError.
     """
     unbuilt = ChannelBlock(b"", identifier, channel, input, output, size, error)
     return replace(unbuilt, octets=_CHANNEL_LAYOUT.build(unbuilt))

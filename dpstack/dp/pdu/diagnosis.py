@@ -1,6 +1,7 @@
 """The diagnosis of a slave: the six fixed octets (bits: :mod:`dpstack.dp.pdu.diag_bits`) and the blocks after them.
 
-Facts: docs/protocol.md#slave_diag; what slaves do instead: docs/protocol.md#how-real-devices-deviate.
+Facts: docs/reference/protocol.md#slave_diag; what slaves do instead:
+docs/reference/protocol.md#how-real-devices-deviate.
 """
 
 from __future__ import annotations

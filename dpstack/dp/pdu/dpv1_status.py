@@ -1,5 +1,5 @@
 """DP-V1 in Set_Prm: DPV1_Status_1 to 3, and the structured parameters that follow them
-(docs/protocol.md#dpv1_status).
+(docs/reference/protocol.md#dpv1_status).
 
 The three octets are the first of its user parameters. GSD files mostly hold them as constants, the first as 00: the
 master sets what it uses (DPV1_Enable, Fail_Safe, WD_Base_1ms) and leaves the other bits as they stand there.

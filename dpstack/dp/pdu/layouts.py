@@ -1,9 +1,10 @@
 """Layouts of PDUs, declared bit by bit with construct; constants of DP-V1 that layouts and checks share.
 
 construct knows no types and takes some 10 us and more a PDU: it is imported here only, and never runs on the cyclic
-path. Each PDU declares its :class:`Layout` beside the class that it is read into. Layouts: docs/protocol.md#slave_diag,
-docs/protocol.md#set_prm, docs/protocol.md#global_control, docs/protocol.md#set_slave_add, docs/protocol.md#alarms,
-docs/protocol.md#functions-of-dp-v1, docs/protocol.md#im.
+path. Each PDU declares its :class:`Layout` beside the class that it is read into. Layouts:
+docs/reference/protocol.md#slave_diag, docs/reference/protocol.md#set_prm, docs/reference/protocol.md#global_control,
+docs/reference/protocol.md#set_slave_add, docs/reference/protocol.md#alarms,
+docs/reference/protocol.md#functions-of-dp-v1, docs/reference/protocol.md#im.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Structured parameters of Set_Prm (Prm_Structure in DPV1_Status_3): blocks, each with a head of four octets.
 
-Layouts and numbers of types: docs/protocol.md#structured-parameters.
+Layouts and numbers of types: docs/reference/protocol.md#structured-parameters.
 """
 
 from __future__ import annotations

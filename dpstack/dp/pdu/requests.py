@@ -1,7 +1,7 @@
 """The request PDUs of DP-V0: Set_Prm, Global_Control and Set_Slave_Add. (Chk_Cfg is :mod:`dpstack.gsd.identifiers`.)
 
-Facts: docs/protocol.md#set_prm, docs/protocol.md#lock-and-unlock, docs/protocol.md#global_control,
-docs/protocol.md#set_slave_add.
+Facts: docs/reference/protocol.md#set_prm, docs/reference/protocol.md#lock-and-unlock,
+docs/reference/protocol.md#global_control, docs/reference/protocol.md#set_slave_add.
 """
 
 from __future__ import annotations

@@ -6,9 +6,9 @@ search.
 
 The machine listens at one rate after the other (BAUD_SEARCH). Once the rate is found, it watches that telegrams keep
 coming (BAUD_CONTROL). With the watchdog of Set_Prm on, this one watches the master instead (DP_MODE). States and
-transitions are those of the VPC3+ (docs/protocol.md#baud-search): a watchdog that expires leads back to BAUD_CONTROL,
-silence there to BAUD_SEARCH; with the watchdog off losing the rate restarts the search, but the slave stays in
-Data_Exchange.
+transitions are those of the VPC3+ (docs/reference/protocol.md#baud-search): a watchdog that expires leads back to
+BAUD_CONTROL, silence there to BAUD_SEARCH; with the watchdog off losing the rate restarts the search, but the slave
+stays in Data_Exchange.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NOW, baud_text
 
 #: BAUD_CONTROL gives up after T_TO of a station that is no master: the standard counts 130 as its address
-#: (docs/protocol.md#t_to). A master that is alive is never silent for so long; the chips have a register for it.
+#: (docs/reference/protocol.md#t_to). A master that is alive is never silent for so long; the chips have a register for
+#: it.
 _NO_MASTER: Final = 130
 
 

@@ -1,7 +1,8 @@
 """The cyclic data of a slave in data exchange: double buffers for SYNC and FREEZE, Clear and Operate.
 
 Exists only while the slave is in data exchange; leaving drops it, and with it outputs and modes
-(docs/protocol.md#slave-states). Exceptions of the device come out of here and are caught by the slave application.
+(docs/reference/protocol.md#slave-states). Exceptions of the device come out of here and are caught by the slave
+application.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ class CyclicData:
 
     ``outputs`` are what the device has, ``inputs`` what the master reads; before the first exchange the device's safe
     outputs and zeros. Raises ValueError where the safe outputs have another length than the configuration's. Outputs
-    are valid from the first Data_Exchange on (masters that never send Operate exist: docs/protocol.md#global_control).
-    A Global_Control Clear holds until one without Clear_Data, an empty frame until a full one. ``plain``: none of
-    Clear, SYNC, FREEZE. ``void``: the outputs are not valid (Clear, or an empty output frame).
+    are valid from the first Data_Exchange on (masters that never send Operate exist:
+    docs/reference/protocol.md#global_control). A Global_Control Clear holds until one without Clear_Data, an empty
+    frame until a full one. ``plain``: none of Clear, SYNC, FREEZE. ``void``: the outputs are not valid (Clear, or an
+    empty output frame).
     """
 
     def __init__(self, device: DpV0Device, config: bytes, input_len: int, output_len: int) -> None:
@@ -46,7 +48,8 @@ class CyclicData:
 
     def exchange(self, octets: bytes, now: int) -> bytes:
         """A Data_Exchange that was accepted; returns the inputs for the answer."""
-        if len(octets) != self.output_len:  # a Fail_Safe slave is sent empty frames in Clear (docs/protocol.md#clear)
+        # a Fail_Safe slave is sent empty frames in Clear (docs/reference/protocol.md#clear)
+        if len(octets) != self.output_len:
             self._make_void(now)
         elif not self._clear:
             self._make_valid(now)
@@ -60,8 +63,8 @@ class CyclicData:
         return self.inputs
 
     def control(self, command: GlobalControl, now: int) -> None:
-        """A Global_Control that concerns this slave (docs/protocol.md#global_control): each further SYNC or FREEZE
-        acts."""
+        """A Global_Control that concerns this slave (docs/reference/protocol.md#global_control): each further SYNC or
+        FREEZE acts."""
         if self.plain:  # the slave application does not store the outputs of plain exchanges here
             self._received = self.outputs
         self._clear = command.clear

@@ -25,7 +25,7 @@ class Refusal(NamedTuple):
 def judge_prm(device: DpV0Device, prm: SetPrm, *, ask_device: bool) -> Refusal | None:
     """Judge ``prm`` for ``device``; None when it is accepted. Exceptions of ``device.check_prm`` pass through."""
     if not prm.lock and not prm.unlock:
-        return None  # only min T_SDR is taken, whatever the ident number (docs/protocol.md#set_prm)
+        return None  # only min T_SDR is taken, whatever the ident number (docs/reference/protocol.md#set_prm)
     if prm.ident != device.ident:
         return Refusal(f"octets 5-6: ident number 0x{prm.ident:04X}, this device is 0x{device.ident:04X}")
     if prm.unlock:
@@ -48,7 +48,7 @@ def judge_prm(device: DpV0Device, prm: SetPrm, *, ask_device: bool) -> Refusal |
 
 
 def watchdog_time(device: DpV0Device, prm: SetPrm) -> int:
-    """The watchdog time that ``prm`` asks for in ns, 0 when it is off (docs/protocol.md#watchdog)."""
+    """The watchdog time that ``prm`` asks for in ns, 0 when it is off (docs/reference/protocol.md#watchdog)."""
     if prm.watchdog is None:
         return 0
     fine = device.wd_base_1ms and _dpv1_status(prm) & WD_BASE_1MS
@@ -60,8 +60,8 @@ def _dpv1_status(prm: SetPrm) -> int:
 
 
 def real_cfg(device: DpV0Device, config: bytes) -> bytes:
-    """The device's own configuration where ``config`` wants no comparison (docs/protocol.md#special-identifiers), else
-    ``config``."""
+    """The device's own configuration where ``config`` wants no comparison
+    (docs/reference/protocol.md#special-identifiers), else ``config``."""
     if config in device.configs:
         return config
     return next((real for real in device.configs if agree(real, config)), config)

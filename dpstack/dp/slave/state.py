@@ -79,7 +79,7 @@ class DiagState:
         """The owner's next new request: it has the answer before, unless it had to take the station up afresh.
 
         A request again with the same FCB never gets here: the link layer repeats the answer
-        (docs/protocol.md#frame-count-bit).
+        (docs/reference/protocol.md#frame-count-bit).
         """
         if self._offered is not None:
             if fc & (FC_FCV | FC_FCB) != FC_FCB:
@@ -106,8 +106,8 @@ class DiagState:
     def build(
         self, state: SlaveAppState, master: int | None, data: CyclicData | None, user: UserDiag, *, wd: bool, ill: bool
     ) -> Diagnosis:
-        """The diagnosis of this moment (docs/protocol.md#slave_diag); ``wd``: the watchdog is on, ``ill``: the device
-        is broken."""
+        """The diagnosis of this moment (docs/reference/protocol.md#slave_diag); ``wd``: the watchdog is on, ``ill``:
+        the device is broken."""
         blocks = b"" if self._messages is None else self._messages.octets()
         user = user.limited(self._room - len(blocks))
         status1 = (

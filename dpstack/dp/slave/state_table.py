@@ -1,7 +1,8 @@
 """The states of a DP slave as tables: access to each service, and the transitions, with the clause of each row.
 
-Facts: docs/protocol.md#slave-states, docs/protocol.md#services-by-state; the manuals named here:
-docs/protocol.md#sources. Decisions where the sources leave something open: docs/decisions/slave.md#states-of-a-slave.
+Facts: docs/reference/protocol.md#slave-states, docs/reference/protocol.md#services-by-state; the manuals named here:
+docs/reference/protocol.md#sources. Decisions where the sources leave something open:
+docs/reference/decisions/slave.md#states-of-a-slave.
 """
 
 from __future__ import annotations
@@ -38,14 +39,14 @@ _EXCHANGING: Final = frozenset((_DATA,))
 _WAITING: Final = frozenset((_PRM,))
 
 
-_STATES: Final = "docs/protocol.md#slave-states"
-_BY_STATE: Final = "docs/protocol.md#services-by-state"
-_ACKED: Final = "docs/protocol.md#refused-parameters-are-acknowledged"
-_SET_PRM: Final = "docs/protocol.md#set_prm"
-_LOCK: Final = "docs/protocol.md#lock-and-unlock"
-_ADDRESS: Final = "docs/protocol.md#set_slave_add"
-_MS2: Final = "docs/protocol.md#ms2"
-_DECIDED: Final = "docs/decisions/slave.md#states-of-a-slave"
+_STATES: Final = "docs/reference/protocol.md#slave-states"
+_BY_STATE: Final = "docs/reference/protocol.md#services-by-state"
+_ACKED: Final = "docs/reference/protocol.md#refused-parameters-are-acknowledged"
+_SET_PRM: Final = "docs/reference/protocol.md#set_prm"
+_LOCK: Final = "docs/reference/protocol.md#lock-and-unlock"
+_ADDRESS: Final = "docs/reference/protocol.md#set_slave_add"
+_MS2: Final = "docs/reference/protocol.md#ms2"
+_DECIDED: Final = "docs/reference/decisions/slave.md#states-of-a-slave"
 
 
 class Access(NamedTuple):
@@ -70,9 +71,9 @@ ACCESS: Final[dict[int | None, Access]] = {
     SAP_SLAVE_DIAG: Access("Slave_Diag", _ALL, False, f"{_BY_STATE}: always"),
     SAP_SET_PRM: Access("Set_Prm", _ALL, False, f"{_ACKED}: the diagnosis tells what came of it"),
     SAP_SET_SLAVE_ADD: Access("Set_Slave_Add", _WAITING, False, f"{_ADDRESS}: in Wait_Prm, where the device has it"),
-    SAP_MS1: Access("MS1", _EXCHANGING, True, "docs/protocol.md#ms1: with its own master, with DPV1_Enable"),
+    SAP_MS1: Access("MS1", _EXCHANGING, True, "docs/reference/protocol.md#ms1: with its own master, with DPV1_Enable"),
     SAP_MS2_RM: Access("MS2 resource manager", _ALL, False, f"{_MS2}: any class 2 master"),
-    SAP_MS1_ALARM: Access("Alarm_Ack", _EXCHANGING, True, "docs/protocol.md#alarm_ack: with Extra_Alarm_SAP"),
+    SAP_MS1_ALARM: Access("Alarm_Ack", _EXCHANGING, True, "docs/reference/protocol.md#alarm_ack: with Extra_Alarm_SAP"),
     SAP_CHK_CFG: Access("Chk_Cfg", _ALL, False, f"{_ACKED}: the diagnosis tells what came of it"),
 }
 

@@ -1,12 +1,13 @@
 """Alarms at a class 1 master: recognised in the diagnoses of a slave, delivered once, acknowledged by Alarm_Ack.
 
 An alarm is open from the diagnosis that brings it until the slave takes its acknowledgement. Alarm_Ack goes to SAP 51
-between Read and Write, or to SAP 50 with Extra_Alarm_SAP. Facts: docs/protocol.md#alarms, docs/protocol.md#alarm_ack.
-Decisions where the sources leave something open: docs/decisions/alarms.md#alarms-at-the-master.
+between Read and Write, or to SAP 50 with Extra_Alarm_SAP. Facts: docs/reference/protocol.md#alarms,
+docs/reference/protocol.md#alarm_ack. Decisions where the sources leave something open:
+docs/reference/decisions/alarms.md#alarms-at-the-master.
 
 Acknowledged alarms that are in the diagnosis again: still the old alarm, or a new one with equal octets?
 
-Slaves differ. The rules: docs/decisions/alarms.md#the-same-alarm-again.
+Slaves differ. The rules: docs/reference/decisions/alarms.md#the-same-alarm-again.
 """
 
 from __future__ import annotations

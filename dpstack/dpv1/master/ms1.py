@@ -1,11 +1,11 @@
 """MS1 of a class 1 master: Read and Write to its slaves, and the steps that every MS1 service has (DSAP 51, SSAP 51).
 
 The request is one SRD. The slave answers in it at once, or acknowledges and is polled with empty SRDs; both are legal
-(docs/protocol.md#ms1). A slave has one service at a time, others wait in :mod:`dpstack.dp.acyclic.queue`. A Read
-without any answer is repeated, a Write is not: the slave may have carried it out, and the outcome says so.
+(docs/reference/protocol.md#ms1). A slave has one service at a time, others wait in :mod:`dpstack.dp.acyclic.queue`. A
+Read without any answer is repeated, a Write is not: the slave may have carried it out, and the outcome says so.
 
 Alarm_Ack is in :mod:`dpstack.dpv1.master.alarm_handler`, the polling in :mod:`dpstack.dpv1.master.srd_polling`.
-Decisions where the sources leave something open: docs/decisions/services.md#ms1-at-the-master.
+Decisions where the sources leave something open: docs/reference/decisions/services.md#ms1-at-the-master.
 """
 
 from __future__ import annotations
@@ -203,7 +203,7 @@ class Turn:
 
     A slave has one request and one response at a time, whoever asks. So a Write begins a turn, and the answer to the
     user's Read ends it. Other users wait until then, or until the time ``until`` (NEVER: a service of the user is under
-    way), at the latest until ``longest`` (docs/decisions/services.md#turns-at-record-47).
+    way), at the latest until ``longest`` (docs/reference/decisions/services.md#turns-at-record-47).
     """
 
     user: int
@@ -328,8 +328,8 @@ class Ms1(Provider):
 
     def bar(self, handler: SlaveHandler, since: int) -> str:
         """The reason for which no service that began in the data exchange ``since`` can end any more; empty while it
-        can. MS1 closes when the slave leaves data exchange (docs/protocol.md#ms1), and in Stop the master sends
-        nothing to slaves.
+        can. MS1 closes when the slave leaves data exchange (docs/reference/protocol.md#ms1), and in Stop the master
+        sends nothing to slaves.
         """
         master = self.master
         if master is None or master.handlers.get(handler.setup.address) is not handler:

@@ -1,16 +1,16 @@
 """Class 2 connections (MS2) of a master: opened through the resource manager of a slave (DSAP 49), used at the server
-SAP that it gives out, ended by Abort (docs/protocol.md#ms2).
+SAP that it gives out, ended by Abort (docs/reference/protocol.md#ms2).
 
 They take nothing away from the slave's own master, and need none. Every connection of a master asks from SSAP 50
 (Felser: its only SAP for MS2); the slave's server SAP tells several of them apart. The order of requests:
 :mod:`dpstack.dp.acyclic.queue`; the telegrams: :mod:`dpstack.dpv1.master.ms2_connection`.
 
-Decisions where the sources leave something open: docs/decisions/ms2.md#connections-at-the-master.
+Decisions where the sources leave something open: docs/reference/decisions/ms2.md#connections-at-the-master.
 
 Initiate: the resource manager (SAP 49) gives out a server SAP, polls of that one bring the slave's answer
-(docs/protocol.md#ms2).
+(docs/reference/protocol.md#ms2).
 
-Decisions where the sources leave something open: docs/decisions/ms2.md#initiate-at-the-master.
+Decisions where the sources leave something open: docs/reference/decisions/ms2.md#initiate-at-the-master.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Each job is one entry of the acyclic queue. Initiate is in :mod:`dpstack.dpv1.master.ms2`, the polling in
 :mod:`dpstack.dpv1.master.srd_polling`. Decisions where the sources leave something open:
-docs/decisions/ms2.md#connections-at-the-master.
+docs/reference/decisions/ms2.md#connections-at-the-master.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Polling of a slave for one service of DP-V1, at MS1 or over a class 2 connection, and the check of its answer.
 
 The master sends SRDs with the request until the slave takes it, then empty ones until the answer is there
-(docs/protocol.md#ms1, docs/protocol.md#ms2). Decisions where the sources leave something open:
-docs/decisions/services.md#polling.
+(docs/reference/protocol.md#ms1, docs/reference/protocol.md#ms2). Decisions where the sources leave something open:
+docs/reference/decisions/services.md#polling.
 
 The jobs decide what silence means: :mod:`dpstack.dpv1.master.ms1`, :mod:`dpstack.dpv1.master.ms2_connection`,
 :mod:`dpstack.dpv1.master.ms2`.
@@ -65,7 +65,8 @@ class Reply(Enum):
 
 
 def classify(answer: Telegram | Failure, *, requested: bool) -> Reply:
-    """The kind of ``answer`` by its FC (docs/protocol.md#function-code). ``requested``: to a request, not a poll."""
+    """The kind of ``answer`` by its FC (docs/reference/protocol.md#function-code). ``requested``: to a request, not a
+    poll."""
     if not isinstance(answer, Telegram):
         return Reply.GUARDED if answer is Failure.REFUSED else Reply.NOTHING
     if answer.kind is Kind.SC:

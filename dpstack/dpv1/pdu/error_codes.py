@@ -1,4 +1,5 @@
-"""Codes of a negative response: Error_Decode, error class and code, with texts (docs/protocol.md#negative-response).
+"""Codes of a negative response: Error_Decode, error class and code, with texts
+(docs/reference/protocol.md#negative-response).
 
 Error_Code_1 is class (bits 7..4) and code (bits 3..0); Error_Code_2 is the device's own.
 """

@@ -1,4 +1,4 @@
-"""Identification and maintenance: I&M0 to I&M4 by the call function of index 255 (docs/protocol.md#im).
+"""Identification and maintenance: I&M0 to I&M4 by the call function of index 255 (docs/reference/protocol.md#im).
 
 A call is written to index 255 of a slot: Extended_Function_Num 08, a reserved octet, FI_Index, and for a record that is
 to be changed its 64 octets. The following Read of index 255 gives the same four octets and the 64 of the record. Texts

@@ -1,7 +1,7 @@
 """The PDUs that open, keep and end a class 2 connection (MS2): Resource_Manager, Initiate, Idle, Abort.
 
-Layouts and reasons: docs/protocol.md#ms2, docs/protocol.md#initiate, docs/protocol.md#idle, docs/protocol.md#abort.
-Times are in ns; on the wire they count 10 ms.
+Layouts and reasons: docs/reference/protocol.md#ms2, docs/reference/protocol.md#initiate,
+docs/reference/protocol.md#idle, docs/reference/protocol.md#abort. Times are in ns; on the wire they count 10 ms.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """The PDUs of the services for records: Read, Write, Data_Transport, Alarm_Ack, requests and responses, negative
-responses (docs/protocol.md#read-and-write).
+responses (docs/reference/protocol.md#read-and-write).
 
 Lengths are octets of data. Slots 0..254, indexes 0..255, up to 240 octets of data.
 """

@@ -3,8 +3,8 @@
 The diagnosis holds one alarm at a time and one status message beside it. Each stays until the slave's own master has
 fetched it; then the next takes its place. An alarm is over when it is acknowledged.
 
-Facts: docs/protocol.md#alarms. Decisions where the sources leave something open:
-docs/decisions/alarms.md#alarms-at-the-slave.
+Facts: docs/reference/protocol.md#alarms. Decisions where the sources leave something open:
+docs/reference/decisions/alarms.md#alarms-at-the-slave.
 """
 
 from __future__ import annotations
@@ -159,7 +159,8 @@ class AlarmServer:
     # --- the slave application ----------------------------------------------------------------------------------
 
     def agree(self, status_2: int, status_3: int) -> None:
-        """DPV1_Status_2 and 3 of Set_Prm: what is enabled, and how many at a time (docs/protocol.md#dpv1_status)."""
+        """DPV1_Status_2 and 3 of Set_Prm: what is enabled, and how many at a time
+        (docs/reference/protocol.md#dpv1_status)."""
         self._enabled = frozenset(kind for kind, bit in ALARMS.items() if status_2 & bit)
         self.limit = min(ALARM_LIMITS[status_3 & 7], self.support.sequence)
 

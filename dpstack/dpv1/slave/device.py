@@ -2,7 +2,7 @@
 
 MS1 of a slave: the master sends a request, a record answers now or later, the master polls for the answer.
 
-Decisions where the sources leave something open: docs/decisions/services.md#ms1-at-the-slave.
+Decisions where the sources leave something open: docs/reference/decisions/services.md#ms1-at-the-slave.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Ms1Server(SlaveService):
 
     def parameterised(self, prm: SetPrm) -> None:
         """DPV1_Enable opens it; DPV1_Status_2 and 3 have the alarms that the master takes, and how many at a time
-        (docs/protocol.md#dpv1_status)."""
+        (docs/reference/protocol.md#dpv1_status)."""
         status = prm.user_prm[:DPV1_STATUS_LEN].ljust(DPV1_STATUS_LEN, b"\0")
         self._enabled = bool(status[0] & DPV1_ENABLE)
         if self.messages is not None:

@@ -1,9 +1,9 @@
 """The states of one class 2 connection at the slave as a table: trigger, action and source of each row.
 
-Facts: docs/protocol.md#ms2, docs/protocol.md#idle, docs/protocol.md#abort; the documents "VPC3+", "ProSoft" and
-"Felser": docs/protocol.md#sources.
+Facts: docs/reference/protocol.md#ms2, docs/reference/protocol.md#idle, docs/reference/protocol.md#abort; the documents
+"VPC3+", "ProSoft" and "Felser": docs/reference/protocol.md#sources.
 
-Decisions where they leave something open: docs/decisions/ms2.md#connections-at-the-slave.
+Decisions where they leave something open: docs/reference/decisions/ms2.md#connections-at-the-slave.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ class Row(NamedTuple):
 
 
 _O, _W, _A, _V = State.OPEN, State.WORKING, State.ANSWERED, State.OVER
-_MS2: Final = "docs/protocol.md#ms2"
-_DECIDED: Final = "docs/decisions/ms2.md#connections-at-the-slave"
+_MS2: Final = "docs/reference/protocol.md#ms2"
+_DECIDED: Final = "docs/reference/decisions/ms2.md#connections-at-the-slave"
 
 TABLE: Final[dict[tuple[State, Ms2Trigger], Row]] = {
     (_O, Ms2Trigger.POLL): Row(Act.ACKNOWLEDGE, "VPC3+: nothing is there any more"),
     (_O, Ms2Trigger.SERVICE): Row(Act.SERVE, _MS2),
-    (_O, Ms2Trigger.IDLE): Row(Act.ANSWER_IDLE, "docs/protocol.md#idle; VPC3+"),
-    (_O, Ms2Trigger.ABORT): Row(Act.FREE, "docs/protocol.md#abort; VPC3+"),
+    (_O, Ms2Trigger.IDLE): Row(Act.ANSWER_IDLE, "docs/reference/protocol.md#idle; VPC3+"),
+    (_O, Ms2Trigger.ABORT): Row(Act.FREE, "docs/reference/protocol.md#abort; VPC3+"),
     (_O, Ms2Trigger.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
     (_O, Ms2Trigger.UNREADABLE): Row(Act.REQUEST_PDU, "VPC3+; ProSoft: an invalid request PDU"),
     (_O, Ms2Trigger.SILENCE): Row(Act.TIMEOUT, "VPC3+: after twice the send time-out"),

@@ -2,8 +2,8 @@
 
 Initiate comes to SAP 49 and is acknowledged; polled there, the resource manager names the server SAP, and the response
 to Initiate, or an Abort, is fetched at that one (Felser; VPC3+). Open in every state of the slave, for any master:
-class 2 needs no parameters (docs/protocol.md#ms2). Decisions where the sources leave something open:
-docs/decisions/ms2.md#the-resource-manager-of-a-slave.
+class 2 needs no parameters (docs/reference/protocol.md#ms2). Decisions where the sources leave something open:
+docs/reference/decisions/ms2.md#the-resource-manager-of-a-slave.
 
 A class 2 connection at the slave, from Initiate to its end. Its table of states: ms2_states.
 """
@@ -328,7 +328,7 @@ class Ms2Server(SlaveService):
     """The connections of one slave application: as many as ``device.ms2`` says, 0 for a slave without MS2.
 
     With ``device.ms2_at_once`` the request itself gets the answer where it is known by then, not the poll after it;
-    both are legal (docs/protocol.md#ms1).
+    both are legal (docs/reference/protocol.md#ms1).
     """
 
     def __init__(self, device: AcyclicDevice, report: Report) -> None:

@@ -59,7 +59,7 @@ class Exchange(Awaiting):
                 fcb.restart(da)
             fc |= fcb.bits[da]
             if not fcb.operational[da]:
-                tries = 0  # a first request is not repeated (docs/protocol.md#frame-count-bit)
+                tries = 0  # a first request is not repeated (docs/reference/protocol.md#frame-count-bit)
         elif answered and not patient and self.peers.knows(da):
             request = request._replace(patient=True)  # for every user: the silence of a known station is news
         self.user = user

@@ -1,8 +1,8 @@
 """Requester side of the frame count bit: FCB and FCV of the next request, per responder.
 
-docs/protocol.md#frame-count-bit: the first request to a station, or the first after it was given up, goes out with FCV
-= 0 and FCB = 1 and is not repeated. Once answered the station is operational: FCV = 1, and FCB toggles with each new
-request but not with a repetition. Some slaves know only requests with FCV = 1 (0x5D, 0x7D): a probe with FCV =
+docs/reference/protocol.md#frame-count-bit: the first request to a station, or the first after it was given up, goes out
+with FCV = 0 and FCB = 1 and is not repeated. Once answered the station is operational: FCV = 1, and FCB toggles with
+each new request but not with a repetition. Some slaves know only requests with FCV = 1 (0x5D, 0x7D): a probe with FCV =
 1 after three silent requests finds them.
 """
 

@@ -124,7 +124,7 @@ class Ring:
 class Gap:
     """The GAP list: addresses from TS + 1 to NS - 1, wrapping at HSA to 0, polled in passes G x T_TR apart.
 
-    docs/protocol.md#gap-update. ``stations`` are those that answered, with their type.
+    docs/reference/protocol.md#gap-update. ``stations`` are those that answered, with their type.
     """
 
     def __init__(self, params: BusParams) -> None:

@@ -16,7 +16,7 @@ class Service(NamedTuple):
     answered: bool
 
 
-#: FDL status, ident, LSAP status and SDN carry FCV = 0 and FCB = 0 (docs/protocol.md#frame-count-bit)
+#: FDL status, ident, LSAP status and SDN carry FCV = 0 and FCB = 0 (docs/reference/protocol.md#frame-count-bit)
 SERVICES: Final[dict[Req, Service]] = {
     function: Service(
         0xC0 if function is Req.CLOCK_VALUE else 0x40 | function, function in COUNTED, function not in UNANSWERED

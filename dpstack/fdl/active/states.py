@@ -1,10 +1,11 @@
 """The state machine of an active station as data: states, inputs, and one row per transition with its source.
 
 Handlers are named ``owner.method``, with a short name for the class; :func:`handlers_by_state` binds them. A pair that
-has no row is ignored and counted. ``docs/fdl-states.md`` is made from this table by ``tools/make_pictures.py``.
+has no row is ignored and counted. ``docs/reference/fdl-states.md`` is made from this table by
+``tools/make_pictures.py``.
 
-Sources: facts docs/protocol.md#the-token-ring, the documents "Felser" and "EN 50170-2" docs/protocol.md#sources; "rule"
-is a rule of this project with its reason.
+Sources: facts docs/reference/protocol.md#the-token-ring, the documents "Felser" and "EN 50170-2"
+docs/reference/protocol.md#sources; "rule" is a rule of this project with its reason.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from dpstack.units import NEVER
 
 
 class State(IntEnum):
-    """The states of an active station (docs/protocol.md#states-of-a-master)."""
+    """The states of an active station (docs/reference/protocol.md#states-of-a-master)."""
 
     OFFLINE = 0
     LISTEN_TOKEN = 1

@@ -75,7 +75,7 @@ class GapPoll(Awaiting):
             self.early_until = at + times.early_ns
 
     def status(self, telegram: Telegram, now: int) -> None:
-        """The answer of the address polled: a ready master becomes NS (docs/protocol.md#gap-update)."""
+        """The answer of the address polled: a ready master becomes NS (docs/reference/protocol.md#gap-update)."""
         request, membership = self.request, self.membership
         plain = not telegram.data and telegram.dsap is telegram.ssap is None and telegram.kind != Kind.SC
         if telegram.sa != request.da or not plain or self.line.edge_at < self.early_until:
@@ -135,7 +135,7 @@ class TokenHold(Parts):
 
     def begin(self, _: Telegram, now: int) -> None:
         """A token hold begins: T_TH = T_TR - T_RR, so it ends one T_TR after the previous receipt
-        (docs/protocol.md#token-rotation)."""
+        (docs/reference/protocol.md#token-rotation)."""
         before, self._token_at = self._token_at, now
         in_ring = self.membership.in_ring
         self._until = (before if in_ring else now) + self.times.t_tr_ns

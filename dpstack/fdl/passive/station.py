@@ -24,7 +24,7 @@ from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
 from dpstack.units import NEVER
 
-#: T_SDR of a station is never less than this (docs/protocol.md#t-sdr).
+#: T_SDR of a station is never less than this (docs/reference/protocol.md#t-sdr).
 LOWEST_TSDR: Final = 11
 
 _DL: Final = Resp.DL
@@ -265,8 +265,8 @@ class PassiveStation(PassiveReceiver):
             self._reported_le3.add(sa)
             self._events.append(le3_notice(f"station {self.address}", sa, now))
         if fc & FC_FCV and sa == self._kept_sa and fc & FC_FCB == self._kept_fcb and function in COUNTED:
-            # docs/protocol.md#frame-count-bit: same requester, same FCB: the answer was lost. Repeat the answer
-            # without another call of the application.
+            # docs/reference/protocol.md#frame-count-bit: same requester, same FCB: the answer was lost. Repeat the
+            # answer without another call of the application.
             self.stats.repeats += 1
             self._answer(self._kept, now)
             return

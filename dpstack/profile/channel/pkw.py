@@ -94,10 +94,10 @@ class PkwDialect:
     """Differences between drives: positive replies allowed to each order, error texts, and the handshake.
 
     ``zero_between``: the drive takes a new order only after it has answered 0 with 0 (as
-    docs/drives/demag.md#handshake-of-the-parameter-channel). Without it a new order may follow at once unless it looks
-    like the last one; then a reply counts only when id, PNU and index match. ``parse``: of a :class:`Pkw` whose octets
-    are laid out in another way. ``busy``: error numbers of a drive that cannot carry out the order yet: the order is
-    repeated.
+    docs/reference/drives/demag.md#handshake-of-the-parameter-channel). Without it a new order may follow at once unless
+    it looks like the last one; then a reply counts only when id, PNU and index match. ``parse``: of a :class:`Pkw`
+    whose octets are laid out in another way. ``busy``: error numbers of a drive that cannot carry out the order yet:
+    the order is repeated.
     """
 
     answers: Mapping[int, tuple[int, ...]]

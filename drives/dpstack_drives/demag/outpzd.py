@@ -1,7 +1,7 @@
-"""OUT-PZD3 to OUT-PZD6 of PPO2 and PPO4 as sources 750 to 761 (docs/drives/demag.md#out-pzd).
+"""OUT-PZD3 to OUT-PZD6 of PPO2 and PPO4 as sources 750 to 761 (docs/reference/drives/demag.md#out-pzd).
 
-PZD3 is also the additional reference (docs/drives/demag.md#additional-reference). The manual's list and example have
-PZD5 as long at 759: by its table it is 760, which is taken.
+PZD3 is also the additional reference (docs/reference/drives/demag.md#additional-reference). The manual's list and
+example have PZD5 as long at 759: by its table it is 760, which is taken.
 """
 
 from __future__ import annotations

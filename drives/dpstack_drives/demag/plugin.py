@@ -150,7 +150,7 @@ class DemagCore(MappedCore[OutMap]):
 
     def control_bits(self) -> int:
         """The selector of the value that PZD2 shows, and the toggle bit as the drive sent it
-        (docs/drives/demag.md#toggle-bit)."""
+        (docs/reference/drives/demag.md#toggle-bit)."""
         return self._selector << _SELECTOR | (self.status_word & _TOGGLE if self.online else 0)
 
     def measured(self) -> tuple[float | None, float | None, float | None]:
@@ -425,7 +425,8 @@ class DemagCore(MappedCore[OutMap]):
         self._set_mode(None)
 
     def _ask_toggle_time(self, deadline: int) -> Steps[int]:
-        """881 must leave time for two of the drive's scans and two rotations (docs/drives/demag.md#toggle-bit)."""
+        """881 must leave time for two of the drive's scans and two rotations
+        (docs/reference/drives/demag.md#toggle-bit)."""
         began = self.now
         yield
         yield

@@ -353,8 +353,8 @@ class DemagDevice(DriveDevice):
     # -- parameter channel ----------------------------------------------------------------------------------------
 
     def carry_out(self, order: Pkw) -> tuple[int, int]:
-        """Readings: docs/drives/demag.md#parameter-channel; a plain order on a parameter with data sets takes the data
-        set in IND."""
+        """Readings: docs/reference/drives/demag.md#parameter-channel; a plain order on a parameter with data sets takes
+        the data set in IND."""
         if order.id not in t.PKW.answers:
             return ReplyId.ERROR, 108
         spec = t.PARAMETERS.get(order.pnu)

@@ -1,4 +1,5 @@
-"""Facts of the Demag that plugin and simulated drive share: telegrams, parameters, texts (docs/drives/demag.md).
+"""Facts of the Demag that plugin and simulated drive share: telegrams, parameters, texts
+(docs/reference/drives/demag.md).
 
 Source: Demag, Operating instructions CM-PDP-24, supplement; chapter numbers in the comments are the manual's.
 """

@@ -1,4 +1,5 @@
-"""The fieldbus toggle bit (docs/drives/demag.md#toggle-bit): the drive alternates ZSW bit 8, the master copies it.
+"""The fieldbus toggle bit (docs/reference/drives/demag.md#toggle-bit): the drive alternates ZSW bit 8, the master
+copies it.
 
 Readings: 880 = 0 keeps the bit at 0; after it reacted, and 15 s after a fault, the drive begins anew with 1; 881 = 0
 leaves no time at all; while it waits for the first copy ZSW 7 is set although no bit of 270 stands for it.

@@ -1,4 +1,5 @@
-"""The process data as the drive itself shows them in 281 and 284 (docs/drives/demag.md#trace-lines), from live data.
+"""The process data as the drive itself shows them in 281 and 284 (docs/reference/drives/demag.md#trace-lines), from
+live data.
 
 The parameter channel's part is the last transmission, not the zeros between two. The manual has words 3 to 6 of OUT as
 not used, which is not so in PPO2 and PPO4: the real words are shown.

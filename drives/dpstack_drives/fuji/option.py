@@ -1,4 +1,4 @@
-"""The OPC-E1-PDP of the simulated drive: PCV orders, PCD words, its address (docs/drives/fuji.md)."""
+"""The OPC-E1-PDP of the simulated drive: PCV orders, PCD words, its address (docs/reference/drives/fuji.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""PCD1 to PCD4 of PPO2 and PPO4: function codes as cyclic words (docs/drives/fuji.md#pcd-words).
+"""PCD1 to PCD4 of PPO2 and PPO4: function codes as cyclic words (docs/reference/drives/fuji.md#pcd-words).
 
 o40 to o43 (PNU 915) say what is written, o48 to o51 (PNU 916) what is read: group and number in four hex digits, F26 is
 041A. They act after power-on. Of doubled assignments of writes the lowest counts; S01 and S05 cannot be written.

@@ -109,11 +109,12 @@ class FujiDevice(DriveDevice):
 
     @property
     def own_address(self) -> int | None:
-        """SW1 and SW2, o31 where they are 00 (docs/drives/fuji.md#address)."""
+        """SW1 and SW2, o31 where they are 00 (docs/reference/drives/fuji.md#address)."""
         return self.option.own_address
 
     def advance(self, now: int) -> None:
-        """Er4 where the option was off for about a second under a live inverter (docs/drives/fuji.md#supplies)."""
+        """Er4 where the option was off for about a second under a live inverter
+        (docs/reference/drives/fuji.md#supplies)."""
         since, self._off_since = self._off_since, None
         if since is not None and now - since >= round(t.OPTION_OFF_S * NS_PER_S):
             self._fail(t.ER4)

@@ -1,4 +1,4 @@
-"""Facts of the FRENIC that plugin and simulated drive share. Passages: docs/drives/fuji.md.
+"""Facts of the FRENIC that plugin and simulated drive share. Passages: docs/reference/drives/fuji.md.
 
 Source: Fuji, PROFIBUS DP Interface Option OPC-E1-PDP, instruction manual; numbers in the comments are its sections.
 The manual has no GSD file: ident number and identifier octets are made up until the user's GSD overrides them.

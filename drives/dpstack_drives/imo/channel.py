@@ -1,5 +1,5 @@
-"""The PKW zone of the HD2 (docs/drives/imo-hd2.md#pkw-zone): PKW1 request or response, PKW2 address, PKW3 and PKW4 the
-value; both ends.
+"""The PKW zone of the HD2 (docs/reference/drives/imo-hd2.md#pkw-zone): PKW1 request or response, PKW2 address, PKW3 and
+PKW4 the value; both ends.
 
 Source: tables 2-9 to 2-11. Readings: the response repeats the address, as in the manual's example; a request acts when
 it changes, and what a read tells is the momentary value; response 4, which stands in the table of acceptance only, is

@@ -1,5 +1,5 @@
-"""Functions of PZD2 to PZD12 (docs/drives/imo-hd2.md#process-data): names, units, and ranges that are checked before
-anything is sent.
+"""Functions of PZD2 to PZD12 (docs/reference/drives/imo-hd2.md#process-data): names, units, and ranges that are checked
+before anything is sent.
 
 Source: tables 2-6 and 2-8 of the card's manual. Functions 14 and 15 of table 2-6 are cut off in our text: position
 reference, high word signed, low word unsigned. Readings: torque, power and analog inputs are signed; the ramp frequency

@@ -1,4 +1,4 @@
-"""Facts of the HD2 that plugin and simulated drive share. Passages: docs/drives/imo-hd2.md.
+"""Facts of the HD2 that plugin and simulated drive share. Passages: docs/reference/drives/imo-hd2.md.
 
 Source: IMO, HD2 PROFIBUS Communication Card, instruction manual; numbers in the comments are its tables. It has no GSD
 file: ident number and identifier octets are made up until the user's GSD overrides them. The inverter's own parameters,

@@ -1,4 +1,4 @@
-"""The parameter channel of the F5 operator, both ends: docs/drives/keb-f5.md#administration-byte.
+"""The parameter channel of the F5 operator, both ends: docs/reference/drives/keb-f5.md#administration-byte.
 
 Octets (Coding of the user data): administration byte, subindex, index high, index low, four data octets; a value
 stands left-justified by its length, or an error as class, code and additional code. Administration byte: bit 7 result,

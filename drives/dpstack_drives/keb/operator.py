@@ -1,6 +1,6 @@
 """The simulated PROFIBUS operator: process data maps with their enables, and when data go to and from the inverter.
 
-Passages: docs/drives/keb-f5.md#process-data-map, docs/drives/keb-f5.md#when-data-move.
+Passages: docs/reference/drives/keb-f5.md#process-data-map, docs/reference/drives/keb-f5.md#when-data-move.
 """
 
 from __future__ import annotations

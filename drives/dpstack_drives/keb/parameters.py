@@ -1,4 +1,5 @@
-"""The parameters of the simulated F5 as its operator reads and writes them (docs/drives/keb-f5.md#indexes)."""
+"""The parameters of the simulated F5 as its operator reads and writes them
+(docs/reference/drives/keb-f5.md#indexes)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The process data map: which parameter stands where, as records 6000h (inputs) and 6001h (outputs).
 
-Passages: docs/drives/keb-f5.md#process-data-map, docs/drives/keb-f5.md#default-map.
+Passages: docs/reference/drives/keb-f5.md#process-data-map, docs/reference/drives/keb-f5.md#default-map.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class PdMap:
 
 def check(inputs: PdMap, outputs: PdMap) -> str | None:
     """Why a drive would not confirm its enable for these maps; None where they are right
-    (docs/drives/keb-f5.md#process-data-map)."""
+    (docs/reference/drives/keb-f5.md#process-data-map)."""
     for name, one in (("inputs", inputs), ("outputs", outputs)):
         if one.octets > _LONGEST:
             return f"{name}: {one.octets} octets, the operator has at most {_LONGEST}"
@@ -179,6 +179,6 @@ def _entry(word: str) -> Entry:
     return Entry(index, kind == "long", int(sets) if sets else 1)
 
 
-#: docs/drives/keb-f5.md#default-map, example 1
+#: docs/reference/drives/keb-f5.md#default-map, example 1
 DEFAULT_INPUTS: Final = PdMap((Entry(t.STATUS_WORD), Entry(t.ACTUAL_SPEED)))
 DEFAULT_OUTPUTS: Final = PdMap((Entry(t.CONTROL_WORD), Entry(t.SET_SPEED)))

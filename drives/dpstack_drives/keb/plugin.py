@@ -210,7 +210,7 @@ class KebCore(MappedCore[PdMap]):
     def _ask(self, deadline: int) -> Steps[int]:
         return self._channel.get(Target(t.INVERTER_STATE, 1, "ru.00"), deadline)
 
-    # -- the process data maps (docs/drives/keb-f5.md#process-data-map) -----------------------------------------------
+    # -- the process data maps (docs/reference/drives/keb-f5.md#process-data-map) --------------------------------------
 
     def parse_map(self, text: str, *, outputs: bool) -> PdMap:
         return PdMap.parse(text)
@@ -226,7 +226,8 @@ class KebCore(MappedCore[PdMap]):
         return given
 
     def check_maps(self, inputs: PdMap, outputs: PdMap) -> str | None:
-        """The rule of docs/drives/keb-f5.md#process-data-map for which the drive would not confirm the maps."""
+        """The rule of docs/reference/drives/keb-f5.md#process-data-map for which the drive would not confirm the
+        maps."""
         return pdmap.check(inputs, outputs)
 
     def called(self, name: str | int) -> str | int:

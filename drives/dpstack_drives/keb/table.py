@@ -1,5 +1,5 @@
 """Facts of the F5 that plugin and simulated drive share: parameters, error texts, names of bits
-(docs/drives/keb-f5.md).
+(docs/reference/drives/keb-f5.md).
 
 Source: KEB, COMBICOM F5-Profibus (slides of a training course); the names in the comments are its headings. The bits
 of sy.50 and sy.51, the unit of sy.52 and most addresses are in the inverter's application manual, which we do not
@@ -185,8 +185,8 @@ def _row(
     unit: str = "",
     **more: bool,
 ) -> ParamSpec:
-    """80 per Hz of oP.3 by arithmetic (docs/drives/keb-f5.md#example-of-the-parameter-channel). Limits and factory
-    values are not in the manual."""
+    """80 per Hz of oP.3 by arithmetic (docs/reference/drives/keb-f5.md#example-of-the-parameter-channel). Limits and
+    factory values are not in the manual."""
     index = _index(name, {**GROUPS, **GROUPS_MADE_UP})
     number = _FB + int(name[3:]) if index is None else index
     flags = {"made_up": True, "by_name": True, **more}
@@ -252,7 +252,7 @@ PARAMETERS: Final = ParamTable(
 SCALES: Final = {0x2303: (80, "Hz")}
 
 
-#: made up: record and enable of block 2 in the simulated drive (docs/drives/keb-f5.md#second-block)
+#: made up: record and enable of block 2 in the simulated drive (docs/reference/drives/keb-f5.md#second-block)
 BLOCK2_INPUTS, BLOCK2_OUTPUTS = "5FE0 5FE1", "5FE2 5FE3"
 
 

@@ -1,5 +1,5 @@
 """Telegrams of the F5 operator: made of modules, named ``[PCH+]OUTPUTS/INPUTS`` in octets
-(docs/drives/keb-f5.md#gsd-facts).
+(docs/reference/drives/keb-f5.md#gsd-facts).
 
 Parameter channel B7, 1..8 octets of outputs A0..A7, 1..8 of inputs 90..97, at most 3 modules, 16 octets each way.
 """

@@ -1,5 +1,5 @@
-"""The fieldbus watchdog of the simulated F5 (docs/drives/keb-f5.md#watchdog-of-the-operator): its start and its
-signs of life.
+"""The fieldbus watchdog of the simulated F5 (docs/reference/drives/keb-f5.md#watchdog-of-the-operator): its start and
+its signs of life.
 
 Reading: with both bits of Fb39 either event begins it.
 """

@@ -1,5 +1,5 @@
-"""Lost command of the simulated drive (docs/drives/ls-s100.md#swap-and-lost-command): PRT-12 is the reaction, PRT-13
-the time until it, PRT-14 a frequency.
+"""Lost command of the simulated drive (docs/reference/drives/ls-s100.md#swap-and-lost-command): PRT-12 is the reaction,
+PRT-13 the time until it, PRT-14 a frequency.
 
 The codes stand in the inverter's manual, so the meanings here are a reading: 0 nothing, 1 coast, 2 ramp, both with the
 trip, 3 hold the input, 4 hold the output, 5 the preset frequency. It does not matter how data exchange ended.

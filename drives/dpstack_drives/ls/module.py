@@ -1,4 +1,5 @@
-"""The CPDP-S100 of the simulated drive: parameters by PKW, fault situations, PNUs (docs/drives/ls-s100.md#pnus)."""
+"""The CPDP-S100 of the simulated drive: parameters by PKW, fault situations, PNUs
+(docs/reference/drives/ls-s100.md#pnus)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """Para Status (COM-31..) and Para Control (COM-51..): which address stands where
-(docs/drives/ls-s100.md#parameters-and-maps)."""
+(docs/reference/drives/ls-s100.md#parameters-and-maps)."""
 
 from __future__ import annotations
 

@@ -44,8 +44,8 @@ _SOURCE: Final = "set dr-06 (command source) to 4, field bus, and see that the k
 
 
 def profile_of(telegram: TelegramSpec, wanted: str) -> int:
-    """COM-11 of a telegram: 0 with 100, 1 with 1, the user's with 101 to 106 (docs/drives/ls-s100.md#profiles). Raises
-    ConfigError."""
+    """COM-11 of a telegram: 0 with 100, 1 with 1, the user's with 101 to 106
+    (docs/reference/drives/ls-s100.md#profiles). Raises ConfigError."""
     number = telegrams.number_of(telegram)
     if number == telegrams.VENDOR:
         return t.IO
@@ -136,8 +136,8 @@ class LsCore(MappedCore[ParaMap]):
         )
 
     def over_records(self, queue: record47.RecordQueue) -> record47.AcyclicAccess:
-        """Parameters over record 47 (docs/drives/ls-s100.md#record-47); trips and warnings have names in every telegram
-        then."""
+        """Parameters over record 47 (docs/reference/drives/ls-s100.md#record-47); trips and warnings have names in
+        every telegram then."""
         self.lookups = (self._trips, self._warning)
         client = record47.ParameterClient(records.SLOT, limits=records.LIMITS, references=record47.PLUGIN)
         return record47.AcyclicAccess(client, queue, self._placed, self)

@@ -1,4 +1,5 @@
-"""The records of the CPDP-S100: 47 as the simulated drive has it (docs/drives/ls-s100.md#record-47), and I&M0.
+"""The records of the CPDP-S100: 47 as the simulated drive has it (docs/reference/drives/ls-s100.md#record-47), and
+I&M0.
 
 PNUs are taken before addresses of the same number. Readings: a plain parameter with a subindex is error 4; a request
 takes two scans.
@@ -13,7 +14,7 @@ from dpstack_drives.ls import table as t
 from dpstack_drives.ls.module import Module
 
 SLOT: Final = 1
-#: of class 2 (docs/drives/ls-s100.md#record-47); a reading: the manual gives no number
+#: of class 2 (docs/reference/drives/ls-s100.md#record-47); a reading: the manual gives no number
 CONNECTIONS: Final = 2
 #: at most 8 parameters of at most 8 elements a request, values only, one object
 LIMITS: Final = record47.Limits(parameters=8, elements=8)
@@ -68,7 +69,7 @@ class LsParameters(record47.ParameterModel):
         return spec if end <= size else record47.ErrorValue(0x03, max(address.subindex, size))
 
 
-#: docs/drives/ls-s100.md#im; order id, serial number and versions are made up
+#: docs/reference/drives/ls-s100.md#im; order id, serial number and versions are made up
 IDENTIFICATION: Final = record47.Im0(
     manufacturer_id=t.DEVICE_ID[0],
     order_id="CPDP-S100",

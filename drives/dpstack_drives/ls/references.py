@@ -1,4 +1,5 @@
-"""Names and numbers of parameters, as the parameter channel has them (docs/drives/ls-s100.md#parameter-channel)."""
+"""Names and numbers of parameters, as the parameter channel has them
+(docs/reference/drives/ls-s100.md#parameter-channel)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The drive's side of the LS Drive profile (docs/drives/ls-s100.md#ls-drive-profile), and how it comes to rest (Ad-08).
+"""The drive's side of the LS Drive profile (docs/reference/drives/ls-s100.md#ls-drive-profile), and how it comes to
+rest (Ad-08).
 
 Readings, as the state diagram is not in the text: a run command stands until stop, emergency or the end of the run
 authority; emergency goes before stop, stop before a direction; both directions

@@ -1,5 +1,5 @@
 """The communication parameters of the simulated drive: presets, and the values that act
-(docs/drives/ls-s100.md#parameters-and-maps)."""
+(docs/reference/drives/ls-s100.md#parameters-and-maps)."""
 
 from __future__ import annotations
 

@@ -163,8 +163,8 @@ class LsDevice(DriveDevice):
         self._hold = False
 
     def master_lost(self, reason: Leave, now: int) -> None:
-        """Lost command (docs/drives/ls-s100.md#swap-and-lost-command): PRT-12 and PRT-13; until then the last outputs
-        stand."""
+        """Lost command (docs/reference/drives/ls-s100.md#swap-and-lost-command): PRT-12 and PRT-13; until then the last
+        outputs stand."""
         self._hold = True
         self._online = False
         if self._received:

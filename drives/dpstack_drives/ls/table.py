@@ -1,4 +1,4 @@
-"""Facts of the S100 that plugin and simulated drive share: passages in docs/drives/ls-s100.md.
+"""Facts of the S100 that plugin and simulated drive share: passages in docs/reference/drives/ls-s100.md.
 
 Source: LS ELECTRIC, LSLV-S100 Profibus-DP Module, user's manual V1.40; numbers in the comments are its sections. What
 belongs to the inverter's own manual (dr-06, dr-07, Ad-08, PRT-12 to PRT-14, the bits of 0006h and 000Eh) is a reading.
@@ -47,11 +47,11 @@ SCAN_MS: Final = 4
 
 #: of the diagnosis: the six fixed octets and an alarm; a reading
 MAX_DIAG: Final = 16
-#: COM-11 and what PNU 930 shows for it (docs/drives/ls-s100.md#profiles)
+#: COM-11 and what PNU 930 shows for it (docs/reference/drives/ls-s100.md#profiles)
 IO, PROFIDRIVE, LS_DRIVE = 0, 1, 2
 PNU_930: Final = {IO: 0x8000, PROFIDRIVE: 1, LS_DRIVE: 0x8002}
 
-# -- docs/drives/ls-s100.md#profidrive-profile ------------------------------------------------------------------------
+# -- docs/reference/drives/ls-s100.md#profidrive-profile ---------------------------------------------------------------
 
 #: 5.1.1: jog is not supported, bits 11-15 are reserved
 CONTROL: Final = Word("STW1", profidrive_states.CONTROL_BITS)
@@ -77,7 +77,7 @@ PROFIDRIVE_TABLE: Final = replace(
     run={**_BASE.run, State.STOPPING: _BASE.run[State.RUNNING]},
 )
 
-# -- docs/drives/ls-s100.md#ls-drive-profile --------------------------------------------------------------------------
+# -- docs/reference/drives/ls-s100.md#ls-drive-profile -----------------------------------------------------------------
 
 LS_CONTROL: Final = Word(
     "LS control word",
@@ -148,7 +148,7 @@ def ls_table(authority: int) -> ControlTable:
     )
 
 
-# -- docs/drives/ls-s100.md#parameters-and-maps ----------------------------------------------------------------------
+# -- docs/reference/drives/ls-s100.md#parameters-and-maps --------------------------------------------------------------
 
 #: 6.2.1 prints 000B and 0316 (and 1101, dr-01); what they show is the inverter manual's:
 #: integers without a scale, made up in the simulated drive
@@ -186,7 +186,7 @@ def code_of(number: int) -> str:
     return f"{number:04X}"
 
 
-# -- docs/drives/ls-s100.md#parameter-channel ------------------------------------------------------------------------
+# -- docs/reference/drives/ls-s100.md#parameter-channel ----------------------------------------------------------------
 
 PKW: Final = PkwDialect(
     answers={1: (1,), 2: (1,), 6: (4,), 7: (4,)},

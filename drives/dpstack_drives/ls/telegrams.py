@@ -1,5 +1,5 @@
-"""Telegrams of the CPDP-S100 (docs/drives/ls-s100.md#telegrams): standard telegram 1, PPO1 to PPO6, and the vendor's
-own.
+"""Telegrams of the CPDP-S100 (docs/reference/drives/ls-s100.md#telegrams): standard telegram 1, PPO1 to PPO6, and the
+vendor's own.
 
 ``VENDOR OUTPUTS/INPUTS`` has 1..8 words each way, which Para Control (COM-51..) and Para Status (COM-31..) fill. ST1,
 PPO3 and VENDOR 2/2 are alike by length: their identifier octets tell them apart. All identifier octets are made up,

@@ -1,4 +1,5 @@
-"""docs/ends.md: its table is the data, the data are what a slave that knows octets only records; the finaliser."""
+"""docs/explanation/ends.md: its table is the data, the data are what a slave that knows octets only records; the
+finaliser."""
 
 from __future__ import annotations
 

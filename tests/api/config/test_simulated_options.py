@@ -65,7 +65,7 @@ DRIVES: list[tuple[Mapping[str, object], str | int]] = [
 @pytest.mark.parametrize(("table", "parameter"), DRIVES, ids=lambda value: str(value)[:30])
 @in_virtual_time
 async def test_a_new_address_acts_from_the_next_power_on(table: Mapping[str, object], parameter: str | int) -> None:
-    """Until then it keeps the old address (for one drive: docs/drives/demag.md#address)."""
+    """Until then it keeps the old address (for one drive: docs/reference/drives/demag.md#address)."""
     async with running({"name": "it", "address": 4, **table}, 1_500_000) as (bus, drive):
         assert await drive.read(parameter) == 4
         await drive.write(parameter, 9)

@@ -152,7 +152,7 @@ async def test_a_slave_that_is_not_ready_is_asked_again(world: WorldFactory, cod
         assert await slave.im(1) == Im1("pump")
         await slave.write_im(Im1("fan"))
 
-    read = ["5E 00 FF 44"] * 4  # as docs/drives/ls-s100.md#im prints it
+    read = ["5E 00 FF 44"] * 4  # as docs/reference/drives/ls-s100.md#im prints it
     assert slow.asked[:8] == ["5F 00 FF 04 08 00 FD E9"] * 4 + read
     assert len(slow.asked) == 12
 

@@ -1,5 +1,5 @@
 """An IMO HD2 on a bus: process data map, fault, Clear and Stop, and the one baud rate that its card accepts
-(docs/drives/imo-hd2.md#address-and-baud-rate)."""
+(docs/reference/drives/imo-hd2.md#address-and-baud-rate)."""
 
 from __future__ import annotations
 
@@ -59,7 +59,8 @@ async def test_a_users_program() -> None:
 @pytest.mark.parametrize("way", ["clear", "stop"])
 @in_virtual_time
 async def test_a_running_hd2_comes_to_rest(way: str) -> None:
-    """Zeros are no command (docs/drives/imo-hd2.md#control-and-status-word): only 0005 before them ramps it down."""
+    """Zeros are no command (docs/reference/drives/imo-hd2.md#control-and-status-word): only 0005 before them ramps it
+    down."""
     async with running({**PUMP, **SET}) as (bus, pump):
         pump.speed = 0.5
         await pump.start()

@@ -490,7 +490,7 @@ def test_alone_on_a_port_until_ctrl_c_then_through_a_run(drive: Drive, plant: Pa
         if status["status"]["state"] != "offline":
             break
     assert status["through"] == "run"
-    # Er5: its watchdog ended the data exchange with the first master (docs/drives/fuji.md#lost-communication)
+    # Er5: its watchdog ended the data exchange with the first master (docs/reference/drives/fuji.md#lost-communication)
     assert status["status"]["state"] == "fault"
     assert cli.out("ctl", port).startswith("sim on ")
     through_the_run(drive, plant, run, cli)

@@ -1,7 +1,7 @@
 """``dpstack segment --error-rate 1e-3`` between a master's application and simulated slaves, held against the truth.
 
 The application knows what it wrote, the segment what it damaged, the slaves mirror. Two octets damaged alike could
-pass the check sum (docs/bus-parameters.md says how seldom); the seed is fixed, and it does not happen here.
+pass the check sum (docs/reference/bus-parameters.md says how seldom); the seed is fixed, and it does not happen here.
 """
 
 from __future__ import annotations

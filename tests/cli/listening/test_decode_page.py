@@ -1,4 +1,4 @@
-"""The examples of docs/decode.md, run as they stand there."""
+"""The examples of docs/how-to/decode.md, run as they stand there."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from dpstack.cli.main import main
 
-PAGE = (Path(__file__).parents[3] / "docs" / "decode.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "how-to" / "decode.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"<!-- decode -->\n```text\n\$ dpstack (decode .*?)\n(.*?)```", PAGE, re.DOTALL)
 ((NAME, TOML),) = re.findall(r"<!-- file: (\S+) -->\n```toml\n(.*?)```", PAGE, re.DOTALL)
 

@@ -177,7 +177,7 @@ def test_files_that_are_cut_or_without_a_rate(captures: Mapping[str, str], cli: 
 def test_the_thresholds_are_in_the_documents() -> None:
     from dpstack.monitor.thresholds import limits
 
-    page = (ROOT / "docs" / "monitor.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "how-to" / "monitor.md").read_text(encoding="utf-8")
     rows = [f"| `{one.name}` | {one.default:g} | {one.unit} | {one.text} | {one.source} |\n" for one in limits()]
     assert page.partition("<!-- thresholds -->\n")[2].partition("<!-- end -->")[0].splitlines(True)[2:] == rows
 

@@ -1,4 +1,4 @@
-"""docs/ends.md, "While the bus goes on", row by row: what the slaves are given next, and what is told."""
+"""docs/explanation/ends.md, "While the bus goes on", row by row: what the slaves are given next, and what is told."""
 
 from __future__ import annotations
 

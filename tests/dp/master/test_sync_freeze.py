@@ -53,7 +53,8 @@ def outcomes(bus: ScriptedLink) -> list[Event]:
     ],
 )
 def test_each_is_sent_once_to_its_groups(what: dict[str, bool], groups: tuple[int, ...], octets: str) -> None:
-    """Literal octets (docs/protocol.md#global_control); a second SYNC would act again, so it is never repeated."""
+    """Literal octets (docs/reference/protocol.md#global_control); a second SYNC would act again, so it is never
+    repeated."""
     bus = operating(setup(3), setup(4))
     bus.send(SendControl(7, groups, **what))
     bus.run(500 * MS)

@@ -84,7 +84,7 @@ def test_octets_of_an_impossible_length_are_no_diagnosis(length: int) -> None:
 
 
 def test_deviations_of_real_slaves_are_tolerated() -> None:
-    """docs/protocol.md#always-1-bit: it is 0; the master address is own + 128."""
+    """docs/reference/protocol.md#always-1-bit: it is 0; the master address is own + 128."""
     assert not parse("00 00 00 02 12 34").always_one
     assert parse("00 08 00 82 12 34").master == 0x82
 
@@ -96,7 +96,7 @@ def test_an_extended_diagnosis_that_is_too_long_is_misuse() -> None:
 
 
 def test_all_kinds_of_blocks() -> None:
-    """docs/protocol.md#diagnosis-blocks: device, identifier, channel, revision."""
+    """docs/reference/protocol.md#diagnosis-blocks: device, identifier, channel, revision."""
     diagnosis = parse("08 0C 00 02 12 34" + "04 AA BB CC" + "43 05 80" + "82 43 A6" + "C7" + "01")
     assert diagnosis.ext_finding is None
     device, identifier, channel, revision, empty = diagnosis.blocks

@@ -1,5 +1,5 @@
-"""Set_Prm, Global_Control and Set_Slave_Add, against octets of real bus logs (docs/protocol.md#known-telegrams) and of
-manuals."""
+"""Set_Prm, Global_Control and Set_Slave_Add, against octets of real bus logs
+(docs/reference/protocol.md#known-telegrams) and of manuals."""
 
 from __future__ import annotations
 
@@ -157,7 +157,8 @@ def test_global_control_ignores_reserved_bits_and_refuses_other_lengths() -> Non
         GlobalControl(group_mask=256).build()
 
 
-# --- Set_Slave_Add (docs/protocol.md#set_slave_add) -----------------------------------------------------------------
+# --- Set_Slave_Add (docs/reference/protocol.md#set_slave_add)
+# -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,8 @@ def saying(diag: UserDiag, **more: Any) -> tuple[DpSlave, Bench]:
     return device, bench
 
 
-# --- blocks (docs/protocol.md#diagnosis-blocks) ---------------------------------------------------------------------
+# --- blocks (docs/reference/protocol.md#diagnosis-blocks)
+# ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -184,7 +185,7 @@ def test_diag_is_set_as_a_whole_or_not_at_all() -> None:
 
 #: requests as (function code, DSAP): Data_Exchange, Slave_Diag, Get_Cfg; each answer of Data_Exchange tells whether the
 #: master has still to read the diagnosis. FCV 0, FCB 1 after Slave_Diag: every attempt to get it failed
-#: (docs/protocol.md#frame-count-bit).
+#: (docs/reference/protocol.md#frame-count-bit).
 @pytest.mark.parametrize(
     "requests",
     [

@@ -214,8 +214,8 @@ def test_an_address_is_kept_where_the_application_says() -> None:
     [(True, "04", 7), (True, "44 00 00", 7), (True, "00", 70), (True, "", 70), (False, "04", 70)],
 )
 def test_the_watchdog_has_a_1_ms_base_where_it_is_set_and_known(supported: bool, user_prm: str, ms: int) -> None:
-    """docs/protocol.md#watchdog: WD_Base_1ms; exactly f1 x f2 ms after the last request of the owner, octets 2 and 3
-    are 1 and 7."""
+    """docs/reference/protocol.md#watchdog: WD_Base_1ms; exactly f1 x f2 ms after the last request of the owner, octets
+    2 and 3 are 1 and 7."""
     bench = served(Log(), wd_base_1ms=supported)
     bench.prm(bytes.fromhex("88 01 07 0B 0A 35 00" + user_prm))
     bench.cfg()
@@ -230,7 +230,7 @@ def test_the_watchdog_has_a_1_ms_base_where_it_is_set_and_known(supported: bool,
 
 @pytest.mark.parametrize(("user_prm", "status1"), [("", 0x42), ("00", 0x42), ("BF", 0x42), ("40", 0x02)])
 def test_fail_safe_required(user_prm: str, status1: int) -> None:
-    """docs/protocol.md#clear: Prm_Fault for a master that does not announce empty frames."""
+    """docs/reference/protocol.md#clear: Prm_Fault for a master that does not announce empty frames."""
     bench = served(Log(), fail_safe_required=True)
     bench.prm(PRM + bytes.fromhex(user_prm))
     assert bench.diag()[0] == status1
@@ -241,8 +241,8 @@ def test_fail_safe_required(user_prm: str, status1: int) -> None:
 
 
 def test_manufacturer_octets_that_the_master_does_not_compare() -> None:
-    """docs/protocol.md#special-identifiers: low nibble 15; the slave works, and tells, with its own octets. The same
-    Chk_Cfg again changes nothing."""
+    """docs/reference/protocol.md#special-identifiers: low nibble 15; the slave works, and tells, with its own octets.
+    The same Chk_Cfg again changes nothing."""
     real = bytes.fromhex("42 C1 AA BB 20")  # 2 words of inputs, 2 octets of the maker's; 1 output octet
     left: list[Leave] = []
     bench = served(lambda outputs, elapsed: bytes(4), configs=(real,), on_leave=left.append)

@@ -1,4 +1,5 @@
-"""Set_Slave_Add (docs/protocol.md#set_slave_add): literal octets, when it is open, what is kept, what masters see."""
+"""Set_Slave_Add (docs/reference/protocol.md#set_slave_add): literal octets, when it is open, what is kept, what masters
+see."""
 
 from __future__ import annotations
 
@@ -87,7 +88,7 @@ def test_requests_that_leave_the_address(octets: str, reason: str) -> None:
 
 @pytest.mark.parametrize("state", [SlaveAppState.WAIT_CFG, SlaveAppState.DATA_EXCH])
 def test_closed_once_parameterised(state: SlaveAppState) -> None:
-    """docs/protocol.md#services-by-state: Set_Slave_Add only in Wait_Prm, of nobody else either."""
+    """docs/reference/protocol.md#services-by-state: Set_Slave_Add only in Wait_Prm, of nobody else either."""
     bench, station = fresh()
     bench.prm(PRM)
     if state is SlaveAppState.DATA_EXCH:

@@ -31,8 +31,8 @@ ANSWERS = {
 @pytest.mark.parametrize("state", list(SlaveAppState))
 @pytest.mark.parametrize("service", list(READS))
 def test_reading_services(service: str, state: SlaveAppState, sa: int) -> None:
-    """docs/protocol.md#services-by-state: Slave_Diag and Get_Cfg always, RD_Inp and RD_Outp in Data_Exch; of any
-    master, also of class 2."""
+    """docs/reference/protocol.md#services-by-state: Slave_Diag and Get_Cfg always, RD_Inp and RD_Outp in Data_Exch; of
+    any master, also of class 2."""
     slave = Slave().to(state)
     unit = READS[service]
     data = ANSWERS.get((service, state))
@@ -65,8 +65,8 @@ def test_reading_services(service: str, state: SlaveAppState, sa: int) -> None:
 )
 @pytest.mark.parametrize("start", list(SlaveAppState))
 def test_set_prm(start: SlaveAppState, unit: str, answered: str, state: SlaveAppState, diagnosis: str) -> None:
-    """docs/protocol.md#refused-parameters-are-acknowledged: acknowledged whatever it is; the diagnosis tells. In any
-    state the same comes of it."""
+    """docs/reference/protocol.md#refused-parameters-are-acknowledged: acknowledged whatever it is; the diagnosis tells.
+    In any state the same comes of it."""
     slave = Slave().to(start)
     assert slave.ask(unit) == answered
     assert slave.app.state is state
@@ -75,7 +75,7 @@ def test_set_prm(start: SlaveAppState, unit: str, answered: str, state: SlaveApp
 
 @pytest.mark.parametrize("start", list(SlaveAppState))
 def test_set_prm_without_lock_and_unlock_changes_min_tsdr_only(start: SlaveAppState) -> None:
-    """docs/protocol.md#set_prm: whatever the ident number. 0 keeps, less than 11 counts as 11."""
+    """docs/reference/protocol.md#set_prm: whatever the ident number. 0 keeps, less than 11 counts as 11."""
     slave = Slave().to(start)
     for octet, bits in (("37", 0x37), ("00", 0x37), ("FF", 0xFF), ("05", 11)):
         assert slave.ask(f"3D 3E 00 00 00 {octet} FF FF 00") == SC
@@ -129,7 +129,7 @@ def test_chk_cfg(start: SlaveAppState, unit: str, state: SlaveAppState, diagnosi
 @pytest.mark.parametrize("start", [WAIT_CFG, DATA_EXCH])
 @pytest.mark.parametrize("unit", [PRM, UNLOCK, "3D 3E 00 01 01 37 0A 35 00", "3D 3E", CFG, "3E 3E 11"])
 def test_requests_of_another_master_change_nothing(unit: str, start: SlaveAppState) -> None:
-    """docs/protocol.md#lock-and-unlock: locked; acknowledged, and the diagnosis names the owner."""
+    """docs/reference/protocol.md#lock-and-unlock: locked; acknowledged, and the diagnosis names the owner."""
     slave = Slave().to(start)
     before = slave.diagnosis(9)
     assert slave.ask(unit, 9) == SC
@@ -157,8 +157,8 @@ def test_data_exchange() -> None:
 
 @pytest.mark.parametrize("outputs", ["", "01", "01 02 03", "00 " * 244])
 def test_data_exchange_of_the_wrong_length(outputs: str) -> None:
-    """docs/protocol.md#slave-states: Wait_Prm with Cfg_Fault; an empty frame too, the slave is not Fail_Safe. Outputs
-    safe."""
+    """docs/reference/protocol.md#slave-states: Wait_Prm with Cfg_Fault; an empty frame too, the slave is not Fail_Safe.
+    Outputs safe."""
     slave = Slave().to(DATA_EXCH)
     assert slave.exchange(outputs) == RS[2]
     assert slave.diagnosis() == "06 05 00 FF 0A 35"
@@ -168,7 +168,7 @@ def test_data_exchange_of_the_wrong_length(outputs: str) -> None:
 @pytest.mark.parametrize("state", list(SlaveAppState))
 @pytest.mark.parametrize("sap", [0, 48, 49, 50, 51, 53, 54, 58, 63])
 def test_saps_that_are_not_open(sap: int, state: SlaveAppState) -> None:
-    """RS: the SAP is not active (docs/protocol.md#function-code). Global_Control is no SRD."""
+    """RS: the SAP is not active (docs/reference/protocol.md#function-code). Global_Control is no SRD."""
     slave = Slave().to(state)
     assert slave.ask(f"{sap:02X} 3E 00 00") == RS[2]
     assert slave.app.state is state

@@ -40,7 +40,8 @@ class Player(Slave):
         return self.wire.ask(framed(0x80 | self.wire.station.address, 0x80 | sa, self._fc(), unit))
 
     def play(self, what: str, sa: int, arg: str) -> str:
-        """The answer. The FCB does not turn after a request that had none (docs/protocol.md#frame-count-bit)."""
+        """The answer. The FCB does not turn after a request that had none
+        (docs/reference/protocol.md#frame-count-bit)."""
         fcb = self.fcb
         answered = self._play(what, sa, arg)
         if not answered:

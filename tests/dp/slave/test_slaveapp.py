@@ -66,8 +66,8 @@ def test_the_bring_up_octet_by_octet() -> None:
 )
 @pytest.mark.parametrize("start", [WAIT_PRM, WAIT_CFG, DATA_EXCH])
 def test_bad_parameters(start: SlaveAppState, prm: str, reason: str) -> None:
-    """docs/protocol.md#refused-parameters-are-acknowledged: Prm_Fault in the diagnosis, back to Wait_Prm, the lock
-    given up."""
+    """docs/reference/protocol.md#refused-parameters-are-acknowledged: Prm_Fault in the diagnosis, back to Wait_Prm, the
+    lock given up."""
     bench = in_state(start)
     assert bench.prm(bytes.fromhex(prm)) == SC_REPLY
     assert bench.app.state is WAIT_PRM
@@ -126,7 +126,7 @@ def test_sync_or_freeze_that_the_device_does_not_have(prm: str) -> None:
 @pytest.mark.parametrize("config", [b"", b"\x11", b"\xc3\xc1", CFG + b"\x00"])
 @pytest.mark.parametrize("start", [WAIT_CFG, DATA_EXCH])
 def test_bad_configuration(start: SlaveAppState, config: bytes) -> None:
-    """docs/protocol.md#refused-parameters-are-acknowledged: Cfg_Fault in the diagnosis, back to Wait_Prm."""
+    """docs/reference/protocol.md#refused-parameters-are-acknowledged: Cfg_Fault in the diagnosis, back to Wait_Prm."""
     bench = in_state(start)
     assert bench.cfg(config) == SC_REPLY
     assert (bench.app.state, bench.app.master, bench.app.outputs) == (WAIT_PRM, None, b"")
@@ -180,7 +180,7 @@ def test_shapes_of_devices(config: str, outputs: bytes, expected: Reply) -> None
 
 @pytest.mark.parametrize("outputs", [b"", b"\x01\x02"])
 def test_outputs_of_the_wrong_length(outputs: bytes) -> None:
-    """docs/protocol.md#slave-states: back to Wait_Prm with Cfg_Fault."""
+    """docs/reference/protocol.md#slave-states: back to Wait_Prm with Cfg_Fault."""
     bench = Bench().up()
     bench.dx()
     assert bench.dx(outputs) == RS_REPLY
@@ -194,8 +194,8 @@ def test_outputs_of_the_wrong_length(outputs: bytes) -> None:
 
 
 def test_extended_diagnosis_asks_to_be_fetched() -> None:
-    """docs/protocol.md#answers-to-data_exchange: DH from the change on until the owner has read it; Ext_Diag with
-    it."""
+    """docs/reference/protocol.md#answers-to-data_exchange: DH from the change on until the owner has read it; Ext_Diag
+    with it."""
     bench = Bench().up()
     assert bench.dx().status is Resp.DL
     bench.recorder.ext = b"\x03\x01\x02"

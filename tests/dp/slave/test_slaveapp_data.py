@@ -1,4 +1,4 @@
-"""Clear and Operate, SYNC and FREEZE with their double buffers, groups (docs/protocol.md#global_control)."""
+"""Clear and Operate, SYNC and FREEZE with their double buffers, groups (docs/reference/protocol.md#global_control)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ STEPS = {
         OPERATE | operate              | 00 |
         11      | exchange 11          | 11 |
     """,
-    # docs/protocol.md#clear: a full frame ends it unless Global_Control said Clear
+    # docs/reference/protocol.md#clear: a full frame ends it unless Global_Control said Clear
     "an empty frame is Clear for a Fail_Safe slave": """
         11      | operate, exchange 11 | 11 |
         empty   | clear, exchange 00   | 00 | clear
@@ -64,7 +64,8 @@ STEPS = {
         44      | exchange 44          | 44 |
         OPERATE |                      | 44 |
     """,
-    # docs/protocol.md#slave-states: Clear empties the outputs, held or not; after it they wait for the next SYNC
+    # docs/reference/protocol.md#slave-states: Clear empties the outputs, held or not; after it they wait for the next
+    # SYNC
     "Clear goes through SYNC": """
         11      | operate, exchange 11 | 11 |
         SYNC    | exchange 11          | 11 | sync
@@ -162,7 +163,7 @@ def test_a_device_without_sync_or_freeze_ignores_it(mode: bytes) -> None:
 
 
 def test_group_ident_only_with_lock_req() -> None:
-    """docs/protocol.md#set_prm: Group_Ident is taken only when Lock_Req is set."""
+    """docs/reference/protocol.md#set_prm: Group_Ident is taken only when Lock_Req is set."""
     bench = Bench().up()
     bench.dx()
     bench.prm(bytes.fromhex("00 01 01 0B 0A 35 01"))

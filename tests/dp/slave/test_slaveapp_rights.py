@@ -62,7 +62,8 @@ def test_low_priority_is_served_like_high() -> None:
 
 
 def test_the_lock() -> None:
-    """docs/protocol.md#lock-and-unlock: locked to its master; another one's requests change nothing, and are told."""
+    """docs/reference/protocol.md#lock-and-unlock: locked to its master; another one's requests change nothing, and are
+    told."""
     bench = Bench().up()
     bench.dx(b"\x11")
     assert bench.prm(sa=OTHER) == SC_REPLY
@@ -100,8 +101,8 @@ def test_chk_cfg_before_set_prm_changes_nothing() -> None:
 
 
 def test_min_tsdr_goes_to_the_station() -> None:
-    """docs/protocol.md#set_prm: also when Lock_Req = Unlock_Req = 0, with any ident number; not with a refused
-    Set_Prm."""
+    """docs/reference/protocol.md#set_prm: also when Lock_Req = Unlock_Req = 0, with any ident number; not with a
+    refused Set_Prm."""
     bench = Bench()
     station = Station()
     bench.app.attached(station)

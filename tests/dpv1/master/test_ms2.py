@@ -111,7 +111,7 @@ def test_a_request_that_is_not_taken_now_is_repeated(busy: int, sap: int) -> Non
 
 
 def test_old_data_come_before_the_request_is_taken() -> None:
-    """RDL: old data, and the request was not taken (docs/protocol.md#function-code)."""
+    """RDL: old data, and the request was not taken (docs/reference/protocol.md#function-code)."""
     kit = connected()
     kit.slave.says_first(2, 48, sd2(2, 4, RDL, 50, 48, b"\x5e\x07\x07\x01\x07"))
     done = kit.read(1)

@@ -19,8 +19,8 @@ from dpstack.units import BAUD_RATES, NS_PER_MS
 
 
 def test_literal_octets_of_a_bring_up() -> None:
-    """The first of docs/protocol.md#known-telegrams with its addresses: diagnosis first with FCB = 1, FCV = 0, then
-    toggling, SDN without."""
+    """The first of docs/reference/protocol.md#known-telegrams with its addresses: diagnosis first with FCB = 1, FCV =
+    0, then toggling, SDN without."""
     slave = Slave(DIAG_ANSWER, b"\xe5", DX_ANSWER, DX_ANSWER)
     set_prm = Request(3, Req.SRD_HIGH, bytes.fromhex("88 01 14 0B 06 96 00"), 61, 62)
     clear = Request(127, Req.SDN_HIGH, b"\x02\x00", 58, 62)

@@ -4,8 +4,9 @@ From the end of the trouble on, the ring is *quiet* after T_TO of the highest ad
 HSA x T_SL: no token is lost, repeated or claimed any more, nobody withdraws or leaves, and the referee finds nothing.
 
 That every master is *in* the ring again cannot have that bound: who was dropped comes back by a GAP poll only, the next
-pass over the GAP begins up to G x T_TR later, and polls one address a token hold (docs/protocol.md#gap-update). So it
-takes one ``inclusion_bits`` more, and ten T_TO more where somebody heard its own address and backed off.
+pass over the GAP begins up to G x T_TR later, and polls one address a token hold
+(docs/reference/protocol.md#gap-update). So it takes one ``inclusion_bits`` more, and ten T_TO more where
+somebody heard its own address and backed off.
 """
 
 from __future__ import annotations

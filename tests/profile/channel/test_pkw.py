@@ -1,4 +1,4 @@
-"""The parameter channel, each end against literal octets (docs/drives/demag.md#parameter-channel)."""
+"""The parameter channel, each end against literal octets (docs/reference/drives/demag.md#parameter-channel)."""
 
 from __future__ import annotations
 
@@ -151,8 +151,8 @@ def test_an_order_that_timed_out_is_not_answered_into_the_next_one(dialect: PkwD
 
 
 def test_the_first_order_waits_until_the_reply_is_zero() -> None:
-    """docs/drives/demag.md#handshake-of-the-parameter-channel: both start at 0; after a re-entry a drive may show its
-    last reply for one more scan."""
+    """docs/reference/drives/demag.md#handshake-of-the-parameter-channel: both start at 0; after a re-entry a drive may
+    show its last reply for one more scan."""
     client = channel()
     exchange = client.submit(Pkw(1, 400))
     client.step(REPLY_400, 0)

@@ -160,7 +160,8 @@ def test_settings_as_expected_give_no_notice(
 
 
 def test_a_keb_whose_map_is_the_manuals_example_is_verified_in_both_blocks() -> None:
-    """The two examples of the manual: 12 octets of inputs, 10 of outputs (docs/drives/keb-f5.md#second-block)."""
+    """The two examples of the manual: 12 octets of inputs, 10 of outputs
+    (docs/reference/drives/keb-f5.md#second-block)."""
     maps = {"map_inputs": "202C:long 2033 2035 2200 2227", "map_outputs": "2F13:long=5 2032 2034 230A=5600"}
     device = KEB.device("PCH+8+2/8+4 own-gsd")
     first = PairBench(KEB.core("it", "PCH+8+2/8+4 own-gsd", simulated=True), device)

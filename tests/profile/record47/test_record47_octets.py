@@ -21,7 +21,7 @@ from dpstack.profile.record47.pdu import Address, ErrorValue, Request, Response,
 # -- the manuals' octets ---------------------------------------------------------------------------------------------
 
 REQUESTS = {
-    # docs/drives/ls-s100.md#record-47: read 965; Baumer GE/GB p26 with the subindex that the page leaves out
+    # docs/reference/drives/ls-s100.md#record-47: read 965; Baumer GE/GB p26 with the subindex that the page leaves out
     "01 01 01 01 10 00 03 C5 00 00": Request(1, 1, 1, (Address(965),)),
     "AA 01 00 01 10 01 03 C5 00 00": Request(0xAA, 1, 0, (Address(965, 0, 1),)),
     # SINAMICS S150 p185: read r0002
