@@ -49,6 +49,7 @@ MAY: dict[str, set[str]] = {
     "drivers": DP | {"ports", "machine", "sim"},
     "api": DP | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor", "record", "live", "why"},
     "wireshark": {"api", "capture"} | PURE_BASE,
+    "service": PURE_BASE,
     "web": {"api", "live", "ports", "record"} | PURE_BASE,
     "screen": {"api", "live", "ports", "why"} | PURE_BASE,
     "cli": {
@@ -59,6 +60,7 @@ MAY: dict[str, set[str]] = {
         "why",
         "record",
         "screen",
+        "service",
         "web",
         "wireshark",
         "gsd",
@@ -71,7 +73,7 @@ MAY: dict[str, set[str]] = {
 }
 #: Rooms from the ground up: each imports from lower floors only; rooms of one floor not from one another.
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("live",),
+    ("live", "service"),
     ("phy",),
     ("gsd",),
     ("fdl",),

@@ -26,6 +26,7 @@ from dpstack.cli.terminal.report import Reporter, clear_text, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.cli.terminal.suspension import Suspension
 from dpstack.errors import UsageError
+from dpstack.service.notify import BusState, ServiceReport
 
 
 def add_to(parser: Parser) -> None:
@@ -119,6 +120,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         lines = causes.CauseLines(bus)
         if bus.searching:
             reporter.searching()
+        service = stack.enter_context(ServiceReport(partial(_service_state, bus, args)))
         # `dpstack ctl` also works while the bus searches its rate or joins the ring; a held port is reported once
         feed = run_feed(bus)
         control = control_run(bus, config.port, feed, stop=stop.stop)
@@ -146,6 +148,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                     stats, missing, held = bus.stats, not_exchanging(bus), clear_since(bus)
                     stories = await lines.stories()
                 finally:
+                    service.end()
                     plant.close()
                     if report is not None:
                         report.end()
@@ -194,6 +197,21 @@ async def _open(bus: Bus, control: ControlServer) -> None:
 def _name(bus: Bus, control: ControlServer) -> str:
     """The name by which ``dpstack ctl`` finds this run, also if there are others on "virtual"."""
     return control.name if bus.config.virtual else bus.runtime.port_name
+
+
+def _service_state(bus: Bus, args: argparse.Namespace) -> BusState:
+    """The state of ``bus`` for the service manager. The counters stand still where a bus process is dead or stopped."""
+    if not bus.is_open:
+        return BusState(ready=False, beat=0, status="looks for the baud rate" if bus.searching else "opens the port")
+    tokens, mode = bus.view.link.tokens, bus.mode.name.lower()
+    if bus.config.bus.read_only:
+        ready, mode = tokens > 0, "read-only"
+    else:
+        ready = mode == ("clear" if args.clear else "operate")
+    served = [slave for slave in bus.slaves if not slave.deactivated]
+    missing = [f"{slave.name} ({slave.address})" for slave in served if not slave.ready_now]
+    text = f"{mode}, {len(served) - len(missing)} of {len(served)} slaves in data exchange"
+    return BusState(ready, tokens, f"{text}; not: {output.first_of(missing)}" if missing else text)
 
 
 async def _limit(bus: Bus, seconds: float | None, rotations: int | None) -> None:
