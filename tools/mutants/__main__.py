@@ -11,7 +11,9 @@ those that change nothing; they are counted as *explained*, not as killed.
 * ``--out FILE``: JSON lines. A run with the same file tries only those mutants that it does not have.
 * ``--report FILE...``: no mutants; the table of such files together.
 * ``--tests tests/fdl,tests/phy``: only these tests, in place of those in pyproject.toml.
-* ``--also tests/sim,tests/test_noise_truth.py``: afterwards those that survived are tried against these tests, too.
+* ``--also tests/sim,tests/test_noise_truth.py``: afterwards those that survived are tried against these tests, too, and
+  against those that ``--seconds`` left out, for four times as long. The table then has both figures: mutants that the
+  first tests notice, and mutants that any test notices.
 * ``--survivors FILE``: print the survivors of such a file and try them again.
 * ``--branch``: no mutants; branch coverage of each room by the room's own tests.
 
@@ -51,6 +53,7 @@ from tools.mutants.made import ROOT, Mutant, SourceFile, source_paths
 
 ROOMS: Final = ("fdl", "dp", "dpv1", "phy")
 EQUIVALENT: Final = Path(__file__).with_name("equivalent.toml")
+_NOTICED: Final = ("killed", "timeout")
 
 
 def main() -> None:
@@ -97,7 +100,7 @@ def main() -> None:
     print(f"commit {_commit()}, seed {given.seed}, results in {out}", flush=True)
     _try_all(mutants, done, out, [*options, *selection], seen, given.seconds)
     if given.also:
-        further = given.also.split(",")
+        further = [*selection, *given.also.split(",")]
         left = {
             key: row
             for key, row in _read(out).items()
@@ -105,7 +108,7 @@ def main() -> None:
         }
         seen = seen_by.load(further, options, anew=given.measure)
         again = (file.mutant(number) for file, number in _places(left))
-        _try_all(again, {}, out, [*options, *further], seen, given.seconds, also=given.also, before=left)
+        _try_all(again, {}, out, [*options, *further], seen, 4 * given.seconds, also=given.also, before=left)
     report(_read(out))
 
 
@@ -269,14 +272,22 @@ def _read(out: Path) -> dict[tuple[str, int], dict[str, Any]]:
 def report(rows: dict[tuple[str, int], dict[str, Any]]) -> None:
     """Print the survivors and a table of the rooms."""
     counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
+    explained = _explained()
     for row in rows.values():
-        counts[row["path"].split("/")[1]][row["result"]] += 1
-        if row["result"] not in ("killed", "timeout", "explained"):
-            print(f"\n{row['result']}: {row['function']}")
-            print("\n".join(row["diff"]))
+        result = row["result"]
+        if result in ("survived", "no tests") and (row["function"], tuple(row["diff"])) in explained:
+            result = "explained"
+        count = counts[row["path"].split("/")[1]]
+        count[result] += 1
+        if result not in _NOTICED:
+            if result != "explained":
+                print(f"\n{result}: {row['function']}")
+                print("\n".join(row["diff"]))
+        elif "also" not in row:
+            count["by the first tests"] += 1
     results = ("killed", "timeout", "survived", "no tests", "explained", "broken")
-    print("\n| room | mutants | " + " | ".join(results) + " | noticed |")
-    print("|---" * (len(results) + 3) + "|")
+    print("\n| room | mutants | " + " | ".join(results) + " | by the first tests | by any test |")
+    print("|---" * (len(results) + 4) + "|")
     total: collections.Counter[str] = collections.Counter()
     for room, count in counts.items():
         total += count
@@ -285,9 +296,10 @@ def report(rows: dict[tuple[str, int], dict[str, Any]]) -> None:
 
 
 def _print_row(room: str, count: collections.Counter[str], results: Sequence[str]) -> None:
-    noticed = count["killed"] + count["timeout"]
-    cells = [str(count[result]) for result in results]
-    print(f"| {room} | {count.total()} | {' | '.join(cells)} | {100 * noticed / max(1, count.total()):.1f} % |")
+    mutants = sum(count[result] for result in results)
+    noticed = (count["by the first tests"], sum(count[result] for result in _NOTICED))
+    cells = [str(count[result]) for result in results] + [f"{100 * n / max(1, mutants):.1f} %" for n in noticed]
+    print(f"| {room} | {mutants} | {' | '.join(cells)} |")
 
 
 def _commit() -> str:

@@ -20,7 +20,7 @@ from scripted_link import (
 )
 
 from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
-from dpstack.dp.master.events import MasterStopped, ModeChanged, SlaveState, SlaveStateChanged
+from dpstack.dp.master.events import DriveEvent, MasterStopped, ModeChanged, SlaveState, SlaveStateChanged
 from dpstack.dp.master.master import Master
 from dpstack.fdl.interface import Failure
 from dpstack.machine import LineDown
@@ -234,6 +234,8 @@ def test_a_failed_plugin_stays_the_fault_of_its_slave_after_a_re_entry() -> None
     assert bus.state(3) is SlaveState.DATA_EXCHANGE
     assert bus.fault(3).kind.value == "plugin"
     assert outputs(bus) == [SAFE]
+    failed = [event.payload for event in bus.events_of(DriveEvent)]
+    assert failed == [{"type": "failed", "text": "ZeroDivisionError: by the test"}]
 
 
 def test_the_first_inputs_after_a_re_entry_are_never_the_old_ones() -> None:

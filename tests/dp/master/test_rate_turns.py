@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from cycle_kit import slave
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dpstack.dp.master.poll_order import RateTurns
+from dpstack.dp.rate_groups import offsets
+from dpstack.dp.telegram_times import share
 from dpstack.params import BusParams
 
 P500 = BusParams.preset(500_000, address=2)
 
 
-def turns(rates: RateTurns, address: int, cycles: range) -> list[int]:
+def turns(rates: RateTurns, address: int, cycles: Iterable[int]) -> list[int]:
     taken = []
     for number in cycles:
         if rates.due(address, number):
@@ -54,3 +60,30 @@ def test_who_runs_keeps_its_turns_when_another_one_comes() -> None:
     assert rates.has_slower_slaves
     rates.arrange([slave(6)])
     assert not rates.has_slower_slaves
+
+
+@given(
+    st.lists(st.integers(2, 9), min_size=1, max_size=6),
+    st.integers(1, 60),
+    st.lists(st.integers(0, 12), max_size=12),
+)
+def test_a_turn_is_in_every_nth_cycle_or_in_the_next_one_that_takes_place(
+    everies: list[int], first: int, gaps: list[int]
+) -> None:
+    """The cycles of a slave are those whose numbers leave one remainder; some cycles do not take place."""
+    rates = RateTurns(P500)
+    setups = [slave(3 + n, every=every) for n, every in enumerate(everies)]
+    rates.arrange(setups)
+    chosen = offsets(share(P500, setup) for setup in setups)
+    cycles = [first]
+    for gap in [*gaps, *[0] * 20]:
+        cycles.append(cycles[-1] + 1 + gap)
+    for setup in setups:
+        wanted = [n for n in range(first, cycles[-1] + 1) if n % setup.every == chosen[setup.address]]
+        expected = []
+        for number in cycles:
+            missed = [n for n in wanted if n <= number]
+            if missed:
+                expected.append(number)
+                wanted = wanted[len(missed) :]
+        assert turns(rates, setup.address, cycles) == expected

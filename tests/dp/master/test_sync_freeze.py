@@ -205,6 +205,20 @@ def test_a_slave_given_up_in_sync_gets_its_safe_values_too() -> None:
     assert made[-1][0] == 61
 
 
+@pytest.mark.parametrize(("mode", "octets"), [(Mode.OPERATE, "14 00"), (Mode.CLEAR, "16 00")])
+def test_the_release_of_a_slave_given_up_says_the_mode_too(mode: Mode, octets: str) -> None:
+    """Global_Control with UNSYNC and UNFREEZE; Clear_Data stays set where the master is in Clear."""
+    bus = operating(setup(3), setup(4))
+    bus.send(SetMode(mode))
+    bus.run(200 * MS)
+    bus.send(SendControl(1, (1,), freeze=True))
+    bus.run(10 * MS)
+    bus.requests.clear()
+    bus.send(RemoveSlave(4))
+    bus.run(100 * MS)
+    assert [r.data.hex(" ") for r in bus.requests if (r.da, r.dsap) == (4, 58)] == [octets]
+
+
 # --- three slaves in virtual time -----------------------------------------------------------------------------------
 
 

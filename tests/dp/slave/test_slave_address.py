@@ -8,7 +8,8 @@ from octet_wire import PARAMS, Wire, framed
 from slave_kit import CFG, OTHER, PRM, Bench, Recorder, make_slave
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
-from dpstack.dp.slave.events import AddressChanged, DeviceFailed, RequestRefused
+from dpstack.dp.slave.events import AddressChanged, DeviceFailed, Report, RequestRefused
+from dpstack.dp.slave.extension import SlaveService
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY
 from dpstack.fdl.passive.multi_station import Multidrop
@@ -61,6 +62,31 @@ def test_the_call_and_the_event_of_a_new_address() -> None:
     (event,) = bench.app.take_events()
     assert isinstance(event, AddressChanged)
     assert event.text == "slave 9 (recorder): address 126 became 9 by master 9, fixed"
+
+
+def test_services_of_the_old_address_end() -> None:
+    """Connections of class 2 masters, for example."""
+
+    class Watched(SlaveService):
+        def __init__(self) -> None:
+            self.calls: list[tuple[str, int]] = []
+
+        def end(self, why: str, now: int) -> None:
+            self.calls.append((why, now))
+
+    class WithService(Addressed):
+        service = Watched()
+
+        def services(self, report: Report) -> tuple[SlaveService, ...]:
+            return (self.service,)
+
+    device = WithService()
+    bench = Bench(device, SlaveApp(device, address=126))
+    PassiveStation(126, bench.app, PARAMS)
+    bench.ask(55, bytes.fromhex("09 0A 36 00"))  # another ident
+    assert device.service.calls == []
+    bench.ask(55, ADD)
+    assert device.service.calls == [("the slave has another address", bench.now)]
 
 
 @pytest.mark.parametrize(
