@@ -99,16 +99,20 @@ class SeenBy:
     def of_mutant(self, mutant: Mutant) -> list[int]:
         """The numbers of the tests that can notice ``mutant``: the room's own first, then the quickest first.
 
-        A line in a function: the tests that execute it. Elsewhere: the tests that name what the statement defines, then
-        those that execute a line which names it. Where nobody names it: the tests that name a value made of it, then
-        those that execute anything of the file's functions.
+        Before them the transcripts of the whole room, in files that end in ``_texts.py`` or ``_stories.py``: they
+        notice most mutants, and at once. A line in a function: the tests that execute it. Elsewhere: the tests that
+        name what the statement defines, then those that execute a line which names it. Where nobody names it: the tests
+        that name a value made of it, then those that execute anything of the file's functions.
         """
         place, found = mutant.place, 0
         lines = self.lines.get(mutant.path, {})
         for line in range(place.first, place.last + 1):
             found |= lines.get(line, 0)
+        # texts, tables, defaults and transcripts of a whole room, held by tests that name none of them
+        own = re.compile(rf"tests/{mutant.room}/.*_(?:texts|stories)\.py::")
+        whole = _bits(number for number, test in enumerate(self.tests) if own.match(test))
         if place.function_line and found:
-            return self._order(found, 0, mutant.room)
+            return self._order(found, found & whole, mutant.room)
         name_it = 0
         if place.names:
             name = re.compile(rf"\b(?:{'|'.join(map(re.escape, place.names))})\b")
@@ -120,9 +124,7 @@ class SeenBy:
             name_it = self._that_name(place.names)
         if not found | name_it:
             name_it = self._that_name(place.through)
-        # texts, tables and defaults of a whole room, held by tests that name none of them
-        whole = f"tests/{mutant.room}/test_{mutant.room}_texts.py::"
-        name_it |= _bits(number for number, test in enumerate(self.tests) if test.startswith(whole))
+        name_it |= whole
         if not found:
             for tests in lines.values():
                 found |= tests

@@ -69,9 +69,9 @@ def test_all_slaves_answer_once_the_rate_is_found() -> None:
 def test_silence_leads_back_to_the_search_and_to_another_rate() -> None:
     rig = Rig(rates=(500_000, 187_500))
     rig.find()
-    rig.hear(b"", SILENCE - MS)
+    rig.hear(b"", SILENCE - MS // 5)
     assert (rig.changes(), rig.lost) == ([(BaudState.CONTROL, 500_000)], [])
-    rig.hear(b"", 2 * MS)
+    rig.hear(b"", 2 * MS // 5)
     assert (rig.changes(), len(rig.lost)) == ([(BaudState.SEARCH, None)], 1)
     assert rig.port.in_vain(rig.now) is not None
     while rig.port.baud != 187_500:

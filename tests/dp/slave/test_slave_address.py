@@ -87,6 +87,8 @@ def test_services_of_the_old_address_end() -> None:
     assert device.service.calls == []
     bench.ask(55, ADD)
     assert device.service.calls == [("the slave has another address", bench.now)]
+    bench.app.restart(77)
+    assert device.service.calls[1:] == [("the slave was switched off", 77)]
 
 
 @pytest.mark.parametrize(
