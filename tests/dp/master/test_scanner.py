@@ -13,7 +13,7 @@ from support import MS, KeepsEvents, S, WorldFactory
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveStateChanged
 from dpstack.dp.master.master import Master
-from dpstack.dp.master.scanner import Found, Scanner, SlaveView, StationSeen, view_of
+from dpstack.dp.master.scanner import Found, ScanDone, Scanner, SlaveView, StationSeen, SurveyOrder, view_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.services import reading_only
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
@@ -27,6 +27,7 @@ from dpstack.fdl.livelist import LiveList
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Req, StationType
 from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT
 from dpstack.sim.world import World
 from dpstack.trace import Event, Notice
 
@@ -206,6 +207,37 @@ def test_literal_octets() -> None:
     assert brief(scanner.found) == [(4, "SLAVE", 0x0CDA, "data_exchange", 1)]
     assert scanner.found[4].config == b"\x21"
     assert scanner.found[4].text == "station 4: slave, ident 0x0CDA, data_exchange, master 1"
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_a_survey_asks_its_addresses_once_and_leaves_out_what_the_master_knows(quick: bool) -> None:
+    """Slaves 4 and 5 name master 2, which asks, as their owner; Slave_Diag of slave 5 is left to the master."""
+    bus = RingBus()
+    answers = {
+        "10 04 02 49 4f 16": "10 02 04 00 06 16",
+        "10 05 02 49 50 16": "10 02 05 00 07 16",
+        "68 05 05 68 84 82 6d 3c 3e ed 16": "68 0b 0b 68 82 84 08 3e 3c 00 0c 00 02 0c da 7c 16",
+        "68 05 05 68 84 82 5d 3b 3e dc 16": "68 06 06 68 82 84 08 3e 3b 21 a8 16",
+    }
+    asked: list[str] = []
+
+    def slave(octets: bytes, now: int) -> tuple[int, bytes] | None:
+        asked.append(octets.hex(" "))
+        answer = answers.get(octets.hex(" "))
+        return None if answer is None else (11, bytes.fromhex(answer))
+
+    bus.slaves[4] = bus.slaves[5] = slave
+    order = SurveyOrder(token=77, addresses=(4, 5), skip=(5,), configs=True, quick=quick)
+    scanner = order.link_user(BusParams.preset(500_000, address=2), EXACT, 0)
+    bus.master(2, scanner, gap=0)
+    bus.run(400 * MS)
+    (done,) = bus.events_of(ScanDone)
+    assert (done.token, done.stations) == (77, 2)
+    assert [(f.address, f.ident, f.master, f.config) for f in done.found] == [
+        (4, 0x0CDA, None, b"\x21"),
+        (5, None, None, None),
+    ]
+    assert set(asked) == set(answers)
 
 
 def test_a_slave_that_names_whoever_asks_has_no_owner() -> None:

@@ -21,7 +21,7 @@ from scripted_link import (
     setup,
 )
 
-from dpstack.dp.master.commands import Alive, DeactivateSlave, Mode, RemoveSlave, SetMode
+from dpstack.dp.master.commands import Alive, DeactivateSlave, Mode, RemoveSlave, SendControl, SetMode
 from dpstack.dp.master.events import (
     ApplicationSilent,
     Blocked,
@@ -30,6 +30,7 @@ from dpstack.dp.master.events import (
     SlaveState,
     Stalled,
 )
+from dpstack.errors import BusError
 from dpstack.machine import HeldUp, LineDown, LineUp
 
 ZEROS = bytes(4)
@@ -442,3 +443,39 @@ def test_requests_of_services_are_asked_before_nothing() -> None:
     seen = [r for r in bus.requests if r.dsap is not None]
     assert seen
     assert all(r.still is None for r in seen)
+
+
+@pytest.mark.parametrize(("apart_ms", "stalls"), [(0, True), (200, True), (201, False)])
+def test_all_slaves_want_parameters_within_the_shortest_watchdog(apart_ms: int, stalls: bool) -> None:
+    """Two slaves whose watchdogs of 200 and 300 ms ran out in the same stall lose their parameters within 200 ms."""
+    bus = operating(setup(3, initial=RUN, watchdog_ms=200), setup(4, initial=RUN, watchdog_ms=300))
+    for address, at in ((3, 0), (4, apart_ms)):
+        bus.master.handlers[address].prm_req_at = bus.now + at * MS
+    bus.send(HeldUp(0, "nothing"))
+    bus.hold()
+    assert bool(bus.events_of(Stalled)) is stalls
+
+
+def test_no_order_of_sync_before_the_first_token() -> None:
+    bus = link(setup(3, groups=(1,), sync=True))
+    with pytest.raises(BusError, match="this station holds no token; try again when that is over"):
+        bus.send(SendControl(1, (1,), sync=True))
+    bus.hold()
+    bus.send(SendControl(1, (1,), sync=True))
+    bus.send(SetMode(Mode.OPERATE))
+    bus.run(20 * MS)
+    bus.send(SetMode(Mode.CLEAR))
+    if mode_of(bus) is Mode.OPERATE:
+        with pytest.raises(BusError, match="this station goes to a lower mode"):
+            bus.send(SendControl(2, (1,), sync=True))
+
+
+def test_the_application_watchdog_runs_before_the_first_token() -> None:
+    bus = link(setup(3), application_watchdog_ns=30 * MS)
+    bus.send(SetMode(Mode.OPERATE))
+    assert bus.master.wake_at() == bus.now + 30 * MS
+    bus.now += 30 * MS
+    bus.master.tick(bus.now)
+    bus.events += bus.master.take_events()
+    assert len(bus.events_of(ApplicationSilent)) == 1
+    assert mode_of(bus) is Mode.CLEAR
