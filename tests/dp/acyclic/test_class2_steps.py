@@ -50,7 +50,7 @@ def shown(step: Step) -> str:
     return f"{pause / 1_000_000:g}: {request.function:02X} {where}{data} {flags}".rstrip() + more
 
 
-def run(steps: Steps[T], answers: Iterable[Telegram | Failure]) -> tuple[list[str], T | None]:
+def run(steps: Steps[T], answers: Iterable[object]) -> tuple[list[str], T | None]:
     """The steps that the job takes with these answers, and its result; None where the answers were used up."""
     made: list[str] = []
     following = iter(answers)
@@ -59,7 +59,7 @@ def run(steps: Steps[T], answers: Iterable[Telegram | Failure]) -> tuple[list[st
         while True:
             made.append(shown(step))
             answer = next(following, None)
-            if answer is None:
+            if not isinstance(answer, Telegram | Failure):
                 return made, None
             step = steps.send(RequestEnd(answer, 0, 0))
     except StopIteration as end:
