@@ -2,14 +2,17 @@
 PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
+DOCS_PORT := 8000
+BUILD_DOCS = $(PY) -m sphinx -W --keep-going -q -j 2 -d build/docs/doctrees docs build/docs/html
 
 .NOTPARALLEL:
-.PHONY: help demo test check soak fuzz strangers clean
+.PHONY: help demo test check docs soak fuzz strangers clean
 
 help:
 	@echo "make demo    the simulated plant in one process (installs what it needs into $(VENV))"
 	@echo "make test    all tests"
 	@echo "make check   lint, types, documentation"
+	@echo "make docs    the book, built and served on http://127.0.0.1:$(DOCS_PORT)"
 	@echo "make soak    the long runs"
 	@echo "make fuzz    random inputs for parsers and machines, guided by coverage (MINUTES=10 TARGETS=... SEED=...)"
 	@echo "make strangers  the tests with programs of others (installs them: Debian packages, and Python's into $(VENV))"
@@ -26,6 +29,13 @@ check: $(VENV)/.check
 	$(PY) -m ruff format --check .
 	$(PY) -m mypy
 	$(PY) -m pytest tests/test_docs.py tests/test_imports.py
+	$(BUILD_DOCS)
+
+# Only pages that changed are read again; rm -r build/docs builds the whole book
+docs: $(VENV)/.check
+	$(BUILD_DOCS)
+	@echo "the book is on http://127.0.0.1:$(DOCS_PORT) until Ctrl-C"
+	@$(PY) -m http.server --bind 127.0.0.1 --directory build/docs/html $(DOCS_PORT)
 
 # Summed up from its files, run one by one: about 45 minutes of a processor (some of it estimated), two hours where others
 # compute beside it. The longest, about five minutes each: fdl/test_autobaud.py, dp/acyclic/test_acyclic_endurance.py.
@@ -65,7 +75,7 @@ $(VENV)/.test: pyproject.toml | $(PY)
 	@touch $@ $(VENV)/.core
 
 $(VENV)/.check: pyproject.toml | $(PY)
-	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[test,check]'
+	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[test,check,docs]'
 	@touch $@ $(VENV)/.core $(VENV)/.test
 
 # atheris has wheels for Linux on x86-64 only: elsewhere the targets run without it, and tools.fuzz says so.

@@ -1,0 +1,88 @@
+"""The book: Sphinx with furo, of the Markdown pages in docs/ and of the docstrings. `make docs` builds and serves it.
+
+The pages are read on plain viewers of Markdown too, so they have no directives: an index page (README.md) is a list of
+links, and the tree of the book follows from these links (:func:`add_tree`).
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from importlib.metadata import version as installed
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.highlighting import lexer_classes
+from sphinx.transforms import SphinxTransform
+
+project = "dpstack"
+author = copyright = "The dpstack authors"
+release = version = installed("dpstack")
+
+extensions = ["myst_parser", "sphinx.ext.autodoc"]
+root_doc = "README"
+exclude_patterns = ["conf.py"]
+myst_heading_anchors = 6
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+add_module_names = False
+python_maximum_signature_line_length = 100
+
+html_theme = "furo"
+html_title = f"dpstack {release}"
+html_show_sphinx = False
+html_copy_source = False
+
+_LINK = re.compile(r"\]\((?P<target>[\w./-]+\.md)\)")
+_ANCHOR = re.compile(r'<a id="([\w-]+)">')
+#: beside each README.html, so that the folder's own address leads to it
+_TO_README = """<!doctype html>
+<meta charset="utf-8"><meta http-equiv="refresh" content="0; url=README.html"><title>dpstack</title>
+"""
+
+
+def add_tree(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Append a hidden toctree to an index page: the pages below its folder, in the order of the page's links."""
+    if posixpath.basename(docname) != "README":
+        return
+    linked = (posixpath.normpath(match["target"]) for match in _LINK.finditer(source[0]))
+    below = dict.fromkeys(target.removesuffix(".md") for target in linked if not target.startswith(".."))
+    own = [page for page in below if "/" not in page or page.endswith("/README")]
+    source[0] += "\n\n```{toctree}\n:hidden:\n\n" + "\n".join(own) + "\n```\n"
+
+
+def link_outside(app: Sphinx, docname: str, source: list[str]) -> None:
+    """SECURITY.md and its like beside docs/ are not of the book: the link gives the file."""
+    up = "../" * (docname.count("/") + 1)
+    source[0] = re.sub(rf"\]\((?={re.escape(up)}\w+\.md\))", "](path:", source[0])
+
+
+class HtmlAnchors(SphinxTransform):
+    """``<a id="...">`` in a page is a place that links lead to, like a heading."""
+
+    default_priority = 870  # before myst_parser.mdit_to_docutils.transforms.ResolveAnchorIds
+
+    def apply(self, **kwargs: Any) -> None:
+        raw = "".join(node.astext() for node in self.document.findall(nodes.raw))
+        found = {name: (0, name, name) for name in _ANCHOR.findall(raw)}
+        if found:
+            slugs = {**getattr(self.document, "myst_slugs", {}), **found}
+            self.document.myst_slugs = slugs
+            self.env.metadata[self.env.docname]["myst_slugs"] = slugs
+
+
+def write_redirects(app: Sphinx, exception: Exception | None) -> None:
+    if exception is None and app.builder.format == "html":
+        for page in Path(app.outdir).rglob("README.html"):
+            page.with_name("index.html").write_text(_TO_README, encoding="utf-8")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    lexer_classes["mermaid"] = lexer_classes["none"]  # pictures of states: plain viewers draw them
+    app.add_transform(HtmlAnchors)
+    app.connect("source-read", add_tree)
+    app.connect("source-read", link_outside)
+    app.connect("build-finished", write_redirects)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
