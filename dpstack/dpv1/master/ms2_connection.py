@@ -319,7 +319,7 @@ class ServiceJob(ConnectionJob):
         return "it may have been carried out" if self._sent and not isinstance(self._service, ReadReq) else ""
 
     def _with_aftermath(self, outcome: Outcome) -> Outcome:
-        after = self.aftermath
+        after = "" if outcome.failure is ServiceFailure.GUARDED else self.aftermath
         return dataclasses.replace(outcome, text=f"{outcome.text}; {after}") if after else outcome
 
     def steps(self) -> Steps[Outcome]:
