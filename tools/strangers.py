@@ -36,6 +36,7 @@ PROGRAMS: Final[Mapping[str, str]] = {
     "bash": "bash",
     "zsh": "zsh",
     "fish": "fish",
+    "systemd-analyze": "systemd",
 }
 #: Python packages of the extra ``strangers`` whose module has another name
 MODULES: Final[Mapping[str, str]] = {"python-pcapng": "pcapng"}

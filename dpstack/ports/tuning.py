@@ -147,7 +147,7 @@ class Tuning:
         except OSError as exc:
             self.notices.append(
                 f"its latency timer stays at {before} ms ({reason_of(exc)}), which every exchange may cost: "
-                f"run tools/setup_adapter.sh once"
+                f"run once what `dpstack doctor --fix` says"
             )
             return
         self._undo.append(lambda: self._adapter.set_latency_ms(before))

@@ -186,7 +186,10 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         "api/server/test_inputs_over_time.py::test_an_ill_function_is_told_once_and_the_last_inputs_stay",
     ),
     "E3": (_CODE + "test_children_take_no_modules_of_the_working_directory",),
-    "E4": ("cli/commands/test_doctor.py::test_the_set_up_script_says_what_it_would_do",),
+    "E4": (
+        "cli/commands/test_doctor.py::test_fix_prints_the_steps_and_changes_nothing",
+        "cli/commands/test_doctor.py::test_the_set_up_script_says_what_it_would_do",
+    ),
     "E5": ("cli/listening/test_wireshark.py::test_files_of_others_are_left",),
     "E6": ("web/test_web_processes.py::test_a_killed_web_server_leaves_no_run_behind",),
 }

@@ -104,7 +104,7 @@ def test_each_refused_setting_is_a_notice_with_a_remedy(driver: FakeDriver, tmp_
     tuning = Tuning(7, Refusing("/dev/ttyUSB0", tmp_path), event_char=True)
     assert tuning.notices == [
         "its latency timer stays at 16 ms (Permission denied), which every exchange may cost: "
-        "run tools/setup_adapter.sh once",
+        "run once what `dpstack doctor --fix` says",
         "its driver refuses the RS-485 mode (Invalid argument): who switches the direction?",
         "event_char cannot be set (No such file or directory): it is for FTDI chips, leave it out",
     ]

@@ -219,6 +219,7 @@ def sources() -> dict[str, str]:
                 "api/recording/parquet.py",
                 "drivers/process/channel.py",
                 "screen/process.py",
+                "service/host_setup.py",  # the set-up script
                 "web/child.py",
                 "wireshark/installation.py",  # tshark
                 "wireshark/extcap.py",  # dpstack capture
@@ -242,7 +243,7 @@ def test_children_take_no_modules_of_the_working_directory() -> None:
     """Each program that is started with this interpreter gets -P, which keeps the working directory out of sys.path."""
     started = re.compile(r"[\[(]\s*sys\.executable,\s*(?:#[^\n]*\s*)?(\S+)")
     found = {name: words for name, text in sources().items() if (words := started.findall(text))}
-    assert len(found) == 5
+    assert len(found) == 6
     assert found.pop("dpstack/wireshark/extcap.py") == ["*program],"]
     assert 'program = ["-P", ' in sources()["dpstack/wireshark/extcap.py"]
     assert {word for words in found.values() for word in words} == {'"-P",', '*("-P",'}

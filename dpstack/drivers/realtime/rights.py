@@ -19,7 +19,7 @@ NICENESS: Final = -20
 #: Octets to be locked at least: the interpreter with its modules.
 MEMORY: Final = 64 << 20
 #: Remedy for missing rights, for people.
-SET_UP: Final = "run tools/setup_adapter.sh once (it asks for root), then log in again"
+SET_UP: Final = "run once what `dpstack doctor --fix` says (it needs root), then log in again"
 
 _CONTAINER: Final = "in a container: --cap-add SYS_NICE --cap-add IPC_LOCK"
 _CAP_IPC_LOCK: Final = 14  # linux/capability.h

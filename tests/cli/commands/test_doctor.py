@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -14,12 +15,13 @@ from far_ends import PtyFarEnd
 
 from dpstack.api import doctor
 from dpstack.api.doctor import AdapterInfo, Check, Computer, Level, examine
+from dpstack.cli.commands import doctor as doctor_command
 from dpstack.cli.commands import ports as ports_command
 from dpstack.errors import PortBusyError, PortError
 from dpstack.ports.adapters import Abilities
+from dpstack.service import host_setup
 from dpstack.units import BAUD_RATES
 
-ROOT = Path(__file__).resolve().parents[3]
 ALL = Abilities(parity=True, low_latency=True, rs485=False, counters=True, marks=True, rates=list(BAUD_RATES))
 Out = pytest.CaptureFixture[str]
 
@@ -84,7 +86,7 @@ def test_rights_for_real_time(computer: Computer) -> None:
         "no real-time priority is allowed (RLIMIT_RTPRIO 0)",
         "only 8192 KiB may be locked in memory (RLIMIT_MEMLOCK)",
     ]
-    assert all("tools/setup_adapter.sh" in todo for _, todo in found)
+    assert all("`dpstack doctor --fix`" in todo for _, todo in found)
     assert not told(examine(computer=replace(computer, limit=limits.get, is_root=True)), Level.FINDING)
     granted = examine(computer=replace(computer, limit={"RLIMIT_RTPRIO": 50}.get))
     assert granted[0].text == "real-time priorities are allowed (up to 50)"
@@ -106,7 +108,7 @@ def test_a_latency_timer_nobody_may_set(computer: Computer, tmp_path: Path) -> N
     refused = replace(computer, access=lambda path, _how: path != timer)
     ((text, todo),) = told(examine(computer=refused), Level.FINDING)
     assert text.startswith("its latency timer is 16 ms and may not be changed")
-    assert "tools/setup_adapter.sh" in todo
+    assert "`dpstack doctor --fix`" in todo
     Path(timer).write_text("1\n")
     assert not told(examine(computer=refused), Level.FINDING)
 
@@ -181,28 +183,82 @@ def test_ports(cli: Cli, monkeypatch: pytest.MonkeyPatch, port: Path) -> None:
     assert cli.out("ports") == "no serial adapter is plugged in\n"
 
 
+FILES = Path(host_setup.__file__).parent
+
+
 def test_the_set_up_script(tmp_path: Path) -> None:
-    script = str(ROOT / "tools" / "setup_adapter.sh")
+    script = str(host_setup.SCRIPT)
 
     def call(*args: str) -> subprocess.CompletedProcess[str]:
-        environment = {"PATH": os.environ["PATH"], "DESTDIR": str(tmp_path)}
+        environment = {"PATH": os.environ["PATH"], "DESTDIR": str(tmp_path), "DPSTACK": "/opt/plant/bin/dpstack"}
         return subprocess.run([script, *args], env=environment, capture_output=True, text=True, check=False)
 
     assert call("--print", "anna").returncode == 0
     assert list(tmp_path.iterdir()) == []
     assert call("anna").returncode == 0
     rules = tmp_path / "etc/udev/rules.d/99-dpstack.rules"
-    assert rules.read_text() == (ROOT / "tools" / "99-dpstack.rules").read_text()
+    assert rules.read_text() == (FILES / "99-dpstack.rules").read_text()
     limits = tmp_path / "etc/security/limits.d/99-dpstack.conf"
     assert limits.read_text() == "@dialout - rtprio 50\n@dialout - nice -20\n@dialout - memlock unlimited\n"
+    unit = (tmp_path / "etc/systemd/system/dpstack@.service").read_text()
+    assert "\nExecStart=/opt/plant/bin/dpstack run /etc/dpstack/%i.toml\n" in unit
+    assert "@DPSTACK@" not in unit
     assert call("--wrong").returncode == 2
 
 
 def test_the_set_up_script_says_what_it_would_do() -> None:
-    script = str(ROOT / "tools" / "setup_adapter.sh")
+    script = str(host_setup.SCRIPT)
     said = subprocess.run([script, "--print", "anna"], capture_output=True, text=True, check=True).stdout
     assert "+ usermod -aG dialout anna" in said
     assert "+ udevadm control --reload" in said
+
+
+@pytest.fixture
+def all_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor_command, "examine", lambda _port: [Check("real time", Level.OK, "memory may be locked")])
+
+
+def installed(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+@pytest.mark.usefixtures("all_is_well")
+def test_fix_prints_the_steps_and_changes_nothing(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DESTDIR", str(tmp_path))
+    monkeypatch.setenv("SUDO_USER", "anna")
+    lines = cli.out("doctor", "--fix").splitlines()
+    assert lines[:2] == ["ok       real time: memory may be locked", lines[1]]
+    assert f"  cp {FILES}/99-dpstack.rules {tmp_path}/etc/udev/rules.d/99-dpstack.rules" in lines
+    assert lines[-1].startswith("to carry them out: sudo ")
+    assert lines[-1].endswith("dpstack doctor --fix --yes")
+    data = cli.json("doctor", "--fix")
+    assert [f"  {step}" for step in data["steps"]] == lines[2:-1]
+    assert (data["done"], data["findings"]) == (False, 0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_fix_with_yes_carries_the_steps_out(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DESTDIR", str(tmp_path))
+    data = cli.json("doctor", "--fix", "--yes")
+    assert data["done"] is True
+    assert installed(tmp_path) == [
+        "etc/security/limits.d/99-dpstack.conf",
+        "etc/systemd/system/dpstack@.service",
+        "etc/udev/rules.d/99-dpstack.rules",
+    ]
+    shutil.rmtree(tmp_path / "etc/udev")
+    (tmp_path / "etc/udev").touch()  # no folder can be made there
+    err = cli.err("doctor", "--fix", "--yes", code=1)
+    assert err.startswith(f"dpstack: the set-up failed at mkdir -p {tmp_path}/etc/udev/rules.d")
+    assert err.count("\n") == 1
+
+
+def test_fix_with_yes_needs_root(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DESTDIR", raising=False)
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(subprocess, "run", None)  # nothing is started
+    assert cli.err("doctor", "--fix", "--yes").startswith("dpstack: --yes needs root: sudo ")
+    assert cli.err("doctor", "--yes") == "dpstack: --yes carries out what --fix prints: give both\n"
 
 
 def test_what_other_masters_need_beside_the_adapter_named(computer: Computer, port: Path) -> None:

@@ -62,7 +62,7 @@ def test_without_rights_each_refusal_names_a_remedy() -> None:
         "only 8192 KiB may be locked in memory (RLIMIT_MEMLOCK)",
     ]
     for notice in notices:
-        assert "tools/setup_adapter.sh" in notice
+        assert "`dpstack doctor --fix`" in notice
         assert "--cap-add SYS_NICE" in notice
     assert not found["fifo"]
     assert not found["locked"]
@@ -148,4 +148,4 @@ def test_in_front_of_a_pty_it_is_preferred_and_stays_an_ordinary_process(monkeyp
     monkeypatch.setattr(os, "setpriority", refuse)
     (notice,) = become_real_time(pty=True)
     assert "no niceness of -20 ([Errno 13] Permission denied)" in notice
-    assert "tools/setup_adapter.sh" in notice
+    assert "`dpstack doctor --fix`" in notice
