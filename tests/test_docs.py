@@ -40,6 +40,7 @@ _OLD_CITATION = re.compile(
     r"protocol facts|\bsection [A-J]\b(?! of)|\b[Rr]ows? [DKILF]\d+|\bspec p\.? ?\d|check list|"
     r"\((?:[A-D]\d|J|section [A-J])(?:, (?:[A-D]\d|J))*\)"
 )
+FIRST_PLANT = ROOT / "docs" / "tutorial" / "first-plant.md"
 _ARCHITECTURE = ROOT / "docs" / "development" / "architecture.md"
 SOURCES = sorted(
     path
@@ -61,35 +62,22 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
 
 
-@pytest.mark.usefixtures("fast")
-def test_the_readmes_program_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    readme = ROOT / "README.md"
-    for mark, text in blocks(readme, "toml"):
-        if mark.startswith("file: "):
-            (tmp_path / mark.removeprefix("file: ")).write_text(text, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    programs = [text for mark, text in blocks(readme, "python") if mark == "run"]
-    assert programs
-    for number, text in enumerate(programs):
-        program = tmp_path / f"program{number}.py"
-        program.write_text(text, encoding="utf-8")
-        runpy.run_path(str(program), run_name="__main__")
-    out = capsys.readouterr().out
-    assert out.splitlines() == ["fan at 30 Hz", "parameter 412 is 44", "inputs 0f True"]
+def write_files(page: Path, folder: Path) -> list[str]:
+    """The configurations that ``page`` gives a file name, written into ``folder``."""
+    files = {mark.removeprefix("file: "): text for mark, text in blocks(page, "toml") if mark.startswith("file: ")}
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return list(files)
 
 
 @pytest.mark.usefixtures("fast")
-def test_the_readmes_drives_obey(
+def test_the_drives_of_the_tutorial_obey(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every `dpstack drive plant.toml` of the README, with the README's plant."""
-    readme = ROOT / "README.md"
-    (plant,) = [text for mark, text in blocks(readme, "toml") if mark == "file: plant.toml"]
-    (tmp_path / "plant.toml").write_text(plant, encoding="utf-8")
+    """Every `dpstack drive plant.toml` of the first plant."""
+    assert write_files(FIRST_PLANT, tmp_path) == ["plant.toml"]
     monkeypatch.chdir(tmp_path)
-    lines = [line for _, text in blocks(readme, "console") for line in text.splitlines()]
+    lines = [line for _, text in blocks(FIRST_PLANT, "console") for line in text.splitlines()]
     orders = [shlex.split(line)[2:] for line in lines if line.startswith("$ dpstack drive plant.toml")]
     assert ["drive", "plant.toml", "hoist", "start", "speed", "0.5", "reached"] in orders
     for words in orders:
@@ -101,7 +89,7 @@ def test_the_readmes_drives_obey(
 def test_a_hoist_as_delivered_says_where_set_412_goes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (plant,) = [text for mark, text in blocks(ROOT / "README.md", "toml") if mark == "file: plant.toml"]
+    (plant,) = [text for mark, text in blocks(FIRST_PLANT, "toml") if mark == "file: plant.toml"]
     bare = "\n".join(line for line in plant.splitlines() if "set_412" not in line)
     (tmp_path / "plant.toml").write_text(bare, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
@@ -130,9 +118,13 @@ def test_the_program_with_a_gsd_file_runs(
 
 
 @pytest.mark.usefixtures("fast")
-@pytest.mark.parametrize("page", [p for p in PAGES if p.parent != ROOT], ids=lambda p: str(p.relative_to(ROOT)))
-def test_programs_in_the_documents_run(page: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A program marked "run" prints what the next block of kind text says."""
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_programs_in_the_documents_run(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A program marked "run" prints what the next block of kind text says. It finds the files that the page names."""
+    if write_files(page, tmp_path):
+        monkeypatch.chdir(tmp_path)
     wanted = [text for mark, text in blocks(page, "text") if mark == "output"]
     programs = [text for mark, text in blocks(page, "python") if mark == "run"]
     assert len(programs) == len(wanted)
