@@ -8,12 +8,12 @@ dropped, so three of them in a row look like the end of a telegram.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 
 import pytest
 from bus_kit import SimBus
+from counting_plugin import CountingPlugin
 from fire_kit import FireRing
 from hypothesis import given
 from hypothesis import strategies as st
@@ -82,33 +82,19 @@ class Ear:
 
 
 @dataclass
-class Application:
+class Application(CountingPlugin):
     """The application of one slave, called in every rotation: no two outputs are the same, every input is looked at."""
 
-    address: int
-    number: int = 0
+    START_OCTETS = b"\x68\xe5\x16"
+
     sent: list[bytes] = field(default_factory=lambda: [bytes(12)])
     seen: list[int] = field(default_factory=list)
 
     def cyclic(self, inputs: bytes, now: int) -> bytes:
         if inputs:
             self.seen.append(self.sent.index(inputs))  # a wrong octet: ValueError
-        self.number += 1
-        count = self.number.to_bytes(4, "big")
-        self.sent.append(count + bytes(255 - octet for octet in count) + bytes([self.address, 0x68, 0xE5, 0x16]))
+        self.sent.append(self.next_outputs())
         return self.sent[-1]
-
-    def lost(self, now: int) -> None:
-        pass
-
-    def safe(self, configured: bytes) -> bytes:
-        return configured
-
-    def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
-        pass
-
-    def take_events(self) -> list[dict[str, object]]:
-        return []
 
 
 def silent_inside(tx: Transmission) -> bool:

@@ -14,8 +14,7 @@ import dpstack.decode.words as module
 from dpstack.decode.wire_log import render
 from dpstack.decode.words import contents, describe, describe_octets, pdu_text
 from dpstack.fdl.codec import decode
-from dpstack.fdl.service_names import service
-from dpstack.fdl.telegram import SHORT_ACK, Kind, Telegram, token
+from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.trace import WireEntry, WireLog
 
 LINES = [
@@ -67,48 +66,6 @@ LINES = [
 @pytest.mark.parametrize(("octets", "text"), LINES)
 def test_one_line_each(octets: str, text: str) -> None:
     assert describe_octets(bytes.fromhex(octets)) == text
-
-
-@pytest.mark.parametrize(
-    ("dsap", "ssap", "name"),
-    [
-        (None, None, "Data_Exchange"),
-        (55, 62, "Set_Slave_Add"),
-        (56, 62, "RD_Inp"),
-        (57, 62, "RD_Outp"),
-        (58, 62, "Global_Control"),
-        (59, 62, "Get_Cfg"),
-        (60, 62, "Slave_Diag"),
-        (61, 62, "Set_Prm"),
-        (62, 62, "Chk_Cfg"),
-        (53, 62, "Ext_User_Prm"),
-        (54, 54, "master-master"),
-        (51, 51, "MS1"),
-        (50, 51, "MS1 alarm"),
-        (49, 50, "MS2 resource manager"),
-        (0, 50, "MS2 connection 0"),
-        (48, 50, "MS2 connection 48"),
-        (0, 62, "SAP 0"),
-        (None, 0, "SAP none/0"),
-        (63, None, "SAP 63"),
-    ],
-)
-def test_services_by_sap_in_both_directions(dsap: int | None, ssap: int | None, name: str) -> None:
-    assert service(Telegram(Kind.SD2, 3, 2, 0x7D, dsap, ssap, b"x")) == name
-    assert service(Telegram(Kind.SD2, 2, 3, 0x08, ssap, dsap, b"x")) == name
-
-
-def test_other_services() -> None:
-    assert service(SHORT_ACK) == "SC"
-    assert service(token(1, 2)) == "token"
-    for fc, name in (
-        (0x40, "Time_Event"),
-        (0xC0, "Clock_Value"),
-        (0x47, "MSRD"),
-        (0x4E, "Ident"),
-        (0x4F, "LSAP_Status"),
-    ):
-        assert service(Telegram(Kind.SD1, 3, 2, fc)) == name
 
 
 def test_segments_are_shown() -> None:

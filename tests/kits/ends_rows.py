@@ -330,7 +330,7 @@ def no_memory(program: Program, _: Recorder) -> None:
     for pid in processes_of(program):
         size = int(Path(f"/proc/{pid}/statm").read_text().split()[0]) * resource.getpagesize()
         resource.prlimit(pid, resource.RLIMIT_AS, (size, size))
-    time.sleep(0.5)
+    time.sleep(0.5)  # the processes go on for a while without memory, as on a computer that runs out of it
     os.kill(program.pid, signal.SIGTERM)
 
 
@@ -470,7 +470,7 @@ def measure(row: Row) -> dict[str, str]:
 def exchanges(recorder: Recorder) -> bool:
     """Whether slave 4 exchanges data now."""
     before = recorder.record("look")["4"]["exchanges"]
-    time.sleep(0.1)
+    time.sleep(0.1)  # ten rotations and more of the slowest plant
     return bool(recorder.record("look")["4"]["exchanges"] > before)
 
 

@@ -8,10 +8,11 @@ that arrives can be held against the one place where it came from.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from bus_kit import IDENT, PPO1
+from counting_plugin import CountingPlugin
 
 from dpstack.dp.slave.device import DpV0Device, Leave
 from dpstack.trace import WireEntry
@@ -96,34 +97,18 @@ class Device(DpV0Device):
 
 
 @dataclass
-class Application:
+class Application(CountingPlugin):
     """The program's end of one slave: every call gives outputs that never were before.
 
     ``calls``: time, inputs that it got, outputs that it returned.
     """
 
-    address: int
     calls: list[tuple[int, bytes, bytes]] = field(default_factory=list)
-    number: int = 0
 
     def cyclic(self, inputs: bytes, now: int) -> bytes:
-        self.number += 1
-        count = self.number.to_bytes(4, "big")
-        outputs = count + bytes(255 - octet for octet in count) + bytes((self.address, 0x10, 0xDC, 0x16))
+        outputs = self.next_outputs()
         self.calls.append((now, inputs, outputs))
         return outputs
-
-    def lost(self, now: int) -> None:
-        pass
-
-    def safe(self, configured: bytes) -> bytes:
-        return configured
-
-    def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
-        pass
-
-    def take_events(self) -> list[dict[str, object]]:
-        return []
 
 
 @dataclass

@@ -240,7 +240,7 @@ def test_a_token_that_was_lost_on_the_way_out_costs_no_clear(monkeypatch: pytest
         stack.master.handlers[4].image.plugin = ends_plugin.EXITS.core()
         with pytest.raises(SystemExit):
             loop.run_until_complete(bus.rotated(None))
-        loop.run_until_complete(asyncio.sleep(0.1))
+        loop.run_until_complete(asyncio.sleep(0.1))  # many T_TO: the machine does not claim the token it believes in
         loop.run_until_complete(bus.close())
         loop.close()
         assert not bus.end_failed

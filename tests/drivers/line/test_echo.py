@@ -202,13 +202,18 @@ def test_a_damaged_echo_is_counted_and_passed_on(damaged: int) -> None:
     assert echo.lost == 1
 
 
+async def exchange(rig: Rig, sent: bytes, received: bytes) -> None:
+    """The driver sends ``sent``, then its port receives ``received``."""
+    rig.driver.command(sent)
+    rig.far.write(received)
+    await rig.settle()
+
+
 @pytest.mark.usefixtures("each_driver")
 async def test_an_echo_is_recognised_reported_and_removed() -> None:
     async with Rig(echo=Echo.AUTO) as rig:
         for answer in (b"\xe5", REQUEST):
-            rig.driver.command(TOKEN)
-            rig.far.write(TOKEN + answer)
-            await rig.settle()
+            await exchange(rig, TOKEN, TOKEN + answer)
         assert rig.machine.received == [b"\xe5", REQUEST]
         assert rig.driver.echo is Echo.ON
         assert ["echo" in event.text for event in rig.events] == [True]
@@ -218,9 +223,7 @@ async def test_an_echo_is_recognised_reported_and_removed() -> None:
 async def test_a_line_without_echo_is_recognised_too() -> None:
     async with Rig(echo=Echo.AUTO) as rig:
         for _ in range(5):
-            rig.driver.command(TOKEN)
-            rig.far.write(REQUEST)
-            await rig.settle()
+            await exchange(rig, TOKEN, REQUEST)
         assert rig.machine.received == [REQUEST] * 5
         assert rig.driver.echo is Echo.OFF
 
@@ -228,9 +231,7 @@ async def test_a_line_without_echo_is_recognised_too() -> None:
 @pytest.mark.usefixtures("each_driver")
 async def test_octets_held_back_for_an_echo_reach_the_machine_at_a_deadline() -> None:
     async with Rig(echo=Echo.AUTO) as rig:
-        rig.driver.command(REQUEST)
-        rig.far.write(REQUEST[:2])
-        await rig.settle()
+        await exchange(rig, REQUEST, REQUEST[:2])
         assert not rig.machine.did("receive")
         rig.driver.command(NS_PER_MS)
         await until(lambda: bool(rig.machine.did("wake")), "the deadline")
@@ -242,18 +243,12 @@ async def test_a_line_that_begins_to_echo_later_is_recognised() -> None:
     """The machine reports another station with its own address; the driver looks for an echo again."""
     async with Rig(echo=Echo.AUTO) as rig:
         for _ in range(3):
-            rig.driver.command(TOKEN)
-            rig.far.write(REQUEST)
-            await rig.settle()
+            await exchange(rig, TOKEN, REQUEST)
         found: list[Echo] = [rig.driver.echo]
         rig.machine.on_receive = lambda _chunk, now: rig.machine.events.append(AddressCollision(t_ns=now, address=2))
-        rig.driver.command(TOKEN)
-        rig.far.write(TOKEN)
-        await rig.settle()
+        await exchange(rig, TOKEN, TOKEN)
         rig.machine.on_receive = lambda _chunk, _now: None
-        rig.driver.command(TOKEN)
-        rig.far.write(TOKEN + b"\xe5")
-        await rig.settle()
+        await exchange(rig, TOKEN, TOKEN + b"\xe5")
         assert [*found, rig.driver.echo] == [Echo.OFF, Echo.ON]
         assert rig.machine.received == [REQUEST] * 3 + [TOKEN, b"\xe5"]
 
@@ -263,22 +258,16 @@ async def test_a_line_without_echo_by_order_is_never_looked_at_again() -> None:
     async with Rig(echo=Echo.OFF) as rig:
         rig.machine.on_receive = lambda _chunk, now: rig.machine.events.append(AddressCollision(t_ns=now, address=2))
         for _ in range(2):
-            rig.driver.command(TOKEN)
-            rig.far.write(TOKEN)
-            await rig.settle()
+            await exchange(rig, TOKEN, TOKEN)
         assert rig.machine.received == [TOKEN] * 2
 
 
 @pytest.mark.usefixtures("each_driver")
 async def test_an_echo_that_ends_is_reported_and_answers_pass() -> None:
     async with Rig(echo=Echo.AUTO) as rig:
-        rig.driver.command(TOKEN)
-        rig.far.write(TOKEN + b"\xe5")
-        await rig.settle()
+        await exchange(rig, TOKEN, TOKEN + b"\xe5")
         for _ in range(40):
-            rig.driver.command(REQUEST)
-            rig.far.write(SAME_LENGTH)
-            await rig.settle()
+            await exchange(rig, REQUEST, SAME_LENGTH)
         assert rig.machine.received == [b"\xe5", *[SAME_LENGTH] * 40]
         assert rig.driver.echo is Echo.OFF
         assert [event.text.partition(" ")[2] for event in rig.events] == [

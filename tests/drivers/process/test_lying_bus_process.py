@@ -14,6 +14,7 @@ from time import monotonic_ns
 from typing import Any
 
 import pytest
+from far_ends import until
 
 from dpstack.dp.master.commands import Mode, RemoveSlave, SetMode
 from dpstack.dp.master.events import SlaveState
@@ -104,8 +105,8 @@ async def opened(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Liar]:
 
 async def alive(liar: Liar) -> None:
     liar.say(ALIVE)
-    await asyncio.sleep(0)
-    await asyncio.sleep(0)
+    for _ in range(2):  # turns of the loop: the socket is ready, then it is read
+        await asyncio.sleep(0)
     assert liar.runtime.slave(3).state is SlaveState.DATA_EXCHANGE
 
 
@@ -196,7 +197,7 @@ async def test_a_removed_slave_is_offline_too_when_its_process_is_gone(monkeypat
         await alive(liar)
         liar.code = 0
         liar.sock.close()
-        await asyncio.sleep(0.02)
+        await until(lambda: bool(liar.failures), "the end of the bus process is noticed")
         assert liar.runtime.slave(4).state is SlaveState.OFFLINE
 
 
@@ -205,5 +206,7 @@ async def test_a_message_of_octets_on_the_line_tells_no_state(monkeypatch: pytes
     async with opened(monkeypatch) as liar:
         liar.say({"tap_lost": 1, **ALIVE})
         liar.say({"round_over": True, **ALIVE})
-        await asyncio.sleep(0.02)
+        order = liar.runtime.order(SetMode(Mode.OPERATE))
+        liar.say({"answer": {"number": 1}})
+        await order  # its answer comes last
         assert liar.runtime.slave(3).state is SlaveState.OFFLINE

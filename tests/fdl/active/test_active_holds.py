@@ -127,9 +127,8 @@ def test_the_guard_refuses_and_tells_each_reason_once() -> None:
 
 
 # --- fixed cycles ----------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("room_bits", "stays"), [(340, True), (341, False)])
-def test_a_lone_station_keeps_the_token_for_a_cycle_that_is_due(room_bits: int, stays: bool) -> None:
-    """It keeps it for T_SL and two tokens to itself (33 bits) with T_ID1 each: 200 + 2 x 70 bits."""
+def alone_and_passing_the_token() -> tuple[RingBus, ListUser, CycleWindow, ActiveStation]:
+    """A lone station with a fixed cycle, in PASS_TOKEN."""
     bus = RingBus()
     user = ListUser()
     window = CycleWindow()
@@ -137,6 +136,13 @@ def test_a_lone_station_keeps_the_token_for_a_cycle_that_is_due(room_bits: int, 
     bus.stations.append(station)
     bus.command(station, GoOnline())
     bus.until(station, State.PASS_TOKEN)
+    return bus, user, window, station
+
+
+@pytest.mark.parametrize(("room_bits", "stays"), [(340, True), (341, False)])
+def test_a_lone_station_keeps_the_token_for_a_cycle_that_is_due(room_bits: int, stays: bool) -> None:
+    """It keeps it for T_SL and two tokens to itself (33 bits) with T_ID1 each: 200 + 2 x 70 bits."""
+    bus, user, window, station = alone_and_passing_the_token()
     last_end = bus.log[-1].end + (37 + 33) * BIT  # of the token that waits for its gate
     assert bus.now < last_end - 33 * BIT
     window.begin(last_end + (37 + room_bits) * BIT)
@@ -154,13 +160,7 @@ def test_a_lone_station_keeps_the_token_for_a_cycle_that_is_due(room_bits: int, 
 
 
 def test_an_order_is_sent_at_once_in_a_hold_that_waits_for_its_cycle() -> None:
-    bus = RingBus()
-    user = ListUser()
-    window = CycleWindow()
-    station = ActiveStation(BusParams.preset(500_000, address=2, gap=0), [user], window=window)
-    bus.stations.append(station)
-    bus.command(station, GoOnline())
-    bus.until(station, State.PASS_TOKEN)
+    bus, user, window, station = alone_and_passing_the_token()
     window.begin(bus.now + 300 * BIT)
     bus.until(station, State.USE_TOKEN)
     seen = len(bus.log)

@@ -14,8 +14,6 @@ import contextlib
 import functools
 import os
 import socket
-import struct
-import zlib
 from collections.abc import Iterator
 from typing import Any
 from unittest import mock
@@ -29,7 +27,7 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.process import channel, client, messages
 from dpstack.drivers.process.client import ProcessRuntime
-from dpstack.drivers.process.shared_image import SIZE, Picture, SharedImage, Word
+from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
 from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import StackSpec
 from dpstack.drivers.tap import Tap
@@ -37,7 +35,8 @@ from dpstack.errors import DpError
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT
 from dpstack.trace import Event
-from tests.fuzz.bent_json import bent, sample, text_of
+from tests.fuzz.bent_channel import LENGTH, framed, make_memory, write_entry
+from tests.fuzz.bent_json import bent, sample
 from tests.fuzz.frame import Cutter, Target, assert_plain
 from tests.fuzz.quick_loop import QuickLoop, quick_loop
 
@@ -47,16 +46,8 @@ SETUP = messages.SetUp(
     "nowhere", False, False, Echo.OFF, False,
     StackSpec(params=PARAMS, patience=EXACT, slaves=SLAVES, master=MasterSettings(), watched=False),
 )  # fmt: skip
-_LENGTH = struct.Struct(">I")
 #: the application reads everything at the end, and before behind one step in so many, as the place in the input has it
 _LOOKS = 4
-
-
-def make_memory() -> int:
-    """Memory as the driver makes it, but its pages come when they are used: it is made for every input."""
-    fd = os.memfd_create("fuzz", os.MFD_CLOEXEC)
-    os.ftruncate(fd, SIZE)
-    return fd
 
 
 class FakeProcess:
@@ -138,16 +129,12 @@ class Run:
         first = self.script.octet()
         if first & 1:
             hello = bent(hello, self.script)
-        self.put(self.framed(hello) if first & 6 != 6 else self.script.take(8))
+        self.put(framed(hello) if first & 6 != 6 else self.script.take(8))
         if first & 24 == 24:
             self.theirs.close()
         return self.process
 
     # --- the bus process ---
-
-    def framed(self, message: Any) -> bytes:
-        octets = text_of(message).encode()
-        return _LENGTH.pack(len(octets)) + octets
 
     def put(self, octets: bytes) -> None:
         if self.theirs is not None:
@@ -160,17 +147,17 @@ class Run:
         match head >> 4:
             case 0 | 1 | 2 | 3:
                 known = right_messages()
-                self.put(self.framed(bent(known[script.octet() % len(known)], script)))
+                self.put(framed(bent(known[script.octet() % len(known)], script)))
             case 4:
                 known = right_messages()
-                whole = self.framed(known[script.octet() % len(known)])
+                whole = framed(known[script.octet() % len(known)])
                 self.put(whole[: script.octet() % len(whole)])
             case 5:
-                self.put(_LENGTH.pack(script.octet()) + script.take(script.octet() & 31))
+                self.put(LENGTH.pack(script.octet()) + script.take(script.octet() & 31))
             case 6:
                 self.put(script.take(head & 15))
             case 7:
-                self.put(_LENGTH.pack(script.word() << (head & 15)))
+                self.put(LENGTH.pack(script.word() << (head & 15)))
             case 8 | 9:
                 self.write_picture(head)
             case 10 if self.image is not None:
@@ -200,17 +187,7 @@ class Run:
             {"3": [1, "x"]},
         )[head & 3]
         value = bent(right, script)
-        try:
-            octets = msgspec.msgpack.encode(keyed(value)) if head & 4 else script.take(script.octet())
-        except (TypeError, ValueError, OverflowError, UnicodeError):
-            return
-        number = area._words[0] + 1
-        place = number % 4
-        area._words[1 + 2 * place] = len(octets) if head & 8 else script.word() << 4
-        area._words[2 + 2 * place] = zlib.crc32(octets, number & 0xFFFF_FFFF)
-        at = area._at + place * area._limit
-        area._memory[at : at + len(octets)] = octets
-        area._words[0] = number
+        write_entry(area, value, head, script)
 
     # --- the application ---
 
@@ -285,7 +262,7 @@ class Run:
         if not self.failures and whole and theirs is not None and theirs.fileno() >= 0:
             # not the word in the shared memory, which the bus process may have overwritten
             right = dict(right_messages()[0]) | {"silence": runtime._silences}
-            self.put(self.framed(right))
+            self.put(framed(right))
             for _ in range(20):
                 await asyncio.sleep(0)
             assert runtime.slave(3).state is SlaveState.DATA_EXCHANGE
@@ -312,18 +289,6 @@ class Run:
                 assert_plain(str(error))
         self.look()
         runtime.counters()
-
-
-def keyed(value: Any) -> Any:
-    """Keys of digits as numbers, which MessagePack has; texts stand for octets."""
-    if isinstance(value, dict):
-        return {
-            int(key) if isinstance(key, str) and key.isascii() and key.isdigit() else key: keyed(one)
-            for key, one in value.items()
-        }
-    if isinstance(value, list):
-        return [keyed(one) for one in value]
-    return value.encode() if value == "x" else value
 
 
 @contextlib.contextmanager

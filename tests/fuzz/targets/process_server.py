@@ -13,8 +13,6 @@ import functools
 import heapq
 import os
 import socket
-import struct
-import zlib
 from collections.abc import Callable, Iterator
 from typing import Any
 from unittest import mock
@@ -35,10 +33,10 @@ from dpstack.machine import Machine
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT
 from dpstack.units import NEVER
-from tests.fuzz.bent_json import bent, sample, text_of
+from tests.fuzz.bent_channel import LENGTH, framed, make_memory, write_entry
+from tests.fuzz.bent_json import bent, sample
 from tests.fuzz.frame import Cutter, Target, assert_plain
 from tests.fuzz.octet_line import CorrectSlave, Line
-from tests.fuzz.targets.process_client import keyed, make_memory
 
 MS = 1_000_000
 BAUD = 500_000
@@ -53,7 +51,6 @@ SETUP = messages.SetUp(
         master=MasterSettings(), watched=False,
     ),
 )  # fmt: skip
-_LENGTH = struct.Struct(">I")
 
 
 class Timer:
@@ -220,8 +217,7 @@ class Run:
     def ask(self, name: str, **fields: Any) -> None:
         """Give a right order."""
         self.number += 1
-        octets = text_of({"number": self.number, "order": [name, fields]}).encode()
-        self.put(_LENGTH.pack(len(octets)) + octets)
+        self.put(framed({"number": self.number, "order": [name, fields]}))
 
     def step(self) -> None:
         script = self.script
@@ -231,14 +227,13 @@ class Run:
             case 0 | 1 | 2 | 3 | 4:
                 self.number += 1
                 message = {"number": self.number, "order": known[script.octet() % len(known)]}
-                octets = text_of(bent(message, script)).encode()
-                self.put(_LENGTH.pack(len(octets)) + octets)
+                self.put(framed(bent(message, script)))
             case 5:
                 self.put(script.take(head & 15))
             case 6:
-                self.put(_LENGTH.pack(script.word() << (head & 15)))
+                self.put(LENGTH.pack(script.word() << (head & 15)))
             case 7:
-                self.put(_LENGTH.pack(script.octet()) + script.take(script.octet() & 31))
+                self.put(LENGTH.pack(script.octet()) + script.take(script.octet() & 31))
             case 8 | 9:
                 self.write_outputs(head)
             case 10:
@@ -259,17 +254,7 @@ class Run:
         area, script = self.image.outputs, self.script
         value: Any = {"3": [self.loop.now + 10**9, GIVEN], "4": [self.loop.now + 10**9, GIVEN]}
         value = bent(value, script) if head & 1 else value
-        try:
-            octets = msgspec.msgpack.encode(keyed(value)) if head & 4 else script.take(script.octet())
-        except (TypeError, ValueError, OverflowError, UnicodeError):
-            return
-        number = area._words[0] + 1
-        place = number % 4
-        area._words[1 + 2 * place] = len(octets) if head & 8 else script.word() << 4
-        area._words[2 + 2 * place] = zlib.crc32(octets, number & 0xFFFF_FFFF)
-        at = area._at + place * area._limit
-        area._memory[at : at + len(octets)] = octets
-        area._words[0] = number
+        write_entry(area, value, head, script)
 
     def run(self, ns: int) -> None:
         """Time passes in the bus process."""
