@@ -111,7 +111,7 @@ RESERVE: Final = 2 * 1024 * 1024
 
 
 def stopped_by(error: BaseException) -> str:
-    """What an exception of the machine has stopped the bus by, for people."""
+    """The cause for people, after the machine raised ``error`` and the bus stopped."""
     if isinstance(error, MemoryError):
         return "a lack of memory in its process (MemoryError); find what fills it, or raise its limit"
     return f"a defect in dpstack ({type(error).__name__}: {error}); please report it"

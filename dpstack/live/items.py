@@ -1,4 +1,4 @@
-"""The shape of the items of the stream: what every reader may rely on (docs/reference/live.md).
+"""Types of the items of the live stream, and the check of items from other programs (docs/reference/live.md).
 
 A program that reads the stream of another one, or replays a recording, gets items that somebody else made. Keys that
 are not named here are allowed: a newer version may have them.
@@ -7,11 +7,11 @@ are not named here are allowed: a newer version may have them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Final, Required, TypedDict
+from typing import Annotated, Any, Required, TypedDict
 
 import msgspec
 
-#: a number that can be counted with: neither infinite nor without a value
+#: a finite number
 Number = Annotated[float, msgspec.Meta(ge=-1e15, le=1e15)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
 #: a slave's address as text
@@ -182,11 +182,8 @@ class AnyItem(TypedDict, total=False):
     end: EndBody
 
 
-KEYS: Final = frozenset(AnyItem.__annotations__)
-
-
 def check_item(item: Mapping[str, Any]) -> None:
-    """Raises ValueError for something else than an item of the stream."""
+    """Raise ValueError if ``item`` is no item of the stream."""
     try:
         msgspec.convert(item, AnyItem)
     except (msgspec.ValidationError, UnicodeError, RecursionError) as error:

@@ -58,6 +58,10 @@ class LiveState:
     def apply(self, item: Mapping[str, Any]) -> None:
         """Take the next item. Raises ValueError for something else than an item; unknown keys are left out."""
         check_item(item)
+        self.apply_checked(item)
+
+    def apply_checked(self, item: Mapping[str, Any]) -> None:
+        """Take the next item, which :func:`~dpstack.live.items.check_item` has judged."""
         if "plant" in item:
             self.plant, self.end = dict(item["plant"]), None
             self.t, self.bus, self.slaves = -1.0, {}, {}

@@ -32,9 +32,9 @@ _LONGEST: Final = 1 << 22
 _SHOWN: Final = 40
 #: after so many seconds without a row of the same file nothing is known about the time between (not on change)
 GAP_S: Final = 2.5
-#: beyond it an integer of a damaged file cannot be drawn, nor compared with a time
+#: largest number: a larger integer of a damaged file can neither be drawn nor compared with a time
 _LARGEST: Final = sys.float_info.max
-#: a program runs less long than 3000 years
+#: longest time since the start of a program, in s: 3000 years
 _LONGEST_S: Final = 1e11
 _ROWS_AT_ONCE: Final = 10_000
 

@@ -37,7 +37,7 @@ class View:
         snapshot = item.get("snapshot")
         if isinstance(snapshot, dict):
             self._mark_changes(snapshot, now)
-        self.state.apply(item)
+        self.state.apply_checked(item)
         event = item.get("event")
         if isinstance(event, dict) and event.get("event") == "bus_process":
             self.process_silent = bool(event.get("silent"))

@@ -87,7 +87,7 @@ def _digest(token: str) -> bytes:
 
 
 def network_of(address: str) -> str:
-    """All addresses that one computer can take by itself: an IPv4 address, the /64 of an IPv6 address."""
+    """The addresses that one computer can have: an IPv4 address alone, the /64 of an IPv6 address."""
     try:
         found = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:

@@ -214,8 +214,8 @@ class WebServer:
     # --- requests -------------------------------------------------------------------------------------------------
 
     def _accept(self) -> asyncio.Protocol:
-        """The protocol of a connection. One without a handshake, or then without a request, within 10 s is closed, and
-        one too many at once."""
+        """The protocol of a new connection. One beyond the limit is closed at once, one without a TLS handshake or
+        without a request after 10 s."""
         assert self._runner is not None
         server = self._runner.server
         assert server is not None

@@ -97,9 +97,9 @@ class LiveStream(AsyncIterator[Item]):
 
     def __init__(self, items: LiveItems, leave: Callable[[LiveItems], None] | None) -> None:
         self._items = items
-        # a program may leave an ``async for`` without close()
-        self._left = None if leave is None else when_dropped(self, leave, items)
         self._leave = leave
+        # a program may leave an ``async for`` without close()
+        self._finaliser = None if leave is None else when_dropped(self, leave, items)
 
     def take(self) -> Item | None:
         """The next item; None where there is none at this moment."""
@@ -120,7 +120,7 @@ class LiveStream(AsyncIterator[Item]):
     def close(self) -> None:
         """Stop receiving items. May be repeated."""
         self._items.end()
-        if self._leave is not None and self._left is not None and self._left.detach() is not None:
+        if self._leave is not None and self._finaliser is not None and self._finaliser.detach() is not None:
             self._leave(self._items)
 
 
@@ -144,26 +144,26 @@ class LiveFeed:
 
     def join(self, interval: float) -> LiveStream:
         """A new reader. Call it in the event loop of the bus."""
-        stream = LiveItems(interval)
+        reader = LiveItems(interval)
         self._describe()  # a bus that has ended does not do this any more
         if self._plant is not None:
-            stream.put(self._plant)
-            stream.put(self._snapshot(self._now, whole=True))
-            if self._now["bus"]:  # else the first round makes it whole, and wakes the stream
-                stream.wake()
+            reader.put(self._plant)
+            reader.put(self._snapshot(self._now, whole=True))
+            if self._now["bus"]:  # else the first round makes it whole, and wakes the reader
+                reader.wake()
         for event in self._bus.past_events():
-            self._put_event(event, [stream])
+            self._put_event(event, [reader])
         if self._end is not None:
-            stream.put(self._end)
-            return LiveStream(stream, None)
-        self._readers[stream] = 0.0
+            reader.put(self._end)
+            return LiveStream(reader, None)
+        self._readers[reader] = 0.0
         if self._task is None:
             self._bus.listen_to_events(self._on_event)
             self._task = asyncio.get_running_loop().create_task(self._run())
-        return LiveStream(stream, self.leave)
+        return LiveStream(reader, self.leave)
 
-    def leave(self, stream: LiveItems) -> None:
-        self._readers.pop(stream, None)
+    def leave(self, reader: LiveItems) -> None:
+        self._readers.pop(reader, None)
         if not self._readers:
             self._stop()
             # a later reader must not get an old snapshot
@@ -178,8 +178,8 @@ class LiveFeed:
             self._hand_out(self._slave_changes(self._bus.slaves))
             self._figures_at = -math.inf
             self._hand_out(self._bus_changes())
-        for stream in list(self._readers):
-            stream.put(self._end)
+        for reader in list(self._readers):
+            reader.put(self._end)
         self._readers.clear()
         self._stop()
 
@@ -198,11 +198,11 @@ class LiveFeed:
             with contextlib.suppress(UsageError):  # the bus was closed, or a slave removed, during the pauses
                 await self._round()
             now = loop.time()
-            for stream, due in list(self._readers.items()):
+            for reader, due in list(self._readers.items()):
                 if now >= due:
-                    self._readers[stream] = max(now, due + stream.interval)
-                    stream.wake()
-            shortest = min((stream.interval for stream in self._readers), default=_SHORTEST_S)
+                    self._readers[reader] = max(now, due + reader.interval)
+                    reader.wake()
+            shortest = min((reader.interval for reader in self._readers), default=_SHORTEST_S)
             period = max(shortest, min(_SHARE * self._busy, _LONGEST_S))
             await asyncio.sleep(max(_PAUSE_S, begun + period - loop.time()))
 

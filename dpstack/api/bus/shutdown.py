@@ -198,8 +198,8 @@ class OrderedEnd:
                         held_up = True  # another task blocked the loop, and with it the bus
                         begun = bus.runtime.now()
         now = bus.runtime.now()
-        # wait for the last bit by time: no port reports when it has left the line
         self._steps = None
+        # wait for the last bit by time: no port reports when it has left the line
         await self._pause(ns_to_s(steps.over_at(now) - now))
 
     def _exchanging(self) -> dict[str, int]:
@@ -413,7 +413,8 @@ def _replace_epoll(watched_fd: int) -> None:
         return
     for name in os.listdir("/proc/self/fd"):
         with contextlib.suppress(OSError, ValueError):
-            watched = Path("/proc/self/fdinfo", name).read_bytes()  # octets: a codec may have to be imported
+            # no text: the import of its codec might need a file descriptor
+            watched = Path("/proc/self/fdinfo", name).read_bytes()
             if re.search(rb"^tfd:\s*%d\s" % watched_fd, watched, re.MULTILINE):
                 with select.epoll() as fresh:
                     os.dup2(fresh.fileno(), int(name), inheritable=False)

@@ -124,9 +124,8 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         # `dpstack ctl` also works while the bus searches its rate or joins the ring; a held port is reported once
         feed = run_feed(bus)
         control = control_run(bus, config.port, feed, stop=stop.stop)
-        suspension = stack.enter_context(
-            Suspension(bus, partial(_name, bus, control))
-        )  # before a bus process is started
+        # before a bus process is started
+        suspension = stack.enter_context(Suspension(bus, partial(_ctl_name, bus, control)))
         async with reachable(control, quiet=True) as unreachable:
             if report is not None:
                 report.begin(bus, feed)
@@ -194,7 +193,7 @@ async def _open(bus: Bus, control: ControlServer) -> None:
         control.move_to(bus.runtime.port_name)
 
 
-def _name(bus: Bus, control: ControlServer) -> str:
+def _ctl_name(bus: Bus, control: ControlServer) -> str:
     """The name by which ``dpstack ctl`` finds this run, also if there are others on "virtual"."""
     return control.name if bus.config.virtual else bus.runtime.port_name
 

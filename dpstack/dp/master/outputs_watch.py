@@ -107,7 +107,7 @@ class OutputsWatch:
         """Begin to watch, because Operate was ordered."""
         for handler in self._handlers.values():
             handler.asked_at = max(handler.asked_at, now)
-            handler.prm_req_at = NEVER  # of a time before the order
+            handler.prm_req_at = NEVER  # a Prm_Req before the order does not count
         self.down.clear()
         self._watching = True
         limit_ns = self._settings.application_watchdog_ns

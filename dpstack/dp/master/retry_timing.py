@@ -88,8 +88,8 @@ class Pacing:
         self.due = now + _STATIC_PAUSE if static else now
 
     def excuse(self, now: int, *, left: bool) -> None:
-        """The slave was not asked for longer than its watchdog. It leaves data exchange by that, or has done so
-        (``left``): however short its stay was, this does not delay the next bring-up."""
+        """The slave was not asked for longer than its watchdog. It leaves data exchange because of that, or has left
+        it (``left``). The next bring-up is not delayed, however short the stay was."""
         self._excused = not left
         if left:
             self._flapping = False

@@ -354,7 +354,7 @@ class SlaveHandler:
         self._changed(self, now)
 
     def not_asked(self, now: int) -> None:
-        """The driver did not run, or all slaves want parameters at once: no flapping of this slave."""
+        """The driver did not run, or all slaves want parameters at once: this slave does not count as flapping."""
         if self.state is _DATA_EXCHANGE:
             if self.watchdog_effective_ns and now - self.asked_at > self.watchdog_effective_ns:
                 self._pacing.excuse(now, left=False)

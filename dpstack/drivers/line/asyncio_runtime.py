@@ -103,7 +103,7 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
                 super()._timer_due()
                 if self._sleep_until and self._sleep_until < self._armed:
                     self._arm(self._sleep_until)
-        except Exception as exc:  # without memory: no timer would call again
+        except Exception as exc:  # above all MemoryError: the timer is not armed again
             self._fail(exc)
 
     def _count_spinning(self, spun_ns: int, now: int) -> None:

@@ -377,7 +377,7 @@ class LineRuntime(ABC):
             if echo is not None:  # a deadline is due: the rest of the held octets will not arrive
                 chunk = self._drain()
                 chunk = echo.release() + chunk
-        except Exception as exc:  # without memory: no timer would call again
+        except Exception as exc:  # above all MemoryError: the timer is not armed again
             self._fail(exc)
             return
         self._step(chunk)

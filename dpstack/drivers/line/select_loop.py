@@ -310,7 +310,7 @@ class SelectLoop:
     def _register(self, fd: int) -> None:
         self._read_fds = list(self._readers)
         self._write_fds = list(self._writers)
-        self._has_high_fd = max(*self._read_fds, *self._write_fds, 0, 0) >= _MOST_FDS
+        self._has_high_fd = max((*self._read_fds, *self._write_fds), default=0) >= _MOST_FDS
         events = (select.POLLIN if fd in self._readers else 0) | (select.POLLOUT if fd in self._writers else 0)
         if events:
             self._poll.register(fd, events)

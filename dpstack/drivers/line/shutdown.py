@@ -39,8 +39,10 @@ _STEPS: Final = 3
 _OF_FAULTS: Final = frozenset({"SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSEGV", "SIGSYS", "SIGTRAP"})
 #: Signals that do not end a program without a handler, and SIGKILL; Python ignores SIGPIPE and SIGXFSZ.
 _NO_END: Final = frozenset(
-    {"SIGCHLD", "SIGCONT", "SIGKILL", "SIGPIPE", "SIGSTOP", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGURG", "SIGWINCH"}
-    | {"SIGXFSZ"}
+    {
+        *("SIGCHLD", "SIGCONT", "SIGKILL", "SIGPIPE", "SIGSTOP", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGURG"),
+        *("SIGWINCH", "SIGXFSZ"),
+    }
 )
 _ROTATIONS: Final = 10
 

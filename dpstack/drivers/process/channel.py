@@ -107,12 +107,12 @@ class Channel:
         self._frames = Frames(News)
         self._hello: asyncio.Future[Hello] | None = None
         self._last_words: News | None = None
-        self._unread = False  # there was no memory for its messages, so it was left to itself
+        self._unread = False  # no memory was left to read the messages of the bus process
         self._number = 0
         self._sent: dict[int, _Sent] = {}
         self._gone: DpError | None = None
         self._silent = False  # an answer is overdue, and no news has come since
-        self._has_hung_up = False  # the bus process, unasked
+        self._has_hung_up = False  # the bus process has closed its socket without an order to end
         self._image: SharedImage | None = None
 
     @property
@@ -321,7 +321,7 @@ class Channel:
                 self._on_news(news)
                 if news.answer is not None:
                     self._on_answer(news.answer)
-        except MemoryError:  # the rest of the stream cannot be read any more: the bus process makes the end by itself
+        except MemoryError:  # the rest of the stream is lost: the bus process ends the bus by itself
             self._unread = True
             self._hung_up()
             raise

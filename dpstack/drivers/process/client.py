@@ -504,7 +504,7 @@ class ProcessRuntime:
     # --- from the bus process ---------------------------------------------------------------------------------------
 
     def _on_news(self, news: News) -> None:
-        """Raises BusError for news that cannot be."""
+        """Raises BusError for news that no bus process of this version sends."""
         if news.tapped or news.tap_lost:
             if self._tap is not None:
                 self._tap.extend(news.tapped, news.tap_lost)

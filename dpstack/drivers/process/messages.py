@@ -202,7 +202,7 @@ class Frames(Generic[T]):
             yield message
 
 
-#: where a process reads its socket into: a read needs no more memory than there is to read
+#: buffer of :func:`received`, made once: a read only needs memory for the octets that have come
 _received: Final = memoryview(bytearray(_CHUNK))
 
 
@@ -316,7 +316,7 @@ def order_classes() -> dict[str, type[Order]]:
 
 @functools.cache
 def event_classes() -> dict[str, type[Event]]:
-    """Every class of events by name, but those that have no text: only classes derived from them happen."""
+    """All classes of events by name, without those that have no text: they are only bases of others."""
     found = (kind for kind in _below(Event) if hasattr(kind, "TEMPLATE") or kind._text is not Event._text)
     return {kind.__name__: kind for kind in found}
 

@@ -165,7 +165,7 @@ class Host:
         order = None
         try:
             order = self._answer(question, answer)
-        finally:  # whatever was raised: the other orders are carried out
+        finally:  # after any exception the other orders are carried out
             self._after(order)
 
     def _answer(self, question: Question, answer: Answer) -> object:
@@ -376,7 +376,7 @@ class Host:
         if self._over:
             return
         now = monotonic_ns()
-        self._loop.call_at(now + _HEARTBEAT, self._on_heartbeat)  # whatever is raised below
+        self._loop.call_at(now + _HEARTBEAT, self._on_heartbeat)  # first: an exception below must not stop it
         self._image.words[Word.HEARTBEAT] = now
         self._take_outputs()
         self._follow_tap()

@@ -212,7 +212,7 @@ class Exchange(Awaiting):
         """Drop the queued telegram and the current request; its user gets ABANDONED."""
         user, request = self.user, self.request
         if request is not NO_REQUEST and (self._repeats or self.line.tx is None) and SERVICES[request.function].counted:
-            # it was sent: nobody knows whether the station has it, and so which FCB would be that of a new request
+            # it was sent, and the station may have it or not: the FCB of a new request is unknown
             self.peers.expect_late(request, now, self.times.slot_known_ns)
             self.fcb.given_up(request.da)
         self.line.drop()
