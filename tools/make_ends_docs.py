@@ -26,7 +26,7 @@ _END: Final = "<!-- end -->"
 
 _COLUMNS: Final = (
     ("way out", "program", "driver", "last octets to the slave", "safe by", "slave without watchdog"),
-    ("what is told", "exit code"),
+    ("messages", "exit code"),
 )
 _PROGRAMS: Final = {"application": "application", "run": "`dpstack run`"}
 #: the groups of the data in the order of the page, with the words before a row's own
@@ -47,10 +47,10 @@ _GROUPS: Final = {
 _KEY: Final = re.compile(r"(?P<group>[\w ]+): (?P<text>.*); (?P<program>\w+), (?P<driver>\w+)")
 _REAL_TIME: Final = re.compile(r"SIGRT(MIN|MAX)?(\+\d+)?$")
 
-#: characters of each text that is told, on the page
+#: characters of each message on the page
 _MOST: Final = 110
 
-#: what was measured of one row
+#: measured cells of one row
 Cells = tuple[str, ...]
 
 
