@@ -9,13 +9,17 @@ import time
 import tty
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from far_ends import HANG_S
 from support_responder import Responder
 
 import dpstack
+from dpstack.drivers.process.channel import Channel
 from dpstack.drivers.process.client import ProcessRuntime
+
+if TYPE_CHECKING:
+    import pytest
 
 #: [bus] of tests in which nobody may be lost: the other end may have to wait 16 times 50 ms for a busy computer, and a
 #: pause of a busy computer, or of a test that blocks, shall not end in Clear
@@ -140,6 +144,12 @@ def stopped(pid: int) -> Iterator[None]:
         yield
     finally:
         os.kill(pid, signal.SIGCONT)
+
+
+def stop_for_good(monkeypatch: pytest.MonkeyPatch, bus_process: int) -> None:
+    """The process ``bus_process`` hangs: it is stopped, and the end of the bus does not continue it."""
+    monkeypatch.setattr(Channel, "_continue_stopped", lambda _channel: None)
+    os.kill(bus_process, signal.SIGSTOP)
 
 
 def state_of(pid: int) -> str:

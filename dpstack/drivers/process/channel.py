@@ -25,6 +25,7 @@ from time import monotonic_ns
 from typing import Final
 
 from dpstack.drivers.futures import wait_through_cancellation
+from dpstack.drivers.line.shutdown import EndOrder
 from dpstack.drivers.process.messages import (
     FROM_TERMINALS,
     Answer,
@@ -188,10 +189,16 @@ class Channel:
 
         look()
 
+    def _continue_stopped(self) -> None:
+        """Continue a process that somebody has stopped (SIGSTOP), so that it makes the ordered end of the bus."""
+        if self._process is not None:
+            self._process.send_signal(signal.SIGCONT)
+
     def hang_up_and_wait(self, error: DpError) -> bool:
         """Hang up without a loop; the process makes its ordered end. Whether it has ended in time; it is not killed."""
         self.hang_up(error)
         self.disconnect()
+        self._continue_stopped()
         process = self._process
         if process is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -272,6 +279,8 @@ class Channel:
         limit = began + (_AGAIN_NS if silent or self._silent else LIMIT_NS)
         if self._outbox is not None:  # else it has hung up: how it ended is known soon
             self._outbox.send(Question(number, named(order), NEVER if order.ends else limit))
+        if isinstance(order, EndOrder | CloseBus) and (silent or self._silent):
+            self._continue_stopped()
         self._number = number
         self._sent[number] = _Sent(order, answer, on_done, began, limit, self._silent)
         if answer is not None:

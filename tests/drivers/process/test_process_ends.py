@@ -27,6 +27,7 @@ from process_kit import (
     ready_bus,
     runs,
     runtime_of,
+    stop_for_good,
 )
 from support_responder import Responder
 
@@ -177,7 +178,7 @@ async def test_a_bus_process_that_hangs_at_the_end_is_killed_and_reported(monkey
     async with ready_bus(slave, on_event=lambda event: told.append(event.text)) as (bus, _there):
         monkeypatch.setattr("dpstack.drivers.process.channel.LIMIT_NS", 50_000_000)
         monkeypatch.setattr("dpstack.drivers.process.channel._AGAIN_NS", 10_000_000)
-        os.kill(process_of(bus), signal.SIGSTOP)
+        stop_for_good(monkeypatch, process_of(bus))
     assert not runs(process_of(bus))
     assert told[-1] == (
         "bus process: it did not answer at the end of the bus and was killed: the end was not in order. The slaves' "

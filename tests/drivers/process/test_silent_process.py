@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from api_kit import FAN
+from ends_kit import heard, is_in_order
 from far_ends import until
 from process_kit import (
     LAMPS,
@@ -22,7 +23,9 @@ from process_kit import (
     octet_slaves,
     process_of,
     ready_bus,
+    runs,
     runtime_of,
+    stop_for_good,
     stopped,
 )
 from support_responder import Responder
@@ -262,6 +265,30 @@ def is_running(drive: dpstack.Drive) -> bool:
     return drive.status.running
 
 
+@pytest.mark.parametrize("end", ["close", "end_without_loop"])
+async def test_the_end_of_a_bus_continues_a_stopped_bus_process(end: str) -> None:
+    """Nobody else could make outputs of slaves without a watchdog safe. It has lost its time in the ring, and knows."""
+    told: list[str] = []
+    slaves = (VALVES | {"watchdog_ms": 0}, LAMPS | {"watchdog_ms": 0})
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
+        bus = bus_on(path, "process", *slaves, on_event=lambda event: told.append(event.text))
+        await bus.open()
+        await bus.ready(60)
+        await bus.operate()
+        bus.slave("valves").outputs = OLD
+        await until(lambda: there.slaves[4].outputs == OLD, "the outputs")
+        with heard(there) as words:
+            os.kill(process_of(bus), signal.SIGSTOP)
+            await until(lambda: bus.slave("valves").state is dpstack.SlaveState.OFFLINE, "the silence")
+            if end == "end_without_loop":
+                assert bus.runtime.end_without_loop() == ""
+            await bus.close()
+            eventually(lambda: words[-1:] == ["clear"], "Clear")
+            assert is_in_order([OLD.hex(), *words], live=OLD.hex(), safe="a55a")
+        assert not runs(process_of(bus))
+        assert not [text for text in told if "was killed" in text]
+
+
 async def test_the_end_of_a_bus_with_a_stopped_process_reports_the_watchdogs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -269,7 +296,7 @@ async def test_the_end_of_a_bus_with_a_stopped_process_reports_the_watchdogs(
     told: list[str] = []
     slave = VALVES | {"watchdog_ms": 500}
     async with ready_bus(slave, on_event=lambda event: told.append(event.text)) as (bus, _there):
-        os.kill(process_of(bus), signal.SIGSTOP)
+        stop_for_good(monkeypatch, process_of(bus))
         await until(lambda: not bus.slave("valves").ready_now, "the silence")
     assert "The slaves' watchdogs make their outputs safe within 500 ms" in told[-1]
     assert "it did not answer at the end of the bus and was killed" in told[-1]
