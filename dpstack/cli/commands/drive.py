@@ -33,7 +33,7 @@ from dpstack.cli.commands.lists import show_comparison, show_dump
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.drawing import progress_bar
-from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
+from dpstack.cli.terminal.nonblocking_stdout import reader_watched, run_unhurried
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import DpError, DriveError, DriveFault, SlaveFault, UsageError
 from dpstack.profile import MOVING, DriveCore, ListedParam
@@ -100,7 +100,8 @@ class _Command:
             if drive is not None:
                 with drive.client:
                     return await self._through_run(drive, stop)
-            code = await self._as_master(stop)
+            with reader_watched():
+                code = await self._as_master(stop)
             return INTERRUPTED if stop.hurried else code
 
     async def _through_run(self, drive: RemoteDrive, stop: StopSignal) -> int:

@@ -21,7 +21,7 @@ from dpstack.cli.commands.on_bus import reachable, refuse_application_watchdog
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import causes, output
 from dpstack.cli.terminal.live_screen import live_screen
-from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
+from dpstack.cli.terminal.nonblocking_stdout import reader_watched, run_unhurried
 from dpstack.cli.terminal.report import Reporter, clear_text, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.cli.terminal.suspension import Suspension
@@ -108,6 +108,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
     report = None if args.report is None else RunReport(args.report, config)
     files = RunFiles(args.record, args.log, on_change=args.on_change, rotate=args.rotate)
     with files, report or contextlib.nullcontext(), StopSignal() as stop, contextlib.ExitStack() as stack:
+        stack.enter_context(reader_watched())
 
         def on_event(event: Event) -> None:
             files.event(bus, event)

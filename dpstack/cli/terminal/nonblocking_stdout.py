@@ -7,8 +7,11 @@ is bounded; output beyond it is dropped and counted, and a notice with the count
 from __future__ import annotations
 
 import asyncio
+import errno
 import io
 import os
+import select
+import stat
 import sys
 import threading
 from collections import deque
@@ -127,6 +130,31 @@ def run_unhurried(work: Coroutine[object, object, int], *, json: bool) -> int:
     """Run ``work``; no output of it waits for a reader."""
     with _unhurried(json=json):
         return asyncio.run(work)
+
+
+@contextmanager
+def reader_watched() -> Iterator[None]:
+    """Within, standard output counts as lost as soon as the reader of its pipe has gone, not at the next write.
+
+    Needs a running loop. No effect where standard output is no pipe, or the system is not Linux.
+    """
+    fd, loop = _descriptor(sys.stdout), asyncio.get_running_loop()
+    if sys.platform != "linux" or fd is None or not stat.S_ISFIFO(os.fstat(fd).st_mode):
+        yield
+        return
+
+    def look() -> None:
+        loop.remove_reader(fd)
+        line = select.poll()
+        line.register(fd, 0)
+        if line.poll(0):
+            output.lose(BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)))
+
+    loop.add_reader(fd, look)  # a pipe without readers is "readable" for its writer
+    try:
+        yield
+    finally:
+        loop.remove_reader(fd)
 
 
 @contextmanager

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,7 +17,33 @@ import pytest
 from far_ends import HANG_S
 from programs import Starter, plant_of, wait_for_exchanges
 
-from dpstack.cli.terminal.nonblocking_stdout import LIMIT, Queue
+from dpstack.cli.terminal import output
+from dpstack.cli.terminal.nonblocking_stdout import LIMIT, Queue, reader_watched
+
+#: a bus about which `dpstack run` writes nothing after its beginning
+RAW = """
+[bus]
+port = "virtual"
+baud = 1500000
+
+[[slave]]
+name = "raw"
+address = 9
+ident = 0x1234
+config = "20 10"
+"""
+FAN = """
+[bus]
+port = "virtual"
+baud = 1500000
+
+[[slave]]
+name = "fan"
+address = 4
+drive = "fuji-frenic"
+ident = "ask"
+telegram = "PPO3"
+"""
 
 
 @pytest.fixture
@@ -80,6 +108,46 @@ def test_a_reader_that_goes_away_is_told_once() -> None:
     assert waiting.drained(writing)
     assert [type(error) for error in lost] == [BrokenPipeError]
     os.close(writing)
+
+
+async def test_a_reader_that_goes_away_is_noticed_without_a_write(monkeypatch: pytest.MonkeyPatch) -> None:
+    reading, writing = os.pipe()
+    gone = asyncio.Event()
+    monkeypatch.setattr(output, "lost", output.Lost(on_lost=gone.set))
+    with os.fdopen(writing, "w") as out:
+        monkeypatch.setattr(sys, "stdout", out)
+        with reader_watched():
+            for _ in range(3):
+                await asyncio.sleep(0)
+            assert not gone.is_set()
+            os.close(reading)
+            await asyncio.wait_for(gone.wait(), HANG_S)
+    assert isinstance(output.lost.error, BrokenPipeError)
+
+
+@pytest.mark.parametrize(
+    ("plant", "command", "last_line"),
+    [
+        pytest.param(RAW, ["run", "--json"], '"operate"', id="run"),
+        pytest.param(
+            FAN, ["drive", "fan", "start", "speed", "0.5"], "running at (49|50)", id="drive", marks=pytest.mark.soak
+        ),
+    ],
+)
+def test_the_loss_of_its_reader_ends_a_master_that_writes_nothing(
+    tmp_path: Path, plant: str, command: list[str], last_line: str
+) -> None:
+    config = tmp_path / "plant.toml"
+    config.write_text(plant, encoding="utf-8")
+    program = [sys.executable, "-m", "dpstack.cli.main", command[0], str(config), *command[1:]]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as master:
+        try:
+            assert master.stdout is not None
+            assert any(re.search(last_line, line) for line in master.stdout)
+            master.stdout.close()
+            assert master.wait(HANG_S) == 1
+        finally:
+            master.kill()
 
 
 def test_run_keeps_its_bus_going_when_nobody_reads(tmp_path: Path, start: Starter, full_pipe: tuple[int, int]) -> None:
