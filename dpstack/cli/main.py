@@ -7,6 +7,7 @@ line, without a traceback.
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -84,6 +85,10 @@ def _execute(args: argparse.Namespace) -> int:
         code = _say(error, 2)
     except DpError as error:
         code = _say(error, 1)
+    except OSError as error:
+        if error.errno not in (errno.EMFILE, errno.ENFILE):
+            raise
+        code = _say(UsageError(f"no file descriptors left ({error.strerror}): raise that limit (ulimit -n)"), 1)
     with output.guarded():
         sys.stdout.flush()
     return code or int(output.lost.error is not None)

@@ -12,6 +12,8 @@ import pytest
 from cli_kit import Cli
 from far_ends import PtyFarEnd
 
+from dpstack.api.config.config import Config
+from dpstack.cli.commands import run
 from dpstack.ports import termios2
 
 PLANT = """
@@ -72,3 +74,15 @@ def test_a_rate_the_driver_refuses(far: PtyFarEnd, tmp_path: Path, cli: Cli, mon
     assert refusal(far, tmp_path, cli) == (
         f"dpstack: {far.path} refuses 12 Mbit/s 8E1 (Invalid argument): choose another rate or adapter"
     )
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE])
+def test_no_file_descriptors_left(number: int, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python raises a plain OSError where it cannot import a module or make an event loop for the command."""
+
+    def refuse(_name: str) -> Config:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(run, "load_config", refuse)
+    _, err = cli("run", "plant.toml", code=1)
+    assert err.strip() == f"dpstack: no file descriptors left ({os.strerror(number)}): raise that limit (ulimit -n)"
