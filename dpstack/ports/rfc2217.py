@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import select
+import selectors
 import threading
 import warnings
 from typing import Any, Final
@@ -25,6 +25,8 @@ _READ_S: Final = 0.2
 _INBOX: Final = 30_080
 #: Octets that wait in pyserial at most; TCP holds back the rest.
 _BACKLOG: Final = 65_536
+#: poll() has no greatest descriptor, select() has (1023); not every system has poll()
+_Selector: Final = getattr(selectors, "PollSelector", selectors.SelectSelector)
 
 
 class _Client(serial.rfc2217.Serial):  # type: ignore[misc]
@@ -64,6 +66,7 @@ class Rfc2217Port(Port):
         self._listen = listen
         host_and_port(name, "rfc2217")
         self._serial: Any = None
+        self._writable: Any = None  # a selector that has the socket
         self._lock = threading.Lock()
         self._inbox = bytearray()
         self._failure = ""
@@ -77,6 +80,8 @@ class Rfc2217Port(Port):
         except asyncio.CancelledError:
             opening.add_done_callback(_close_late)
             raise
+        self._writable = _Selector()
+        self._writable.register(port._socket, selectors.EVENT_WRITE)
         self._serial = port
         self._failure = ""
         self._inbox.clear()
@@ -91,7 +96,7 @@ class Rfc2217Port(Port):
     def _send(self, octets: bytes) -> int:
         port = self._serial
         # pyserial has no time-out for writing here: ask before. A socket that is ready takes a telegram whole.
-        if port is None or self._listen or not select.select((), (port._socket,), (), 0)[1]:
+        if port is None or self._listen or not self._writable.select(0):
             return 0
         port.write(octets)
         return len(octets)
@@ -101,6 +106,7 @@ class Rfc2217Port(Port):
         self.detach()
         port, self._serial = self._serial, None
         if port is not None:
+            self._writable.close()
             threading.Thread(target=_hang_up, args=(port,), name=f"closing {self.name}", daemon=True).start()
 
     def _open_serial(self) -> Any:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import resource
 import socket
 import termios
 import threading
 import time
 import tty
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import serial
@@ -168,6 +169,22 @@ class Rfc2217FarEnd(FarEnd):
                     while chunk := client.recv(4096):
                         self._got += b"".join(self._manager.filter(chunk))
                         self._reading.wait()
+
+
+@contextlib.contextmanager
+def many_files_open() -> Iterator[None]:
+    """The lowest free descriptor is beyond what select() can wait for."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 2048)), hard))
+    files = [os.open(os.devnull, os.O_RDONLY)]
+    try:
+        while files[-1] < 1030:
+            files.append(os.dup(files[0]))
+        yield
+    finally:
+        for fd in files:
+            os.close(fd)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def set_rate(fd: int, speed: int) -> None:

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import pytest
-from far_ends import FarEnd, PtyFarEnd, Rfc2217FarEnd, TcpFarEnd, open_slave, until
+from far_ends import FarEnd, PtyFarEnd, Rfc2217FarEnd, TcpFarEnd, many_files_open, open_slave, until
 from memory_port import MemoryPort, memory_pair
 
 from dpstack.errors import BaudError, PortError
@@ -307,6 +307,21 @@ class TestRfc2217(PortContract, Reopens):
         await until(lambda: port.discarded > 0, "octets thrown away")
         assert 0 < len(port.read_now()) < 100_000
         assert port.damage() == {"discarded": port.discarded}
+
+
+@pytest.mark.parametrize("kind", [TestTty, TestSocket, TestRfc2217])
+async def test_a_program_with_a_thousand_open_files(kind: type[PortContract]) -> None:
+    """select() takes no descriptor of 1024 and more. pyserial's own serial ports use it: TestPySerial is not here."""
+    heard = Heard()
+    with many_files_open():
+        port, far, shut = await kind().make()
+        port.attach(asyncio.get_running_loop(), heard.data, heard.gone)
+        far.send(b"in")
+        assert await heard.wait(2) == b"in"
+        assert port.write(b"out")
+        assert await far.recv(3) == b"out"
+        port.close()
+        shut()
 
 
 class MemoryFarEnd:

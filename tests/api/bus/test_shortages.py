@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 import os
-import resource
 import signal
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import ends_plugin
 import pytest
 from ends_kit import after_live, heard, is_in_order
 from ends_programs import Ways
-from far_ends import until
+from far_ends import many_files_open, until
 from process_kit import DRIVERS, LAMPS_SPEC, SPEC, Driver, eventually, octet_slaves
 
 import dpstack
@@ -122,22 +120,6 @@ def test_no_memory_for_the_end_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> N
         eventually(lambda: words[-1] == "clear", "Clear")
         assert is_in_order(words, live=LIVE, safe=SAFE)
         assert "bus: MemoryError at the end, which was made without the event loop" in live.told
-
-
-@contextlib.contextmanager
-def many_files_open() -> Iterator[None]:
-    """The lowest free descriptor is beyond what select() can wait for."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 2048)), hard))
-    files = [os.open(os.devnull, os.O_RDONLY)]
-    try:
-        while files[-1] < 1030:
-            files.append(os.dup(files[0]))
-        yield
-    finally:
-        for fd in files:
-            os.close(fd)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 @pytest.mark.parametrize("driver", DRIVERS)
