@@ -24,6 +24,9 @@ from dpstack.drivers.stack import Stack
 from dpstack.machine import Machine
 from dpstack.trace import Event
 
+#: of applications that are stopped; long enough for a busy computer
+APPLICATION_WATCHDOG_MS = 2000
+
 
 class MisuseError(Exception):
     """Raised by the code of a user."""
@@ -50,6 +53,22 @@ class Faults(Ways):
             await asyncio.sleep(LONG_S)
 
         self.run(then)
+
+    def waits_alive(self) -> None:
+        """As ``waits``; while the program runs it calls ``bus.alive()``."""
+
+        async def main() -> None:
+            async with self.bus(application_watchdog_ms=APPLICATION_WATCHDOG_MS) as bus:
+                calls = asyncio.ensure_future(self.alive(bus))
+                await self.live(bus)
+                await calls
+
+        asyncio.run(main())
+
+    async def alive(self, bus: dpstack.Bus) -> None:
+        while True:
+            bus.alive()
+            await asyncio.sleep(0.05)
 
     # --- exceptions in plugins ---
     async def attach(self, bus: dpstack.Bus, name: str) -> None:
@@ -236,6 +255,18 @@ class Faults(Ways):
         self.the_block_ends()
 
     # --- no memory ---
+    def no_memory_before_the_start(self) -> None:
+        """1 MiB of addresses is left as the bus is opened; an open bus keeps 2 MiB for its end."""
+        bus = self.bus()
+        soft = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() + (1 << 20)
+        resource.setrlimit(resource.RLIMIT_AS, (soft, soft))
+
+        async def main() -> None:
+            async with bus:
+                await self.live(bus)
+
+        asyncio.run(main())
+
     def memory_error_in_the_block(self) -> None:
         async def then(_: dpstack.Bus) -> None:
             raise MemoryError

@@ -49,9 +49,9 @@ class Ways:
         self.bus_left: dpstack.Bus | None = None
         self.is_live = False
 
-    def bus(self) -> dpstack.Bus:
+    def bus(self, **more: object) -> dpstack.Bus:
         driver: Driver = "process" if self.driver == "process" else "asyncio"
-        return bus_on(self.path, driver, *SLAVES, on_event=self.on_event, after_stall="safe")
+        return bus_on(self.path, driver, *SLAVES, on_event=self.on_event, after_stall="safe", **more)
 
     def on_event(self, event: Event) -> None:
         if self.is_live and severity_of(event) is not Severity.INFO:

@@ -127,6 +127,7 @@ class Program:
         self.folder = folder
         self.written: dict[str, list[str]] = {"out": [], "err": []}
         self.terminal = -1
+        self.unread = -1  # of standard output, which nobody reads
         path = os.pathsep.join([str(KITS), str(ROOT)])
         environment = os.environ | {"PYTHONPATH": path, "XDG_RUNTIME_DIR": str(folder)}
         environment |= row.environment
@@ -139,6 +140,8 @@ class Program:
         else:
             command = [sys.executable, str(KITS / "ends_faults.py"), link, row.driver, row.way]
         stdin = stdout = subprocess.PIPE
+        if row.reader_goes:
+            self.unread, stdout = os.pipe()
         if row.terminal:
             self.terminal, theirs = os.openpty()
             stdin = stdout = theirs
@@ -188,7 +191,7 @@ class Program:
             code = self.process.poll()
             if code is not None:
                 return f"killed by {name_of(-code)}" if code < 0 else str(code)
-            if state_of(self.pid) == "T" and self.row.group == "signal":
+            if state_of(self.pid) == "T" and self.row.group in ("signal", "stopped"):
                 return "stopped"
             if "goes on" in self.written["out"]:
                 return "goes on"
@@ -217,8 +220,10 @@ class Program:
             for pipe in (self.process.stdout, self.process.stderr):
                 if pipe is not None:
                     pipe.close()
-        if self.terminal >= 0:
-            os.close(self.terminal)
+        for fd in (self.terminal, self.unread):
+            if fd >= 0:
+                os.close(fd)
+        self.terminal = self.unread = -1
 
 
 Act = Callable[["Program", Recorder], None]
@@ -227,7 +232,9 @@ Act = Callable[["Program", Recorder], None]
 @dataclass
 class Row:
     """One row. ``program``: application, run. ``way``: of ``ends_faults``; ``act``: what happens to it once its outputs
-    are live, where it does nothing itself. ``may_go_on``: it may outlive this. ``quick``: measured in ``make test``."""
+    are live, where it does nothing itself. ``may_go_on``: it may outlive this. ``quick``: measured in ``make test``.
+    ``reader_goes``: its standard output is a pipe that ``act`` closes. ``may_tell``: the beginning of a text that it
+    tells at some loads of the computer only; it is left out."""
 
     group: str
     text: str
@@ -238,11 +245,13 @@ class Row:
     may_go_on: bool = False
     quick: bool = False
     terminal: bool = False
+    reader_goes: bool = False
     stdout: str | None = None
     arguments: tuple[str, ...] = ()
     environment: dict[str, str] = field(default_factory=dict)
     limits: dict[int, int] = field(default_factory=dict)
     ignored: int = 0
+    may_tell: str | None = None
 
     @property
     def key(self) -> str:
@@ -293,12 +302,48 @@ def close_terminal(program: Program, _: Recorder) -> None:
     program.terminal = -1
 
 
-def stop_and_go_on(program: Program, recorder: Recorder) -> None:
-    """Stopped until the watchdog has acted, then continued."""
+def lose_reader(program: Program, _: Recorder) -> None:
+    os.close(program.unread)
+    program.unread = -1
+
+
+def stop(program: Program, recorder: Recorder) -> None:
+    """Stopped until outputs are safe; with a bus process and no watchdog for the time in which they would be."""
     os.kill(program.pid, signal.SIGSTOP)
-    wait_for(lambda: recorder.record("look")["4"]["expired_ms"] is not None, "the watchdog")
+    if program.row.way == "waits_alive":
+        wait_for(lambda: "clear" in recorder.record("look")["4"]["words"], "Clear")
+    elif program.row.driver == "asyncio":
+        wait_for(functools.partial(watchdog_acted, recorder), "the watchdog")
+    else:
+        time.sleep(1.5 * WATCHDOG_MS / 1000)
+
+
+def stop_and_go_on(program: Program, recorder: Recorder) -> None:
+    stop(program, recorder)
     os.kill(program.pid, signal.SIGCONT)
     wait_for(functools.partial(exchanges, recorder), "data exchange")
+
+
+def stop_bus_process(program: Program, recorder: Recorder) -> None:
+    """Stopped until the watchdog has acted, and the program knows of it."""
+    os.kill(program.bus_process, signal.SIGSTOP)
+    wait_for(functools.partial(watchdog_acted, recorder), "the watchdog")
+    wait_for(lambda: any("no sign of life" in line for line in program.written["out"]), "the program's word")
+
+
+def stop_bus_process_and_go_on(program: Program, recorder: Recorder) -> None:
+    stop_bus_process(program, recorder)
+    os.kill(program.bus_process, signal.SIGCONT)
+    wait_for(functools.partial(exchanges, recorder), "data exchange")
+
+
+def stop_bus_process_and_end(program: Program, recorder: Recorder) -> None:
+    stop_bus_process(program, recorder)
+    os.kill(program.pid, signal.SIGINT)
+
+
+def watchdog_acted(recorder: Recorder) -> bool:
+    return recorder.record("look")["4"]["expired_ms"] is not None
 
 
 def wait_for(condition: Callable[[], bool], what: str, seconds: float = HANG_S) -> None:
@@ -385,6 +430,7 @@ WAYS: Final = {
     },
     "no memory": {
         "memory_error_in_the_block": "`MemoryError` leaves the block",
+        "no_memory_before_the_start": "before the bus is opened",
         "no_memory_in_the_block": "the block has used up all there is, and ends",
         "no_memory_in_the_machine": "`MemoryError` in the protocol machine",
     },
@@ -398,8 +444,17 @@ QUICK: Final = {
 }
 #: of the real-time signals, which are alike, the first and the last
 SIGNALS: Final = sorted(n for n in signal.valid_signals() if not signal.SIGRTMIN < n < signal.SIGRTMAX)
-#: of a terminal, and that end a program; SIGSTOP: tests/drivers/process
-TO_BUS_PROCESS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGTERM, signal.SIGUSR1, signal.SIGKILL)
+#: of a terminal, and that end a program
+TO_BUS_PROCESS: Final = (
+    *(signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGTERM, signal.SIGUSR1),
+    *(signal.SIGSEGV, signal.SIGKILL),
+)
+STOPS: Final = {
+    "stopped (SIGSTOP)": stop_bus_process,
+    "stopped (SIGSTOP), and goes on": stop_bus_process_and_go_on,
+}
+#: file descriptors with which ``dpstack run`` begins, but cannot open its bus
+FEW_HANDLES: Final = {"asyncio": 6, "process": 10}
 #: at the start of ``dpstack run`` and of applications: no room for the memory that bus process and application share
 SMALL: Final = {resource.RLIMIT_FSIZE: 1 << 20}
 
@@ -415,7 +470,7 @@ def rows() -> list[Row]:
     for driver in DRIVERS:
         for program in ("application", "run"):
             make = functools.partial(Row, driver=driver, program=program)
-            if driver == "asyncio":
+            if driver == "asyncio" or program == "application":
                 found.append(make("stopped", "by SIGSTOP, and goes on", act=stop_and_go_on, may_go_on=True))
             found += [
                 *(make("signal", name_of(n), act=send(n), may_go_on=True) for n in SIGNALS),
@@ -425,19 +480,35 @@ def rows() -> list[Row]:
                 make("full disk", "of shared memory, before the bus is opened", limits=SMALL, act=send(signal.SIGINT)),
             ]
         run = functools.partial(Row, driver=driver, program="run")
+        few = {resource.RLIMIT_NOFILE: FEW_HANDLES[driver]}
         files = ("--record", "FOLDER/rows.csv", "--log", "FOLDER/events.log")
         found += [
+            run("no handles", "too few of them to open the bus", limits=few),
             run("no handles", "while the bus runs, and SIGTERM", act=no_handles),
             run("no memory", "while the bus runs, and SIGTERM", act=no_memory),
         ]
+        for option in ("--plain", "--json"):
+            text = f"its reader has gone (`{option}`)"
+            found.append(run("standard output", text, reader_goes=True, arguments=(option,), act=lose_reader))
         nohup = functools.partial(run, ignored=signal.SIGHUP, terminal=True, may_go_on=True)
         found += [
             nohup("terminal", "closed, and SIGHUP is ignored (nohup)", act=close_terminal),
             run("full disk", "of standard output", stdout="out.jsonl", arguments=("--json",), act=full_disk),
             run("full disk", "of recording and log", arguments=files, act=full_disk),
         ]
-    make = functools.partial(Row, driver="process", may_go_on=True)
-    found += [make("bus process", name_of(n), act=send_to_bus_process(n)) for n in TO_BUS_PROCESS]
+    for program in ("application", "run"):
+        make = functools.partial(Row, driver="process", program=program, may_go_on=True)
+        found += [make("bus process", name_of(n), act=send_to_bus_process(n)) for n in TO_BUS_PROCESS]
+        found += [make("bus process", text, act=act) for text, act in STOPS.items()]
+        # noticed if a telegram is due before the bus process reads the order to end
+        text = "stopped (SIGSTOP), and the program gets SIGINT"
+        found.append(make("bus process", text, act=stop_bus_process_and_end, may_tell="Stalled"))
+    watched = functools.partial(Row, "stopped", driver="process", way="waits_alive", may_go_on=True)
+    found += [
+        watched("by SIGSTOP, with `application_watchdog_ms`", act=stop),
+        watched("by SIGSTOP, with `application_watchdog_ms`, and goes on", act=stop_and_go_on),
+        Row("no handles", "too few of them to open the bus", "process", act=send(signal.SIGINT), limits=few),
+    ]
     return found
 
 
@@ -540,7 +611,8 @@ def told(program: Program) -> str:
     """Events, log and standard error, the first sentence of each."""
     lines = [line.removeprefix("event: ") for line in program.written["out"] if line.startswith("event: ")]
     lines += [line.removeprefix("dpstack.errors.") for line in program.written["err"]]
-    lines = [line for line in lines if not _NO_STORY.search(line)]
+    unsure = program.row.may_tell
+    lines = [line for line in lines if not (_NO_STORY.search(line) or (unsure and line.startswith(unsure)))]
     return " / ".join(dict.fromkeys(map(plain, lines)))
 
 
