@@ -50,6 +50,7 @@ MAY: dict[str, set[str]] = {
     "api": DP | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor", "record", "live", "why"},
     "wireshark": {"api", "capture"} | PURE_BASE,
     "service": PURE_BASE,
+    "logs": {"text"},
     "web": {"api", "live", "ports", "record"} | PURE_BASE,
     "screen": {"api", "live", "ports", "why"} | PURE_BASE,
     "cli": {

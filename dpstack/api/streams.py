@@ -178,11 +178,12 @@ class Flapping:
 
 
 class Events:
-    """Distributes the events of a bus to streams and ``on_event``. A new stream begins with the last ``DEPTH`` events
-    before it."""
+    """Distributes the events of a bus to streams, ``log`` and ``on_event``. A new stream begins with the last ``DEPTH``
+    events before it."""
 
-    def __init__(self, on_event: OnEvent | None) -> None:
+    def __init__(self, on_event: OnEvent | None, log: OnEvent) -> None:
         self._on_event = on_event
+        self._log = log
         #: called for each event, beside streams and ``on_event``
         self.listener: OnEvent | None = None
         self._history: deque[Event] = deque(maxlen=DEPTH)
@@ -206,6 +207,7 @@ class Events:
             stream.put(event)
         if self.listener is not None:
             self.listener(event)
+        self._log(event)
         call_on_event(self._on_event, event)
 
     @property

@@ -4,6 +4,7 @@
 - ``compose``: Construction of the objects behind a bus: plan, master, station, runtime, drive plugins
 - ``cycles``: ``bus.cycles()``: consistent inputs of all slaves, once a round of data exchange
 - ``driver_choice``: The choice of the driver: asyncio, process or virtual
+- ``event_logging``: Events of a bus as records of ``logging``
 - ``events_json``: Events of a bus for applications, their severity and their JSON
 - ``find_baud``: Search for the baud rate of a bus: listens at one rate after the other and never sends
 - ``live``: ``bus.live()``: plant, snapshots and events of a bus as one stream

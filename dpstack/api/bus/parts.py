@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Final
 
 from dpstack.api.bus.compose import Parts
+from dpstack.api.bus.event_logging import EventLogging
 from dpstack.api.bus.plan_checks import refuse_misfit
 from dpstack.api.config.config import AUTO, Config
 from dpstack.api.config.slave import SlaveConfig
@@ -50,7 +51,7 @@ class BusBase:
         self.services = Services(self.command, self.order, lambda: self.is_open)
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, Drive] = {}
-        self._events = Events(on_event)
+        self._events = Events(on_event, EventLogging(lambda: (self.started_ns, self.runtime.port_name)))
         self._waiters = Waiters()
         self._open = False
         self._ending: asyncio.Task[None] | None = None

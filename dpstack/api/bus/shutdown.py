@@ -23,6 +23,7 @@ from time import monotonic
 from types import FrameType
 from typing import Final
 
+from dpstack.api.bus.event_logging import log_or_print
 from dpstack.api.bus.parts import BusBase
 from dpstack.dp.master.commands import Mode
 from dpstack.drivers.futures import wait_through_cancellation
@@ -32,8 +33,6 @@ from dpstack.errors import BusError, DpError, UsageError
 from dpstack.text import printable
 from dpstack.trace import Event, Severity
 from dpstack.units import NS_PER_MS, ns_to_s
-
-_log: Final = logging.getLogger("dpstack")
 
 #: the :class:`OrderedEnd` of every open bus of this process
 _open: weakref.WeakSet[OrderedEnd] = weakref.WeakSet()
@@ -258,7 +257,7 @@ class OrderedEnd:
             if loop is not None and loop.is_running():  # in a daemon thread
                 with contextlib.suppress(Exception):
                     asyncio.run_coroutine_threadsafe(self._close(), loop).result(bus.end_limit_s)
-                    _log.warning("%s was still open as the program ended and was closed then", where)
+                    log_or_print(logging.WARNING, f"{where} was still open as the program ended and was closed then")
                     return
             self._end_now(f"{where} was not closed before its event loop was (use `async with`)")
 
@@ -278,9 +277,10 @@ class OrderedEnd:
         self._drop_keeper()
         self.failed = bool(exchanging and why)
         if not why:
-            _log.warning("%s: safe values and Clear were sent at the last moment", how)
+            log_or_print(logging.WARNING, f"{how}: safe values and Clear were sent at the last moment")
         elif exchanging:
-            _log.error("%s, and safe values and Clear could not be sent: %s. %s", how, why, at_slaves(exchanging))
+            text = f"{how}, and safe values and Clear could not be sent: {why}. {at_slaves(exchanging)}"
+            log_or_print(logging.ERROR, text)
 
     async def elsewhere(self) -> bool:
         """Close the bus for a caller outside of the bus's event loop; False where the caller is in that loop.

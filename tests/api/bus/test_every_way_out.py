@@ -103,7 +103,12 @@ def test_within_this_process(way: str, caplog: pytest.LogCaptureFixture) -> None
         with contextlib.nullcontext() if raised is None else pytest.raises(raised):
             getattr(Ways(path, "asyncio"), way)()
         eventually(lambda: bool(words) and words[-1] == "clear", "Clear")
-        check(way, words, "\n".join(record.getMessage() for record in caplog.records if record.name == "dpstack"))
+        check(way, words, "\n".join(record.getMessage() for record in remarks(caplog)))
+
+
+def remarks(caplog: pytest.LogCaptureFixture) -> list[logging.LogRecord]:
+    """Records about the end; not those of events."""
+    return [record for record in caplog.records if record.name == "dpstack"]
 
 
 def closed_loop(path: str, before_it_is_closed: Callable[[], None]) -> dpstack.Bus:
@@ -120,7 +125,7 @@ def test_the_finaliser_sends_nothing_where_somebody_else_sends(caplog: pytest.Lo
     """A token between two others arrived when the loop stood still: ours is gone."""
     with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
         bus = closed_loop(path, lambda: foreign_token(there))
-        (record,) = caplog.records
+        (record,) = remarks(caplog)
         assert record.levelno == logging.ERROR
         assert "could not be sent: somebody else sends on the bus" in record.getMessage()
         assert "The slaves' watchdogs make their outputs safe within" in record.getMessage()
@@ -142,7 +147,7 @@ def test_the_finaliser_sends_nothing_beside_other_masters(
         closed_loop(
             path, lambda: monkeypatch.setattr(ActiveStation, "las", property(lambda _station: frozenset({2, 7, 9})))
         )
-        (record,) = caplog.records
+        (record,) = remarks(caplog)
         assert (
             "masters 7, 9 may hold the token by now, and without the token nothing may be sent" in record.getMessage()
         )
@@ -205,7 +210,7 @@ def test_another_task_blocks_the_loop_for_longer_than_the_end_waits(monkeypatch:
 def test_a_closed_bus_leaves_no_finaliser(caplog: pytest.LogCaptureFixture) -> None:
     with octet_slaves(SPEC, LAMPS_SPEC) as (path, _there):
         Ways(path, "asyncio").the_block_ends()
-        assert caplog.records == []
+        assert remarks(caplog) == []
 
 
 @pytest.mark.parametrize("then", ["closed", "goes on"])
