@@ -29,7 +29,7 @@ from dpstack.dp.master.commands import DeactivateSlave
 from dpstack.dp.master.events import SlaveDiagnosis, SlaveState
 from dpstack.dp.pdu.diag_bits import FLAGS, Reaction, SetBy
 from dpstack.gsd.diag_texts import DiagTexts
-from dpstack.gsd.model import Device, Diagnosis, DiagText
+from dpstack.gsd.model import Device, Diagnosis, DiagText, Module
 
 
 def inputs_valid(bus: ScriptedLink) -> bool:
@@ -170,6 +170,15 @@ def test_extended_diagnosis_is_told_in_words() -> None:
     channel = "input channel 3 (word)"
     assert told[3] == ("24 V is missing", "slots with a diagnosis: 4, 6", f"slot 6, {channel}: sensor dirty")
     assert told[4] == ("device: 01 00", "slots with a diagnosis: 1, 3", f"slot 3, {channel}: error 16")
+
+
+def test_slots_with_a_diagnosis_have_the_names_of_their_modules() -> None:
+    texts = DiagTexts(Device(modul_offset=4), (Module("AI 4", b"\x10"), None, Module("DO 8", b"\x20")))
+    bus = link(setup(3, texts=texts))
+    bus.slave.ready = bytes.fromhex("08 0C 00 02 06 96 42 07")
+    bus.run(20 * MS)
+    (told,) = (event.texts for event in bus.events_of(SlaveDiagnosis) if event.texts)
+    assert told == ("slots with a diagnosis: 4 (AI 4), 5, 6 (DO 8)",)
 
 
 def test_lengths_that_lie_are_a_finding_and_nothing_more() -> None:
