@@ -197,6 +197,12 @@ class ScriptedLink(KeepsEvents):
         while self.now < end:
             self.hold()
 
+    def run_long(self, ns: int) -> None:
+        """As :meth:`run`, with a hold every 2 ms: seconds of waiting cost a twentieth of the time."""
+        before, self.period = self.period, 2 * MS
+        self.run(ns)
+        self.period = before
+
     def send(self, order: object) -> None:
         """Give the master an order now."""
         self.master.command(order, self.now)

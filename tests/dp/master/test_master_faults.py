@@ -35,7 +35,7 @@ from dpstack.fdl.telegram import Kind, StationType, Telegram
 
 def test_absent_slave_backs_off_is_told_once_and_the_other_goes_on() -> None:
     bus = link(setup(3), setup(4), slaves={4: ScriptedSlave()})
-    bus.run(10_000 * MS)
+    bus.run_long(10_000 * MS)
     polls = [r for r in bus.requests if r.da == 3]
     # 0.1, 0.2, 0.4, 0.8, 1, 1 ... seconds
     assert 11 <= len(polls) <= 13
@@ -90,7 +90,7 @@ def test_ident_ask_takes_and_tells_what_is_found() -> None:
 @pytest.mark.parametrize("news", ["GAP", "diagnosis"])
 def test_another_device_in_place_of_a_wrong_one_is_taken_up_at_once(news: str) -> None:
     bus = link(setup(ident=0x0696), slaves={3: ScriptedSlave(free=bytes.fromhex("02 05 00 FF 43 21"))})
-    bus.run(20_000 * MS)  # its back-off is 10 s by now
+    bus.run_long(20_000 * MS)  # its back-off is 10 s by now
     handler = bus.master.handlers[3]
     assert bus.fault(3).kind.value == "wrong_ident"
     asked = [r for r in bus.requests if r.da == 3]
@@ -112,7 +112,7 @@ def test_another_device_in_place_of_a_wrong_one_is_taken_up_at_once(news: str) -
 
 def test_slave_of_another_master_is_never_parameterised() -> None:
     bus = link_to(free=DIAG_LOCKED)
-    bus.run(30_000 * MS)
+    bus.run_long(30_000 * MS)
     assert bus.faults(3) == ["locked"]
     assert not any(r.dsap in (61, 62, None) for r in bus.requests if r.da == 3)
     assert "owned by master 7" in bus.fault(3).message
@@ -130,7 +130,7 @@ def test_slave_that_a_master_left_locked_which_is_gone(octet_2: str, words: str)
     assert fault.message == "is still locked by master 7, which is not in the token ring (any more)"
     assert fault.remedy.startswith(words)
     bus.master.context.ring = lambda: {2, 7}
-    bus.run(12_000 * MS)
+    bus.run_long(12_000 * MS)
     assert "owned by master 7" in bus.fault(3).message
 
 
@@ -138,7 +138,7 @@ def test_slave_that_a_master_left_locked_which_is_gone(octet_2: str, words: str)
 def test_a_slave_whose_answers_cannot_be_read_is_lost_by_noise(why: Failure) -> None:
     bus = exchanging(setup(3), setup(4))
     bus.slaves[3] = ScriptedSlave(answers={None: lambda _: why, 60: lambda _: why})
-    bus.run(5_000 * MS)
+    bus.run_long(5_000 * MS)
     told = bus.only_fault()
     assert told.kind.value == "lost"
     assert told.message == "its answers to Data_Exchange cannot be read any more"
@@ -175,12 +175,12 @@ def test_refusals_name_the_reason_and_are_retried_with_back_off(status: str, kin
     assert fault.kind.value == kind
     assert words in fault.message
     assert fault.remedy
-    bus.run(40_000 * MS)
+    bus.run_long(40_000 * MS)
     attempts = sum(r.dsap == 61 for r in bus.requests)
     assert 5 <= attempts <= 8  # after 1, 2, 4, 8, 10, 10 s
     assert bus.only_fault() is fault  # reported once
     bus.slave.ready = DIAG_READY
-    bus.run(11_000 * MS)
+    bus.run_long(11_000 * MS)
     assert bus.state(3) is SlaveState.DATA_EXCHANGE
 
 
@@ -242,7 +242,7 @@ def test_a_slave_that_is_never_ready_is_asked_for_its_configuration(
     actual: bytes | None, words: str, remedy: str
 ) -> None:
     bus = link_to(ready=DIAG_NOT_READY, answers=_get_cfg(actual))
-    bus.run(10_500 * MS)
+    bus.run_long(10_500 * MS)
     told = bus.only_fault()
     assert told.kind.value == "not_ready"
     assert told.message.endswith(f"is not ready after 10 s (Station_Not_Ready): {words}")
@@ -369,7 +369,7 @@ def test_slave_that_flaps_is_not_reinitialised_for_ever() -> None:
 
     slave.answers[None] = refuse
     bus = link(setup(), slaves={3: slave})
-    bus.run(30_000 * MS)
+    bus.run_long(30_000 * MS)
     assert 4 <= sum(r.dsap == 61 for r in bus.requests) <= 7
 
 

@@ -56,7 +56,7 @@ def test_every_row_of_the_table_is_exercised(monkeypatch: pytest.MonkeyPatch) ->
     table = _Recorder()
     monkeypatch.setattr(slave_handler, "TABLE", table)
     # one service of the bring-up has another answer
-    link_to().run(3_000 * MS)
+    link_to().run_long(3_000 * MS)
     for sap, answer in (
         (60, _RS),
         (60, says(_OTHER)),
@@ -66,11 +66,11 @@ def test_every_row_of_the_table_is_exercised(monkeypatch: pytest.MonkeyPatch) ->
         (62, silent),
         (62, _RS),
     ):
-        link_to(answers={sap: answer}).run(3_000 * MS)
+        link_to(answers={sap: answer}).run_long(3_000 * MS)
     link(setup(), slaves={}).run(500 * MS)
     for ready in (DIAG_FREE, DIAG_PRM_FAULT, DIAG_LOCKED, _OTHER):
-        link_to(ready=ready).run(3_000 * MS)
-    link_to(ready=DIAG_NOT_READY).run(12_000 * MS)
+        link_to(ready=ready).run_long(3_000 * MS)
+    link_to(ready=DIAG_NOT_READY).run_long(12_000 * MS)
     half = link_to(answers={61: silent})
     half.hold()
     half.hold()
@@ -87,14 +87,14 @@ def test_every_row_of_the_table_is_exercised(monkeypatch: pytest.MonkeyPatch) ->
     for trouble in (_RS, refuses(0x02), says(b"\x01")):
         for later in ({}, {60: _RS}, {60: says(DIAG_LOCKED)}, {60: says(_OTHER)}, {60: silent}):
             bus = exchanging(setup())
-            bus.run(1_100 * MS)
+            bus.run_long(1_100 * MS)
             bus.slave.configured = False
             bus.slave.answers |= {None: trouble} | later
-            bus.run(2_500 * MS)
+            bus.run_long(2_500 * MS)
     for ready in (DIAG_STATIC, DIAG_FREE, DIAG_PRM_FAULT, DIAG_LOCKED, _OTHER, DIAG_READY):
         bus = exchanging(setup())
         bus.slave.answers = {None: high, 60: says(ready)}
-        bus.run(1_500 * MS)
+        bus.run_long(1_500 * MS)
     gone = exchanging(setup())
     gone.slaves.clear()
     gone.run(500 * MS)

@@ -198,7 +198,7 @@ def test_parameters_follow_a_fresh_diagnosis_after_a_pause() -> None:
     bus.run(500 * MS)
     slave.free = DIAG_LOCKED  # master 7
     bus.requests.clear()
-    bus.run(30_000 * MS)
+    bus.run_long(30_000 * MS)
     assert not any(r.dsap in (61, 62) for r in bus.requests)
     assert bus.faults(3)[-1] == "locked"
 

@@ -112,12 +112,12 @@ def test_a_slave_without_a_watchdog_gets_no_old_outputs_either() -> None:
 def test_a_restart_of_one_slave_changes_nothing() -> None:
     bus = running(3, 4)
     bus.slave.configured = False
-    bus.run(3_000 * MS)
+    bus.run_long(3_000 * MS)
     assert bus.states(3)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.OPERATE
     with bus.without(4):
-        bus.run(2_000 * MS)
-    bus.run(2_000 * MS)
+        bus.run_long(2_000 * MS)
+    bus.run_long(2_000 * MS)
     assert bus.states(4)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.OPERATE
 
@@ -125,7 +125,7 @@ def test_a_restart_of_one_slave_changes_nothing() -> None:
 def test_the_only_slave_may_restart() -> None:
     bus = running(3)
     bus.slave.configured = False
-    bus.run(3_000 * MS)
+    bus.run_long(3_000 * MS)
     assert bus.states(3)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.OPERATE
 
@@ -134,7 +134,7 @@ def test_all_slaves_want_parameters_at_once() -> None:
     """The clock shows no gap, but the watchdogs of all slaves ran out: the computer's clocks stood still."""
     bus = running(3, 4)
     bus.slave.configured = bus.slaves[4].configured = False
-    bus.run(3_000 * MS)
+    bus.run_long(3_000 * MS)
     assert bus.states(3)[-1] == bus.states(4)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.CLEAR
     refused = [r for r in bus.requests if r.dsap == 61]
@@ -161,7 +161,7 @@ def test_an_operate_after_it_stays_though_slaves_still_want_parameters() -> None
         bus.hold()
     assert "data_exchange" not in (bus.state(3).value, bus.state(4).value)
     bus.send(SetMode(Mode.OPERATE))
-    bus.run(3_000 * MS)
+    bus.run_long(3_000 * MS)
     assert bus.states(3)[-1] == bus.states(4)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.OPERATE
     assert len(bus.events_of(Stalled)) == 1
@@ -244,8 +244,8 @@ def test_a_port_that_comes_back_when_its_slaves_are_gone_lets_nothing_old_out() 
     bus.now += 400 * MS
     with bus.without(3):
         bus.send(LineUp())
-        bus.run(2_000 * MS)
-    bus.run(2_000 * MS)
+        bus.run_long(2_000 * MS)
+    bus.run_long(2_000 * MS)
     assert bus.states(3)[-1] == "data_exchange"
     assert outputs(bus) == [ZEROS]
 
@@ -282,7 +282,7 @@ def test_a_slow_bring_up_is_no_stall() -> None:
     bus.slave.ready = DIAG_NOT_READY  # Station_Not_Ready
     bus.run(1_000 * MS)
     bus.slave.ready = DIAG_READY
-    bus.run(2_000 * MS)
+    bus.run_long(2_000 * MS)
     assert bus.states(3)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.OPERATE
 
@@ -325,7 +325,7 @@ def test_operate_that_waits_for_slaves_ends_by_a_stall() -> None:
         bus.now += 500 * MS
         bus.run(10 * MS)
     assert len(bus.events_of(Stalled)) == 1
-    bus.run(2_000 * MS)
+    bus.run_long(2_000 * MS)
     assert bus.states(4)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.CLEAR
     assert outputs(bus) == [ZEROS]
@@ -335,7 +335,7 @@ def test_only_one_reason_for_one_clear() -> None:
     """The slaves are late for auto_clear, too."""
     bus = running(3, auto_clear=True, data_control_ns=300 * MS)
     bus.now += 2_000 * MS
-    bus.run(2_000 * MS)
+    bus.run_long(2_000 * MS)
     assert [type(e) for e in bus.events_of(ForcedClear)] == [Stalled]
 
 
@@ -368,7 +368,7 @@ def test_diag_free_is_what_a_slave_says_whose_watchdog_ran_out() -> None:
         slave.configured = False
         slave.free = DIAG_FREE
     bus.now += 800 * MS
-    bus.run(3_000 * MS)
+    bus.run_long(3_000 * MS)
     assert bus.states(3)[-1] == bus.states(4)[-1] == "data_exchange"
     assert outputs(bus, 3) == outputs(bus, 4) == [ZEROS]
     assert len(bus.events_of(Stalled)) == 1
@@ -420,7 +420,7 @@ def test_the_application_watchdog_is_armed_by_operate_and_off_in_clear() -> None
 def test_without_an_application_watchdog_alive_changes_nothing() -> None:
     bus = running(3)
     bus.send(Alive())
-    bus.run(2_000 * MS)
+    bus.run_long(2_000 * MS)
     assert mode_of(bus) is Mode.OPERATE
 
 

@@ -106,7 +106,7 @@ def test_row(case: str, after_stall: str) -> None:
     slaves = [setup(address, initial=RUN, safe=SAFE, watchdog_ms=watchdog) for address in (3, 4)]
     bus = operating(*slaves, safe_after_stall=after_stall == "safe", **OPTIONS.get(case, {}))
     CASES[case](bus)
-    bus.run(4_000 * MS)
+    bus.run_long(4_000 * MS)
     taken = [r for r in bus.requests if r.da == 4 and r.dsap is None]
     if case in ("silent", "missing", "prm_req"):  # the outputs stay live until it is noticed
         live = next((n for n, r in enumerate(taken) if r.data != RUN), 0)
