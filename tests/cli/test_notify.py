@@ -1,4 +1,4 @@
-"""What a service manager is sent: datagrams as sd_notify(3) has them, read from a socket of the test."""
+"""Datagrams to a service manager, as sd_notify(3) has them, read from a socket of the test."""
 
 from __future__ import annotations
 

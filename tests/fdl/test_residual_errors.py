@@ -87,7 +87,7 @@ def undetected(octets: int, per_bit: float) -> float:
 
 
 def changes() -> Counter[tuple[int, int]]:
-    """How often a character passes the parity check with the octet changed by so much (modulo 256), for so many errors,
+    """Number of ways in which a character passes the parity check, by the change of its octet (modulo 256) and errors,
     over all octets and all patterns of errors in it."""
     found: Counter[tuple[int, int]] = Counter()
     for octet in range(256):
@@ -155,7 +155,7 @@ def passing_burst(bits: int) -> float:
 
 @cache
 def burst_changes(hit: tuple[int, ...]) -> list[float]:
-    """How likely a character passes with its octet changed by so much, if the bits ``hit`` of it are random."""
+    """The probability that a character passes, by the change of its octet, if the bits ``hit`` of it are random."""
     found = [0.0] * 256
     data = [bit - 1 for bit in hit if 1 <= bit <= 8]
     for pattern in range(1 << len(data)):

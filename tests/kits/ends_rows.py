@@ -185,7 +185,7 @@ class Program:
         return thread
 
     def settle(self, acted: float, exchanges: Callable[[], bool]) -> str:
-        """What becomes of it: "stopped", "goes on", or how it ended. ``exchanges``: whether it exchanges data."""
+        """The outcome: "stopped", "goes on", or how the program ended. ``exchanges``: whether it exchanges data."""
         end = time.monotonic() + HANG_S
         while time.monotonic() < end:
             code = self.process.poll()

@@ -1,4 +1,4 @@
-"""What really was on the wire, and what devices and applications made of it, for the fault matrix.
+"""The truth for the fault matrix: the octets on the wire, and the data that devices and applications got.
 
 The wire is read from its log by the places of octets: nothing of the codec, of the decoder or of the state machines is
 used. The two ends put data on the bus that exist only once (:class:`Device` and :class:`Application`), so every octet
@@ -144,7 +144,7 @@ class Truth:
     # --- data ----------------------------------------------------------------------------------------------------
 
     def wrong_outputs(self, device: Device, address: int) -> int:
-        """How often the device got outputs that no master had put on the wire for it last."""
+        """Number of times that the device got outputs that no master had put on the wire for it last."""
         sent = [
             (entry.end_ns, data)
             for entry in self.entries
@@ -161,7 +161,7 @@ class Truth:
         return wrong
 
     def wrong_inputs(self, application: Application, devices: list[Device]) -> int:
-        """How often the application got inputs that are not the answer to its last outputs: never on the wire, of
+        """Number of inputs at the application that are not the answer to its last outputs: never on the wire, of
         another exchange, or older than those before. ``devices``: all that have its slave's address."""
         answers = {
             data

@@ -74,7 +74,7 @@ class Kernel:
         return self.clock() + self.asleep
 
     def true_time(self, at: int) -> int:
-        """When the driver's clock will show ``at``."""
+        """The time at which the driver's clock will show ``at``."""
         if at == NEVER:
             return NEVER
         at += self.behind
@@ -82,7 +82,7 @@ class Kernel:
         return at + end - begin if at > begin else at
 
     def true_end(self, timeout_ns: int) -> int:
-        """When ``timeout_ns`` from now is over by the driver's clock."""
+        """The time at which ``timeout_ns`` from now is over by the driver's clock."""
         begin, end = self.clock_stops
         now = self.now if self.now < begin else max(begin, self.now - (end - begin))
         return self.true_time(now - self.behind + timeout_ns)

@@ -23,11 +23,11 @@ from typing import Any, Final
 
 from process_kit import DRIVERS, Driver
 from soak_leftovers import belongings, children_of, handles_of, locks_of, memory, rss_of
+from soak_readers import StreamReaders
 
 import dpstack
 from dpstack.dp.master.events import CyclesMissed, SlaveStateChanged
 from dpstack.drivers.process.client import ProcessRuntime
-from dpstack.live.state import LiveState
 from dpstack.trace import Event
 
 _KITS: Final = Path(__file__).resolve().parent
@@ -76,10 +76,13 @@ class FarProcess:
         return found
 
 
-class PtyRun:
+class PtyRun(StreamReaders):
     """A bus of ``driver`` for ``seconds``; :attr:`faults` are the differences that were found."""
 
+    LIVE_S = 0.2
+
     def __init__(self, driver: Driver, seconds: float) -> None:
+        super().__init__()
         self.driver = driver
         self.seconds = seconds
         self.random = Random(driver)
@@ -88,9 +91,8 @@ class PtyRun:
         self.changes: list[str] = []
         self.acts: Counter[str] = Counter()
         self.errors: Counter[str] = Counter()
-        self.events: Counter[str] = Counter()
         self.drift_ns = 0
-        self.cycles = self.skipped = self.items = 0
+        self.cycles = self.skipped = 0
         self.samples: list[dict[str, int]] = []
         self.running = self.over = False
         self.far = FarProcess(max(1.0, seconds / _SAMPLES))
@@ -113,16 +115,6 @@ class PtyRun:
             self.changes.append(event.text)
 
     # --- readers and the program ------------------------------------------------------------------------------------
-
-    async def _read_events(self) -> None:
-        async for event in self.bus.events():
-            self.events[type(event).__name__] += 1
-
-    async def _read_live(self) -> None:
-        state = LiveState()
-        async for item in self.bus.live(0.2):
-            state.apply(item)
-            self.items += 1
 
     async def _exchange(self) -> None:
         """Outputs of every cycle; inputs are never torn, never older than those before, and never of the future."""
@@ -211,7 +203,7 @@ class PtyRun:
             await bus.ready(60)
             await bus.operate()
             self.running = True
-            readers = [asyncio.create_task(r()) for r in (self._read_events, self._read_live, self._exchange)]
+            readers = [asyncio.create_task(r()) for r in (self.read_events, self.read_live, self._exchange)]
             far.ask("begin")
             acting = asyncio.create_task(self._act_on())
             begun = self._places()

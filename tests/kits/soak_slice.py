@@ -17,12 +17,12 @@ from random import Random
 from typing import Any, Final
 
 from soak_leftovers import Memory, belongings, memory, stack_objects
+from soak_readers import StreamReaders
 from soak_wire import Grid, WireCount
 
 import dpstack
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.dp.master.events import DriveEvent
-from dpstack.live.state import LiveState
 from dpstack.profile import DriveDevice
 from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS
@@ -83,10 +83,11 @@ class Mark:
     rotations: int
 
 
-class Slice:
+class Slice(StreamReaders):
     """Slice ``number`` until ``wanted`` transmissions are :attr:`done`; :func:`run_slice` runs it."""
 
     def __init__(self, number: int, wanted: int) -> None:
+        super().__init__()
         self.number = number
         self.random = Random(number)
         self.cycle_ms = CYCLES_MS[number % len(CYCLES_MS)]
@@ -95,27 +96,14 @@ class Slice:
         self.wire = WireCount(MASTER)
         self.world.log.listener = self.wire
         self.acts: Counter[str] = Counter()
-        self.events: Counter[str] = Counter()
-        self.items = 0
         self.statuses = 0
         self.cycles = 0
         self.faults: list[str] = []
         self.memory: list[Memory] = []
         self.result: dict[str, Any] = {}
-        self.bus: dpstack.Bus
         self.bench: VirtualBench
 
     # --- readers ----------------------------------------------------------------------------------------------------
-
-    async def _read_events(self) -> None:
-        async for event in self.bus.events():
-            self.events[type(event).__name__] += 1
-
-    async def _read_live(self) -> None:
-        state = LiveState()
-        async for item in self.bus.live(0.5):
-            state.apply(item)
-            self.items += 1
 
     async def _read_statuses(self, drive: dpstack.Drive) -> None:
         async for _ in drive.statuses():
@@ -222,7 +210,7 @@ class Slice:
         cycle: dict[str, Any] = {"cycle_ms": self.cycle_ms} if self.cycle_ms else {}
         bus = self.bus = dpstack.open_bus(world=self.world, baud=BAUD, address=MASTER, slaves=slaves, **cycle)
         async with bus:
-            readers = [asyncio.create_task(r()) for r in (self._read_events, self._read_live, self._read_cycles)]
+            readers = [asyncio.create_task(r()) for r in (self.read_events, self.read_live, self._read_cycles)]
             readers += [asyncio.create_task(self._read_statuses(drive)) for drive in bus.drives[:3]]
             await bus.operate()
             await bus.ready()
@@ -247,7 +235,7 @@ class Slice:
 
     @property
     def done(self) -> int:
-        """How much of the number wanted is done."""
+        """The part of the number wanted that is done."""
         return self.wire.telegrams
 
     async def work(self) -> None:

@@ -1,4 +1,4 @@
-"""What counts memory and leftovers in the long runs finds what is there, and the judge of results tells it."""
+"""The counters of memory and leftovers in the long runs find leftovers, and the judge of results reports them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_memory_and_objects_of_the_stack_are_counted() -> None:
     kept.close()
 
 
-def test_every_kind_of_problem_is_told() -> None:
+def test_every_kind_of_problem_is_reported() -> None:
     flat: results.Line = {"faults": [], "leftovers": []}
     grid = {"earliest_ns": 0, "drift_ns": 0}
     piece = {**flat, "slice": 1, "rss_warm": 0, "rss_end": 1 << 20, "grid": grid, "before": 1, "objects_left": {}}

@@ -122,7 +122,7 @@ class SourceFile:
         return ast.parse(self.before)
 
     def place(self, line: int) -> Place:
-        """What stands at ``line``, from 1."""
+        """The text at ``line``, from 1."""
         within: list[ast.stmt] = []
         body: Sequence[ast.stmt] = self._tree.body
         while True:

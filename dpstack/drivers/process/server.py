@@ -149,7 +149,7 @@ class Host:
         idle = not self._questions
         try:
             self._questions += self._frames.feed(octets)
-        except (BusError, MemoryError) as error:  # what follows in the stream cannot be read any more
+        except (BusError, MemoryError) as error:  # the rest of the stream is lost
             self._loop.remove_reader(self._sock.fileno())
             self.end(str(error) or "it has no memory left")
             return

@@ -142,7 +142,7 @@ def test_the_reason_of_a_miss(
         assert told.reason.startswith("the round before took ")
 
 
-def test_misses_of_a_second_are_told_in_one_line_with_the_worst() -> None:
+def test_misses_of_a_second_are_reported_in_one_line_with_the_worst() -> None:
     cadence, context = cadence_of(100)
     cadence.begin(S, fixed=True, interval=0)
     cadence.started(S)

@@ -40,7 +40,7 @@ ALIVE = {"bus": BUS, "slaves": {"3": {"state": "data_exchange"}, "4": {"state": 
 
 
 class Liar:
-    """What stands in for the bus process: a socket, the shared memory, and a process id."""
+    """A stand-in for the bus process: a socket, the shared memory, and a process id."""
 
     pid = 4242
 

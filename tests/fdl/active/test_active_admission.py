@@ -42,7 +42,7 @@ def admission_of(patience: Patience = EXACT, *ring: int, known: bool = False) ->
         (PORT, True, 66 + 211 + 121 + 37, 3 * MS, 2 * MS),
     ],
 )
-def test_a_request_that_never_fits_is_told_once_with_its_duration(
+def test_a_request_that_never_fits_is_reported_once_with_its_duration(
     patience: Patience, known: bool, takes_bits: int, takes_ns: int, slack_ns: int
 ) -> None:
     admission = admission_of(patience, known=known)
@@ -59,7 +59,7 @@ def test_a_request_that_never_fits_is_told_once_with_its_duration(
     assert window.forced_service == ""
 
 
-def test_another_service_is_told_too() -> None:
+def test_another_service_is_reported_too() -> None:
     admission = admission_of()
     for _ in range(60):
         admission.window.begin(NOW)
@@ -270,7 +270,7 @@ def test_an_answer_to_a_station_without_request_is_late() -> None:
     assert (station.stats.late, station.stats.stations[3].late, station.stats.stray) == (1, 1, 1)
 
 
-def test_a_station_that_answers_wrongly_ten_times_is_told_with_the_time() -> None:
+def test_a_station_that_answers_wrongly_ten_times_is_reported_with_the_time() -> None:
     bus, _, _ = bus_with(Slave(answer=wrong_from(3) + DIAG_ANSWER), *[DIAG] * 12, mode="octets")
     bus.run_ms(40)
     (told,) = [event for event in bus.events_of(Notice) if "more answers than it gets requests" in event.message]

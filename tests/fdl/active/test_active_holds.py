@@ -415,7 +415,7 @@ def test_masters_heard_while_listening_are_noted() -> None:
     assert station.stats.without_token == [9]
 
 
-def test_a_lost_token_is_told_and_the_ring_is_kept() -> None:
+def test_a_lost_token_is_reported_and_the_ring_is_kept() -> None:
     bus = ring_of(2, 5, hsa=6)
     a, b = bus.stations
     bus.until(a, State.ACTIVE_IDLE)

@@ -149,7 +149,7 @@ def test_a_token_of_another_master_ends_the_claim_and_a_refused_one_does_not() -
     assert [*found, (membership.claimed, True)] == [(True, False), (True, True), (False, True)]
 
 
-def test_joining_and_leaving_are_told_once() -> None:
+def test_joining_and_leaving_are_reported_once() -> None:
     membership = membership_of(5, 1)
     membership.claim()
     membership.gap._cursor = 4
@@ -179,7 +179,7 @@ def test_leaving_forgets_a_refused_token_and_a_repeated_pass() -> None:
     assert not membership.accepts(5)
 
 
-def test_masters_that_were_there_before_are_told_as_such() -> None:
+def test_masters_that_were_there_before_are_reported_as_such() -> None:
     membership = membership_of(5)
     membership.report_master(5, 1)
     membership.in_ring = True

@@ -171,7 +171,7 @@ def test_the_counts_begin_anew_after_a_hundred_requests(requests: int, told: lis
         assert (peers._odd[3].since, peers._odd[3].superfluous, peers._odd[3].unreadable) == (106, 1, 1)
 
 
-def test_le_3_is_told_once_for_each_station() -> None:
+def test_le_3_is_reported_once_for_each_station() -> None:
     peers = peers_of()
     for address in (3, 4, 3):
         peers.empty_le3(address, 77)

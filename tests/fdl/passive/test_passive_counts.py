@@ -31,7 +31,7 @@ def test_each_telegram_counts_once() -> None:
     assert station.decoder_stats.telegrams == 3
 
 
-def test_a_request_with_le_3_is_told_with_the_name_of_the_station() -> None:
+def test_a_request_with_le_3_is_reported_with_the_name_of_the_station() -> None:
     station = PassiveStation(3, _Ok(), BusParams.preset(500_000))
     station.receive(_sd2(3, 2, 0x4D), 10**6)
     (notice,) = station.take_events()

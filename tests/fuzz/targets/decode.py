@@ -1,4 +1,4 @@
-"""What ``dpstack decode`` prints for a stream of octets: each line is plain, and so is each object in JSON."""
+"""The output of ``dpstack decode`` for a stream of octets: each line is plain, and so is each object in JSON."""
 
 from __future__ import annotations
 

@@ -213,7 +213,7 @@ class Run:
                     self.awaited.append(self.loop.create_task(runtime.history(3)))
 
     def look(self) -> None:
-        """What an application reads."""
+        """Read all that an application can read."""
         runtime = self.runtime
         for setup in SLAVES:
             image = runtime.image(setup)

@@ -178,7 +178,7 @@ class Run:
         return self.app.master == sa
 
     def judge(self, request: bytes, end: int) -> None:
-        """What holds after each telegram."""
+        """Check the rules that hold after each telegram."""
         app = self.app
         assert len(self.answers) <= 1, self.answers
         assert app.failure is None, app.failure
