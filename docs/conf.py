@@ -26,6 +26,7 @@ root_doc = "README"
 exclude_patterns = ["conf.py"]
 myst_heading_anchors = 6
 autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True, "undoc-members": True, "show-inheritance": True}
 autodoc_typehints_format = "short"
 add_module_names = False
 python_maximum_signature_line_length = 100

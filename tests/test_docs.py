@@ -22,7 +22,7 @@ from dpstack.api.control.scenario import parse_scenario
 from dpstack.cli.main import _COMMANDS, build_parser, main
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
-from tools import make_config_docs, make_pictures
+from tools import make_config_docs, make_pictures, make_reference_docs
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -229,7 +229,7 @@ def test_commands_exist(page: Path) -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for _, text in blocks(page, "console"):
         for line in text.splitlines():
-            words = shlex.split(line.removeprefix("$ "))
+            words = shlex.split(re.split(r" >>? ", line)[0].removeprefix("$ "))
             if words[0] == "dpstack":
                 parser.parse_args(words[1:])
             elif words[:2] == ["pip", "install"]:
@@ -306,6 +306,11 @@ def test_every_control_command_is_documented() -> None:
 def test_the_tables_of_keys_are_those_of_the_readers() -> None:
     page = make_config_docs.TARGET.read_text(encoding="utf-8")
     assert page == make_config_docs.render(page), "run tools/make_config_docs.py"
+
+
+def test_the_pages_made_from_the_sources_are_up_to_date() -> None:
+    wrong = [str(path.relative_to(ROOT)) for path in make_reference_docs.differing()]
+    assert wrong == [], "run python -m tools.make_reference_docs"
 
 
 def test_the_table_of_bus_parameters_is_the_programs() -> None:

@@ -1,0 +1,196 @@
+"""Writes the pages of docs/reference that follow from the sources; a test holds them to it.
+
+- ``options.md``: every command with its arguments, from its parser
+- ``events.md``: every event with its fields and text, from its class
+- ``api/``: one page a public namespace; Sphinx fills it with the docstrings of ``__all__`` (docs/conf.py)
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import importlib
+import inspect
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Final
+
+from dpstack.cli.main import build_parser
+from dpstack.cli.parser import Parser
+from dpstack.trace import Event
+
+ROOT: Final = Path(__file__).resolve().parent.parent
+REFERENCE: Final = ROOT / "docs" / "reference"
+#: the public namespaces. A new one is added here, and nowhere else in the book
+NAMESPACES: Final = ("dpstack", "dpstack.profile")
+#: those with private base classes, whose members are listed; the members of these classes are not listed again
+_INHERITING: Final = {"dpstack": "object, int, tuple, BaseException, Enum, DpError, Event, Slave"}
+
+_MADE: Final = "Made from the sources by `tools/make_reference_docs.py`; do not edit."
+_EVENT_CLASS: Final = re.compile(r"^class \w+\([\w, ]*(?:Event|Notice)\):", re.MULTILINE)
+_ROLE: Final = re.compile(r":\w+:`~?([^`]+)`")
+_EXAMPLE: Final = re.compile(r"dpstack (?:'[^']*'|[^;\n'])*")
+
+
+def plain(docstring: str | None) -> str:
+    """A docstring as one paragraph of Markdown: roles and double backquotes become code."""
+    text = _ROLE.sub(r"`\1`", inspect.cleandoc(docstring or ""))
+    return " ".join(text.replace("``", "`").split())
+
+
+def first_sentence(docstring: str | None) -> str:
+    head = inspect.cleandoc(docstring or "").partition("\n\n")[0]
+    return plain(head)
+
+
+def cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+# -- options.md --------------------------------------------------------------------------------------------------------
+
+
+def commands(parser: Parser) -> Iterator[tuple[Parser, str]]:
+    """Every command and the sentence of its list, those of groups like ``gsd`` too."""
+    parser.load()
+    for group in parser.actions():
+        if isinstance(group, argparse._SubParsersAction):
+            sentences = {choice.dest: choice.help or "" for choice in group._choices_actions}
+            for name, command in group.choices.items():
+                command.load()
+                yield command, sentences[name]
+                yield from commands(command)
+
+
+def _written(action: argparse.Action) -> str:
+    """An argument or option as it is typed."""
+    value = "" if action.nargs == 0 else str(action.metavar or action.dest.upper())
+    return " ".join(filter(None, [", ".join(action.option_strings), value]))
+
+
+def _command(command: Parser, sentence: str) -> Iterator[str]:
+    yield f"## {command.prog}\n\n{sentence[0].upper()}{sentence[1:]}.\n"
+    rows = [
+        f"| `{cell(_written(action))}` | {cell(action.help or '')} |"
+        for action in command.actions()
+        if action.dest != "help" and not isinstance(action, argparse._SubParsersAction)
+    ]
+    if rows:
+        yield "\n".join(["| argument | meaning |", "|---|---|", *rows]) + "\n"
+    examples = [f"$ {' '.join(example.split())}" for example in _EXAMPLE.findall(command.epilog or "")]
+    if examples:
+        yield "\n".join(["```console", *examples, "```"]) + "\n"
+
+
+def options_page() -> str:
+    head = (
+        f"# Arguments of every command\n\n{_MADE}\n\n`dpstack COMMAND --help` prints the same. "
+        "[commands.md](commands.md) says what each command does, and describes its output.\n"
+    )
+    return "\n".join([head, *(part for one in commands(build_parser()) for part in _command(*one))])
+
+
+# -- events.md ---------------------------------------------------------------------------------------------------------
+
+
+def event_modules() -> list[ModuleType]:
+    found = (
+        path.relative_to(ROOT).with_suffix("")
+        for path in sorted((ROOT / "dpstack").rglob("*.py"))
+        if _EVENT_CLASS.search(path.read_text(encoding="utf-8"))
+    )
+    return [importlib.import_module(".".join(path.parts)) for path in found]
+
+
+def event_classes() -> list[type[Event]]:
+    """The events of all modules by name, without base classes that have no text."""
+    found = {
+        one.__name__: one
+        for module in event_modules()
+        for one in vars(module).values()
+        if isinstance(one, type) and issubclass(one, Event) and _has_text(one)
+    }
+    return [found[name] for name in sorted(found)]
+
+
+def _has_text(event: type[Event]) -> bool:
+    return hasattr(event, "TEMPLATE") or event._text is not Event._text
+
+
+def _event(event: type[Event]) -> Iterator[str]:
+    yield f"## {event.__name__}\n\n{plain(event.__doc__)}\n"
+    fields = [field for field in dataclasses.fields(event) if field.name != "t_ns"]
+    if fields:
+        rows = (f"| `{field.name}` | `{cell(str(field.type))}` |" for field in fields)
+        yield "\n".join(["| field | type |", "|---|---|", *rows]) + "\n"
+    if event._text is Event._text:
+        yield f"Text: `{event.TEMPLATE.replace('{e.', '{')}`\n"
+
+
+def events_page() -> str:
+    head = f"""# Events
+
+{_MADE}
+
+`async for event in bus.events()` yields those of a bus; the others belong to served slaves, scans, and searches for a
+rate. Each event has `t_ns`, the time of the machine in nanoseconds, and `text`: one line for people, with what to do
+where something is to be done. Where a text is given here, names in braces stand for fields or properties of the event;
+the other texts depend on the values of the fields. Faults of a slave and the remedy for each:
+[troubleshooting.md](troubleshooting.md).
+"""
+    return "\n".join([head, *(part for event in event_classes() for part in _event(event))])
+
+
+# -- api/ --------------------------------------------------------------------------------------------------------------
+
+
+def api_page(namespace: str) -> str:
+    inherited = f"\n   :inherited-members: {_INHERITING[namespace]}" if namespace in _INHERITING else ""
+    return f"""# {namespace}
+
+{_MADE} `make docs` fills this page from the docstrings; on a plain viewer of Markdown it is empty.
+
+```{{eval-rst}}
+.. automodule:: {namespace}{inherited}
+```
+"""
+
+
+def api_index() -> str:
+    rows = (
+        f"| [{name}]({name}.md) | {cell(first_sentence(importlib.import_module(name).__doc__))} |"
+        for name in NAMESPACES
+    )
+    table = "\n".join(["| namespace | holds |", "|---|---|", *rows])
+    return f"""# Python API
+
+{_MADE}
+
+Names in these namespaces are public; everything else may change without notice. Each page has the names of `__all__`
+with their docstrings.
+
+{table}
+"""
+
+
+def pages() -> dict[Path, str]:
+    api = {REFERENCE / "api" / f"{name}.md": api_page(name) for name in NAMESPACES}
+    return {
+        REFERENCE / "options.md": options_page(),
+        REFERENCE / "events.md": events_page(),
+        REFERENCE / "api" / "README.md": api_index(),
+        **api,
+    }
+
+
+def differing() -> Iterable[Path]:
+    """The pages in docs/ that are not what the sources say."""
+    return (path for path, text in pages().items() if not path.exists() or path.read_text(encoding="utf-8") != text)
+
+
+if __name__ == "__main__":
+    for path, text in pages().items():
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text, encoding="utf-8")
