@@ -15,16 +15,17 @@ from octet_slave import SC as SC_OCTET
 from order_bus import OrderBus
 
 from dpstack.dp.acyclic.job import Outcome, RequestEnd, ServiceFailure
-from dpstack.dp.acyclic.queue import Provider
+from dpstack.dp.acyclic.queue import CancelService, Provider
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1 import timeouts
 from dpstack.dpv1.master.alarm_handler import Alarms
 from dpstack.dpv1.master.ms1 import Ms1
 from dpstack.dpv1.master.ms2 import Ms2
+from dpstack.dpv1.master.orders import RecordOrder
 from dpstack.dpv1.master.srd_polling import Polling, Reply
 from dpstack.dpv1.pdu.im import IM_ANSWER, IM_FI, IM_INDEX, IM_LEN, Im0, Im1, build_call, parse_call
 from dpstack.dpv1.pdu.ms2 import Address, InitiateReq, ResourceManagerRes
-from dpstack.dpv1.pdu.read_write import DataTransport, ReadReq, WriteReq, parse_request, parse_response
+from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, WriteReq, parse_request, parse_response
 from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule, SlaveParameter
 from dpstack.dpv1.slave.description_to_gsd import gsd_octets
 from dpstack.dpv1.slave.record_requests import NOBODY, RecordRequest
@@ -278,6 +279,16 @@ def test_the_pauses_between_polls() -> None:
     assert (reply, [pause // MS for pause in pauses]) == (Reply.DATA, [0, 0, 0, 0, 1, 2, 5, 10, 10, 10])
 
 
+def test_an_answer_between_two_silences_begins_the_count_anew() -> None:
+    lost, data = Failure.NO_ANSWER, Telegram(Kind.SD2, 2, 4, 8, 51, 51, b"\1")
+    replies: list[tuple[Telegram | Failure, int]] = [(lost, 1), (ACK, 1), (lost, 1), (ACK, 1), (lost, 1), (lost, 1)]
+    first = polled(10**12, replies, lambda polling: polling.poll(2))
+    assert first[0] is Reply.NOTHING
+    assert polled(10**12, [*replies[:5], (data, 1)], lambda polling: polling.poll(2))[0] is Reply.DATA
+    # the pause after silence is that of the first silence each time
+    assert first[1][1] == first[1][3] == first[1][5]
+
+
 # --- turns at record 47 ---------------------------------------------------------------------------------------------
 
 
@@ -321,6 +332,21 @@ def test_a_turn_goes_on_while_the_drive_is_not_ready_10_s_at_most() -> None:
     last = kit.read(1, 47)
     assert turn.until == last.t_ns
     assert written < last.t_ns
+
+
+def test_a_write_that_never_began_leaves_the_turn_as_it_is() -> None:
+    kit = drive_bus(0)
+    kit.write(1, 47, b"\1")
+    turn = provider(kit, Ms1).turns[4]
+    until = turn.until
+    token = kit.next_token()
+    kit.send(RecordOrder(token, Function.WRITE, 1, 47, data=b"\2", address=4))
+    kit.send(CancelService(token))
+    assert kit.end(token).text == "Write of slot 1, index 47 to slave 4 was cancelled"
+    assert turn.until == until
+    kit.send(CancelService(kit.order_read(1, 47)))  # but a program that does not want its answer ends it
+    kit.run(1)
+    assert turn.until < until
 
 
 # --- times of alarms ------------------------------------------------------------------------------------------------

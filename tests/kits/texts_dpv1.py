@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import texts_transcripts
-from texts_snapshot import Case, Group, attempt, interface
+from texts_snapshot import Case, Group, aliases, attempt, interface
 
 from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.pdu.prm_blocks import PrmBlock
@@ -96,6 +96,9 @@ def _connections() -> Iterator[Case]:
         Abort(16), Abort(0, 4), Abort(0, 0, 256), Abort(3),
     ):  # fmt: skip
         yield repr(pdu), attempt(pdu.build)[1]
+    for subnet, instance in ((0, 0), (1, 0), (2, 0), (3, 0), (0, 1), (1, 1), (2, 1), (0, 2), (0, 3)):
+        for reason in range(16):
+            yield f"abort {subnet} {instance} {reason}", Abort(reason, instance, subnet).text
     octets = bytes.fromhex("57 00 00 00 01 90 01 00 00 00 00 00 00 02 00 02 00 00 00 00")
     for length in (0, 1, 5, 19, 20):
         yield attempt(InitiateReq.parse, octets[:length])
@@ -272,16 +275,22 @@ def _told(file: bytes) -> str:
     )
 
 
-GROUPS: dict[str, Group] = {
+#: cases that are one call each
+PLAIN: dict[str, Group] = {
     "interface": lambda: interface("dpstack.dpv1"),
+    "aliases": lambda: aliases("dpstack.dpv1"),
     "codes": _codes,
     "records": _records,
     "connections": _connections,
     "im": _im,
     "descriptions": _descriptions,
     "gsd_files": _gsd_files,
+}
+#: cases that run a bus
+TRANSCRIPTS: dict[str, Group] = {
     "ms1_outcomes": texts_transcripts.ms1_outcomes,
     "ms2_outcomes": texts_transcripts.ms2_outcomes,
     "alarms": texts_transcripts.alarms,
     "services_cut_short": texts_transcripts.services_cut_short,
 }
+GROUPS = PLAIN | TRANSCRIPTS

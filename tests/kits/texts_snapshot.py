@@ -11,6 +11,7 @@ import importlib
 import inspect
 import json
 import pkgutil
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
@@ -55,6 +56,17 @@ def interface(package: str) -> Iterator[Case]:
         for name, made in vars(module).items():
             if getattr(made, "__module__", "") == module.__name__ and not name.startswith("_"):
                 yield from _defaults(f"{module.__name__}.{name}", made)
+
+
+def aliases(package: str) -> Iterator[Case]:
+    """The types that the modules of ``package`` give names to: ``OnRead = Callable[...]``."""
+    found = importlib.import_module(package)
+    for module in (importlib.import_module(info.name) for info in pkgutil.walk_packages(found.__path__, f"{package}.")):
+        source = inspect.getsource(module)
+        for name in re.findall(
+            r"^([A-Z]\w*[a-z]\w*) = (?:Callable|Iterable|Mapping|[A-Z]\w* \|)", source, re.MULTILINE
+        ):
+            yield f"{module.__name__}.{name}", str(getattr(module, name))
 
 
 def _defaults(name: str, made: Any) -> Iterator[Case]:
