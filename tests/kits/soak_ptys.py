@@ -223,7 +223,7 @@ class PtyRun(StreamReaders):
         self._judge_grid(windows, due, seen["places"])
         result = self._result(account, windows)
         del self.bus, bus, readers
-        await asyncio.sleep(0.2)
+        await asyncio.sleep(0.2)  # sockets and timers close in later turns of the loop
         left = belongings().more_than(before)
         if pid is not None:
             left += [f"bus process {pid} runs on"] * (pid in children_of(os.getpid()) or bool(locks_of(pid)))

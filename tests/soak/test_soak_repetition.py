@@ -23,7 +23,7 @@ _TIMES = 12
 
 async def stack_without_events(bus: dpstack.Bus) -> Counter[str]:
     """The objects of the stack, once the last events, which the bus keeps, are all alike."""
-    await asyncio.sleep(2)
+    await asyncio.sleep(2)  # in virtual time: answers and pauses of the last act are over
     for _ in range(1000):
         bus.notice("soak", "it fills the last events")
     return stack_objects()
