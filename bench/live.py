@@ -29,6 +29,7 @@ from bench.paired import interval
 from bench.report import Report
 from bench.rig import Process, Processors, available, bench, note_disturbance, pinned
 from dpstack import open_bus, run_virtual
+from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.live import SlaveReader
 from dpstack.api.control.client import connect
 from dpstack.errors import PortError
@@ -162,7 +163,7 @@ async def _stream_of(slaves: list[dict[str, Any]]) -> tuple[list[dict[str, Any]]
         await bus.operate()
         await bus.ready(60)
         number = 0
-        readers = [SlaveReader(bus, slave) for slave in bus.slaves]
+        readers = [SlaveReader(core_of(bus), slave) for slave in bus.slaves]
         async for item in bus.live(interval=0.1):
             if "event" in item:
                 continue

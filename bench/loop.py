@@ -19,6 +19,7 @@ from typing import Any, Final, Literal
 from bench.masters import CONFIG, DRIVERS, FIRST, IDENT, OCTETS
 from bench.report import Report, quantile
 from bench.rig import available, pinned, wire_with
+from dpstack.api.bus.bus import core_of
 
 _DUE_NS: Final = 1_000_000
 _STATS_EVERY: Final = 10
@@ -98,7 +99,7 @@ async def _beside_a_bus(kind: str, port: str, slaves: int, baud: int, seconds: f
                 await asyncio.sleep(_DUE_NS / 1e9)
 
         ordering = asyncio.create_task(order())
-        pid = getattr(bus.runtime, "pid", None)
+        pid = getattr(core_of(bus).runtime, "pid", None)
         if kind == _STOPPED and pid is not None:
             os.kill(pid, signal.SIGSTOP)
         try:

@@ -11,6 +11,7 @@ from slave_kit import make_slave
 
 import dpstack
 from dpstack import DpSlave, SlaveDescription
+from dpstack.api.bus.bus import core_of
 from dpstack.api.server.server import ServedSlave
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.dp.slave.application import SlaveApp
@@ -59,8 +60,9 @@ async def operating(*slaves: dict[str, object], **more: Any) -> AsyncIterator[dp
 
 def bench_of(bus: dpstack.Bus) -> VirtualBench:
     """The simulated slaves of a bus."""
-    assert bus.bench is not None
-    return bus.bench
+    bench = core_of(bus).bench
+    assert bench is not None
+    return bench
 
 
 def slave_in(world: World, device: Device, address: int) -> tuple[PassiveStation, SlaveApp]:
@@ -136,6 +138,6 @@ async def off_and_on(bus: dpstack.Bus, address: int) -> None:
 
 def stack_of(bus: dpstack.Bus) -> Stack:
     """The machines of a bus that runs in this process."""
-    view = bus.view
+    view = core_of(bus).view
     assert isinstance(view, Stack)
     return view

@@ -19,6 +19,7 @@ from ends_programs import LONG_S, Ways
 from far_ends import until
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.drivers.process.plugins import AttachPlugin
 from dpstack.drivers.stack import Stack
 from dpstack.machine import Machine
@@ -74,9 +75,9 @@ class Faults(Ways):
     async def attach(self, bus: dpstack.Bus, name: str) -> None:
         """The valves get the plugin ``name`` of ``ends_plugin``."""
         if self.driver == "process":
-            await bus.runtime.order(AttachPlugin(address=4, place=f"ends_plugin:{name}", name="valves"))
+            await core_of(bus).runtime.order(AttachPlugin(address=4, place=f"ends_plugin:{name}", name="valves"))
         else:
-            stack = bus.view
+            stack = core_of(bus).view
             assert isinstance(stack, Stack)
             stack.master.handlers[4].image.plugin = getattr(ends_plugin, name).core()
 
@@ -307,7 +308,7 @@ class Faults(Ways):
         self.run(then)
 
     def fail_in(self, bus: dpstack.Bus, error: Exception) -> None:
-        machine: Machine = bus.runtime._machine  # type: ignore[attr-defined]
+        machine: Machine = core_of(bus).runtime._machine  # type: ignore[attr-defined]
 
         def receive(_chunk: bytes, _now: int) -> None:
             raise error

@@ -15,6 +15,7 @@ from far_ends import HANG_S
 from support_responder import Responder
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.drivers.process.channel import Channel
 from dpstack.drivers.process.client import ProcessRuntime
 
@@ -100,7 +101,7 @@ async def operating_octets(
 
 
 def runtime_of(bus: dpstack.Bus) -> ProcessRuntime:
-    runtime = bus.runtime
+    runtime = core_of(bus).runtime
     assert isinstance(runtime, ProcessRuntime)
     return runtime
 

@@ -26,6 +26,7 @@ from soak_leftovers import belongings, children_of, handles_of, locks_of, memory
 from soak_readers import StreamReaders
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.dp.master.events import CyclesMissed, SlaveStateChanged
 from dpstack.drivers.process.client import ProcessRuntime
 from dpstack.trace import Event
@@ -156,7 +157,7 @@ class PtyRun(StreamReaders):
                     services = (class2.diagnosis, class2.config, class2.inputs, class2.outputs)
                     await random.choice(services)(slave, timeout=60)
                 case "history":
-                    await bus.view.history(slave.address)
+                    await core_of(bus).view.history(slave.address)
                 case "why":
                     await bus.why(slave)
                 case "scan":
@@ -168,16 +169,21 @@ class PtyRun(StreamReaders):
 
     @property
     def bus_process(self) -> int | None:
-        runtime = self.bus.runtime
+        runtime = core_of(self.bus).runtime
         return runtime.pid if isinstance(runtime, ProcessRuntime) else None
 
     def _fill(self) -> None:
         """Fill what keeps the last events with the longest of a usual kind, so that memory does not grow by that."""
         for number in range(1, _FILL + 1):
             reason = f"the round before took {number / 1000:.3f} ms"
-            self.bus.publish(
+            core_of(self.bus).publish(
                 CyclesMissed(
-                    t_ns=self.bus.runtime.now(), count=1, missed=number, number=number, late_ns=1, reason=reason
+                    t_ns=core_of(self.bus).runtime.now(),
+                    count=1,
+                    missed=number,
+                    number=number,
+                    late_ns=1,
+                    reason=reason,
                 )
             )
 
@@ -238,7 +244,7 @@ class PtyRun(StreamReaders):
 
     def _compare(self, account: dict[str, Any]) -> None:
         """Our counters against those of the far end."""
-        link = self.bus.view.counters().link
+        link = core_of(self.bus).view.counters().link
         ours: dict[str, int] = {"sent": link.sent, "heard": link.heard, "tokens": link.tokens}
         theirs: dict[str, int] = {
             "sent": account["telegrams"],
@@ -269,7 +275,7 @@ class PtyRun(StreamReaders):
 
     def _places(self) -> int:
         """The due times of the fixed cycle so far, those of cycles that were left out too."""
-        book = self.bus.view.counters().cycles
+        book = core_of(self.bus).view.counters().cycles
         return book.begun + book.left_out
 
     def _judge_grid(self, windows: list[list[int]], due: int, seen: int) -> None:
@@ -284,7 +290,7 @@ class PtyRun(StreamReaders):
             self.faults.append(f"the grid moved by {self.drift_ns / 1e6} ms in {self.seconds} s")
 
     def _result(self, account: dict[str, Any], windows: list[list[int]]) -> dict[str, Any]:
-        link = self.bus.view.counters().link
+        link = core_of(self.bus).view.counters().link
         cycles = self.bus.stats.cycles
         assert cycles is not None
         stations = [link.station(address) for address in _SLAVES]

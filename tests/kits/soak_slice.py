@@ -21,6 +21,7 @@ from soak_readers import StreamReaders
 from soak_wire import Grid, WireCount
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.dp.master.events import DriveEvent
 from dpstack.profile import DriveDevice
@@ -158,7 +159,7 @@ class Slice(StreamReaders):
         await service(drive.address, timeout=30)
 
     async def _history(self, drive: dpstack.Drive) -> None:
-        history = await self.bus.view.history(drive.address)
+        history = await core_of(self.bus).view.history(drive.address)
         if history.bring_ups and len(history.bring_ups) != 1:
             self.faults.append(f"{drive.name}: {len(history.bring_ups)} bring-ups on a bus without faults")
 
@@ -186,21 +187,21 @@ class Slice(StreamReaders):
 
     def _fill(self) -> None:
         """Fill all that keeps the last events with the usual ones, the statuses of drives: no growth later."""
-        drives, now = self.bus.drives, self.bus.runtime.now()
+        drives, now = self.bus.drives, core_of(self.bus).runtime.now()
         for number in range(_FILL):
             drive = drives[number % len(drives)]
             payload: dict[str, object] = {"type": "status", "state": f"filling {number}", "settings": "none"}
             payload |= dict.fromkeys(("running", "reached", "remote"), False)
             payload |= dict.fromkeys(("setpoint", "speed", "frequency_hz", "current", "torque"), number / 3)
             payload |= {name: [] for name in ("warnings", "faults", "words", "bits", "settings_texts")}
-            self.bus.publish(DriveEvent(t_ns=now, address=drive.address, name=drive.name, payload=payload))
+            core_of(self.bus).publish(DriveEvent(t_ns=now, address=drive.address, name=drive.name, payload=payload))
 
     async def _mark(self) -> Mark:
         """The counters right after a round, when no Data_Exchange is under way."""
         async for _ in self.bus.cycles():
             break
-        book = self.bus.view.counters().cycles
-        return Mark(self.wire.rounds, book.begun, book.missed, self.bus.view.rotations)
+        book = core_of(self.bus).view.counters().cycles
+        return Mark(self.wire.rounds, book.begun, book.missed, core_of(self.bus).view.rotations)
 
     async def run(self) -> None:
         """Bring the bus up, let the program act, end the bus, and compare both accounts."""
@@ -254,7 +255,7 @@ class Slice(StreamReaders):
     def _compare(self, begin: Mark, end: Mark, grid: Grid | None) -> None:
         """Our counters against the wire's; every difference is a fault."""
         bus, wire = self.bus, self.wire
-        counters = bus.view.counters()
+        counters = core_of(bus).view.counters()
         link = counters.link
         drives = {slave.address for slave in bus.slaves}
         scans = self.acts["scan"]  # each asks every drive once, and the other addresses 0 to 126 with a repetition

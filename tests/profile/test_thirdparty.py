@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from acyclic_kit import outcome
+from api_kit import bench_of
 from drive_bench import ALONE, DeviceBench, PluginBench
 
 import dpstack
@@ -43,8 +44,7 @@ def acme(installed: Path) -> DriveProfile:
 
 
 def simulated(bus: dpstack.Bus) -> DriveDevice:
-    assert bus.bench is not None
-    device = bus.bench.device(7)
+    device = bench_of(bus).device(7)
     assert isinstance(device, DriveDevice)
     return device
 

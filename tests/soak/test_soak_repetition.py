@@ -13,6 +13,7 @@ from api_kit import HOIST, RAW, bench_of, mirror, off_and_on, operating, serving
 from soak_leftovers import stack_objects
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 
 Act = Callable[[dpstack.Bus, int], Awaitable[object]]
 
@@ -25,7 +26,7 @@ async def stack_without_events(bus: dpstack.Bus) -> Counter[str]:
     """The objects of the stack, once the last events, which the bus keeps, are all alike."""
     await asyncio.sleep(2)  # in virtual time: answers and pauses of the last act are over
     for _ in range(1000):
-        bus.notice("soak", "it fills the last events")
+        core_of(bus).notice("soak", "it fills the last events")
     return stack_objects()
 
 

@@ -2,6 +2,7 @@
 
 - ``bus``: ``open_bus`` and ``Bus``: opening, modes, slaves, events and the end of a running bus
 - ``compose``: Construction of the objects behind a bus: plan, master, station, runtime, drive plugins
+- ``core``: ``BusCore``: the inside of a ``Bus``: beginning and end, events and failures of the machine
 - ``cycles``: ``bus.cycles()``: consistent inputs of all slaves, once a round of data exchange
 - ``driver_choice``: The choice of the driver: asyncio, process or virtual
 - ``event_logging``: Events of a bus as records of ``logging``
@@ -9,8 +10,8 @@
 - ``find_baud``: Search for the baud rate of a bus: listens at one rate after the other and never sends
 - ``live``: ``bus.live()``: plant, snapshots and events of a bus as one stream
 - ``live_list``: The live list of a port, read by a temporary master, and a configuration skeleton made from it
-- ``parts``: Base class of ``Bus``: the objects behind a bus (created once the baud rate is known), slaves, commands,
-  waiting
+- ``parts``: Base class of ``BusCore``: the objects behind a bus (created once the baud rate is known), slaves,
+  commands, waiting
 - ``plan_checks``: Inputs of the plan from the configuration, and the refusal of impossible cycles
 - ``recording``: ``bus.record()``: process data of each round into files, and the files of ``dpstack run``
 - ``ring_entry``: Joining the token ring of other masters: time limit, failure texts, notices

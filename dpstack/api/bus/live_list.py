@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Callable, Collection, Iterable, Itera
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.config.toml import comment, table_lines
 from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.errors import BusError, ConfigError
@@ -84,7 +84,7 @@ async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: b
     async with joined(make_bus, address) as bus:
         own = bus.params.address
         stations = await bus.scan(configs=configs)
-    notes = list(answer_notes(stations, bus.unreadable))
+    notes = list(answer_notes(stations, core_of(bus).unreadable))
     if bus.snapshot.claimed:  # no other master has polled this address
         taken = {own, *(found.address for found in stations)}
         other = next(free for free in range(MAX_STATION + 1) if free not in taken)
@@ -97,7 +97,7 @@ async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: b
         baud=bus.params.baud,
         address=own,
         stations=tuple(sorted(stations, key=lambda found: found.address)),
-        unreadable=tuple(sorted(bus.unreadable)),
+        unreadable=tuple(sorted(core_of(bus).unreadable)),
         notes=tuple(notes),
     )
 

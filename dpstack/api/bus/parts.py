@@ -1,10 +1,10 @@
-"""Base class of ``Bus``: the objects behind a bus (created once the baud rate is known), slaves, commands, waiting."""
+"""Base class of ``BusCore``: the objects behind a bus (once the baud rate is known), slaves, commands, waiting."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -36,7 +36,9 @@ SEARCHING: Final = "searching for the baud rate"
 
 
 class BusBase:
-    """With the baud rate "auto" all properties of the objects behind the bus raise UsageError until it is found."""
+    """The inside of a bus, as far as the other modules of this package need it.
+
+    With the baud rate "auto" all properties of the objects behind the bus raise UsageError until it is found."""
 
     def __init__(self, config: Config, on_event: OnEvent | None) -> None:
         self.config = config
@@ -149,6 +151,11 @@ class BusBase:
     # --- slaves and drives ---------------------------------------------------------------------------------------
 
     @property
+    def by_address(self) -> Mapping[int, Slave]:
+        """The slaves by address, also those added later."""
+        return self._slaves
+
+    @property
     def slaves(self) -> tuple[Slave, ...]:
         return tuple(self._slaves[address] for address in sorted(self._slaves))
 
@@ -221,7 +228,7 @@ class BusBase:
                 raise self._over from None
             raise
 
-    def _raise_refused(self) -> None:
+    def raise_refused(self) -> None:
         refused, self._refused = self._refused, None
         if refused is not None:
             raise refused

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from dpstack.api.bus.bus import Bus, open_bus
+from dpstack.api.bus.bus import Bus, core_of, open_bus
 from dpstack.api.bus.live_list import joined
 from dpstack.api.bus.virtual import World, simulate
 from dpstack.api.bus.why import untold
@@ -45,4 +45,4 @@ async def why_beside(
     except BusError as error:
         if not made or made[-1].searching:
             raise
-        return untold(made[-1], made[-1].slave(slave.address), master, str(error))
+        return untold(core_of(made[-1]), made[-1].slave(slave.address), master, str(error))

@@ -9,7 +9,8 @@ from functools import partial
 from time import monotonic_ns
 from typing import Any, Final
 
-from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.bus import Bus, core_of
+from dpstack.api.bus.core import BusCore
 from dpstack.api.bus.live_list import answer_notes
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.bus.statistics import clear_since, diagnosis_dict, drive_dict, inputs_dict
@@ -81,9 +82,10 @@ def control_run(
         "tap": (feed or run_feed(bus)).handler,
         "live": lambda args: live_items(bus, args),
     }
-    if not bus.searching and bus.bench is not None:
+    core = core_of(bus)
+    if not bus.searching and core.bench is not None:
         specs = (*specs, *(spec for spec in SLAVES if spec.name not in handlers))
-        handlers = slave_handlers(bus.bench, bus) | handlers
+        handlers = slave_handlers(core.bench, core) | handlers
     # there may be several runs with a pty
     own, also = (f"{PTY}:{os.getpid()}", PTY) if port == PTY else (port, None)
     return ControlServer(kind, own, specs, handlers, also=also, config=bus.config.file)
@@ -136,10 +138,10 @@ def run_feed(bus: Bus) -> TapFeed:
     """The feed of the tap of a master; a line has one tap at a time."""
 
     def about() -> dict[str, object]:
-        return {"baud": None, "paced": True} if bus.searching else _line_of(bus.runtime, bus.params.baud)
+        return {"baud": None, "paced": True} if bus.searching else _line_of(core_of(bus).runtime, bus.params.baud)
 
     # nothing of these is there while the bus searches for its rate
-    return TapFeed(lambda tap: bus.runtime.tap(tap), lambda: bus.runtime.now(), about)
+    return TapFeed(lambda tap: core_of(bus).runtime.tap(tap), lambda: core_of(bus).runtime.now(), about)
 
 
 def _line_of(runtime: Runtime, baud: int | None) -> dict[str, object]:
@@ -164,6 +166,7 @@ def run_status(bus: Bus) -> dict[str, object]:
     if bus.searching:
         return {"baud": None, "text": SEARCHING}
     slaves: dict[str, object] = {}
+    core = core_of(bus)
     drives = {drive.slave.address: drive for drive in bus.drives}
     for slave in bus.slaves:
         entry: dict[str, object] = {
@@ -179,15 +182,15 @@ def run_status(bus: Bus) -> dict[str, object]:
         if slave.alarm_counts is not None:
             entry["alarms"] = dataclasses.asdict(slave.alarm_counts)
         if slave.address in drives:
-            entry["drive"] = drive_dict(bus, drives[slave.address])
-        if bus.bench is not None:
-            entry |= bus.bench.status_of(slave.address)
+            entry["drive"] = drive_dict(core, drives[slave.address])
+        if core.bench is not None:
+            entry |= core.bench.status_of(slave.address)
         slaves[str(slave.address)] = entry
     return {
         "seconds": round(bus.seconds, 3),
         "address": bus.params.address,
         "mode": bus.mode.name.lower(),
-        **({"clear": clear} if (clear := clear_since(bus)) else {}),
+        **({"clear": clear} if (clear := clear_since(core)) else {}),
         "baud": bus.params.baud,
         "in_ring": bus.snapshot.in_ring,
         "masters": sorted(bus.snapshot.las),
@@ -225,10 +228,11 @@ async def _set(bus: Bus, args: list[str]) -> None:
     """Set named outputs, and named inputs of simulated slaves. Parses all arguments before the first takes effect."""
     wanted: dict[Slave, bytes] = {}
     inputs: list[str] = []
+    core = core_of(bus)
     for text in args:
         where, name, value = arguments.field_value(text)
         slave = _slave_of(bus, where)
-        if bus.bench is not None and name in slave.config.input_fields:
+        if core.bench is not None and name in slave.config.input_fields:
             inputs.append(text)
             continue
         found = slave.output_field(name)
@@ -236,8 +240,8 @@ async def _set(bus: Bus, args: list[str]) -> None:
             wanted[slave] = found.put(wanted.get(slave, slave.outputs_held), found.read(value))
         except ValueError as error:
             raise UsageError(f"{slave.who}: {error}") from None
-    if bus.bench is not None and inputs:
-        _set_inputs(bus.bench, bus, inputs)
+    if core.bench is not None and inputs:
+        _set_inputs(core.bench, core, inputs)
     if wanted:
         await _put_out(bus, wanted)
 
@@ -352,7 +356,7 @@ class ScanOrder:
         for at in range(0, len(ALL_ADDRESSES), _SCAN_PART):
             part = ALL_ADDRESSES[at : at + _SCAN_PART]
             found += await bus.scan(configs=True, addresses=part)
-            unreadable |= bus.unreadable
+            unreadable |= core_of(bus).unreadable
             progress[1] = at + len(part)
         names = {slave.address: slave.name for slave in bus.slaves}
         return {
@@ -367,7 +371,7 @@ class ScanOrder:
 # --- commands to simulated slaves of a sim, or of a run on "virtual" ----------------------------------------
 
 
-def slave_handlers(bench: Bench, program: Bus | Simulation | None = None) -> dict[str, Handler]:
+def slave_handlers(bench: Bench, program: BusCore | Simulation | None = None) -> dict[str, Handler]:
     """The handlers of :data:`~dpstack.api.control.commands.SLAVES`; ``program`` publishes an event for each command."""
 
     def handler(command: str, act: _Act) -> Handler:
@@ -388,7 +392,7 @@ def slave_handlers(bench: Bench, program: Bus | Simulation | None = None) -> dic
 class _Faults:
     """The faults that the command `fault` began, by the address of the slave; ``program`` publishes their ends."""
 
-    def __init__(self, program: Bus | Simulation | None) -> None:
+    def __init__(self, program: BusCore | Simulation | None) -> None:
         self._program = program
         self._open: dict[int, list[tuple[Deed, End]]] = {}
 
@@ -414,7 +418,7 @@ class _Faults:
                 self._program.publish(Notice(t_ns=bench.now, source=who, message=f"over: {deed.text}"))
 
 
-def _set_inputs(bench: Bench, program: Bus | Simulation | None, args: list[str]) -> object:
+def _set_inputs(bench: Bench, program: BusCore | Simulation | None, args: list[str]) -> object:
     """Set named inputs of simulated slaves. Parses all arguments before the first one takes effect."""
     wanted: dict[int, bytes] = {}
     said: list[tuple[int, str, str]] = []
@@ -434,7 +438,9 @@ def _set_inputs(bench: Bench, program: Bus | Simulation | None, args: list[str])
     return next((f"done, without an alarm: {remark}" for remark in remarks if remark), None)
 
 
-def _publish(bench: Bench, program: Bus | Simulation | None, command: str, address: int, args: tuple[str, ...]) -> None:
+def _publish(
+    bench: Bench, program: BusCore | Simulation | None, command: str, address: int, args: tuple[str, ...]
+) -> None:
     if program is not None:
         now, name = program.runtime.now(), bench.names()[address]
         program.publish(Injected(t_ns=now, command=command, args=args, address=address, name=name))

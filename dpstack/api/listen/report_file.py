@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from dpstack import __version__
-from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.config.config import Config
 from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.files import open_new
@@ -135,7 +135,7 @@ class RunReport:
         tap.rest()
         self._monitor.timing = tap.timing
         lines = {
-            **port_lines(bus.runtime.port_name),
+            **port_lines(core_of(bus).runtime.port_name),
             "Listened": f"through the dpstack run that is master {bus.params.address} of this bus",
             "Driver": bus.driver,
         }
@@ -144,7 +144,7 @@ class RunReport:
             remarks.append(
                 f"{tap.lost} pieces of octets were lost, as this computer could not keep up: counts are too low"
             )
-        if not bus.runtime.paced:
+        if not core_of(bus).runtime.paced:
             remarks.append("no wire gave the octets their time here: the times are this computer's, not a bus's")
         parameters = bus.plan.as_dict()["parameters"]
         assert isinstance(parameters, dict)

@@ -14,7 +14,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from dpstack.api.bus.bus import Bus, open_bus
+from dpstack.api.bus.bus import Bus, core_of, open_bus
 from dpstack.api.bus.compose import Case
 from dpstack.api.bus.virtual import run_virtual
 from dpstack.api.config.config import Config, make_config
@@ -125,8 +125,9 @@ class _Stage:
 
     def trip(self, drive: Drive, code: str) -> None:
         """Inject a fault into the simulated drive, as ``dpstack ctl PORT trip`` does."""
-        assert self.bus.bench is not None
-        slave_handlers(self.bus.bench)["trip"]([str(drive.slave.address), code])
+        bench = core_of(self.bus).bench
+        assert bench is not None
+        slave_handlers(bench)["trip"]([str(drive.slave.address), code])
 
     def tell(self, drive: Drive, text: str) -> None:
         address, t = drive.slave.address, self.bus.seconds
@@ -140,7 +141,7 @@ class _Stage:
     def picture(self) -> Group:
         """The live table, a row for each drive, and below it as many lines of the stories as fit on the terminal."""
         bus = self.bus
-        p50 = bus.view.counters().rotation.quantile_ns(0.5) / 1e6
+        p50 = core_of(bus).view.counters().rotation.quantile_ns(0.5) / 1e6
         title = f"dpstack demo  {bus.seconds:6.1f} s  rotation {p50:.3f} ms"
         rows = []
         for drive in bus.drives:
@@ -182,7 +183,7 @@ async def _demo(config: Config, args: argparse.Namespace) -> int:
     if stop.hurried:
         return INTERRUPTED
     planned = bus.plan.rotation_ns(Case.SHORTEST)
-    measured = bus.view.counters().rotation.quantile_ns(0.5)
+    measured = core_of(bus).view.counters().rotation.quantile_ns(0.5)
     off = measured / planned - 1
     extra = {"planned_us": round(planned / 1000, 1), "stories": {"ended": len(stage.ended), "of": len(bus.drives)}}
     reporter.summary(stats, **extra)

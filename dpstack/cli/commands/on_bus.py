@@ -7,7 +7,8 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Final
 
-from dpstack.api.bus.bus import Bus, BusFailed
+from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.core import BusFailed
 from dpstack.api.bus.events_json import AddressCollision, Event, MasterSeen, Notice, RingJoined, Severity, severity_of
 from dpstack.api.bus.find_baud import find_baud
 from dpstack.api.bus.live_list import MakeBus

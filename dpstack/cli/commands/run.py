@@ -6,7 +6,7 @@ import argparse
 import contextlib
 from functools import partial
 
-from dpstack.api.bus.bus import Bus, open_bus
+from dpstack.api.bus.bus import Bus, core_of, open_bus
 from dpstack.api.bus.events_json import Event
 from dpstack.api.bus.recording import RunFiles
 from dpstack.api.bus.statistics import clear_since
@@ -111,7 +111,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         stack.enter_context(reader_watched())
 
         def on_event(event: Event) -> None:
-            files.event(bus, event)
+            files.event(core_of(bus), event)
             reporter.event(event)
             lines.event(event)
 
@@ -141,11 +141,11 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                 try:
                     if files.recording is not None:
                         bus.record(files.recording)
-                    plant.start(bus.started_ns)
+                    plant.start(core_of(bus).started_ns)
                     if not (args.clear or config.bus.read_only):
                         await bus.operate()
                     await stop.or_done(_limit(bus, args.seconds, args.rotations))
-                    stats, missing, held = bus.stats, not_exchanging(bus), clear_since(bus)
+                    stats, missing, held = bus.stats, not_exchanging(bus), clear_since(core_of(bus))
                     stories = await lines.stories()
                 finally:
                     service.end()
@@ -175,9 +175,9 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
 
 def _simulated_plant(bus: Bus, args: argparse.Namespace) -> SimulatedPlant:
     """Scenario and inputs of the simulated slaves of ``bus``. Raises ConfigError."""
-    bench = None if bus.searching else bus.bench
+    bench = None if bus.searching else core_of(bus).bench
     handlers = {} if bench is None else slave_handlers(bench)
-    return SimulatedPlant(bench, bus.publish, handlers, scenario=args.scenario, allow_code=args.allow_code)
+    return SimulatedPlant(bench, core_of(bus).publish, handlers, scenario=args.scenario, allow_code=args.allow_code)
 
 
 def _write(report: RunReport) -> bool:
@@ -191,12 +191,12 @@ def _write(report: RunReport) -> bool:
 async def _open(bus: Bus, control: ControlServer) -> None:
     await bus.open()
     if bus.config.port == PTY:
-        control.move_to(bus.runtime.port_name)
+        control.move_to(core_of(bus).runtime.port_name)
 
 
 def _ctl_name(bus: Bus, control: ControlServer) -> str:
     """The name by which ``dpstack ctl`` finds this run, also if there are others on "virtual"."""
-    return control.name if bus.config.virtual else bus.runtime.port_name
+    return control.name if bus.config.virtual else core_of(bus).runtime.port_name
 
 
 def _service_state(bus: Bus, args: argparse.Namespace) -> BusState:
@@ -217,6 +217,6 @@ def _service_state(bus: Bus, args: argparse.Namespace) -> BusState:
 async def _limit(bus: Bus, seconds: float | None, rotations: int | None) -> None:
     """Wait until the first of the limits, counted from the first token on; for ever where there is none."""
     try:
-        await bus.rotated(rotations, None if seconds is None else max(0.0, seconds - bus.seconds_in_ring))
+        await bus.rotated(rotations, None if seconds is None else max(0.0, seconds - core_of(bus).seconds_in_ring))
     except TimeoutError:
         return

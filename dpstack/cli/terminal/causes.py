@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Mapping
 from typing import Any, Final
 
-from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.events_json import Event, SlaveFaulted
 from dpstack.cli.terminal import output
 from dpstack.errors import DpError
@@ -59,7 +59,9 @@ class CauseLines:
             file = self._bus.config.file
             config = "CONFIG" if file is None else shlex.quote(str(file))
             likely = f"{story.first.cause} ({round(100 * story.first.confidence)} %)"
-            self._bus.notice("why", f"{event.who}: likely {likely}; dpstack why {config} {shlex.quote(event.name)}")
+            core_of(self._bus).notice(
+                "why", f"{event.who}: likely {likely}; dpstack why {config} {shlex.quote(event.name)}"
+            )
 
     async def stories(self) -> Mapping[int, Story]:
         """The story of each slave that is not in data exchange, by address."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
 
-from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.events_json import (
     AlarmRaised,
     DriveEvent,
@@ -88,7 +88,7 @@ class Reporter:
             return
         self._started = True
         bus = self._bus
-        name, rate = bus.runtime.port_name, bus.params.baud
+        name, rate = core_of(bus).runtime.port_name, bus.params.baud
         if self._json:
             now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
             output.json_line({"event": "start", "time": now, "port": name, "baud": rate, "driver": bus.driver})
@@ -106,7 +106,7 @@ class Reporter:
             self._for_people(event)
 
     def _seconds_of(self, event: Event) -> float:
-        return ns_to_s(event.t_ns - self._bus.started_ns)
+        return ns_to_s(event.t_ns - core_of(self._bus).started_ns)
 
     def _for_people(self, event: Event) -> None:
         """Write a line for the event; for diagnoses and drives only where something is new."""

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final, Protocol
 
-from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.config.bus import SAFE
 from dpstack.cli.terminal import output
 from dpstack.errors import DpError
@@ -106,8 +106,10 @@ class Suspension:
                 try:
                     await bus.clear()
                     await _until(lambda: bus.mode.name != _OPERATE)
-                    last = bus.view.rotations + _ROUNDS
-                    await _until(lambda: bus.view.rotations >= last or not any(s.ready_now for s in bus.slaves))
+                    last = core_of(bus).view.rotations + _ROUNDS
+                    await _until(
+                        lambda: core_of(bus).view.rotations >= last or not any(s.ready_now for s in bus.slaves)
+                    )
                 except DpError as error:
                     output.warn(f"the bus did not go to Clear: {error}")
                 return

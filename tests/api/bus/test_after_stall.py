@@ -9,6 +9,7 @@ import pytest
 from api_kit import HOIST, RAW, bench_of, bus_of, in_virtual_time, stack_of
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.events_json import event_json, severity_of
 from dpstack.api.config.config import parse_config
 from dpstack.api.control.handlers import run_status
@@ -35,7 +36,7 @@ def suspend(bus: dpstack.Bus, ms: int) -> None:
     """The computer sleeps for ``ms``, as the driver tells it."""
     station = stack_of(bus).station
     gap = HeldUp(ms * NS_PER_MS, f"the computer was suspended for {ms} ms", suspended=True)
-    station.held_up(gap, bus.runtime.now())
+    station.held_up(gap, core_of(bus).runtime.now())
 
 
 async def mirrored(slave: dpstack.Slave, octets: bytes) -> None:

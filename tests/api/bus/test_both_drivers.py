@@ -12,6 +12,7 @@ from far_ends import until
 from process_kit import DRIVERS, LAMPS, LAMPS_SPEC, SPEC, VALVES, Driver, begun, bus_on, octet_slaves, operating_octets
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import make_config
 from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.dp.master.commands import DriveCommand, Mode, SetMode
@@ -37,7 +38,7 @@ async def test_process_data_events_and_the_end(driver: Driver) -> None:
         async with bus:
             bus.slave("lamps").outputs = b"\x0f"  # before there is anybody to get it
             assert bus.driver == driver
-            assert bus.runtime.port_name == path
+            assert core_of(bus).runtime.port_name == path
             await bus.ready(60)
             valves = bus.slave("valves")
             assert mode_of(bus) == Mode.CLEAR
@@ -88,9 +89,9 @@ async def test_misuse_raises_at_once_and_changes_nothing(driver: Driver) -> None
         with pytest.raises(UsageError, match="1 octet of outputs given"):
             valves.outputs = b"\x01"
         with pytest.raises(UsageError, match="goes offline by Shutdown"):
-            await bus.order(SetMode(Mode.OFFLINE))
+            await core_of(bus).order(SetMode(Mode.OFFLINE))
         with pytest.raises(UsageError, match="no slave with address 77"):
-            await bus.order(DriveCommand(77, "start", {}, 1))
+            await core_of(bus).order(DriveCommand(77, "start", {}, 1))
         with pytest.raises(ConfigError, match="already"):
             await bus.add_slave(VALVES)
         with pytest.raises(ConfigError, match="both have address 4"):
@@ -189,7 +190,7 @@ async def test_class_2_and_scan(driver: Driver) -> None:
                 (4, 0x1234, 2, b"\x21\x11"),
                 (7, 0x0696, 1, b"\xf3\xf1"),
             ]
-            assert not bus.unreadable
+            assert not core_of(bus).unreadable
 
 
 async def test_a_drive_over_record_47(driver: Driver, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from slave_kit import make_slave
 from support import WorldFactory
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.dp.master.events import DriveEvent, ModeChanged, SlaveFaulted, SlaveStateChanged
 from dpstack.dp.plan.rotation_time import Case
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
@@ -150,7 +151,7 @@ async def test_owned_by_another_master(world: WorldFactory) -> None:
     async with first:
         await first.ready()
         async with bus_of(RAW, world=w) as second:
-            joined = next(e for e in second._events._history if isinstance(e, RingJoined))
+            joined = next(e for e in core_of(second)._events._history if isinstance(e, RingJoined))
             assert 1 in joined.masters
             with pytest.raises(dpstack.SlaveFault, match="is owned by master 1; it is never taken away"):
                 await second.slave(9).ready(5)
@@ -343,7 +344,7 @@ async def test_a_reader_that_does_not_read_loses_the_oldest() -> None:
     async with bus_of(RAW) as bus:
         stream = bus.events()
         for n in range(2000):
-            bus._events.publish(Notice(t_ns=n, source="test", message=str(n)))
+            core_of(bus)._events.publish(Notice(t_ns=n, source="test", message=str(n)))
         assert stream.dropped >= 1000
         stream.close()
         rest = [event async for event in stream]

@@ -10,6 +10,7 @@ from foreign_master import ForeignMaster
 from support import WorldFactory
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.trace import Notice, Severity
@@ -161,7 +162,7 @@ def test_misuse_says_what_to_do() -> None:
         dpstack.open_bus(port="virtual", baud=500_000, gapp=1)
     bus = bus_of(RAW)
     with pytest.raises(dpstack.UsageError, match="the bus is not open: use it inside"):
-        bus.command(object())
+        core_of(bus).command(object())
 
 
 def test_missing_port_raises_on_entering() -> None:
@@ -267,13 +268,13 @@ async def test_the_port_is_released_when_the_end_is_cut_short(monkeypatch: pytes
     closed: list[bool] = []
     bus = bus_of(RAW)
     await bus.open()
-    close = bus.runtime.close
+    close = core_of(bus).runtime.close
 
     async def watched() -> None:
         await close()
         closed.append(True)
 
-    monkeypatch.setattr(bus.runtime, "close", watched)
+    monkeypatch.setattr(core_of(bus).runtime, "close", watched)
     ending = asyncio.ensure_future(bus.close())
     await asyncio.sleep(0.0001)
     for task in asyncio.all_tasks() - {asyncio.current_task()}:

@@ -11,6 +11,7 @@ from ends_kit import told
 from support import WorldFactory
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.machine import LineDown
@@ -219,7 +220,7 @@ async def test_an_end_that_cannot_be_sent_is_told_once(world: WorldFactory) -> N
     loop = asyncio.get_running_loop()
     async with plant.bus:
         await plant.live()
-        plant.bus.command(LineDown("unplugged"))
+        core_of(plant.bus).command(LineDown("unplugged"))
         begun = loop.time()
     assert loop.time() - begun <= plant.bus.end_limit_s
     assert plant.bus.end_failed

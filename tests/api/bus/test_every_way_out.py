@@ -22,6 +22,7 @@ from support_responder import Responder
 
 import dpstack
 from dpstack.api.bus import shutdown
+from dpstack.api.bus.bus import core_of
 from dpstack.drivers.line import shutdown as of_drivers
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.ports.tty import TtyPort
@@ -132,7 +133,7 @@ def test_the_finaliser_sends_nothing_where_somebody_else_sends(caplog: pytest.Lo
         assert there.slaves[4].outputs == b"\x11\x22"
         assert there.slaves[4].control != b"\x02\x00"
         with pytest.raises(dpstack.UsageError, match="left with its event loop"):
-            bus.command(object())
+            core_of(bus).command(object())
         asyncio.run(bus.close())  # nothing is left to be closed
 
 
@@ -198,7 +199,9 @@ def test_another_task_blocks_the_loop_for_longer_than_the_end_waits(monkeypatch:
             async with ways.bus() as bus:
                 await ways.live(bus)
                 # safe values stand for 50 ms
-                asyncio.get_running_loop().call_later(0.02, time.sleep, ns_to_s(bus.rotation_limit_ns * 10) + 0.2)
+                asyncio.get_running_loop().call_later(
+                    0.02, time.sleep, ns_to_s(core_of(bus).rotation_limit_ns * 10) + 0.2
+                )
             assert not bus.end_failed
 
         ways = Ways(path, "asyncio")

@@ -10,6 +10,7 @@ from api_kit import FAN, RAW, bench_of, bus_of, in_virtual_time, operating
 from gsd_kit import FILES
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import parse_config
 from dpstack.dp.master.commands import DeactivateSlave, SetMode
 from dpstack.dp.master.events import AutoCleared, OperateWaits
@@ -22,7 +23,7 @@ SOUTH = RAW | {"name": "south", "address": 6, "groups": [1, 2], "sync": True, "f
 async def test_sync_returns_when_its_last_bit_has_left() -> None:
     async with operating(NORTH, SOUTH) as bus:
         sent = await bus.sync(1)
-        assert bus.runtime.now() >= sent.t_ns
+        assert core_of(bus).runtime.now() >= sent.t_ns
         assert bus.world is not None
         wire = [tx for tx in bus.world.log if tx.octets[9:11] == b"\x20\x01"]
         assert [tx.end_ns for tx in wire] == [sent.t_ns]
@@ -84,7 +85,7 @@ async def test_what_cannot_be_sent_says_why_and_does_not_hang() -> None:
             await bus.group(1).read()
         waiting = asyncio.create_task(bus.sync(1))
         await asyncio.sleep(0)
-        bus.command(SetMode(dpstack.Mode.STOP))
+        core_of(bus).command(SetMode(dpstack.Mode.STOP))
         with pytest.raises(dpstack.BusError, match="the master goes to Stop"):
             await waiting
         await asyncio.sleep(0.1)
@@ -215,6 +216,6 @@ async def test_removed_while_out_of_service() -> None:
         await bus.remove("raw")
         await asyncio.sleep(0.2)
         with pytest.raises(dpstack.UsageError, match="no slave with address 9"):
-            bus.command(DeactivateSlave(9))
+            core_of(bus).command(DeactivateSlave(9))
         await bus.add_slave(RAW)
         await bus.ready()

@@ -11,6 +11,7 @@ from api_kit import RAW, bus_of, in_virtual_time, operating, stack_of
 from process_kit import VALVES, ready_bus
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.statistics import SlaveStats
 from dpstack.api.control.handlers import run_status
 from dpstack.cli.terminal.report import Reporter
@@ -103,8 +104,8 @@ async def test_a_cycle_that_is_handed_over_too_late_has_no_inputs(monkeypatch: p
         assert 0 <= cycle.age < 0.004
         await asyncio.sleep(0.02)
         assert cycle.age > 0.02  # now, not when it was handed over
-        late = bus.runtime.now() + 200_000_000
-        monkeypatch.setattr(bus.runtime, "now", lambda: late)
+        late = core_of(bus).runtime.now() + 200_000_000
+        monkeypatch.setattr(core_of(bus).runtime, "now", lambda: late)
         cycle = await anext(cycles)
         assert not cycle.inputs
         assert not cycle.fresh

@@ -14,6 +14,7 @@ from api_kit import FAN, HOIST, RAW, bench_of, bus_of, in_virtual_time, operatin
 
 import dpstack
 from dpstack.api.bus import live
+from dpstack.api.bus.bus import core_of
 from dpstack.errors import UsageError
 from dpstack.live.state import LiveState
 
@@ -166,7 +167,7 @@ def test_the_clock_of_the_computer_may_be_set(monkeypatch: pytest.MonkeyPatch) -
         async with operating(RAW) as bus:
             stream = bus.live(0.05)
             await follow(stream, state, 0.2)
-            bus.notice("test", "later")
+            core_of(bus).notice("test", "later")
             await follow(stream, state, 0.2)
         stamps = [event["time"] for event in state.events]
         assert stamps == sorted(stamps)

@@ -17,6 +17,7 @@ from far_ends import many_files_open, until
 from process_kit import DRIVERS, LAMPS_SPEC, SPEC, Driver, eventually, octet_slaves
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.dp.master import plugin_host
 from dpstack.dp.master.commands import Shutdown
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
@@ -41,8 +42,9 @@ class Live(Ways):
         self.told.append(event.text)
 
     def runtime(self, bus: dpstack.Bus) -> AsyncioRuntime:
-        assert isinstance(bus.runtime, AsyncioRuntime)
-        return bus.runtime
+        runtime = core_of(bus).runtime
+        assert isinstance(runtime, AsyncioRuntime)
+        return runtime
 
 
 def failing(error: Exception) -> Callable[[bytes, int], None]:
@@ -140,7 +142,7 @@ def test_the_finaliser_needs_no_handles(monkeypatch: pytest.MonkeyPatch, caplog:
             raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
         monkeypatch.setattr(socket, "socketpair", none_left)
-        assert bus.runtime.end_without_loop() == ""
+        assert core_of(bus).runtime.end_without_loop() == ""
         monkeypatch.undo()
         loop.close()
         eventually(lambda: words[-1] == "clear", "Clear")
@@ -217,7 +219,7 @@ def test_a_token_that_was_lost_on_the_way_out_costs_no_clear(monkeypatch: pytest
         live = Live(path)
         loop = asyncio.new_event_loop()
         bus = loop.run_until_complete(live.opened())
-        stack = bus.view
+        stack = core_of(bus).view
         assert isinstance(stack, Stack)
         stack.master.handlers[4].image.plugin = ends_plugin.EXITS.core()
         with pytest.raises(SystemExit):
@@ -236,7 +238,7 @@ def test_a_plugin_that_fails_ends_neither_bus_nor_program(name: str) -> None:
         live = Live(path)
 
         async def then(bus: dpstack.Bus) -> None:
-            stack = bus.view
+            stack = core_of(bus).view
             assert isinstance(stack, Stack)
             stack.master.handlers[4].image.plugin = getattr(ends_plugin, name).core()
             await until(lambda: bus.slave("valves").fault is not None, "the fault")

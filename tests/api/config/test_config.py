@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import Config, load_config, make_config, parse_config
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.echo import Echo
@@ -324,7 +325,7 @@ def test_echo_is_found_out_unless_the_key_says_it(text: str, echo: bool | None) 
     config = parse_config(BUS + 'driver = "asyncio"\n' + (f"echo = {text}\n" if text else ""))
     assert config.bus.echo is echo
     assert config.with_bus(address=5).bus.echo is echo  # checking the bus again keeps "auto"
-    runtime = dpstack.open_bus(config).runtime
+    runtime = core_of(dpstack.open_bus(config)).runtime
     assert isinstance(runtime, AsyncioRuntime)
     assert runtime.echo is {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}[echo]
 

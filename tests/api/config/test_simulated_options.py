@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from api_kit import device_of, in_virtual_time, running
+from api_kit import bench_of, device_of, in_virtual_time, running
 
 import dpstack
 
@@ -69,8 +69,7 @@ async def test_a_new_address_acts_from_the_next_power_on(table: Mapping[str, obj
     async with running({"name": "it", "address": 4, **table}, 1_500_000) as (bus, drive):
         assert await drive.read(parameter) == 4
         await drive.write(parameter, 9)
-        bench = bus.bench
-        assert bench is not None
+        bench = bench_of(bus)
         bench.power(4, False)
         bench.power(4, True)
         found = await bus.scan()

@@ -9,6 +9,7 @@ import pytest
 from api_kit import bench_of, in_virtual_time, operating
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.config.config import slave_config
 from dpstack.api.control.handlers import slave_handlers
@@ -80,11 +81,11 @@ async def test_steps_happen_in_the_order_of_their_times_and_end() -> None:
     async with operating(VALVES, RAW, on_event=events.append, baud=45_450) as bus:
         bench = bench_of(bus)
         scenario = parse_scenario("repeat = 5.0\n" + STEPS, bench, slave_handlers(bench))
-        origin = bus.runtime.now()
-        ScenarioRun(scenario, bench, bus.publish).start(origin)
+        origin = core_of(bus).runtime.now()
+        ScenarioRun(scenario, bench, core_of(bus).publish).start(origin)
         seen: dict[float, tuple[str, str, object]] = {}
         for at in (0.4, 0.7, 1.2, 2.4, 3.4, 3.68, 4.9, 5.7):
-            await asyncio.sleep((origin - bus.runtime.now()) / 1e9 + at)
+            await asyncio.sleep((origin - core_of(bus).runtime.now()) / 1e9 + at)
             slave = bus.slave("valves")
             seen[at] = (slave.inputs.hex(), slave.state.value, bus.slave("raw").state.value)
     there, gone = "data_exchange", "offline"
@@ -185,7 +186,7 @@ async def test_ctl_begins_and_ends_faults() -> None:
     events: list[str] = []
     async with operating(RAW, on_event=lambda event: events.append(event.text)) as bus:
         bench = bench_of(bus)
-        handlers = slave_handlers(bench, bus)
+        handlers = slave_handlers(bench, core_of(bus))
         handlers["fault"](["raw", "late-answers", "by_ms=0.1", "for=500ms"])
         handlers["fault"](["raw", "noise", "rate=1e-6"])
         assert bench.injected(9) == ["late answers by 0.1 ms", "noise on its stub, 1e-06 a bit"]

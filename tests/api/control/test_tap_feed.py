@@ -21,6 +21,7 @@ from process_kit import DRIVERS, SPEC, VALVES, Driver, bus_on, octet_slaves, pro
 from support_responder import Responder
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import make_config
 from dpstack.api.control import server as server_module
 from dpstack.api.control import tap_feed
@@ -158,7 +159,7 @@ async def test_a_run_gives_every_octet_of_its_line_up_to_the_end_of_the_bus(
         async with control_run(bus, path):
             await bus.open()
             await bus.ready(60)
-            runtime: Any = bus.runtime
+            runtime: Any = core_of(bus).runtime
             async with tapping(path) as tap:
                 await tap.until(20)
                 assert runtime._tap is not None
@@ -198,7 +199,7 @@ async def test_a_bus_process_that_is_stopped_goes_on_and_dies(monkeypatch: pytes
         async with control_run(bus, path):
             await bus.open()
             await bus.ready(60)
-            runtime: Any = bus.runtime
+            runtime: Any = core_of(bus).runtime
             async with octet_client(path) as client:
                 tap = TapClient(client)
                 with stopped(process_of(bus)):
@@ -214,7 +215,7 @@ async def test_a_bus_process_that_is_stopped_goes_on_and_dies(monkeypatch: pytes
             async with tapping(path) as tap:
                 await tap.until(20)
                 os.kill(process_of(bus), signal.SIGKILL)
-                await until(lambda: bus.runtime.not_running is not None, "the end of the bus process")
+                await until(lambda: core_of(bus).runtime.not_running is not None, "the end of the bus process")
                 before = tap.signs_of_life
                 while tap.signs_of_life < before + 3:
                     await tap.read()

@@ -18,6 +18,7 @@ from api_kit import HOIST, RAW, bench_of, bus_of, in_virtual_time, operating, vi
 
 import dpstack
 from dpstack.api.bus import recording as bus_recording
+from dpstack.api.bus.bus import core_of
 from dpstack.api.recording.line_file import LineFile
 
 VALVES: dict[str, object] = {
@@ -45,7 +46,7 @@ async def test_every_cycle_is_a_row(tmp_path: Path) -> None:
                 level = cycle["valves"]["level"]
                 assert isinstance(level, float)
                 assert cycle.skipped == 0
-                seen.append((round((cycle.t_ns - bus.started_ns) / 1e9, 6), level))
+                seen.append((round((cycle.t_ns - core_of(bus).started_ns) / 1e9, 6), level))
                 bus.slave("valves")["target"] = len(seen) / 10
                 if len(seen) == 30:
                     break
@@ -212,12 +213,13 @@ def test_the_cost_of_a_round(outputs: bool, most: int, tmp_path: Path) -> None:
         slaves = tables if outputs else [{**table, "outputs": {}} for table in tables]
         async with operating(*slaves) as bus:
             ends: list[list[CodeType]] = []
-            watch = bus.view.watch_rounds
+            view = core_of(bus).view
+            watch = view.watch_rounds
 
             def counted(on_round: Callable[[], None] | None) -> None:
                 watch(None if on_round is None else lambda: ends.append(_calls_of(on_round)))
 
-            bus.view.watch_rounds = counted  # type: ignore[method-assign]
+            view.watch_rounds = counted  # type: ignore[method-assign]
             await asyncio.sleep(0.05)
             assert ends == []
             async with bus.record(tmp_path / "plant.csv") as recording:

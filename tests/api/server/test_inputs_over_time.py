@@ -11,6 +11,7 @@ import pytest
 from api_kit import bench_of, bus_of, in_virtual_time
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import parse_config
 from dpstack.api.server import simulated_inputs
 from dpstack.api.server.simulated_inputs import SimulatedInputs
@@ -50,7 +51,7 @@ async def inputs_at(
         bus.slave("tank").outputs = outputs
         await asyncio.sleep(0.02)
         bench = bench_of(bus)
-        inputs = SimulatedInputs(bench, bus.publish, allow_code=True)
+        inputs = SimulatedInputs(bench, core_of(bus).publish, allow_code=True)
         origin = bench.now
         inputs.start(origin)
         found = []
@@ -233,7 +234,7 @@ async def test_code_needs_a_word_for_it(tmp_path: Path) -> None:
     config = parse_config(f'{TANK}simulate = {{ function = "evil:f" }}\n', str(tmp_path / "plant.toml"))
     async with bus_of(*config.slaves) as bus:  # type: ignore[arg-type]
         with pytest.raises(ConfigError) as told:
-            SimulatedInputs(bench_of(bus), bus.publish, allow_code=False)
+            SimulatedInputs(bench_of(bus), core_of(bus).publish, allow_code=False)
     assert str(told.value).endswith(
         "plant.toml:12: [[slave]] tank: simulate: function = 'evil:f' runs a program; give --allow-code if you trust it"
     )

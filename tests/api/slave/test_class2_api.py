@@ -10,6 +10,7 @@ import pytest
 from api_kit import HOIST, RAW, bus_of, in_virtual_time, slave_in
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import make_config
 from dpstack.api.slave.class2 import Class2, Configuration, ProcessData
 from dpstack.dp.slave.application import SlaveApp
@@ -69,7 +70,7 @@ async def test_the_slaves_of_another_master(read_only: bool) -> None:
             else:
                 assert isinstance(caught.value, dpstack.SlaveFault)
                 assert "slave 9 is owned by master 2" in str(caught.value)
-            assert bus.view.link.refused == 0
+            assert core_of(bus).view.link.refused == 0
         slave = owner.slave(9)
         assert (slave.ready_now, slave.retries, slave.timeouts) == (True, 0, 0)
         assert spare.stats.exchanges == 0

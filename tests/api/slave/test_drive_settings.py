@@ -6,7 +6,7 @@ import asyncio
 import json
 
 import pytest
-from api_kit import in_virtual_time, running
+from api_kit import bench_of, in_virtual_time, running
 
 import dpstack
 from dpstack.api.config.config import parse_config
@@ -90,12 +90,11 @@ async def test_a_drive_that_comes_back_with_other_settings_is_refused() -> None:
     async with running(fan, 1_500_000) as (bus, drive):
         await drive.start()
         await drive.stop()
-        assert bus.bench is not None
-        device = bus.bench.device(4)
+        device = bench_of(bus).device(4)
         assert isinstance(device, DriveDevice)
         assert device.store is not None
         device.store.install("F03", 100)
-        bus.bench.silence(4, 500_000_000)
+        bench_of(bus).silence(4, 500_000_000)
         await bus.until(lambda: not bus.slave("fan").ready_now, 5)
         await bus.ready()
         await asyncio.sleep(0.2)

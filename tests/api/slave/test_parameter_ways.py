@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
-from api_kit import device_of, in_virtual_time, running
+from api_kit import bench_of, device_of, in_virtual_time, running
 
 import dpstack
 from dpstack import ParameterError, ParameterPlace, UsageError
@@ -145,7 +145,6 @@ async def test_elements_of_an_array_are_one_address() -> None:
 @in_virtual_time
 async def test_a_drive_that_is_gone_is_no_entry() -> None:
     async with running({"name": "it", "address": 6, "drive": "ls-s100", "telegram": "ST1"}) as (bus, _):
-        assert bus.bench is not None
-        bus.bench.power(6, False)
+        bench_of(bus).power(6, False)
         with pytest.raises((DriveError, TimeoutError)):
             await bus.drive("it").read_many([918, 930], timeout=0.5)

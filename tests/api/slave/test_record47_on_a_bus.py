@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import AsyncIterator
 
 import pytest
-from api_kit import in_virtual_time, running
+from api_kit import bench_of, in_virtual_time, running
 from support import WorldFactory
 
 import dpstack
@@ -118,13 +118,12 @@ async def test_without_dp_v1_it_goes_by_pkw_or_says_what_to_do() -> None:
 @in_virtual_time
 async def test_the_drive_goes_and_comes_in_between() -> None:
     async with running(PUMP) as (bus, pump):
-        assert bus.bench is not None
         reading = asyncio.ensure_future(pump.read(965))
         await asyncio.sleep(0.002)
-        bus.bench.power(6, False)
+        bench_of(bus).power(6, False)
         with pytest.raises(dpstack.DriveError):
             await reading
         await bus.until(lambda: not bus.slave(6).ready_now, 5)
-        bus.bench.power(6, True)
+        bench_of(bus).power(6, True)
         await bus.slave(6).ready()
         assert await pump.read(965) == 0x0328

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from api_kit import bench_of
 from cli_kit import Cli
 from far_ends import until
 from programs import PLANT, Starter, plant_of
@@ -94,8 +95,7 @@ async def test_a_run_in_the_virtual_world_has_its_slaves_commands(tmp_path: Path
         await until(lambda: bool(hoist.status.fault), "the fault")
         await ask(server, "warn", "4", "0080")
         await ask(server, "load", "fan", "0.6")
-        assert bus.bench is not None
-        fan = bus.bench.device(4)
+        fan = bench_of(bus).device(4)
         assert isinstance(fan, DriveDevice)
         assert fan.warning_mask == 0x0080
         assert fan.motor.load == 0.6
@@ -117,8 +117,7 @@ async def test_a_run_in_the_virtual_world_has_its_slaves_commands(tmp_path: Path
 async def treat(path: Path) -> None:
     """Slaves in the virtual world, silenced and switched, in its time."""
     async with dpstack.open_bus(path) as bus:
-        bench, lost = bus.bench, bus.slave("raw")
-        assert bench is not None
+        bench, lost = bench_of(bus), bus.slave("raw")
         await bus.ready()
 
         async def gone(timeout: float = 5.0) -> None:

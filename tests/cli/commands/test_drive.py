@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from api_kit import bench_of
 from cli_kit import SIMULATED, Cli
 from ends_kit import told
 from programs import PLANT, Program, Starter, plant_of
@@ -305,8 +306,7 @@ def test_a_drive_that_trips_ends_it(drive: Drive, monkeypatch: pytest.MonkeyPatc
 
     async def trip(bus: Bus) -> None:
         await bus.until(lambda: bus.drive("fan").status.running)
-        assert bus.bench is not None
-        device = bus.bench.device(4)
+        device = bench_of(bus).device(4)
         assert isinstance(device, DriveDevice)
         device.trip("OL1")
 
@@ -423,8 +423,7 @@ async def test_a_drive_that_is_not_there_is_told_with_its_reason(plant: Path) ->
     async with dpstack.open_bus(plant) as bus, control_run(bus, "virtual"):
         await bus.operate()
         await bus.ready()
-        assert bus.bench is not None
-        bus.bench.power(4, False)
+        bench_of(bus).power(4, False)
         await bus.until(lambda: not bus.slave(4).ready_now, 5)
         found = await find_drive(dpstack.load_config(plant), "fan")
         assert found is not None

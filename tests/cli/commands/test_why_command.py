@@ -13,6 +13,7 @@ from slave_kit import make_slave
 
 import dpstack
 from dpstack.api.bus import why_beside
+from dpstack.api.bus.bus import core_of
 from dpstack.api.control.client import connect
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import WhyAnswer
@@ -136,7 +137,7 @@ async def test_notices_of_a_run() -> None:
         assert await lines.stories() == {}
         bench_of(bus).power(9, False)
         await asyncio.sleep(0.4)
-        fault = SlaveFaulted(t_ns=bus.runtime.now(), address=9, name="raw", fault=absent(9, 500_000))
+        fault = SlaveFaulted(t_ns=core_of(bus).runtime.now(), address=9, name="raw", fault=absent(9, 500_000))
         told.clear()
         for _ in range(3):  # the same cause is told once
             lines.event(fault)

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from api_kit import bus_of, virtual
+from api_kit import bench_of, bus_of, virtual
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import slave_config
 from dpstack.api.control.handlers import run_status, slave_handlers
 from dpstack.cli.commands import ctl
@@ -36,12 +37,11 @@ def told_of(story: Story, *slaves: dict[str, object], capsys: Out) -> tuple[list
         bus = bus_of(*slaves, on_event=lambda event: reporter.event(event))
         reporter: Reporter = Reporter(bus, json=False)
         async with bus:
-            assert bus.bench is not None
             await bus.operate()
             await bus.ready()
             await asyncio.sleep(0.5)
             capsys.readouterr()
-            await story(bus, slave_handlers(bus.bench))
+            await story(bus, slave_handlers(bench_of(bus)))
             await bus.rotated(bus.stats.rotations + 10)
             lines = [
                 line[13:] for line in capsys.readouterr().out.splitlines() if line[13:].startswith(("slave ", "drive "))
@@ -158,7 +158,9 @@ def test_a_slave_in_data_exchange_that_is_not_ready_gets_a_line(capsys: Out) -> 
         for octets in ("020C00021234", "020C00021234", "000C00021234"):
             diagnosis = Diagnosis.parse(bytes.fromhex(octets))
             assert diagnosis is not None
-            bus.publish(SlaveDiagnosis(t_ns=bus.runtime.now(), address=9, name="raw", diagnosis=diagnosis))
+            core_of(bus).publish(
+                SlaveDiagnosis(t_ns=core_of(bus).runtime.now(), address=9, name="raw", diagnosis=diagnosis)
+            )
 
     lines, _, _ = told_of(story, RAW, capsys=capsys)
     assert lines == [
@@ -224,7 +226,7 @@ def test_a_drive_that_flickers_is_no_flood(capsys: Out) -> None:
                     "faults": [],
                     "warnings": ["fan"][: number % 2],
                 }
-                reporter.event(DriveEvent(t_ns=bus.runtime.now(), address=4, name="fan", payload=payload))
+                reporter.event(DriveEvent(t_ns=core_of(bus).runtime.now(), address=4, name="fan", payload=payload))
                 await asyncio.sleep(0.001)
             stats = bus.stats
         reporter.summary(stats)

@@ -18,7 +18,7 @@ from property_kit import examples
 from rich.cells import cell_len
 from rich.console import Console
 
-from dpstack.api.bus.bus import open_bus
+from dpstack.api.bus.bus import core_of, open_bus
 from dpstack.api.bus.live_list import LiveListResult
 from dpstack.cli.commands import demo, ports, scan
 from dpstack.cli.main import main
@@ -183,7 +183,7 @@ def test_the_end_of_a_run_shows_every_number_of_its_json(on_terminal: Callable[[
             bus.slave(9).outputs = b"\xa5"
             await bus.rotated(400)
             for address, count in ((3, 1234567), (9, 31653165)):  # a slave's bad days
-                link = bus.view.link.station(address)
+                link = core_of(bus).view.link.station(address)
                 link.retries, link.timeouts, link.late, link.wrong = count + 1, count + 2, count + 3, count + 4
                 link.bad["fcs"] = count + 9
                 link.requests = (1000 if address == 9 else 10) * count  # advice for slave 3 only

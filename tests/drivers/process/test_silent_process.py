@@ -31,6 +31,7 @@ from process_kit import (
 from support_responder import Responder
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.events_json import event_json, severity_of
 from dpstack.api.config.config import make_config
 from dpstack.api.control.handlers import control_run, run_status
@@ -222,7 +223,7 @@ async def test_orders_that_the_socket_does_not_take_are_sent_when_the_bus_proces
             await until(lambda: runtime_of(bus).not_running is not None, "the silence")
             for number in range(8):
                 with pytest.raises(BusError, match="it carries the order out if it goes on"):
-                    await bus.order(DriveCommand(4, "cancel", {"long": "x" * 100_000}, number))
+                    await core_of(bus).order(DriveCommand(4, "cancel", {"long": "x" * 100_000}, number))
         await bus.ready(60)
         await bus.rotated(bus.stats.rotations + 3, 60)
         await bus.operate()

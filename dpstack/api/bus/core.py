@@ -1,0 +1,320 @@
+"""``BusCore``: the inside of a ``Bus``: beginning and end, orders, events and failures of the machine."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Iterable
+from dataclasses import replace
+
+from dpstack.api.bus.compose import compose
+from dpstack.api.bus.cycles import Cycles
+from dpstack.api.bus.find_baud import rate_of, require_wire
+from dpstack.api.bus.live import LiveFeed
+from dpstack.api.bus.parts import BusBase
+from dpstack.api.bus.recording import BusRecording
+from dpstack.api.bus.ring_entry import OtherMasterNotices, join, listening_report
+from dpstack.api.bus.shutdown import OrderedEnd
+from dpstack.api.config.config import Config
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.slave.drive import Drive, DrivePlugin
+from dpstack.api.slave.slave import Slave
+from dpstack.api.streams import EventStream, OnEvent
+from dpstack.dp.master.commands import AddSlave, DriveCommand, Mode, RemoveSlave
+from dpstack.dp.master.events import DriveEvent, ForcedClear, ModeChanged, OperateWaits, SlaveState, SlaveStateChanged
+from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, SurveyOrder, view_of
+from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
+from dpstack.drivers.futures import wait_through_cancellation
+from dpstack.drivers.runtime import stopped_by
+from dpstack.errors import BusError, DpError, UsageError
+from dpstack.fdl.commands import DetachUser, GoOnline
+from dpstack.fdl.events import AddressCollision, RingJoined
+from dpstack.fdl.livelist import ALL_ADDRESSES
+from dpstack.fdl.telegram import StationType
+from dpstack.sim.world import World
+from dpstack.trace import Event, Notice, Severity
+from dpstack.units import ns_to_s
+
+
+class BusFailed(Notice):
+    """The failure that ended the bus. Every pending and later call on the bus raises it as well."""
+
+
+class BusCore(BusBase):
+    """The inside of a :class:`~dpstack.api.bus.bus.Bus`, for the rooms of dpstack.
+
+    ``world``, ``watched``: see :func:`~dpstack.api.bus.compose.compose`; ``join_timeout`` in seconds.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        on_event: OnEvent | None,
+        *,
+        join_timeout: float | None = None,
+        world: World | None = None,
+        watched: bool = True,
+    ) -> None:
+        super().__init__(config, on_event)
+        self._given_world = world
+        self._watched = watched
+        self._join_timeout = join_timeout
+        self._ordered_end = OrderedEnd(self, self.close, self.hurry)
+        self._joined_ns = 0  # machine time of the first token
+        self.cycles = Cycles(self)
+        self.live = LiveFeed(self)
+        self._recordings: list[BusRecording] = []
+        if not self.searching:
+            self._build(config)
+        elif world is None:
+            require_wire(config.port)
+
+    def _build(self, config: Config) -> None:
+        """Make the objects behind the bus; ``config`` has a baud rate. Raises ConfigError."""
+        self._parts = compose(
+            config, self._on_events, self._on_failure, self._on_refused, world=self._given_world, watched=self._watched
+        )
+        self.config = config
+        self._other_masters = OtherMasterNotices(self.params, lambda: self.snapshot)
+        for slave in config.slaves:
+            self._register(slave, self.parts.plugins.get(slave.address))
+
+    def _register(self, config: SlaveConfig, plugin: DrivePlugin | None) -> Slave:
+        setup = self.view.setups[config.address]
+        slave = self._slaves[config.address] = Slave(self, config, setup, has_plugin=plugin is not None)
+        if plugin is not None:
+            self._drives[config.address] = Drive(self, slave, plugin)
+        return slave
+
+    # --- from beginning to end ----------------------------------------------------------------------------------------
+
+    async def open(self) -> None:
+        """See ``Bus.open``."""
+        if self._open or self._ending is not None:
+            raise UsageError("this bus was opened before: make a new one with open_bus()")
+        rate_text = None
+        if self.searching:
+            report = await rate_of(self.config, self._given_world)
+            self._build(self.config.with_bus(baud=report.baud))
+            rate_text = report.text
+        if self._ending is not None:
+            raise UsageError("the bus was closed while it was searching for its baud rate")
+        self.started_ns = self.runtime.now()
+        await self.runtime.open()
+        self._open = True
+        try:
+            await self._ordered_end.watch()
+            if rate_text is not None:
+                self.notice("bus", rate_text)
+            for note in (*self.plan.findings, *self.plan.notes):
+                self.notice("plan", note, Severity.WARNING)
+            await self.order(GoOnline())
+            await join(self, self._join_timeout)
+        except BaseException:
+            await self.close()
+            raise
+
+    async def close(self) -> None:
+        """See ``Bus.close``."""
+        if self.is_left or await self._ordered_end.elsewhere():
+            return
+        ending = self._begin_end()
+        await wait_through_cancellation(ending)
+        if not ending.cancelled():
+            ending.result()
+
+    def hurry(self) -> None:
+        """See ``Bus.hurry``."""
+        self._ordered_end.hurry()
+        for recording in self._recordings:
+            recording.hurry()
+        if self.is_open:
+            self._begin_end()
+
+    @property
+    def end_failed(self) -> bool:
+        """See ``Bus.end_failed``."""
+        return self._ordered_end.failed
+
+    def _begin_end(self) -> asyncio.Task[None]:
+        if self._ending is None:
+            self._ending = asyncio.create_task(self._end())
+        return self._ending
+
+    async def _end(self) -> None:
+        try:
+            if self._open:
+                await self._ordered_end.carry_out()
+        finally:
+            self._open = False
+            try:
+                if not self.searching:
+                    with contextlib.suppress(asyncio.CancelledError):  # the runtime closes all the same
+                        await self.runtime.close()
+            finally:
+                self._fail_all_calls(UsageError("the bus is closed"))
+                await self._ordered_end.unwatch()
+                for recording in self._recordings:
+                    await recording.stop()
+
+    # --- orders, waiting ----------------------------------------------------------------------------------------------
+
+    async def add(self, config: SlaveConfig, setup: SlaveParams) -> Slave:
+        await self.order(AddSlave(setup))
+        if self.bench is not None:
+            self.bench.add(config)
+        try:
+            plugin = await self.parts.attach(config)
+        except DpError:
+            await self.order(RemoveSlave(setup.address))
+            raise
+        return self._register(config, plugin)
+
+    async def remove(self, address: int) -> None:
+        await self.order(RemoveSlave(address))
+        self._round_ns = None
+        del self._slaves[address]
+        self.services.alarms.forget(address)
+        drive = self._drives.pop(address, None)
+        if drive is not None:
+            drive.end(UsageError(f"drive {drive.name} was removed from the bus"))
+
+    async def outputs_taken(self) -> None:
+        """See ``Bus.outputs_taken``."""
+        self.check_open()
+        with self._reason_of_the_end():
+            await self.runtime.hand_over_outputs()
+        self.raise_refused()
+
+    async def rotated(self, rotations: int | None, timeout: float | None = None) -> None:
+        """See ``Bus.rotated``."""
+        if rotations is None:
+            await self.until(lambda: False, timeout)
+            return
+        with self.rounds.watched(self._waiters.check):
+            await self.until(lambda: self.view.rotations >= rotations, timeout)
+
+    @property
+    def seconds_in_ring(self) -> float:
+        """Bus time in seconds since this master received, or claimed, its first token; 0 before that."""
+        return ns_to_s(self.runtime.now() - self._joined_ns) if self._joined_ns else 0.0
+
+    async def scan(
+        self, *, configs: bool = False, addresses: Iterable[int] = ALL_ADDRESSES, quick: bool | None = None
+    ) -> tuple[Found, ...]:
+        """See ``Bus.scan``."""
+        if quick is None:
+            quick = not any(slave.ready_now for slave in self.slaves if not self.view.read_only)
+        own = self.params.address
+        mine = {} if self.view.read_only else {slave.address: slave for slave in self.slaves}
+        token = self.services.token()
+        order = SurveyOrder(token, tuple(addresses), tuple(mine), configs=configs, quick=quick)
+        try:
+            result = await self.services.answer_to(order, ScanDone)
+        finally:
+            with contextlib.suppress(DpError):  # the bus may have ended meanwhile
+                self.command(DetachUser(token))
+        self.unreadable = frozenset(result.unreadable)
+        return tuple(_with_state_of(found, mine.get(found.address), own) for found in result.found)
+
+    def record(self, recording: BusRecording) -> None:
+        """Begin ``recording``; it ends with the bus. Raises UsageError."""
+        try:
+            recording.start(self)
+        except BaseException:
+            recording.discard()
+            raise
+        self._recordings = [one for one in self._recordings if not one.is_over] + [recording]
+
+    def publish(self, event: Event) -> None:
+        """Hand ``event`` to all readers of events, and to ``on_event``."""
+        self._events.publish(event)
+
+    def event_stream(self) -> EventStream:
+        """The events since the start of the bus."""
+        return self._events.stream()
+
+    # --- events and failures of the machine ---------------------------------------------------------------------------
+
+    def _on_events(self, events: list[Event]) -> None:
+        for event in events:
+            self._ordered_end.on_event(event)
+            if self.services.handle_event(event):  # only the caller that awaits this service gets it
+                continue
+            if isinstance(event, ModeChanged):
+                for recording in self._recordings:
+                    recording.mode = event.mode
+            match event:
+                case DriveEvent(address=address, payload=payload):
+                    drive = self._drives.get(address)
+                    if drive is not None:
+                        drive.on_payload(payload, event.t_ns)
+                case SlaveStateChanged(address=address) if address in self._drives:
+                    self._drives[address].publish_status()
+                case AddressCollision():
+                    self.collision = event.text
+                case ForcedClear():
+                    self.forced_clear = event
+                case ModeChanged(mode=mode) if mode is not Mode.CLEAR:
+                    self.forced_clear = None
+                case OperateWaits():
+                    self.forced_clear = None
+            self._events.publish(event)
+            for notice in self._other_masters.notices(event):
+                self._events.publish(notice)
+            if isinstance(event, RingJoined) and not self._joined_ns:
+                self._joined_ns = event.t_ns
+                text, severity = listening_report(self.params.address, self.view)
+                self._events.publish(Notice(t_ns=event.t_ns, source="bus", message=text, severity=severity))
+        self._waiters.check()
+
+    def _on_refused(self, order: object, error: DpError) -> None:
+        """The bus process did not carry out an order that nobody awaits."""
+        self.notice("bus", f"{type(order).__name__} was not carried out: {error}", Severity.ERROR)
+        match order:
+            case DriveCommand(address=address, token=token) if address in self._drives:
+                self._drives[address].on_refused(token, error)
+            case HoldAlarms() | AcknowledgeAlarm():
+                self.services.alarms.on_refused(order, error)
+            case _:
+                self._refused = error
+
+    def _on_failure(self, error: Exception) -> None:
+        """The bus has stopped: pending calls raise ``error``, as a BusError (any other kind is a defect of dpstack)."""
+        failure = error
+        if not isinstance(failure, BusError):
+            failure = BusError(f"the bus was stopped by {stopped_by(error)}")
+            failure.__cause__ = error
+        now = self.runtime.now()
+        self._events.publish(BusFailed(t_ns=now, source="bus", message=str(failure), severity=Severity.ERROR))
+        self._fail_all_calls(failure)
+
+    def _fail_all_calls(self, error: DpError) -> None:
+        """Every pending and later call raises ``error``, or the first one where this was called before."""
+        if self._over is None:
+            self._over = error
+        self._ordered_end.is_over()
+        for drive in self._drives.values():
+            drive.end(self._over)
+        self.cycles.end()
+        self.services.end(self._over)
+        self._events.end()
+        self.live.end(str(self._over))
+        self._waiters.check()
+
+
+def _with_state_of(found: Found, slave: Slave | None, own: int) -> Found:
+    """``found`` with the master's own state of ``slave``. (The scan sends it no diagnosis request: the answer would
+    reset the diagnosis flag, and the master would miss a new diagnosis.)"""
+    if slave is None or found.kind is not StationType.SLAVE:
+        return found
+    exchanging = slave.state is SlaveState.DATA_EXCHANGE
+    return replace(
+        found,
+        state=SlaveView.DATA_EXCHANGE if exchanging else view_of(slave.diagnosis),
+        ident=None if slave.diagnosis is None else slave.diagnosis.ident,
+        master=own if exchanging else None,
+        config=slave.setup.config if exchanging else None,
+        diagnosis=slave.diagnosis,
+    )
