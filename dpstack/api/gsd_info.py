@@ -130,9 +130,9 @@ _NAMES: Final = "vendor model revision gsd_revision hardware_release software_re
 
 
 def gsd_dict(file: GsdFile) -> dict[str, object]:
-    """The file as JSON shows it (interface of ``dpstack gsd show --json``)."""
+    """The file as JSON shows it (interface of ``dpstack gsd show --json``). ``user_prm`` and ``user_prm_const`` are None
+    where the file contradicts itself; a diagnostic says how."""
     device = file.device
-    prm = {reading: UserPrm(device, reading=reading).octets().hex() for reading in Reading}
     return {
         "ident": None if device.ident is None else f"0x{device.ident:04X}",
         **{name: getattr(device, name) for name in (*_NAMES.split(), *_LIMITS.split())},
@@ -142,8 +142,8 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
         "alarms": list(alarm_kinds(device.dpv1.alarms)),
         "alarms_required": list(alarm_kinds(device.dpv1.required)),
         "alarm_sequence": device.dpv1.alarm_sequence_mode_count,
-        "user_prm": prm[Reading.REFS],
-        "user_prm_const": prm[Reading.CONST],
+        "user_prm": _user_prm(device, Reading.REFS),
+        "user_prm_const": _user_prm(device, Reading.CONST),
         "parameters": [_parameter(parameter) for parameter in device.parameters.values()],
         "device_parameters": parameter_places(device, device.prm),
         "f_parameters": device.f_parameters,
@@ -161,6 +161,13 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
         "encoding": file.encoding,
         "diagnostics": [diagnostic_dict(diagnostic) for diagnostic in check(file)],
     }
+
+
+def _user_prm(device: Device, reading: Reading) -> str | None:
+    try:
+        return UserPrm(device, reading=reading).octets().hex()
+    except ConfigError:  # more octets than the limits: the diagnostics have its text
+        return None
 
 
 def diagnostic_dict(diagnostic: Diagnostic) -> dict[str, object]:

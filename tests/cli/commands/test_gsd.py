@@ -68,6 +68,21 @@ def test_show_as_json(cli: Cli) -> None:
     assert found[0]["message"].startswith("the device: defaults contradict the constant octets (Diagnosis@3.3:")
 
 
+@pytest.mark.parametrize("limit", ["4", "-3"])
+def test_a_file_with_more_constants_than_its_limit_is_shown_with_the_remark(
+    limit: str, cli: Cli, tmp_path: Path
+) -> None:
+    path = tmp_path / "narrow.gsd"
+    path.write_text(
+        f"#Profibus_DP\nIdent_Number=1\nMax_User_Prm_Data_Len={limit}\nExt_User_Prm_Data_Const(0)=1,2,3,4,5\n"
+    )
+    shown = cli.json("gsd", "show", str(path))
+    assert (shown["ident"], shown["user_prm"], shown["user_prm_const"]) == ("0x0001", None, None)
+    remark = f"5 octets of user parameters, Max_User_Prm_Data_Len of the device is {limit}; take out modules"
+    assert remark in [diagnostic["message"] for diagnostic in shown["diagnostics"]]
+    assert remark in cli.out("gsd", "show", str(path))
+
+
 def test_show_for_people(cli: Cli) -> None:
     out = cli.out("gsd", "show", WHOLE)
     for text in ("Terminal 8", "0x1A2B", "4 AI", "43 43 01 02 03", "Diagnosis", "off, on", "12 Mbit/s", "sync, freeze"):
