@@ -130,8 +130,10 @@ _NAMES: Final = "vendor model revision gsd_revision hardware_release software_re
 
 
 def gsd_dict(file: GsdFile) -> dict[str, object]:
-    """The file as JSON shows it (interface of ``dpstack gsd show --json``). ``user_prm`` and ``user_prm_const`` are None
-    where the file contradicts itself; a diagnostic says how."""
+    """The file as JSON shows it (interface of ``dpstack gsd show --json``).
+
+    ``user_prm`` and ``user_prm_const`` are None where the file contradicts itself; a diagnostic says how.
+    """
     device = file.device
     return {
         "ident": None if device.ident is None else f"0x{device.ident:04X}",
