@@ -8,10 +8,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from enum import Enum
 from typing import ClassVar, NamedTuple, dataclass_transform
 
 from dpstack.text import printable
+from dpstack.units import NS_PER_S
 
 
 class Severity(Enum):
@@ -29,13 +31,16 @@ class Event:
 
     A derived class needs no decorator: it becomes a frozen dataclass with keyword arguments by itself. It has a
     ``TEMPLATE`` of its :attr:`text`, in which ``{e.name}`` stands for an attribute of the event, or ``_text()`` where
-    the words depend on the attributes. ``MUST_ARRIVE``: see :attr:`must_arrive`.
+    the words depend on the attributes. ``MUST_ARRIVE``: see :attr:`must_arrive`; ``SEVERITY``: see :attr:`severity`.
     """
 
     TEMPLATE: ClassVar[str]
     MUST_ARRIVE: ClassVar[bool] = False
+    SEVERITY: ClassVar[Severity] = Severity.INFO
 
     t_ns: int
+    #: wall clock (ns since 1970, UTC) at ``t_ns``; None until the bus hands the event to its application
+    wall_ns: int | None = field(default=None, compare=False, repr=False)
 
     def __init_subclass__(cls) -> None:
         dataclass(frozen=True, kw_only=True)(cls)
@@ -48,6 +53,16 @@ class Event:
 
     def _text(self) -> str:
         return self.TEMPLATE.format(e=self)
+
+    @property
+    def severity(self) -> Severity:
+        """WARNING: somebody should look at it; ERROR: outputs or inputs of the plant are concerned."""
+        return self.SEVERITY
+
+    @property
+    def time(self) -> datetime | None:
+        """The wall clock (UTC) at which it happened; None until the bus hands the event to its application."""
+        return None if self.wall_ns is None else datetime.fromtimestamp(self.wall_ns / NS_PER_S, UTC)
 
     @property
     def must_arrive(self) -> bool:

@@ -25,7 +25,7 @@ DP = FDL | {"dp", "dpv1", "gsd", "argcheck", "report_once"}
 MAY: dict[str, set[str]] = {
     "units": set(),
     "errors": {"text"},
-    "trace": {"text"},
+    "trace": {"text", "units"},
     "text": set(),
     "argcheck": PURE_BASE,
     "report_once": set(),

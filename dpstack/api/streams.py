@@ -7,11 +7,12 @@ import contextlib
 import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Final, Self, TypeVar
 
 from dpstack.dp.master.events import DriveEvent, SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveStateChanged
 from dpstack.drivers.snapshots import View
-from dpstack.trace import Event
+from dpstack.trace import Event, Severity
 from dpstack.units import ns_to_s
 
 T = TypeVar("T")
@@ -121,6 +122,8 @@ class SlaveFlapping(SlaveEvent):
     The newest state, fault and diagnosis among them follow this event. ``drive``: the events were those of the drive.
     """
 
+    SEVERITY = Severity.WARNING
+
     count: int
     drive: bool = False
 
@@ -179,10 +182,11 @@ class Flapping:
 
 class Events:
     """Distributes the events of a bus to streams, ``log`` and ``on_event``. A new stream begins with the last ``DEPTH``
-    events before it."""
+    events before it. ``wall_ns``: the wall clock (ns since 1970) at a machine time."""
 
-    def __init__(self, on_event: OnEvent | None, log: OnEvent) -> None:
+    def __init__(self, on_event: OnEvent | None, wall_ns: Callable[[int], int], log: OnEvent) -> None:
         self._on_event = on_event
+        self._wall_ns = wall_ns
         self._log = log
         #: called for each event, beside streams and ``on_event``
         self.listener: OnEvent | None = None
@@ -190,6 +194,10 @@ class Events:
         self._streams: set[Stream[Event]] = set()
         self._ended = False
         self._flapping: dict[int, Flapping] = {}
+
+    def stamped(self, event: Event) -> Event:
+        """``event`` with its wall clock."""
+        return replace(event, wall_ns=self._wall_ns(event.t_ns))
 
     def publish(self, event: Event) -> None:
         """Distribute ``event``; of a slave that changes too often only the newest events, once a second."""
@@ -202,6 +210,8 @@ class Events:
             self._pass_on(event)
 
     def _pass_on(self, event: Event) -> None:
+        if event.wall_ns is None:
+            event = self.stamped(event)
         self._history.append(event)
         for stream in tuple(self._streams):  # any allocation may make a reader that was left give up its stream
             stream.put(event)

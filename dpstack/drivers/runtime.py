@@ -9,7 +9,7 @@ from dpstack.dp.master.events import SlaveEvent
 from dpstack.drivers.tap import Tap
 from dpstack.errors import DpError
 from dpstack.params import BusParams
-from dpstack.trace import Event
+from dpstack.trace import Event, Severity
 from dpstack.units import BITS_PER_CHAR, NS_PER_S, ms_text, ns_to_s
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ OnRefused = Callable[[object, DpError], None]
 class PortLost(Event):
     """The port vanished; the driver tries to open it again with back-off."""
 
+    SEVERITY = Severity.ERROR
+
     port: str
     reason: str
 
@@ -50,6 +52,8 @@ class PortBack(Event):
 
 class BusProcessSilent(Event):
     """The bus process shows no sign of life. Its slaves count as offline, their inputs as not valid."""
+
+    SEVERITY = Severity.ERROR
 
     pid: int
     silent_ns: int
@@ -75,6 +79,8 @@ class BusProcessBack(Event):
 class OutputsDropped(SlaveEvent):
     """The bus process did not take ``outputs`` of the application in time. They will not go out."""
 
+    SEVERITY = Severity.ERROR
+
     outputs: bytes
 
     def _text(self) -> str:
@@ -94,6 +100,10 @@ class BehindRealTime(Event):
     real_ns: int
     behind_ns: int
     keeps_up: bool
+
+    @property
+    def severity(self) -> Severity:
+        return Severity.INFO if self.keeps_up else Severity.WARNING
 
     def _text(self) -> str:
         if self.keeps_up:

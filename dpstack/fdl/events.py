@@ -52,6 +52,8 @@ class MasterSeen(Event):
 class AddressCollision(Event):
     """Another station sends with this station's address."""
 
+    SEVERITY = Severity.ERROR
+
     address: int
 
     TEMPLATE = (
@@ -62,6 +64,8 @@ class AddressCollision(Event):
 
 class TokenLost(Event):
     """The bus was silent for T_TO; this station claims the token."""
+
+    SEVERITY = Severity.WARNING
 
     address: int
 
@@ -94,6 +98,8 @@ class DoesNotFit(Event):
 
     ``takes_ns``: its longest duration; ``slack_ns``: the port's slack in each of its slot times.
     """
+
+    SEVERITY = Severity.WARNING
 
     service: str
     address: int

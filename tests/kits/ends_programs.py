@@ -19,7 +19,7 @@ from far_ends import until
 from process_kit import LAMPS, VALVES, Driver, bus_on
 
 import dpstack
-from dpstack.api.bus.events_json import Severity, severity_of
+from dpstack.api.bus.events_json import Severity
 from dpstack.dp.master.commands import Mode
 from dpstack.trace import Event
 
@@ -54,7 +54,7 @@ class Ways:
         return bus_on(self.path, driver, *SLAVES, on_event=self.on_event, after_stall="safe", **more)
 
     def on_event(self, event: Event) -> None:
-        if self.is_live and severity_of(event) is not Severity.INFO:
+        if self.is_live and event.severity is not Severity.INFO:
             print(f"event: {type(event).__name__}: {event.text}", flush=True)
 
     async def live(self, bus: dpstack.Bus) -> None:

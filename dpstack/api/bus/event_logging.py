@@ -10,7 +10,7 @@ import logging
 from collections.abc import Callable
 from typing import Final
 
-from dpstack.api.bus.events_json import event_json, severity_of
+from dpstack.api.bus.events_json import event_json
 from dpstack.dp.master.events import SlaveEvent
 from dpstack.text import printable
 from dpstack.trace import Event, Severity
@@ -36,7 +36,7 @@ class EventLogging:
 
     def __call__(self, event: Event) -> None:
         logger = self._of_slave(event.name) if isinstance(event, SlaveEvent) else _BUS
-        level = _LEVELS[severity_of(event)]
+        level = _LEVELS[event.severity]
         if not logger.isEnabledFor(level):
             return
         started_ns, port = self._origin()

@@ -12,7 +12,6 @@ from dpstack.dp.master.events import (
     CyclesMissed,
     DriveEvent,
     FaultKind,
-    ForcedClear,
     MasterStopped,
     ModeChanged,
     OperateWaits,
@@ -26,10 +25,10 @@ from dpstack.dp.master.events import (
     Stalled,
 )
 from dpstack.dp.master.scanner import Found, StationSeen
-from dpstack.dp.pdu.alarm_blocks import Specifier, message_dict
+from dpstack.dp.pdu.alarm_blocks import message_dict
 from dpstack.dpv1.master.orders import AlarmRaised, ConnectionOver, StatusTold
 from dpstack.drivers.runtime import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped, PortBack, PortLost
-from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
+from dpstack.fdl.events import AddressCollision, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_MS, NS_PER_US
 
@@ -59,23 +58,6 @@ __all__ = [
 #: events whose JSON has no ``text``
 _WITHOUT_TEXT = (SlaveStateChanged, SlaveDiagnosis, DriveEvent, ModeChanged, MasterStopped)
 _RING = (RingJoined, RingLeft, MasterSeen, TokenLost, AddressCollision)
-
-
-def severity_of(event: Event) -> Severity:
-    match event:
-        case Notice(severity=severity):
-            return severity
-        case SlaveFaulted() | AddressCollision() | PortLost() | ForcedClear() | BusProcessSilent() | OutputsDropped():
-            return Severity.ERROR
-        case AlarmRaised(alarm=alarm) if alarm.specifier == Specifier.APPEARS:
-            return Severity.WARNING
-        case SlaveRemark() | SlaveFlapping() | TokenLost() | OperateWaits() | CyclesMissed() | DoesNotFit():
-            return Severity.WARNING
-        case DriveEvent(payload={"type": "failed"}):
-            return Severity.ERROR
-        case ConnectionOver(ordered=False) | BehindRealTime(keeps_up=False):
-            return Severity.WARNING
-    return Severity.INFO
 
 
 def event_json(event: Event, t: float) -> dict[str, object] | None:

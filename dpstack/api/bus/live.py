@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from time import time
 from typing import Any, Final
 
-from dpstack.api.bus.events_json import event_json, severity_of
+from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.bus.statistics import bus_figures, clear_since, diagnosis_dict, drive_dict, inputs_dict
 from dpstack.api.config.slave import SlaveConfig
@@ -293,7 +293,7 @@ class LiveFeed:
         line = event_json(event, t)
         if line is None:
             return
-        more = {"time": iso_time(self._started + t), "severity": severity_of(event).value, "text": event.text}
+        more = {"time": iso_time(self._started + t), "severity": event.severity.value, "text": event.text}
         item = {"event": line | more}
         for stream in readers:
             stream.put(item)

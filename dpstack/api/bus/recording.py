@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from dpstack.api.bus.events_json import event_json, severity_of
+from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.recording.event_log import EventLog
 from dpstack.api.recording.record_file import RecordFile
@@ -295,7 +295,7 @@ class RunFiles:
             self._bus, self._loop = bus, asyncio.get_running_loop()
         line = event_json(event, ns_to_s(event.t_ns - bus.started_ns))
         if line is not None:
-            self._log.put({**line, "severity": severity_of(event).value, "text": event.text})
+            self._log.put({**line, "severity": event.severity.value, "text": event.text})
 
     def _tell(self, text: str) -> None:
         """From the thread of the log."""

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from dpstack.api.bus.bus import open_bus
 from dpstack.api.bus.compose import core_of
-from dpstack.api.bus.events_json import DriveEvent, Event, Severity, severity_of
+from dpstack.api.bus.events_json import DriveEvent, Event, Severity
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control import drive_orders as words
@@ -221,7 +221,7 @@ class OneDrive:
     def _on_event(self, event: Event) -> None:
         name = self._slave.name
         on_bus.warn_of(event)
-        if isinstance(event, DriveEvent) and severity_of(event) is Severity.INFO:
+        if isinstance(event, DriveEvent) and event.severity is Severity.INFO:
             payload = event.payload
             if payload.get("type") == "notice":
                 output.warn(f"drive {name}: {payload.get('text')}")

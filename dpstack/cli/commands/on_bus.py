@@ -9,7 +9,7 @@ from typing import Final
 
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.core import BusFailed
-from dpstack.api.bus.events_json import AddressCollision, Event, MasterSeen, Notice, RingJoined, Severity, severity_of
+from dpstack.api.bus.events_json import AddressCollision, Event, MasterSeen, Notice, RingJoined, Severity
 from dpstack.api.bus.find_baud import find_baud
 from dpstack.api.bus.live_list import MakeBus
 from dpstack.api.config.config import AUTO, Config, make_config
@@ -65,7 +65,7 @@ def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
         return Bus(config, on_event=once(tell), watched=False)
 
     def tell(event: Event) -> None:
-        if severity_of(event) is not Severity.INFO:
+        if event.severity is not Severity.INFO:
             output.warn(event.text)
         elif isinstance(event, MasterSeen) and event.present and not args.json:
             output.warn(f"master {event.address} is on this bus: {args.command} waits until it is let into the ring")
@@ -75,7 +75,7 @@ def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
 
 def warn_of(event: Event) -> None:
     """Print a warning or error; not the findings of the plan, which `dpstack run` and `dpstack plan` show."""
-    if severity_of(event) is not Severity.INFO and not (isinstance(event, Notice) and event.source == "plan"):
+    if event.severity is not Severity.INFO and not (isinstance(event, Notice) and event.source == "plan"):
         output.warn(event.text)
 
 

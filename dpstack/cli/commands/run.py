@@ -203,7 +203,7 @@ def _service_state(bus: Bus, args: argparse.Namespace) -> BusState:
     """The state of ``bus`` for the service manager. The counters stand still where a bus process is dead or stopped."""
     if not bus.is_open:
         return BusState(ready=False, beat=0, status="looks for the baud rate" if bus.searching else "opens the port")
-    tokens, mode = bus.view.link.tokens, bus.mode.name.lower()
+    tokens, mode = core_of(bus).view.link.tokens, bus.mode.name.lower()
     if bus.config.bus.read_only:
         ready, mode = tokens > 0, "read-only"
     else:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from dpstack.api.bus.events_json import severity_of
 from dpstack.api.config.config import AUTO, Config, load_config, make_config, slave_config
 from dpstack.api.control.handlers import control_sim, slave_handlers
 from dpstack.api.control.scenario import SimulatedPlant
@@ -125,7 +124,7 @@ def _event_writer(simulation: Simulation, json: bool, log: EventLog | None) -> C
     def write(event: Event) -> None:
         show(event)
         line = sim_event_json(event, ns_to_s(event.t_ns - simulation.started_ns))
-        log.put({**line, "severity": severity_of(event).value, "text": event.text})
+        log.put({**line, "severity": event.severity.value, "text": event.text})
 
     return write
 

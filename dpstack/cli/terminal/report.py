@@ -19,7 +19,6 @@ from dpstack.api.bus.events_json import (
     SlaveStateChanged,
     Stalled,
     event_json,
-    severity_of,
 )
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.bus.statistics import BusStats, SlaveStats
@@ -218,7 +217,7 @@ def _cycles(stats: BusStats) -> None:
 def _style(event: Event) -> str:
     if isinstance(event, DriveEvent) and event.payload.get("type") != "failed":
         return "red" if event.payload.get("faults") else "yellow" if event.payload.get("warnings") else ""
-    return _STYLES[severity_of(event)]
+    return _STYLES[event.severity]
 
 
 def _diagnoses(slaves: Iterable[SlaveStats]) -> None:

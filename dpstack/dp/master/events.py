@@ -7,7 +7,7 @@ from enum import Enum
 
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.trace import Event
+from dpstack.trace import Event, Severity
 from dpstack.units import ms_text
 
 
@@ -75,6 +75,8 @@ class SlaveStateChanged(SlaveEvent):
 class SlaveFaulted(SlaveEvent):
     """The slave has a new or another fault. (Not reported again at every retry.)"""
 
+    SEVERITY = Severity.ERROR
+
     fault: Fault
 
     TEMPLATE = "{e.who}: {e.fault.text}"
@@ -94,6 +96,8 @@ class SlaveDiagnosis(SlaveEvent):
 
 class SlaveRemark(SlaveEvent):
     """A deviation from the standard, reported once."""
+
+    SEVERITY = Severity.WARNING
 
     message: str
 
@@ -122,6 +126,8 @@ class MasterStopped(Event):
 class OperateWaits(Event):
     """Operate was ordered with auto-clear; the master stays in Clear until ``slaves`` are in data exchange."""
 
+    SEVERITY = Severity.WARNING
+
     slaves: tuple[int, ...]
     reasons: tuple[str, ...]
 
@@ -131,6 +137,8 @@ class OperateWaits(Event):
 
 class ForcedClear(Event):
     """The master goes to Clear by itself, and stays there until Operate is ordered."""
+
+    SEVERITY = Severity.ERROR
 
     #: the application must order Operate again
     MUST_ARRIVE = True
@@ -206,6 +214,8 @@ class CyclesMissed(Event):
     ``number``, ``late_ns`` and ``reason`` are those of the worst one (of one left out: its delay at that time).
     """
 
+    SEVERITY = Severity.WARNING
+
     count: int
     missed: int
     number: int
@@ -276,6 +286,11 @@ class DriveEvent(SlaveEvent):
         elif kind == "failed":
             said = f"its plugin failed: {said}"
         return f"drive {self.address} ({self.name}): {said}"
+
+    @property
+    def severity(self) -> Severity:
+        """ERROR for a plugin that failed."""
+        return Severity.ERROR if self.payload.get("type") == "failed" else Severity.INFO
 
     @property
     def must_arrive(self) -> bool:

@@ -10,7 +10,7 @@ from typing import Final
 
 from dpstack.dp.acyclic.job import Outcome, ServiceEnd
 from dpstack.dp.master.events import SlaveEvent
-from dpstack.dp.pdu.alarm_blocks import Alarm, Status
+from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier, Status
 from dpstack.dp.pdu.diag_texts import texts_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.layouts import MAX_RECORD
@@ -19,7 +19,7 @@ from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, Servic
 from dpstack.dpv1.timeouts import SERVICE_TIMEOUT, least_send_timeout
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.machine import Order
-from dpstack.trace import Event
+from dpstack.trace import Event, Severity
 
 #: Initiate with the send time-out to ask for by default
 _USUAL_REQUEST: Final = InitiateReq(least_send_timeout(500_000))
@@ -164,6 +164,10 @@ class ConnectionOver(Event):
 
     TEMPLATE = "slave {e.address}: class 2 connection (server SAP {e.server_sap}) is over: {e.reason}"
 
+    @property
+    def severity(self) -> Severity:
+        return Severity.INFO if self.ordered else Severity.WARNING
+
 
 class ConnectionsClosed(Event):
     """The end of CloseConnections: no slave holds anything for this master any more, as far as could be done."""
@@ -207,6 +211,11 @@ class AlarmRaised(SlaveEvent):
     def must_arrive(self) -> bool:
         """The slave waits for its acknowledgement."""
         return self.held
+
+    @property
+    def severity(self) -> Severity:
+        """WARNING for an alarm about an error that appears."""
+        return Severity.WARNING if self.alarm.specifier == Specifier.APPEARS else Severity.INFO
 
     def _text(self) -> str:
         return "; ".join((f"{self.who}: {self.alarm.full_text}", *self.texts))

@@ -10,7 +10,7 @@ from api_kit import HOIST, RAW, bench_of, bus_of, in_virtual_time, stack_of
 
 import dpstack
 from dpstack.api.bus.bus import core_of
-from dpstack.api.bus.events_json import event_json, severity_of
+from dpstack.api.bus.events_json import event_json
 from dpstack.api.config.config import parse_config
 from dpstack.api.control.handlers import run_status
 from dpstack.dp.master.events import ApplicationSilent, AutoCleared, ModeChanged, Stalled
@@ -69,7 +69,7 @@ async def test_the_bus_stays_in_clear_until_operate() -> None:
         await mirrored(raw, b"\x5a")
         assert "clear" not in run_status(bus)
     (stall,) = [event for event in told if isinstance(event, Stalled)]
-    assert severity_of(stall) is Severity.ERROR
+    assert stall.severity is Severity.ERROR
     line = event_json(stall, 1.5)
     assert line is not None
     gap = line.pop("gap_ms")
@@ -161,7 +161,7 @@ async def test_a_program_that_hangs_is_noticed() -> None:
     assert event_json(silent, 2.0) == {
         "event": "application_silent", "t": 2.0, "limit_ms": 100, "text": silent.text
     }  # fmt: skip
-    assert severity_of(silent) is Severity.ERROR
+    assert silent.severity is Severity.ERROR
 
 
 @in_virtual_time

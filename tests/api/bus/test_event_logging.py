@@ -164,7 +164,7 @@ def test_an_event_whose_level_is_off_costs_a_handful_of_calls(monkeypatch: pytes
         sys.setprofile(trace)
         log(event)
         sys.setprofile(None)
-        assert calls == ["EventLogging.__call__", *["EventLogging._of_slave"] * (event is remark), "severity_of",
+        assert calls == ["EventLogging.__call__", *["EventLogging._of_slave", "Event.severity"] * (event is remark),
                          *["Enum.__hash__"], "Logger.isEnabledFor"]  # fmt: skip
     logging.getLogger("dpstack").manager._clear_cache()  # type: ignore[attr-defined]
 

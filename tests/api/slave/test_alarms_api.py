@@ -14,7 +14,7 @@ from support import WorldFactory
 
 import dpstack
 from dpstack import AlarmType, ModuleState, SlaveAlarm, SlaveDescription, Specifier, StatusType
-from dpstack.api.bus.events_json import event_json, severity_of
+from dpstack.api.bus.events_json import event_json
 from dpstack.api.server.server import ServedSlave
 from dpstack.dpv1.master.orders import AlarmRaised, StatusTold
 from dpstack.errors import AlarmError, SlaveFault, UsageError
@@ -92,7 +92,7 @@ async def test_the_attributes_of_an_alarm(world: WorldFactory) -> None:
 
     # LHS told =  TAIL
     raised = [event for event in events if isinstance(event, AlarmRaised)]
-    assert [severity_of(event) for event in raised[:2]] == [Severity.WARNING, Severity.INFO]
+    assert [event.severity for event in raised[:2]] == [Severity.WARNING, Severity.INFO]
     line = event_json(raised[0], 1.0)
     assert line is not None
     assert line | {"text": ""} == {

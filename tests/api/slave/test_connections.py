@@ -15,7 +15,7 @@ from ms2_kit import Ms2Server, ms2_in, served
 
 import dpstack
 from dpstack import AcyclicError, Connection, ConnectionEnded, Im0, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
-from dpstack.api.bus.events_json import event_json, severity_of
+from dpstack.api.bus.events_json import event_json
 from dpstack.api.config.config import make_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.acyclic.queue import Acyclic
@@ -111,8 +111,8 @@ async def test_everything_over_one_connection_beside_the_slaves_own_master() -> 
 
     # LHS told =  TAIL
     (over,) = [event for event in events if isinstance(event, ConnectionOver)]
-    assert severity_of(over) is Severity.INFO
-    assert severity_of(dataclasses.replace(over, ordered=False)) is Severity.WARNING
+    assert over.severity is Severity.INFO
+    assert dataclasses.replace(over, ordered=False).severity is Severity.WARNING
     assert event_json(over, 1.0) == {
         "event": "connection_over",
         "t": 1.0,

@@ -32,7 +32,7 @@ from support_responder import Responder
 
 import dpstack
 from dpstack.api.bus.bus import core_of
-from dpstack.api.bus.events_json import event_json, severity_of
+from dpstack.api.bus.events_json import event_json
 from dpstack.api.config.config import make_config
 from dpstack.api.control.handlers import control_run, run_status
 from dpstack.api.server.simulation import Segment, Simulation
@@ -177,7 +177,7 @@ async def test_a_stopped_bus_process_is_silent_and_nothing_old_goes_out_when_it_
     assert {key: told_of_drop[key] for key in ("event", "t", "address", "name", "outputs")} == {
         "event": "outputs_dropped", "t": 1.5, "address": 4, "name": "valves", "outputs": "1122"
     }  # fmt: skip
-    assert severity_of(silent) is severity_of(dropped[0]) is Severity.ERROR
+    assert silent.severity is dropped[0].severity is Severity.ERROR
 
 
 async def test_an_order_that_is_not_taken_in_time_is_never_carried_out() -> None:

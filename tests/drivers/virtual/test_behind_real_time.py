@@ -9,7 +9,7 @@ import pytest
 from api_kit import RAW, bus_of, virtual
 
 import dpstack
-from dpstack.api.bus.events_json import event_json, severity_of
+from dpstack.api.bus.events_json import event_json
 from dpstack.cli.terminal.report import Reporter
 from dpstack.drivers.runtime import BehindRealTime
 from dpstack.drivers.virtual import runtime as driver
@@ -49,8 +49,8 @@ def test_falling_behind_is_reported_once_and_again_when_the_speed_changes_much()
         "keeps_up": False,
         "text": first.text,
     }
-    assert severity_of(first) is Severity.WARNING
-    assert severity_of(told[3]) is Severity.INFO
+    assert first.severity is Severity.WARNING
+    assert told[3].severity is Severity.INFO
 
 
 def test_a_bus_that_keeps_up_reports_nothing() -> None:
