@@ -121,7 +121,7 @@ def _has_text(event: type[Event]) -> bool:
 
 def _event(event: type[Event]) -> Iterator[str]:
     yield f"## {event.__name__}\n\n{plain(event.__doc__)}\n"
-    fields = [field for field in dataclasses.fields(event) if field.name != "t_ns"]
+    fields = [field for field in dataclasses.fields(event) if field.name not in ("t_ns", "wall_ns")]
     if fields:
         rows = (f"| `{field.name}` | `{cell(str(field.type))}` |" for field in fields)
         yield "\n".join(["| field | type |", "|---|---|", *rows]) + "\n"
@@ -135,9 +135,10 @@ def events_page() -> str:
 {_MADE}
 
 `async for event in bus.events()` yields those of a bus; the others belong to served slaves, scans, and searches for a
-rate. Each event has `t_ns`, the time of the machine in nanoseconds, and `text`: one line for people, with what to do
-where something is to be done. Where a text is given here, names in braces stand for fields or properties of the event;
-the other texts depend on the values of the fields. Faults of a slave and the remedy for each:
+rate. Each event has `t_ns`, the time of the machine in nanoseconds, `time`, the wall clock (`wall_ns` in nanoseconds),
+`severity`, and `text`: one line for people, with what to do where something is to be done. Where a text is given here,
+names in braces stand for fields or properties of the event; the other texts depend on the values of the fields. Faults
+of a slave and the remedy for each:
 [troubleshooting.md](troubleshooting.md).
 """
     return "\n".join([head, *(part for event in event_classes() for part in _event(event))])

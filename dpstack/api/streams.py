@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
@@ -106,6 +107,25 @@ class EventStream(Reader[Event]):
     """Events of a bus, an async iterator. Ends with the bus."""
 
 
+class WallClock:
+    """The wall clock of events. ``now``: the machine's time in ns; ``virtual``: whether that is the time of a simulated
+    bus: then the differences between events are those of bus time, else a clock that is set has its effect at once."""
+
+    def __init__(self, now: Callable[[], int], virtual: Callable[[], bool]) -> None:
+        self._now = now
+        self._virtual = virtual
+        self._offset_ns: int | None = None  # of a simulated bus
+
+    def stamped(self, event: Event) -> Event:
+        """``event`` with its wall clock."""
+        offset_ns = self._offset_ns
+        if offset_ns is None:
+            offset_ns = time.time_ns() - self._now()
+            if self._virtual():
+                self._offset_ns = offset_ns
+        return replace(event, wall_ns=event.t_ns + offset_ns)
+
+
 def call_on_event(on_event: OnEvent | None, event: Event) -> None:
     """Call ``on_event(event)``. The event loop reports an exception of it, and the bus goes on."""
     if on_event is not None:
@@ -182,11 +202,11 @@ class Flapping:
 
 class Events:
     """Distributes the events of a bus to streams, ``log`` and ``on_event``. A new stream begins with the last ``DEPTH``
-    events before it. ``wall_ns``: the wall clock (ns since 1970) at a machine time."""
+    events before it."""
 
-    def __init__(self, on_event: OnEvent | None, wall_ns: Callable[[int], int], log: OnEvent) -> None:
+    def __init__(self, on_event: OnEvent | None, clock: WallClock, log: OnEvent) -> None:
         self._on_event = on_event
-        self._wall_ns = wall_ns
+        self._clock = clock
         self._log = log
         #: called for each event, beside streams and ``on_event``
         self.listener: OnEvent | None = None
@@ -194,10 +214,6 @@ class Events:
         self._streams: set[Stream[Event]] = set()
         self._ended = False
         self._flapping: dict[int, Flapping] = {}
-
-    def stamped(self, event: Event) -> Event:
-        """``event`` with its wall clock."""
-        return replace(event, wall_ns=self._wall_ns(event.t_ns))
 
     def publish(self, event: Event) -> None:
         """Distribute ``event``; of a slave that changes too often only the newest events, once a second."""
@@ -211,7 +227,7 @@ class Events:
 
     def _pass_on(self, event: Event) -> None:
         if event.wall_ns is None:
-            event = self.stamped(event)
+            event = self._clock.stamped(event)
         self._history.append(event)
         for stream in tuple(self._streams):  # any allocation may make a reader that was left give up its stream
             stream.put(event)

@@ -92,7 +92,11 @@ def _defaults(name: str, made: Any) -> Iterator[Case]:
         if isinstance(function, type | FunctionType):
             with contextlib.suppress(ValueError):  # a class without a signature of its own
                 given = inspect.signature(function).parameters.values()
-                defaults = [f"{one.name} = {one.default!r}" for one in given if one.default is not one.empty]
+                defaults = [
+                    f"{one.name} = {one.default!r}"
+                    for one in given
+                    if one.default is not one.empty and one.name != "wall_ns"
+                ]
                 defaults = [default for default in defaults if " at 0x" not in default]
                 if defaults:
                     yield called, ", ".join(defaults)

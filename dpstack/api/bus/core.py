@@ -238,7 +238,7 @@ class BusCore(BusBase):
     # --- events and failures of the machine ---------------------------------------------------------------------------
 
     def _on_events(self, events: list[Event]) -> None:
-        for event in map(self._events.stamped, events):
+        for event in map(self._wall_clock.stamped, events):
             self._ordered_end.on_event(event)
             if self.services.handle_event(event):  # only the caller that awaits this service gets it
                 continue

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Final
@@ -18,7 +17,7 @@ from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.api.slave.drive import Drive
 from dpstack.api.slave.services import Services
 from dpstack.api.slave.slave import Slave
-from dpstack.api.streams import Events, OnEvent, Rounds, Waiters
+from dpstack.api.streams import Events, OnEvent, Rounds, Waiters, WallClock
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import ForcedClear
 from dpstack.dp.plan.plan import Plan
@@ -54,8 +53,9 @@ class BusBase:
         self.services = Services(self.command, self.order, lambda: self.is_open)
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, Drive] = {}
-        self._events = Events(on_event, self._wall_ns, EventLogging(lambda: (self.started_ns, self.runtime.port_name)))
-        self._wall_offset_ns: int | None = None  # of a simulated bus
+        self._wall_clock = WallClock(lambda: self.runtime.now(), lambda: self.driver == "virtual")
+        log = EventLogging(lambda: (self.started_ns, self.runtime.port_name))
+        self._events = Events(on_event, self._wall_clock, log)
         self._waiters = Waiters()
         self._open = False
         self._ending: asyncio.Task[None] | None = None
@@ -249,15 +249,6 @@ class BusBase:
     def seconds(self) -> float:
         """Bus time since the start in seconds."""
         return ns_to_s(self.runtime.now() - self.started_ns)
-
-    def _wall_ns(self, t_ns: int) -> int:
-        """Wall clock (ns since 1970) at the machine time ``t_ns``. On a real bus it follows a clock that is set; on a
-        simulated bus the differences are those of bus time."""
-        if self.driver != "virtual":
-            return time.time_ns() - self.runtime.now() + t_ns
-        if self._wall_offset_ns is None:
-            self._wall_offset_ns = time.time_ns() - self.runtime.now()
-        return self._wall_offset_ns + t_ns
 
     def notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None:
         """Publish ``message`` as an event."""

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar, Unpack
 
 from dpstack.api.gsd_info import read_gsd
-from dpstack.api.streams import OnEvent, Waiters, call_on_event
+from dpstack.api.streams import OnEvent, Waiters, WallClock, call_on_event
 from dpstack.argcheck import Sealed, octets, whole_number
 from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Specifier, Status, module_status
@@ -375,6 +375,7 @@ class SlaveServer(Sealed):
         params = BusParams.preset(self.baud)
         #: callback for every event
         self.on_event = on_event
+        self._clock = WallClock(lambda: self._runtimes[0].now(), lambda: world is not None)
         #: the failure that stopped the server, a defect in dpstack; None without one
         self.failure: BusError | None = None
         self._waiters = Waiters()
@@ -433,7 +434,7 @@ class SlaveServer(Sealed):
     def _on_events(self, events: list[Event]) -> None:
         self._waiters.check()
         for event in events:
-            call_on_event(self.on_event, event)
+            call_on_event(self.on_event, self._clock.stamped(event))
 
     def _make_safe(self, why: BusError) -> None:
         for slave in self.slaves:

@@ -10,7 +10,7 @@ from typing import Final, Literal
 
 from dpstack.api.config.config import AUTO, ECHO, Config, port_of, rate_findings
 from dpstack.api.server.virtual_bench import Bench, Injected, ScenarioEvent, SimulatedSlave, rates_of, set_rate
-from dpstack.api.streams import OnEvent, call_on_event
+from dpstack.api.streams import OnEvent, WallClock, call_on_event
 from dpstack.dp.slave.auto_baud import BaudState, PortBaudChanged, SearchingPort
 from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
@@ -88,6 +88,7 @@ class Simulation(Bench):
         self.runtime = AsyncioRuntime(
             opened, machine, self._on_events, echo=ECHO[config.bus.echo], on_failure=self._failed
         )
+        self._clock = WallClock(self.runtime.now, lambda: False)
         #: machine time of the start in ns
         self.started_ns = 0
         self._is_over = False
@@ -180,7 +181,7 @@ class Simulation(Bench):
             self._line.remove(address)
 
     def publish(self, event: Event) -> None:
-        call_on_event(self.on_event, event)
+        call_on_event(self.on_event, self._clock.stamped(event))
 
     async def failed(self, seconds: float | None = None) -> None:
         """Wait for ``seconds`` (None: for ever). Raises BusError if the simulation fails in this time."""

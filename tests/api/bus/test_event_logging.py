@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.event_logging import EventLogging, log_or_print, slave_logger_name
 from dpstack.dp.master.events import SlaveRemark
 from dpstack.logs import JsonFormatter
@@ -185,9 +186,9 @@ def test_logging_is_asked_once_an_event_and_never_in_a_round(monkeypatch: pytest
         async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[slave], on_event=events.append) as bus:
             await bus.operate()
             await bus.ready()
-            before = len(asked), bus.view.rotations
-            await bus.rotated(bus.view.rotations + 500)
-            return len(asked) - before[0], bus.view.rotations - before[1]
+            before = len(asked), core_of(bus).view.rotations
+            await bus.rotated(core_of(bus).view.rotations + 500)
+            return len(asked) - before[0], core_of(bus).view.rotations - before[1]
 
     asked_then, rounds = dpstack.run_virtual(program())
     assert rounds >= 500

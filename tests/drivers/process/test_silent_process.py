@@ -282,7 +282,7 @@ async def test_the_end_of_a_bus_continues_a_stopped_bus_process(end: str) -> Non
             os.kill(process_of(bus), signal.SIGSTOP)
             await until(lambda: bus.slave("valves").state is dpstack.SlaveState.OFFLINE, "the silence")
             if end == "end_without_loop":
-                assert bus.runtime.end_without_loop() == ""
+                assert core_of(bus).runtime.end_without_loop() == ""
             await bus.close()
             eventually(lambda: words[-1:] == ["clear"], "Clear")
             assert is_in_order([OLD.hex(), *words], live=OLD.hex(), safe="a55a")
