@@ -313,7 +313,7 @@ def story(seed: int) -> str:
         told = f"{history.lost} {history.brought_up} {history.idents} {history.losses}"
         for up in history.bring_ups:
             told += f" [{up.left_out} {up.exchanging_ns // 1000}"
-            told += "".join(f" {step.asked} {step.answered} {step.times}" for step in up.steps) + "]"
+            told += "".join(f" {step.asked} {step.sent.hex()} {step.answered} {step.times}" for step in up.steps) + "]"
         bus.note(told)
     return "|".join(bus.lines)
 

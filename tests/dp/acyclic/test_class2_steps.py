@@ -142,6 +142,38 @@ def test_lengths_of_answers() -> None:
     assert [read(Service.OUTPUTS, n, 2) for n in (0, 1, 2, 3)] == [long, long, None, long]
 
 
+@pytest.mark.parametrize(
+    ("why", "failure", "text"),
+    [
+        (
+            NONE,
+            ServiceFailure.SILENT,
+            "slave 4 does not answer Slave_Diag; check address and power; `dpstack scan` shows who is there",
+        ),
+        (
+            GARBLED,
+            ServiceFailure.UNREADABLE,
+            "slave 4 gives no readable answer to Slave_Diag; look for a second station with its address, and at cable "
+            "and termination",
+        ),
+        (
+            WRONG,
+            ServiceFailure.WRONG,
+            "slave 4 gives answers that are none to Slave_Diag; it answers from other service access points: it is no "
+            "DP slave, or two stations have its address",
+        ),
+        (
+            GUARD,
+            ServiceFailure.GUARDED,
+            "slave 4 was not sent Slave_Diag; this bus is read-only: leave read_only out where slaves shall be changed",
+        ),
+    ],
+)
+def test_texts_without_an_answer(why: Failure, failure: ServiceFailure, text: str) -> None:
+    _, outcome = run(Reading(ReadService(1, 4, Service.DIAGNOSIS)).steps(), [why] * 4)
+    assert outcome == Outcome(failure, text)
+
+
 # --- Set_Slave_Add --------------------------------------------------------------------------------------------------
 
 

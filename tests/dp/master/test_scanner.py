@@ -21,7 +21,7 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
-from dpstack.fdl.events import TokenLost
+from dpstack.fdl.events import StationFound, TokenLost
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.livelist import LiveList
 from dpstack.fdl.passive.station import PassiveStation
@@ -207,6 +207,32 @@ def test_literal_octets() -> None:
     assert brief(scanner.found) == [(4, "SLAVE", 0x0CDA, "data_exchange", 1)]
     assert scanner.found[4].config == b"\x21"
     assert scanner.found[4].text == "station 4: slave, ident 0x0CDA, data_exchange, master 1"
+
+
+def test_a_station_that_is_gone_hides_none_that_was_found_with_it() -> None:
+    """Events of the live list that come at once, one of them of another kind."""
+
+    class Told(LiveList):
+        def take_events(self) -> list[Event]:
+            gone, other = StationFound(t_ns=1, address=3, kind=None), Notice(t_ns=1, source="a", message="b")
+            kinds = {4: StationType.SLAVE, 5: StationType.MASTER_READY}
+            return [other, gone, *(StationFound(t_ns=1, address=address, kind=kind) for address, kind in kinds.items())]
+
+    scanner = Scanner(2, Told(2), configs=True)
+    scanner.token_received(0)
+    request = scanner.next_request(0, False)
+    assert request is not None
+    scanner.result(request, Failure.NO_ANSWER, 1)
+    assert brief(scanner.found) == [(4, "SLAVE", None, "unknown", None), (5, "MASTER_READY", None, None, None)]
+    assert [event.text for event in scanner.take_events()] == ["station 5: master ready"]
+    asked = []
+    for _ in range(2):
+        scanner.token_received(2)
+        request = scanner.next_request(2, False)
+        assert request is not None
+        asked.append((request.da, request.dsap))
+        scanner.result(request, Failure.REFUSED, 3)  # asked again
+    assert asked == [(4, 60), (4, 60)]
 
 
 @pytest.mark.parametrize("quick", [False, True])
