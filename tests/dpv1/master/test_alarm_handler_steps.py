@@ -303,6 +303,62 @@ def test_requests_without_an_answer() -> None:
         assert steps.take() == ([] if unsure else ["3 done 1", "3 raised 2 04020101"])
 
 
+@pytest.mark.parametrize(
+    ("mode", "instead", "taken"),
+    [
+        (0, block(2, 2), True),  # of the same type: only after the first was taken
+        (0, block(2, 1, data="AA"), True),
+        (0, block(3, 1), False),
+        (0, A, False),
+        (3, block(2, 2), False),
+        (3, block(2, 1, 1, 1), False),
+        (3, block(3, 1), False),
+        (3, block(2, 1, data="AA"), True),  # the same numbers
+    ],
+)
+def test_an_alarm_in_the_place_of_one_whose_acknowledgement_had_no_answer(
+    mode: int, instead: bytes, taken: bool
+) -> None:
+    steps = Steps(Dpv1(alarms=ALL, alarm_mode=mode))
+    steps.read(A, now=1)
+    steps.ack(SILENT, 2)
+    ended = ["3 done 1"] if taken else []
+    raised = [] if instead == A else [f"3 raised 2 {instead.hex()}"]
+    assert steps.read(instead, now=3, flagged=False) == ended + raised
+    assert steps.alarms.counts.acknowledged == int(taken)
+    asked = Steps(Dpv1(alarms=ALL, alarm_mode=mode))
+    asked.read(A, now=1)
+    asked.ack(None, 2)  # under way
+    same = Key.of(parse_block(A)) == Key.of(parse_block(instead))  # type: ignore[arg-type]
+    told = asked.read(instead, now=3, flagged=False)
+    assert told == (["3 done 1", *raised] if same and instead != A else raised)
+
+
+def test_an_acknowledged_alarm_that_was_a_new_one_after_all() -> None:
+    """The slave asked for the diagnosis with it, and then another alarm took its place."""
+    steps = Steps()
+    steps.read(A, now=1)
+    assert steps.ack(TAKEN, 2) == ["2 done 1"]
+    assert steps.read(A, bytes.fromhex("42 01"), now=3) == []
+    assert steps.read(B, now=4) == ["4 raised 2 04020101", "4 raised 3 04030101"]
+    quiet = Steps()
+    quiet.read(A, now=1)
+    quiet.ack(TAKEN, 2)
+    assert quiet.read(A, bytes.fromhex("42 01"), now=3, flagged=False) == []
+    assert quiet.read(B, now=4) == ["4 raised 2 04030101"]
+
+
+def test_blocks_that_are_neither_alarm_nor_status_nor_enabled() -> None:
+    steps = Steps(Dpv1(alarms=("process",), alarm_mode=0))
+    short, other = bytes.fromhex("03 02 01"), block(1, 1)
+    assert steps.read(short, short, now=1) == ["1 remark its"]
+    assert steps.read(bytes.fromhex("03 02 02"), now=2) == []  # remarked once, counted each time
+    assert steps.read(other, A, now=3) == ["3 remark its", "3 raised 1 04020101"]
+    assert steps.read(block(3, 1), now=4) == ["4 remark its"]
+    counts = steps.alarms.counts
+    assert (counts.malformed, counts.not_enabled, counts.raised) == (3, 2, 1)
+
+
 # --- acknowledged alarms that are still in the diagnosis ------------------------------------------------------------
 
 
