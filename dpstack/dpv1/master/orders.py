@@ -230,7 +230,9 @@ class AlarmDone(SlaveEvent):
     outcome: Outcome
 
     def _text(self) -> str:
-        return f"{self.who}: " + (self.outcome.text or f"took the acknowledgement of alarm {self.number}")
+        """The outcome names the slave too: once is enough."""
+        failed = self.outcome.text.removeprefix(f"{self.who} ").removeprefix(f"slave {self.address} ")
+        return f"{self.who}: " + (failed or f"took the acknowledgement of alarm {self.number}")
 
 
 class StatusTold(SlaveEvent):

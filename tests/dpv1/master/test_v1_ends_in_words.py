@@ -16,6 +16,7 @@ from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.orders import (
     AcknowledgeAlarm,
+    AlarmDone,
     ConnectionOver,
     ConnectionsClosed,
     HoldAlarms,
@@ -455,3 +456,15 @@ def test_alarms_end_with_data_exchange(held: bool) -> None:
     kit.until_ended()
     assert kit.ends[0].outcome == Outcome(ServiceFailure.CLOSED, "slave 4 (s4) left data exchange: its alarms are void")
     assert kit.ends[0].must_arrive
+    assert kit.ends[0].text == "slave 4 (s4): left data exchange: its alarms are void"
+
+
+def test_the_end_of_an_alarm_names_its_slave_once() -> None:
+    for text, told in (
+        ("", "slave 4 (s4): took the acknowledgement of alarm 7"),
+        ("slave 4 refuses Alarm_Ack", "slave 4 (s4): refuses Alarm_Ack"),
+        ("slave 4 (s4) left data exchange", "slave 4 (s4): left data exchange"),
+        ("slave 41 refuses Alarm_Ack", "slave 4 (s4): slave 41 refuses Alarm_Ack"),
+        ("Alarm_Ack to slave 4 had no answer", "slave 4 (s4): Alarm_Ack to slave 4 had no answer"),
+    ):
+        assert AlarmDone(t_ns=0, address=4, name="s4", number=7, outcome=Outcome(text=text)).text == told

@@ -167,6 +167,18 @@ def test_an_idle_that_was_lost_goes_out_again_after_a_third_of_the_time(response
     assert third * MS <= times[2] - times[1] < (third + 25) * MS
 
 
+@pytest.mark.parametrize(("answer_", "stale"), [("48 01", 0), ("48 58", 0), ("5E 48 48 00", 1), ("5F 48 48 01", 1)])
+def test_an_answer_to_idle_that_is_none_is_counted(answer_: str, stale: int) -> None:
+    kit = Ms2Bus()
+    kit.open()
+    (connection,) = (one for ms2 in kit.acyclic.providers if isinstance(ms2, Ms2) for one in ms2.connections.values())
+    kit.slave.serve = lambda pdu: bytes.fromhex(answer_)
+    kit.until(lambda: kit.slave.received(0x48))
+    kit.run(10)
+    assert len(kit.slave.received(0x48)) == 1
+    assert (connection.stale, connection.outstanding) == (stale, False)
+
+
 # --- records of a drive plugin --------------------------------------------------------------------------------------
 
 
