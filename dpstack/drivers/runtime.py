@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, Protocol
 
+from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveEvent
 from dpstack.drivers.tap import Tap
 from dpstack.errors import DpError
@@ -156,6 +157,10 @@ class Runtime(Protocol):
     @property
     def cleared(self) -> bool:
         """The driver itself has sent Clear, because its machine failed."""
+
+    @property
+    def mode_before_silence(self) -> Mode | None:
+        """The master's mode before its bus process fell silent; None while it is not silent."""
 
     async def open(self) -> None:
         """Open the line and begin. Raises PortError."""

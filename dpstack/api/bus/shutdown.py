@@ -203,7 +203,7 @@ class OrderedEnd:
 
     def _exchanging(self) -> dict[str, int]:
         """By name the watchdog times (ns) of the slaves that have outputs of this master."""
-        if self._bus.snapshot.mode is not Mode.OPERATE:
+        if (self._bus.runtime.mode_before_silence or self._bus.snapshot.mode) is not Mode.OPERATE:
             return {}
         view = self._bus.view
         return {s.name: view.slave(s.address).watchdog_ns for s in view.setups.values() if view.image(s).exchanges}

@@ -13,6 +13,7 @@ from functools import partial
 from time import monotonic_ns
 from typing import Final
 
+from dpstack.dp.master.commands import Mode
 from dpstack.drivers.line.answer_timing import AnswerTiming
 from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.drivers.line.last_clear import LastClear
@@ -122,6 +123,10 @@ class LineRuntime(ABC):
     def paced(self) -> bool:
         """True where octets take their time on a wire."""
         return self._port.paced
+
+    @property
+    def mode_before_silence(self) -> Mode | None:
+        return None
 
     @property
     def cleared(self) -> bool:

@@ -102,6 +102,7 @@ class ProcessRuntime:
         self._not_running: str | None = None
         #: the machine in the bus process failed, and Clear was sent without it
         self.cleared = False
+        self.mode_before_silence: Mode | None = None
         self._silent_since = 0  # time of the last heartbeat before the silence; 0: the bus process is not silent
         self._silences = 0
         self._watchdogs_then: dict[str, int] = {}
@@ -450,6 +451,7 @@ class ProcessRuntime:
         now = monotonic_ns()
         self._watchdogs_then = self._watchdogs()
         self._silent_since = now - silent
+        self.mode_before_silence = self._bus.mode
         silence = BusProcessSilent(t_ns=now, pid=pid, silent_ns=silent, at_slaves=at_slaves(self._watchdogs_then))
         self._not_running = f"the bus process (pid {pid}) shows no sign of life: it is stopped, or hangs"
         lost = self._set_offline(self._not_running, "its slaves are not asked until it goes on")
@@ -468,7 +470,7 @@ class ProcessRuntime:
         self._send_silence_events()
         now = monotonic_ns()
         back = BusProcessBack(t_ns=now, pid=self.pid or 0, silent_ns=now - self._silent_since)
-        self._silent_since, self._not_running = 0, None
+        self._silent_since, self._not_running, self.mode_before_silence = 0, None, None
         known = {event.address for event in events if isinstance(event, SlaveStateChanged)}
         here = (
             address

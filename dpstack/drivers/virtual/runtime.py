@@ -109,6 +109,7 @@ class VirtualRuntime(ActsAtOnce):
     close_limit_ns = 0
     #: simulated slaves need no Clear
     cleared = False
+    mode_before_silence = None
 
     def end_without_loop(self) -> str:
         """Empty: the world stands still with its loop, and no real slave has outputs."""

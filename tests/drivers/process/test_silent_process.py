@@ -288,6 +288,7 @@ async def test_the_end_of_a_bus_continues_a_stopped_bus_process(end: str) -> Non
             assert is_in_order([OLD.hex(), *words], live=OLD.hex(), safe="a55a")
         assert not runs(process_of(bus))
         assert not [text for text in told if "was killed" in text]
+        assert end != "close" or not bus.end_failed
 
 
 async def test_the_end_of_a_bus_with_a_stopped_process_reports_the_watchdogs(
@@ -297,7 +298,10 @@ async def test_the_end_of_a_bus_with_a_stopped_process_reports_the_watchdogs(
     told: list[str] = []
     slave = VALVES | {"watchdog_ms": 500}
     async with ready_bus(slave, on_event=lambda event: told.append(event.text)) as (bus, _there):
+        await bus.operate()
+        await bus.rotated(bus.stats.rotations + 3, 60)
         stop_for_good(monkeypatch, process_of(bus))
         await until(lambda: not bus.slave("valves").ready_now, "the silence")
+    assert bus.end_failed
     assert "The slaves' watchdogs make their outputs safe within 500 ms" in told[-1]
     assert "it did not answer at the end of the bus and was killed" in told[-1]
