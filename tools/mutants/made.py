@@ -36,6 +36,8 @@ class Place:
     names: tuple[str, ...]
     #: names at the level of the module through which a test sees it: it is part of their values
     through: tuple[str, ...] = ()
+    #: first and last line of the body of the outermost function, 0 and 0 outside of functions
+    body: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +150,8 @@ class SourceFile:
                 qualname = ".".join((*path, statement.name))
                 if line < _first_line(statement.body[0]):  # decorators, defaults of arguments
                     return Place(first, last, qualname, 0, (statement.name,))
-                return Place(first, last, qualname, _first_line(statement), ())
+                whole = (statement.body[0].lineno, statement.end_lineno or line)
+                return Place(first, last, qualname, _first_line(statement), (), body=whole)
         names = {
             node.id if isinstance(node, ast.Name) else node.attr
             for target in _targets(inner)

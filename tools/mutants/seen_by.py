@@ -136,10 +136,13 @@ class SeenBy:
         return _bits(number for number, test in enumerate(self.tests) if name.search(_source_of(test)))
 
     def runs_at_import(self, mutant: Mutant) -> bool:
-        """Whether the mutated line is executed before the first test."""
+        """Whether the mutant takes effect before the first test: its line is executed at import, or its function is.
+
+        A function that was made inside of another one at import never gets the new code of that one.
+        """
         place = mutant.place
         lines = self.imported.get(mutant.path, set())
-        return not place.function_line or any(line in lines for line in range(place.first, place.last + 1))
+        return not place.function_line or any(line in lines for line in range(place.body[0], place.body[1] + 1))
 
     def _order(self, bits: int, first: int, room: str) -> list[int]:
         own = f"tests/{room}/"

@@ -271,7 +271,6 @@ class ConnectionJob(Job):
         return self._ended_by_slave(title, f"the slave has closed {sap}: {why}", polling.now)
 
     def _ended_by_slave(self, title: str, reason: str, now: int) -> Outcome:
-        self.connection.taken = False
         self.connection.reason = reason
         outcome = self.connection_over(title)
         self.ms2.end(self.connection, reason, None, now)

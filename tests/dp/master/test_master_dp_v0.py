@@ -181,6 +181,18 @@ def test_slots_with_a_diagnosis_have_the_names_of_their_modules() -> None:
     assert told == ("slots with a diagnosis: 4 (AI 4), 5, 6 (DO 8)",)
 
 
+def test_a_module_has_texts_of_its_own_for_errors_of_its_channels() -> None:
+    def dirty(text: str) -> Diagnosis:
+        return Diagnosis((DiagText("channel", None, None, 16, text, ""),))
+
+    modules = (Module("AI 4", b"\x10"), Module("AI 8", b"\x11", diagnosis=dirty("cell dirty")))
+    bus = link(setup(3, texts=DiagTexts(Device(diagnosis=dirty("sensor dirty")), modules)))
+    bus.slave.ready = bytes.fromhex("08 0C 00 02 06 96 80 40 B0 81 40 B0")
+    bus.run(20 * MS)
+    (told,) = (event.texts for event in bus.events_of(SlaveDiagnosis) if event.texts)
+    assert [text.split(": ")[-1] for text in told] == ["sensor dirty", "cell dirty"]
+
+
 def test_lengths_that_lie_are_a_finding_and_nothing_more() -> None:
     bus = link(setup())
     bus.slave.ready = bytes.fromhex("08 0C 00 02 06 96 C7 48 05")
