@@ -13,6 +13,7 @@ from ms2_slave_kit import TIMEOUT, Later, Slave, reach
 from octet_class2 import ABORT, ABORT_TIMEOUT, IDLE, RS, SC
 from octet_slave import SC as SC_OCTET
 from order_bus import OrderBus
+from slave_alarm_kit import AlarmBench, prm
 
 from dpstack.dp.acyclic.job import Outcome, RequestEnd, ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService, Provider
@@ -27,12 +28,13 @@ from dpstack.dpv1.pdu.im import IM_ANSWER, IM_FI, IM_INDEX, IM_LEN, Im0, Im1, bu
 from dpstack.dpv1.pdu.ms2 import Address, InitiateReq, ResourceManagerRes
 from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, WriteReq, parse_request, parse_response
 from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule, SlaveParameter
-from dpstack.dpv1.slave.description_to_gsd import gsd_octets
+from dpstack.dpv1.slave.description_to_gsd import as_gsd_file, gsd_octets
 from dpstack.dpv1.slave.record_requests import NOBODY, RecordRequest
 from dpstack.dpv1.slave.record_table import ImRecords, RecordTable
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Kind, Req, Telegram
+from dpstack.gsd.model import DiagText
 
 ProviderT = TypeVar("ProviderT", bound=Provider)
 
@@ -196,6 +198,42 @@ def test_user_parameters_of_modules_in_a_gsd_file() -> None:
         with pytest.raises(ConfigError) as refused:
             file()
         assert str(refused.value) == "module m: more than 237 octets of user parameters; Set_Prm has no room"
+
+
+def test_limits_of_a_fixed_slave_are_not_in_its_gsd_file() -> None:
+    limits: dict[str, Any] = {"max_input_len": 5, "max_output_len": 6, "max_data_len": 7, "max_modules": 2}
+    fixed, remarks = as_gsd_file(SlaveDescription(ident=1, configs=(b"\x10\x20",), **limits))
+    assert (fixed.max_input_len, fixed.max_output_len, fixed.max_data_len, fixed.max_modules) == (244, 244, 488, 1)
+    assert remarks == ()
+    modules = (SlaveModule("m", b"\x10"), SlaveModule("e", b"\0"))
+    modular, _ = as_gsd_file(SlaveDescription(ident=1, modules=modules, **limits))
+    assert {name: getattr(modular, name) for name in limits} == limits
+    for name in limits:
+        limits[name] = 1000
+    most, _ = as_gsd_file(SlaveDescription(ident=1, modules=modules, **limits))
+    assert (most.max_input_len, most.max_output_len, most.max_data_len, most.max_modules) == (244, 244, 488, 244)
+
+
+@pytest.mark.parametrize(
+    ("what", "changes"),
+    [
+        ("the name", {"name": "x" * 33}),
+        ("vendor", {"vendor": "x" * 33}),
+        ("revision", {"revision": "x" * 33}),
+        ("the name of a module", {"configs": (), "modules": (SlaveModule("x" * 201, b"\x10"),)}),
+        ("the name of a parameter", {"parameters": (SlaveParameter("x" * 201, 0),)}),
+        ("parameter P: the text", {"parameters": (SlaveParameter("P", 0, texts={1: "x" * 201}),)}),
+        ("a text", {"diag_texts": (DiagText("bit", 1, 1, 1, "x" * 201, ""),)}),
+        ("a help text", {"diag_texts": (DiagText("bit", 1, 1, 1, "t", "x" * 201),)}),
+    ],
+)
+def test_texts_that_are_too_long_for_a_gsd_file(what: str, changes: dict[str, Any]) -> None:
+    most = 32 if "x" * 33 in changes.values() else 200
+    base: dict[str, Any] = {"ident": 1, "configs": (b"\x10",)}
+    with pytest.raises(ConfigError) as refused:
+        as_gsd_file(SlaveDescription(**base | changes))
+    shown = "x" * 33 if most == 32 else "x" * 37 + "..."
+    assert str(refused.value) == f"{what} '{shown}' has {most + 1} characters; a GSD file allows {most}"
 
 
 @pytest.mark.parametrize(
@@ -369,6 +407,17 @@ def test_an_acknowledgement_without_answer_is_repeated_after_100_200_500_and_100
         assert alarms.next_ack(known.not_before) is known
     assert kit.counts.repeated == 5
     assert kit.ends == []
+
+
+def test_acknowledgements_of_the_last_31_alarms_may_come_again() -> None:
+    made = AlarmBench().start(prm())
+    acks = []
+    for slot in range(33):
+        made.raise_(f"02 {slot:02X} 00")
+        made.fetch()
+        acks.append(f"{slot:02X} 02 {(slot % 32) << 3:02X}")
+        assert made.ack(acks[-1]) == f"5C {acks[-1]}"
+    assert [made.ack(ack)[:2] for ack in acks] == ["DC"] * 2 + ["5C"] * 31
 
 
 # --- connections of class 2 -----------------------------------------------------------------------------------------

@@ -191,6 +191,22 @@ def test_connections_that_end_without_their_master() -> None:
         assert str(refused.value) == text
 
 
+def test_an_initiate_that_takes_the_place_of_another() -> None:
+    made = bench()
+    device = made.device
+    assert isinstance(device, Recorder)
+    before = f"{SERVICE} 0 services: another Initiate of its master came before the answer was fetched"
+    for sap in (48, 47):
+        assert ask(made, 49, INITIATE, 1)[1] == [
+            f"class 2 connection of master 1 opened (server SAP {sap}, send time-out 1000 ms)"
+        ]
+    assert ask(made, 49, INITIATE, 1)[1] == [
+        before, "class 2 connection of master 1 opened (server SAP 48, send time-out 1000 ms)",
+    ]  # fmt: skip
+    assert [ask(made, 49, "", 1)[0] for _ in range(3)] == ["562f0064", "56300064", "56300064"]
+    assert ask(made, 49, INITIATE, 1) == ("RS", [])
+
+
 # --- alarms ---------------------------------------------------------------------------------------------------------
 
 PROCESS = "slave x: process alarm, slot 1"
