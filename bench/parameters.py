@@ -13,9 +13,9 @@ from typing import Final
 
 import dpstack
 from bench.report import Report
-from dpstack import DpSlave, SlaveDescription
 from dpstack.profile import ParamSpec, ParamStore, ParamTable
 from dpstack.profile.record47 import Counters, ParameterServer, Rules, StoreParameters, TimedRecords
+from dpstack.slave import DpSlave, SlaveDescription
 from dpstack.units import NS_PER_MS, baud_text
 
 _BAUDS: Final = (500_000, 1_500_000)
@@ -49,7 +49,7 @@ def read_out(baud: int, *, described: bool, busy_ms: int = 0) -> Reading:
     async def main() -> Reading:
         world = dpstack.World()
         async with (
-            dpstack.serve_slave(mixer(busy_ms), world=world, address=_ADDRESS, baud=baud),
+            dpstack.slave.serve_slave(mixer(busy_ms), world=world, address=_ADDRESS, baud=baud),
             dpstack.open_bus(port="virtual", baud=baud, slaves=[MIXER.table(_ADDRESS)], world=world) as bus,
         ):
             await bus.operate()

@@ -36,7 +36,7 @@ async def main() -> None:
     station = dpstack.IoStation.of(["8 DI", "8 DO", "2 AI"], name="io")
     world = dpstack.World()
     async with (
-        dpstack.serve_slave(station, world=world, address=8),
+        dpstack.slave.serve_slave(station, world=world, address=8),
         dpstack.open_bus(world=world, baud=500_000, slaves=[station.table(8)]) as bus,
     ):
         await bus.ready()

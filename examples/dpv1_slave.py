@@ -1,16 +1,17 @@
 """A DP-V1 slave of one's own: records, an alarm, I&M, parameters (PROFIdrive) and class 2 connections; and its master.
 
 On a real bus (or ``port="pty"``, then ``server.port_name`` is what a master opens) the slave alone is
-``async with dpstack.serve_slave(mixer(), port="/dev/ttyUSB0", baud=500_000, address=9, on_event=tell) as server:
+``async with dpstack.slave.serve_slave(mixer(), port="/dev/ttyUSB0", baud=500_000, address=9, on_event=tell) as server:
 await server.serve_forever()``.
 """
 
 import asyncio
 
 import dpstack
-from dpstack import AlarmType, DpSlave, Event, Im0, Im1, RecordRefused, SlaveDescription
+from dpstack import AlarmType, Event, Im0, Im1, RecordRefused
 from dpstack.profile import ParamSpec, ParamStore, ParamTable
 from dpstack.profile.record47 import ParameterServer, StoreParameters, TimedRecords
+from dpstack.slave import DpSlave, SlaveDescription
 
 TYPE = SlaveDescription.simple(0x4711, inputs=1, outputs=1, name="mixer", dpv1=True, alarms=("process",))
 TABLE = ParamTable([ParamSpec(number=10, name="ramp", title="Ramp time", unit="s", decimals=1, factory=5)])
@@ -51,14 +52,14 @@ def mixer() -> DpSlave:
 
 def tell(event: Event) -> None:
     """Print refused requests, and functions that failed with file and line."""
-    if isinstance(event, dpstack.RequestRefused):
+    if isinstance(event, dpstack.slave.RequestRefused):
         print(event.text)
 
 
 async def main() -> None:
     world = dpstack.World()
     async with (
-        dpstack.serve_slave(mixer(), world=world, address=9, on_event=tell) as server,
+        dpstack.slave.serve_slave(mixer(), world=world, address=9, on_event=tell) as server,
         dpstack.open_bus(world=world, baud=500_000, slaves=[TYPE.table(9)]) as bus,
     ):
         await bus.ready()

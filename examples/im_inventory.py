@@ -8,7 +8,8 @@ import contextlib
 from collections.abc import AsyncIterator
 
 import dpstack
-from dpstack import DpSlave, Im0, Im1, SlaveDescription
+from dpstack import Im0, Im1
+from dpstack.slave import DpSlave, SlaveDescription
 
 
 async def inventory(bus: dpstack.Bus) -> None:
@@ -54,7 +55,7 @@ async def plant(world: dpstack.World) -> AsyncIterator[None]:
         4: DpSlave(v1, lambda outputs, elapsed: bytes(2), ms2=1),
         5: DpSlave(v0, lambda outputs, elapsed: outputs),
     }
-    async with dpstack.serve_slaves({3: valves} | others, world=world):
+    async with dpstack.slave.serve_slaves({3: valves} | others, world=world):
         tables = [v1.table(3), v1.table(4) | {"name": "pumps"}, v0.table(5)]
         async with dpstack.open_bus(world=world, baud=500_000, address=1, gap=1, slaves=tables) as owner:
             await owner.ready()

@@ -7,7 +7,7 @@ engineering tool of a PLC ``dpstack gsd write examples/own_slave.py:TYPE tank.gs
 import asyncio
 
 import dpstack
-from dpstack import DpSlave, SlaveAppState, SlaveDescription, UserDiag, channel_block
+from dpstack.slave import DpSlave, SlaveAppState, SlaveDescription, UserDiag, channel_block
 
 NS_PER_S = 1_000_000_000
 OVERFLOW = 7  # channel related diagnosis: upper limit exceeded
@@ -37,7 +37,7 @@ async def main() -> None:
     slave = DpSlave(TYPE, tank.cycle)
     world = dpstack.World()
     async with (
-        dpstack.serve_slave(slave, world=world, address=9) as server,
+        dpstack.slave.serve_slave(slave, world=world, address=9) as server,
         dpstack.open_bus(world=world, baud=500_000, slaves=[slave.description.table(9)]) as bus,
     ):
         await bus.operate()

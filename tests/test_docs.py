@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
-from types import FunctionType, ModuleType
 
 import pytest
 
@@ -332,27 +331,6 @@ def test_every_fault_is_in_the_troubleshooting() -> None:
 
     text = (ROOT / "docs" / "reference" / "troubleshooting.md").read_text(encoding="utf-8")
     assert [kind.value for kind in FaultKind if f"| `{kind.value}` |" not in text] == []
-
-
-def test_public_names() -> None:
-    for name in dpstack.__all__:
-        assert getattr(dpstack, name) is not None
-        assert name in dir(dpstack)
-    with pytest.raises(AttributeError, match="has no attribute 'nonsense'"):
-        _ = dpstack.nonsense
-
-
-@pytest.mark.parametrize("namespace", [dpstack, dpstack.profile], ids=["dpstack", "dpstack.profile"])
-def test_every_public_class_and_function_has_a_docstring(namespace: ModuleType) -> None:
-    """Elsewhere a docstring stands where it says more than name and types."""
-    public = {name: getattr(namespace, name) for name in namespace.__all__}
-    assert [n for n, one in public.items() if isinstance(one, type | FunctionType) and not own_docstring(one)] == []
-
-
-def own_docstring(one: type | FunctionType) -> str | None:
-    """Not the one that dataclasses and named tuples make of their fields."""
-    text = one.__doc__
-    return None if text is None or text.startswith(f"{one.__name__}(") else text
 
 
 def test_the_table_of_neighbours_is_the_programs() -> None:

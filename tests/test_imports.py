@@ -27,6 +27,7 @@ MAY: dict[str, set[str]] = {
     "errors": {"text"},
     "trace": {"text", "units"},
     "text": set(),
+    "namespaces": set(),
     "argcheck": PURE_BASE,
     "report_once": set(),
     "stats": {"units"},
@@ -34,10 +35,10 @@ MAY: dict[str, set[str]] = {
     "machine": {"units", "trace"},
     "phy": PARAMS,
     "fdl": PHY | {"machine", "stats"},
-    "gsd": PURE_BASE,
+    "gsd": PURE_BASE | {"namespaces"},
     "live": set(),
     "capture": PHY | {"fdl", "machine"},
-    "decode": DP | {"capture"},
+    "decode": DP | {"capture", "namespaces"},
     "monitor": DP | {"capture", "decode"},
     "dp": DP,
     "dpv1": DP,
@@ -69,7 +70,10 @@ MAY: dict[str, set[str]] = {
         "trace",
     }
     | PURE_BASE,
-    "__init__": {"api", "errors", "profile", "dp", "dpv1", "trace"},
+    # public namespaces
+    "__init__": {"api", "errors", "profile", "dp", "dpv1", "trace", "namespaces", "events", "slave", "gsd", "decode"},
+    "events": {"api", "dp", "dpv1", "drivers", "fdl", "trace"},
+    "slave": {"api", "dp", "dpv1", "errors"},
     "__main__": {"cli"},
 }
 #: Rooms from the ground up: each imports from lower floors only; rooms of one floor not from one another.
@@ -269,6 +273,7 @@ SMALL_LINES, SMALL_MODULES = 80, 15
 BY_STRING = {
     "api.user_code",
     "__init__",
+    "namespaces",
     "api.bus.driver_choice",
     "cli.parser",
     "drivers.process.plugins",

@@ -24,7 +24,14 @@ from dpstack.trace import Event
 ROOT: Final = Path(__file__).resolve().parent.parent
 REFERENCE: Final = ROOT / "docs" / "reference"
 #: the public namespaces. A new one is added here, and nowhere else in the book
-NAMESPACES: Final = ("dpstack", "dpstack.profile")
+NAMESPACES: Final = (
+    "dpstack",
+    "dpstack.events",
+    "dpstack.slave",
+    "dpstack.profile",
+    "dpstack.gsd",
+    "dpstack.decode",
+)
 #: those with private base classes, whose members are listed; the members of these classes are not listed again
 _INHERITING: Final = {"dpstack": "object, int, tuple, BaseException, Enum, DpError, Event, Slave"}
 

@@ -11,3 +11,42 @@
 - ``wire_log``: wire logs in words: the log that a failing test and the referee of a simulated bus print
 - ``words``: telegrams in words, one line each, made of the fields
 """
+
+from typing import TYPE_CHECKING, Final
+
+from dpstack.namespaces import loader
+
+if TYPE_CHECKING:
+    from dpstack.decode.filter import parse_filter
+    from dpstack.decode.names import ModuleName, Names, SlaveNames
+    from dpstack.decode.source import from_hex, read_transmissions
+    from dpstack.decode.telegram import Explained, Explainer, explain
+    from dpstack.decode.wire_log import render
+
+__all__ = [
+    "Explained",
+    "Explainer",
+    "ModuleName",
+    "Names",
+    "SlaveNames",
+    "explain",
+    "from_hex",
+    "parse_filter",
+    "read_transmissions",
+    "render",
+]
+
+#: module and its public names
+_PLACES: Final = """
+filter parse_filter
+names ModuleName Names SlaveNames
+source from_hex read_transmissions
+telegram Explained Explainer explain
+wire_log render
+"""
+if not TYPE_CHECKING:  # a type checker knows the names
+    __getattr__ = loader(__name__, _PLACES)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -24,3 +24,54 @@ Order of work: text, lexer, parser with blocks, joining with settings; the resul
 - ``settings``: From the settings of a GSD file (``keyword = value``) to the fields of Device, DpV1 and Isochronous
 - ``text``: From the octets of a file to its logical lines: decoding, line ends, continuations
 """
+
+from typing import TYPE_CHECKING, Final
+
+from dpstack.namespaces import loader
+
+if TYPE_CHECKING:
+    from dpstack.gsd.check import check
+    from dpstack.gsd.configuration import Configuration, configuration_like, configure, plug
+    from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
+    from dpstack.gsd.model import Device, Diagnostic, DpV1, GsdFile, Module, Parameter, Slot, Speed
+    from dpstack.gsd.parser import load_gsd, parse_gsd
+    from dpstack.gsd.prm import Reading, UserPrm
+
+__all__ = [
+    "Configuration",
+    "Device",
+    "Diagnostic",
+    "DpV1",
+    "GsdFile",
+    "Identifier",
+    "Module",
+    "Parameter",
+    "Reading",
+    "Slot",
+    "Speed",
+    "UserPrm",
+    "check",
+    "configuration_like",
+    "configure",
+    "io_lengths",
+    "load_gsd",
+    "parse_gsd",
+    "parse_identifiers",
+    "plug",
+]
+
+#: module and its public names
+_PLACES: Final = """
+check check
+configuration Configuration configuration_like configure plug
+identifiers Identifier io_lengths parse_identifiers
+model Device Diagnostic DpV1 GsdFile Module Parameter Slot Speed
+parser load_gsd parse_gsd
+prm Reading UserPrm
+"""
+if not TYPE_CHECKING:  # a type checker knows the names
+    __getattr__ = loader(__name__, _PLACES)
+
+
+def __dir__() -> list[str]:
+    return __all__

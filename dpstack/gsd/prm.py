@@ -33,6 +33,8 @@ from dpstack.text import shortened
 
 
 class Reading(Enum):
+    """User parameters of a GSD file that gives both constant octets and defaults of named parameters."""
+
     REFS = "refs"  #: the defaults of the named parameters lie over the constants, as engineering tools show it
     CONST = "const"  #: the constants as they stand
 

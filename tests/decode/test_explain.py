@@ -149,12 +149,12 @@ def test_nothing_fails_on_any_octets(octets: list[bytes]) -> None:
 
 def test_a_simulated_bus_is_in_order_and_its_times_are_those_of_the_wire() -> None:
     world = dpstack.World(keep=100_000)
-    valves = dpstack.SlaveDescription.simple(0x4711, inputs=2, outputs=1, name="valves", dpv1=True)
-    slave = dpstack.DpSlave(valves, lambda outputs, elapsed: bytes(2), im=[dpstack.Im0(order_id="V-8")])
+    valves = dpstack.slave.SlaveDescription.simple(0x4711, inputs=2, outputs=1, name="valves", dpv1=True)
+    slave = dpstack.slave.DpSlave(valves, lambda outputs, elapsed: bytes(2), im=[dpstack.Im0(order_id="V-8")])
 
     async def main() -> None:
         async with (
-            dpstack.serve_slave(slave, world=world, address=9),
+            dpstack.slave.serve_slave(slave, world=world, address=9),
             dpstack.open_bus(world=world, baud=BAUD, slaves=[valves.table(9)]) as bus,
         ):
             await bus.ready()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from property_kit import examples
 from slave_kit import MS, Bench
 
-from dpstack import DpSlave, Im0, IoStation, SlaveDescription
+from dpstack import Im0, IoStation
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.events import DeviceFailed, RequestRefused
 from dpstack.dpv1.slave.device import Device
@@ -21,6 +21,7 @@ from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.profile.registry import find
+from dpstack.slave import DpSlave, SlaveDescription
 
 INITIATE: Final = "57 00 00 00 00 64 01 00 00 00 00 00 00 02 00 02 00 00 00 00"
 #: right requests, which :meth:`Attacker.bent` damages

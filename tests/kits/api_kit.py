@@ -10,7 +10,6 @@ from typing import Any, ParamSpec, TypeVar, Unpack
 from slave_kit import make_slave
 
 import dpstack
-from dpstack import DpSlave, SlaveDescription
 from dpstack.api.bus.bus import core_of
 from dpstack.api.server.server import ServedSlave
 from dpstack.api.server.virtual_bench import VirtualBench
@@ -21,6 +20,7 @@ from dpstack.drivers.stack import Stack
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
 from dpstack.sim.world import World
+from dpstack.slave import DpSlave, SlaveDescription
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -95,7 +95,7 @@ async def serving(
     table = slave.description.table(9) | keys
     on_event = None if events is None else events.append
     async with (
-        dpstack.serve_slave(slave, world=world, address=9, baud=baud, on_event=on_event) as server,
+        dpstack.slave.serve_slave(slave, world=world, address=9, baud=baud, on_event=on_event) as server,
         dpstack.open_bus(world=world, baud=baud, slaves=[table], on_event=on_event) as bus,
     ):
         await bus.operate()

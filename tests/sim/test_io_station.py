@@ -238,7 +238,7 @@ def test_the_gsd_file_says_the_same() -> None:
     assert [(m.name, m.config) for m in device.modules] == [(m.name, bytes((m.config,))) for m in MODULES.values()]
     chosen = configure(device, ROW)
     own = IoStation.of(ROW)
-    assert slave_description(device, chosen, name=NAME, ident=IDENT) == dpstack.SlaveDescription(
+    assert slave_description(device, chosen, name=NAME, ident=IDENT) == dpstack.slave.SlaveDescription(
         **{name: getattr(own.description, name) for name in own.description.__slots__}
         | {"rates": {speed.baud: speed.max_tsdr for speed in device.speeds}, "min_slave_interval_ns": 100_000}
         | {"vendor": "dpstack", "revision": "1"}

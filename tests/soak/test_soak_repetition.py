@@ -104,7 +104,7 @@ async def orders_too_late(bus: dpstack.Bus, number: int) -> None:
 
 
 #: a DP-V1 slave with one octet each way and one connection of class 2
-RIG = dpstack.SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, ms2=1)
+RIG = dpstack.slave.SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, ms2=1)
 
 ACTS: tuple[Act, ...] = (
     add_and_remove,

@@ -303,7 +303,7 @@ def test_its_parser_reads_our_gsd_files_as_we_do(path: Path) -> None:
 
 #: a slave of one's own, and what its parser makes of the written file
 OWN: Final = """
-from dpstack import SlaveDescription
+from dpstack.slave import SlaveDescription
 from dpstack.dpv1.slave.description import SlaveModule, SlaveParameter
 from dpstack.gsd.model import DiagText
 

@@ -55,6 +55,8 @@ class Fault:
 
 
 class SlaveEvent(Event):
+    """Something about one slave of the master: its address, and its name in the configuration."""
+
     address: int
     name: str
 

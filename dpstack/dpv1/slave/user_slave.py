@@ -42,7 +42,7 @@ OnInitiate = Callable[[int, InitiateReq], None]
 
 
 class SlaveOptions(TypedDict, total=False):
-    """The options of :class:`DpSlave`, which :func:`dpstack.slave_from_gsd` takes too."""
+    """The options of :class:`DpSlave`, which :func:`dpstack.slave.slave_from_gsd` takes too."""
 
     config: bytes | None
     safe: bytes | None
@@ -76,18 +76,18 @@ class DpSlave(Sealed, Device):
     out of data exchange, with safe outputs and Stat_Diag, until it is restarted; nothing else is disturbed.
 
     ``on_read`` and ``on_write`` serve the records of DP-V1, ``on_transport`` the Data_Transport of class 2
-    (:func:`dpstack.serve_slave` runs them), one at a time for each master or connection. Their exceptions are answered
-    and reported, nothing else ends; they are cancelled when the master gives up. ``on_initiate(master, wanted)`` may
-    refuse a connection of class 2 by RecordRefused (a negative response). ``ms2``: the number of connections of class
-    2, default the description's. ``im``: I&M0, and those of I&M1 to 4 that a master may write, for every slot alike or
-    as a table slot -> I&M. ``on_im(slot, record)`` keeps a record of I&M that a master writes where it survives a
-    restart; an exception is answered (RecordRefused: as it says), and nothing is changed. ``parameters`` serves record
-    47, the parameter channel of PROFIdrive (:class:`dpstack.profile.record47.TimedRecords`), instead of these
-    functions. By ``alarm_server`` a slave with DP-V1 raises alarms and sends status messages
+    (:func:`dpstack.slave.serve_slave` runs them), one at a time for each master or connection. Their exceptions are
+    answered and reported, nothing else ends; they are cancelled when the master gives up. ``on_initiate(master,
+    wanted)`` may refuse a connection of class 2 by RecordRefused (a negative response). ``ms2``: the number of
+    connections of class 2, default the description's. ``im``: I&M0, and those of I&M1 to 4 that a master may write, for
+    every slot alike or as a table slot -> I&M. ``on_im(slot, record)`` keeps a record of I&M that a master writes where
+    it survives a restart; an exception is answered (RecordRefused: as it says), and nothing is changed. ``parameters``
+    serves record 47, the parameter channel of PROFIdrive (:class:`dpstack.profile.record47.TimedRecords`), instead of
+    these functions. By ``alarm_server`` a slave with DP-V1 raises alarms and sends status messages
     (:class:`~dpstack.dpv1.slave.alarms.AlarmServer`); a served slave has them as async calls.
 
-    Set :attr:`diag`, as a whole and whenever something changes, to the slave's own part of its diagnosis.
-    Raises ConfigError.
+    Set :attr:`diag`, as a whole and whenever something changes, to the slave's own part of its diagnosis. Raises
+    ConfigError.
     """
 
     def __init__(

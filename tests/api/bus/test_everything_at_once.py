@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from property_kit import examples
 
 import dpstack
-from dpstack import AlarmType, DpError, DpSlave, Im0, SlaveDescription
+from dpstack import AlarmType, DpError, Im0
+from dpstack.slave import DpSlave, SlaveDescription
 
 KINDS = ("pull_plug", "process", "diagnostic", "status")
 VALVES = SlaveDescription(
@@ -80,7 +81,7 @@ class Plant:
         async for alarm in slave.alarms():
             self.alarms.append(alarm.data)
 
-    def step(self, number: int, server: dpstack.SlaveServer, bus: dpstack.Bus, other: dpstack.Bus) -> None:
+    def step(self, number: int, server: dpstack.slave.SlaveServer, bus: dpstack.Bus, other: dpstack.Bus) -> None:
         rnd, slave, index = self.random, bus.slave(9), number % 250
         match rnd.randrange(16):
             case 0 | 1 | 2:
@@ -110,7 +111,7 @@ class Plant:
     async def run(self, steps: int) -> None:
         world = self.world
         async with (
-            dpstack.serve_slave(self.slave, world=world, address=9) as server,
+            dpstack.slave.serve_slave(self.slave, world=world, address=9) as server,
             dpstack.open_bus(world=world, baud=500_000, gap=1, slaves=[VALVES.table(9)]) as bus,
             dpstack.open_bus(world=world, baud=500_000, gap=1, address=5) as other,
         ):

@@ -48,7 +48,7 @@ async def test_an_attribute_that_does_not_exist(thing: Misuse, name: str, value:
         assert isinstance(raised.value, (dpstack.UsageError, AttributeError))
 
 
-RIG = dpstack.SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig")
+RIG = dpstack.slave.SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig")
 SERVED: list[tuple[str, str, str]] = [
     ("device", "diagnosis", "slave rig has no attribute 'diagnosis'; did you mean diag?"),
     ("device", "exchange", "slave rig: exchange is a method: call it instead of assigning to it"),
@@ -63,8 +63,8 @@ SERVED: list[tuple[str, str, str]] = [
 
 @pytest.mark.parametrize(("which", "name", "text"), SERVED)
 def test_an_attribute_that_a_slave_of_ones_own_does_not_have(which: str, name: str, text: str) -> None:
-    device = dpstack.DpSlave(RIG, lambda outputs, elapsed: outputs)
-    server = dpstack.serve_slave(device, world=World(), address=9)
+    device = dpstack.slave.DpSlave(RIG, lambda outputs, elapsed: outputs)
+    server = dpstack.slave.serve_slave(device, world=World(), address=9)
     with pytest.raises(dpstack.UnknownAttribute) as raised:
         setattr({"device": device, "slave": server.slave, "server": server}[which], name, b"")
     assert str(raised.value) == text
@@ -82,7 +82,7 @@ async def test_an_attribute_that_a_connection_does_not_have() -> None:
 
 
 def test_a_slave_of_ones_own_may_have_more_attributes_in_a_class_of_its_own() -> None:
-    class Pump(dpstack.DpSlave):
+    class Pump(dpstack.slave.DpSlave):
         def __init__(self) -> None:
             super().__init__(RIG, self.cycle)
             self.pressure = 3

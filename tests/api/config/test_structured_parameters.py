@@ -9,9 +9,9 @@ import pytest
 from api_kit import bus_of, in_virtual_time, serving
 
 import dpstack
-from dpstack import DpSlave, PrmBlock, SlaveDescription
 from dpstack.api.config.config import parse_config
 from dpstack.errors import ConfigError
+from dpstack.slave import DpSlave, PrmBlock, SlaveDescription
 
 HEAD = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "io"\naddress = 9\n'
 PLAIN = 'ident = 1\nconfig = "10"\nuser_prm = "00 00 00 07"\n'
@@ -71,11 +71,11 @@ async def test_the_slave_of_the_same_file_accepts_them(tmp_path: Path, required:
         seen.append(blocks)
 
     gsd = gsd_of(tmp_path, "00 00 00 05 81 00 00 07" if required else "00 00 00 07", required=required)
-    slave = dpstack.slave_from_gsd(gsd, lambda outputs, elapsed: bytes(1), [1], on_blocks=judge)
+    slave = dpstack.slave.slave_from_gsd(gsd, lambda outputs, elapsed: bytes(1), [1], on_blocks=judge)
     blocks = [{"type": "prm_cmd", "specifier": 1}]
     table = {"name": "io", "address": 9, "gsd": str(gsd), "modules": [1], "dpv1": {"blocks": blocks}}
     world = dpstack.World()
-    async with dpstack.serve_slave(slave, world=world, address=9), bus_of(table, world=world) as bus:
+    async with dpstack.slave.serve_slave(slave, world=world, address=9), bus_of(table, world=world) as bus:
         await bus.ready()
         await bus.slave("io").reparameterise(dpv1={"blocks": blocks, "prm_cmd": True})
         await bus.ready()

@@ -12,11 +12,12 @@ from api_kit import in_virtual_time
 from slave_alarm_kit import OctetMaster, prm
 
 import dpstack
-from dpstack import AlarmError, AlarmType, DpSlave, ModuleState, SlaveDescription, Specifier, StatusType
+from dpstack import AlarmError, AlarmType, Specifier, StatusType
 from dpstack.api.server.server import ServedSlave
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.errors import ConfigError, PduError, SlaveTimeout, UsageError
+from dpstack.slave import DpSlave, ModuleState, SlaveDescription
 
 RIG = SlaveDescription.simple(0x0A35, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process", "diagnostic"))
 
@@ -27,7 +28,7 @@ async def rig(
 ) -> AsyncIterator[tuple[ServedSlave, OctetMaster]]:
     """Slave 8 in data exchange with a master of octets."""
     device = DpSlave(description, lambda outputs, elapsed: outputs)
-    async with dpstack.serve_slave(device, world=dpstack.World(), address=8) as server:
+    async with dpstack.slave.serve_slave(device, world=dpstack.World(), address=8) as server:
         app = server.slave.station.responder
         assert isinstance(app, SlaveApp)
         master = OctetMaster(device, app)
@@ -152,6 +153,6 @@ def test_descriptions() -> None:
 
 
 def test_from_a_gsd_file() -> None:
-    slave = dpstack.slave_from_gsd("examples/terminal.gsd", lambda outputs, elapsed: outputs, ["8 DO", "8 DI"])
+    slave = dpstack.slave.slave_from_gsd("examples/terminal.gsd", lambda outputs, elapsed: outputs, ["8 DO", "8 DI"])
     assert slave.description.alarms == ("process", "diagnostic")
     assert (slave.description.alarm_sequence, slave.description.extra_alarm_sap) == (0, False)

@@ -13,12 +13,13 @@ from octet_wire import PARAMS, Wire
 from support import WorldFactory
 
 import dpstack
-from dpstack import DpSlave, Im0, RecordRefused, SlaveDescription
+from dpstack import Im0, RecordRefused
 from dpstack.api.server.server import ServedSlave
 from dpstack.api.streams import Waiters
 from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.errors import BusError, ConfigError
 from dpstack.phy.patience import EXACT
+from dpstack.slave import DpSlave, SlaveDescription
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", ms2=2)
 
@@ -146,14 +147,14 @@ async def test_what_a_slave_says_no_to(world: WorldFactory) -> None:
     refused: list[int] = []
     made = world()
 
-    def judge(master: int, wanted: dpstack.InitiateReq) -> None:
+    def judge(master: int, wanted: dpstack.slave.InitiateReq) -> None:
         if wanted.profile_ident != 7:
             refused.append(master)
             raise RecordRefused(0xB6)
 
     slave = DpSlave(RIG, lambda outputs, elapsed: outputs, on_initiate=judge)
     async with (
-        dpstack.serve_slave(slave, world=made, address=8) as server,
+        dpstack.slave.serve_slave(slave, world=made, address=8) as server,
         dpstack.open_bus(world=made, baud=500_000, address=5, gap=1) as bus,
     ):
         with pytest.raises(dpstack.ServiceRefused, match=r"slave 8 refuses Initiate: .*access denied"):
@@ -170,7 +171,7 @@ def test_from_a_gsd_file() -> None:
     whole = device("whole")
     description = slave_description(whole)
     assert (description.ms2, description.ms2_max_len, description.ms2_max_initiate) == (2, 240, 52)
-    slave = dpstack.slave_from_gsd(FILES / "whole.gsd", lambda outputs, elapsed: outputs, ["8 DO", "8 DI"])
+    slave = dpstack.slave.slave_from_gsd(FILES / "whole.gsd", lambda outputs, elapsed: outputs, ["8 DO", "8 DI"])
     assert slave.ms2 == 2
 
 
@@ -202,7 +203,9 @@ async def test_three_masters_at_once_beside_its_own(world: WorldFactory) -> None
 
     slave = DpSlave(plant, lambda outputs, elapsed: outputs, on_read=read)
     async with (
-        dpstack.serve_slave(slave, world=made, address=9, on_event=lambda event: told.append(event.text)) as server,
+        dpstack.slave.serve_slave(
+            slave, world=made, address=9, on_event=lambda event: told.append(event.text)
+        ) as server,
         dpstack.open_bus(world=made, baud=500_000, gap=1, slaves=[plant.table(9)]) as owner,
     ):
         await owner.ready()

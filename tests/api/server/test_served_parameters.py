@@ -8,7 +8,6 @@ from api_kit import in_virtual_time, serving
 from slave_kit import Bench
 
 import dpstack
-from dpstack import DpSlave, SlaveDescription
 from dpstack.dp.master.events import SlaveState
 from dpstack.dpv1.pdu.read_write import ReadReq
 from dpstack.dpv1.slave.record_requests import RecordRequest
@@ -25,6 +24,7 @@ from dpstack.profile.record47 import (
     TimedRecords,
     Values,
 )
+from dpstack.slave import DpSlave, SlaveDescription
 from dpstack.units import NS_PER_MS
 
 TABLE = ParamTable(
@@ -124,7 +124,7 @@ async def test_no_request_is_longer_than_c1_max_data_len(tmp_path: Path) -> None
     world = dpstack.World()
     rigged = {"name": "rig", "address": 9, "gsd": str(gsd), "modules": [1]}
     async with (
-        dpstack.serve_slave(slave, world=world, address=9),
+        dpstack.slave.serve_slave(slave, world=world, address=9),
         dpstack.open_bus(world=world, baud=500_000, slaves=[rigged]) as bus,
     ):
         await bus.ready()

@@ -14,13 +14,13 @@ from octet_wire import framed
 from support import WorldFactory
 
 import dpstack
-from dpstack import DpSlave, SlaveAppState, SlaveDescription
 from dpstack.api.server.server import ServedSlave
 from dpstack.dp.slave.device import Leave
 from dpstack.dp.slave.events import AddressChanged, DeviceFailed, SlaveAppStateChanged
 from dpstack.drivers.segment.hub import Segment
 from dpstack.errors import BusError, ConfigError, SlaveTimeout
 from dpstack.sim.world import World
+from dpstack.slave import DpSlave, SlaveAppState, SlaveDescription
 
 DATA_EXCH, WAIT_PRM = SlaveAppState.DATA_EXCH, SlaveAppState.WAIT_PRM
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig")
@@ -54,7 +54,7 @@ async def test_beside_a_master_in_one_world(world: WorldFactory) -> None:
         await bus.rotated(bus.stats.rotations + 3)
         assert (served.outputs, served.inputs, bus.slave(9).inputs) == (b"\x41", b"\x42", b"\x42")
         assert (served.master, served.address, served.name) == (2, 9, "rig")
-        slave.diag = dpstack.UserDiag.of(dpstack.device_block(b"\x05"))
+        slave.diag = dpstack.slave.UserDiag.of(dpstack.slave.device_block(b"\x05"))
         await bus.rotated(bus.stats.rotations + 5)
         read = bus.slave(9).diagnosis
         assert read is not None
@@ -77,7 +77,7 @@ async def test_a_function_that_raises_stops_its_slave_only(world: WorldFactory) 
 
     slaves = {8: DpSlave(RIG, mirror), 9: DpSlave(RIG, breaks)}
     async with (
-        dpstack.serve_slaves(slaves, world=w, on_event=events.append) as server,
+        dpstack.slave.serve_slaves(slaves, world=w, on_event=events.append) as server,
         bus_of(RIG.table(8) | {"name": "good"}, RIG.table(9) | {"name": "bad"}, world=w) as bus,
     ):
         good, bad = server.slaves
@@ -127,7 +127,7 @@ async def test_outputs_are_safe_however_serving_ends(world: WorldFactory, how: s
     given = Outputs()
 
     async def serve() -> None:
-        async with dpstack.serve_slave(DpSlave(RIG, given, safe=b"\x0f"), world=w, address=9) as server:
+        async with dpstack.slave.serve_slave(DpSlave(RIG, given, safe=b"\x0f"), world=w, address=9) as server:
             await server.slave.reached(DATA_EXCH, timeout=2)
             await asyncio.sleep(0.5)
             if how == "exception":
@@ -161,7 +161,7 @@ async def test_a_handler_that_raises_loses_no_event_and_does_not_stop_the_slave(
     w = world()
     asyncio.get_running_loop().set_exception_handler(lambda _, context: told.append(context["message"]))
     async with (
-        dpstack.serve_slave(DpSlave(RIG, mirror), world=w, address=9, on_event=on_event) as server,
+        dpstack.slave.serve_slave(DpSlave(RIG, mirror), world=w, address=9, on_event=on_event) as server,
         bus_of(RIG.table(9), world=w) as bus,
     ):
         await bus.operate()
@@ -179,7 +179,7 @@ async def test_an_address_by_set_slave_add_is_kept_by_the_application(world: Wor
     events: list[object] = []
     w = world()
     slave = commissioned(on_address=lambda address, fixed, rest: kept.append((address, fixed, rest)))
-    async with dpstack.serve_slave(slave, world=w, on_event=events.append) as server:
+    async with dpstack.slave.serve_slave(slave, world=w, on_event=events.append) as server:
         assert server.slave.address == 126
         w.inject(bytes.fromhex(framed(0xFE, 0x82, 0x6D, "37 3E 09 12 34 01 AA")), baud=500_000)
         await asyncio.sleep(0.01)
@@ -206,7 +206,7 @@ async def test_a_defect_of_ours_ends_serving_with_safe_outputs(
     w = world(referee=False)
     given = Outputs()
 
-    async with dpstack.serve_slave(DpSlave(RIG, given, safe=b"\x0f"), world=w, address=8) as server:
+    async with dpstack.slave.serve_slave(DpSlave(RIG, given, safe=b"\x0f"), world=w, address=8) as server:
         for unit in ("3D 3E 80 01 01 0B 12 34 00", "3E 3E 10 20"):
             w.inject(bytes.fromhex(framed(0x88, 0x82, 0x6D, unit)), baud=500_000)
             await asyncio.sleep(0.01)
@@ -222,7 +222,7 @@ async def test_a_defect_of_ours_ends_serving_with_safe_outputs(
 @in_virtual_time
 async def test_nobody_speaks_to_it(world: WorldFactory) -> None:
     w = world()
-    async with dpstack.serve_slave(DpSlave(RIG, mirror), world=w, address=9) as server:
+    async with dpstack.slave.serve_slave(DpSlave(RIG, mirror), world=w, address=9) as server:
         with pytest.raises(SlaveTimeout, match="no master has spoken to it; check address, baud rate and cable"):
             await server.slave.reached(DATA_EXCH, timeout=1)
 
@@ -230,14 +230,14 @@ async def test_nobody_speaks_to_it(world: WorldFactory) -> None:
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: dpstack.serve_slave(DpSlave(RIG, mirror), port="/dev/x", baud=500_000), "no address"),
-        (lambda: dpstack.serve_slave(DpSlave(RIG, mirror), baud=500_000, address=3), "no port"),
-        (lambda: dpstack.serve_slave(DpSlave(RIG, mirror), port="/dev/x", address=3), "no baud"),
-        (lambda: dpstack.serve_slave(DpSlave(RIG, mirror), port="/dev/x", baud=1, address=3), "1"),
-        (lambda: dpstack.serve_slave(DpSlave(RIG, mirror), world=World(), address=127), "must be 0..126"),
-        (lambda: dpstack.serve_slaves({}, world=World()), "no slave to serve"),
+        (lambda: dpstack.slave.serve_slave(DpSlave(RIG, mirror), port="/dev/x", baud=500_000), "no address"),
+        (lambda: dpstack.slave.serve_slave(DpSlave(RIG, mirror), baud=500_000, address=3), "no port"),
+        (lambda: dpstack.slave.serve_slave(DpSlave(RIG, mirror), port="/dev/x", address=3), "no baud"),
+        (lambda: dpstack.slave.serve_slave(DpSlave(RIG, mirror), port="/dev/x", baud=1, address=3), "1"),
+        (lambda: dpstack.slave.serve_slave(DpSlave(RIG, mirror), world=World(), address=127), "must be 0..126"),
+        (lambda: dpstack.slave.serve_slaves({}, world=World()), "no slave to serve"),
         (
-            lambda: dpstack.serve_slave(DpSlave(SLOW, mirror), world=World(), address=3),
+            lambda: dpstack.slave.serve_slave(DpSlave(SLOW, mirror), world=World(), address=3),
             "it has no 500 kbit/s; it knows",
         ),
     ],
@@ -254,7 +254,9 @@ async def test_on_a_port_octet_by_octet(tmp_path: Path) -> None:
     given = Outputs()
 
     async with Segment(2, tmp_path / "bus", baud=500_000) as segment:
-        async with dpstack.serve_slave(DpSlave(RIG, given), port=segment.paths[1], baud=500_000, address=8) as server:
+        async with dpstack.slave.serve_slave(
+            DpSlave(RIG, given), port=segment.paths[1], baud=500_000, address=8
+        ) as server:
             far = open_slave(segment.paths[0])
             try:
                 for request, answer in [

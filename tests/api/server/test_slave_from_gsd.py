@@ -66,22 +66,22 @@ def test_it_takes_all_that_a_slave_takes() -> None:
     options: dict[str, Any] = {name: called for name in SlaveOptions.__annotations__ if name.startswith("on_")}
     options |= {"config": b"\x20", "safe": b"\x01", "im": [Im0(order_id="T")], "parameters": records, "ms2": 3}
     assert set(options) == set(SlaveOptions.__annotations__)
-    slave = dpstack.slave_from_gsd(WHOLE, echo, ["8 DO"], **options)
+    slave = dpstack.slave.slave_from_gsd(WHOLE, echo, ["8 DO"], **options)
     found = [slave._calls[name] for name in options if name.startswith("on_")]
     assert found == [called] * len(found)
     assert (slave.configs, slave.safe, slave.ms2, len(slave.im)) == ((b"\x20",), b"\x01", 3, 1)
     with pytest.raises(TypeError, match=r"DpSlave\(\) got an unexpected keyword argument 'colour'"):
-        dpstack.slave_from_gsd(WHOLE, echo, colour=1)  # type: ignore[call-arg]
+        dpstack.slave.slave_from_gsd(WHOLE, echo, colour=1)  # type: ignore[call-arg]
 
 
 def test_what_is_plugged_may_be_told_otherwise_than_preset() -> None:
-    assert dpstack.slave_from_gsd(WHOLE, echo, config=b"\x10\x20").configs[0] == b"\x10\x20"
+    assert dpstack.slave.slave_from_gsd(WHOLE, echo, config=b"\x10\x20").configs[0] == b"\x10\x20"
     with pytest.raises(ConfigError, match="configuration 10 is not 20"):
-        dpstack.slave_from_gsd(WHOLE, echo, ["8 DO"], config=b"\x10")
+        dpstack.slave.slave_from_gsd(WHOLE, echo, ["8 DO"], config=b"\x10")
 
 
 def test_three_lines_make_a_slave() -> None:
-    slave = dpstack.slave_from_gsd(WHOLE, echo, ["8 DO", "8 DI"])
+    slave = dpstack.slave.slave_from_gsd(WHOLE, echo, ["8 DO", "8 DI"])
     master = Octets(slave)
     assert master.ask("3B 3E")[27:].startswith("20 10")  # Get_Cfg: what is plugged
     assert master.ask(PRM) == SC
@@ -98,19 +98,19 @@ def test_three_lines_make_a_slave() -> None:
     ],
 )
 def test_what_the_file_says_is_judged(prm: str, diagnosis: str) -> None:
-    master = Octets(dpstack.slave_from_gsd(WHOLE, echo, ["8 DO", "8 DI"]))
+    master = Octets(dpstack.slave.slave_from_gsd(WHOLE, echo, ["8 DO", "8 DI"]))
     assert master.ask(prm) == SC
     assert master.diagnosis() == diagnosis
 
 
 def test_only_what_is_plugged_is_accepted() -> None:
-    slave = dpstack.slave_from_gsd(WHOLE, echo, ["8 DO", "8 DI"])
+    slave = dpstack.slave.slave_from_gsd(WHOLE, echo, ["8 DO", "8 DI"])
     assert slave.check_cfg(b"\x20\x10") is None
     assert slave.check_cfg(b"\x10\x20") == "configuration 10 20 is not 20 10"
 
 
 def test_any_row_of_modules_where_none_is_named() -> None:
-    slave = dpstack.slave_from_gsd(WHOLE, echo)
+    slave = dpstack.slave.slave_from_gsd(WHOLE, echo)
     assert slave.configs == (b"\x20",)  # the preset one
     assert slave.check_cfg(b"\x10\x20\x43\x43\x01\x02\x03") is None
     assert slave.check_cfg(b"\x20\x00\x10") is None  # an empty slot between
@@ -154,7 +154,7 @@ def test_exactly_what_the_parameters_of_the_modules_need() -> None:
 )
 def test_refused(path: str, modules: list[int | str] | None, message: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        dpstack.slave_from_gsd(FILES / path, echo, modules)
+        dpstack.slave.slave_from_gsd(FILES / path, echo, modules)
     assert str(caught.value).startswith(f"{FILES}/{message}")
 
 
@@ -162,11 +162,11 @@ def test_a_file_without_modules_or_number(tmp_path: Path) -> None:
     bare = tmp_path / "bare.gsd"
     bare.write_text('#Profibus_DP\nGSD_Revision = 3\nVendor_Name = "x"\nIdent_Number = 0x1234\n')
     with pytest.raises(ConfigError, match=r"the GSD file has no module with identifier octets"):
-        dpstack.slave_from_gsd(bare, echo)
+        dpstack.slave.slave_from_gsd(bare, echo)
 
 
 def test_a_bundled_drives_file_is_found_by_name() -> None:
-    slave = dpstack.slave_from_gsd("demag-dedrive", echo, ["PPO3 (2 words)"])
+    slave = dpstack.slave.slave_from_gsd("demag-dedrive", echo, ["PPO3 (2 words)"])
     assert (slave.ident, slave.configs) == (0x0696, (b"\x71",))
 
 
@@ -209,10 +209,10 @@ def test_its_ident_number_is_the_tables() -> None:
 
 async def bring_up() -> tuple[str, bytes]:
     world = dpstack.World()
-    slave = dpstack.slave_from_gsd(WHOLE, lambda outputs, elapsed: bytes([outputs[0] ^ 0xFF]), ["8 DO", "8 DI"])
+    slave = dpstack.slave.slave_from_gsd(WHOLE, lambda outputs, elapsed: bytes([outputs[0] ^ 0xFF]), ["8 DO", "8 DI"])
     table = {"name": "io", "address": 9, "gsd": WHOLE, "modules": ["8 DO", "8 DI"], "sync": True, "freeze": True}
     async with (
-        dpstack.serve_slave(slave, world=world, address=9),
+        dpstack.slave.serve_slave(slave, world=world, address=9),
         dpstack.open_bus(world=world, baud=500_000, slaves=[table]) as bus,
     ):
         await bus.operate()
@@ -236,15 +236,15 @@ DIAGNOSIS = str(FILES / "diagnosis.gsd")
 async def diagnosis_of(ext: bytes) -> tuple[tuple[str, ...], list[dict[str, object]]]:
     """(diagnosis_texts, lines of run --json)."""
     world = dpstack.World()
-    slave = dpstack.slave_from_gsd(DIAGNOSIS, lambda outputs, elapsed: b"\0", ["own texts"])
+    slave = dpstack.slave.slave_from_gsd(DIAGNOSIS, lambda outputs, elapsed: b"\0", ["own texts"])
     async with (
-        dpstack.serve_slave(slave, world=world, address=9),
+        dpstack.slave.serve_slave(slave, world=world, address=9),
         dpstack.open_bus(world=world, baud=500_000, slaves=[{"name": "io", "address": 9, "gsd": DIAGNOSIS}]) as bus,
     ):
         await bus.operate()
         await bus.ready()
         events = bus.events()
-        slave.diag = dpstack.UserDiag(ext, True)
+        slave.diag = dpstack.slave.UserDiag(ext, True)
         await bus.until(lambda: getattr(bus.slave("io").diagnosis, "ext", b"") == ext, timeout=1)
         await bus.rotated(bus.stats.rotations + 5)
         assert bus.slave("io").ready_now

@@ -9,8 +9,9 @@ import pytest
 from api_kit import in_virtual_time, mirror, serving
 
 import dpstack
-from dpstack import RecordRefused, SlaveDescription, UsageError
+from dpstack import RecordRefused, UsageError
 from dpstack.profile.record47 import Address
+from dpstack.slave import SlaveDescription
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process",))
 PUMP = {"name": "pump", "address": 6, "drive": "ls-s100"}

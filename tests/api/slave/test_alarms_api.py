@@ -13,12 +13,13 @@ from api_kit import RAW, in_virtual_time, mirror, serving
 from support import WorldFactory
 
 import dpstack
-from dpstack import AlarmType, ModuleState, SlaveAlarm, SlaveDescription, Specifier, StatusType
+from dpstack import AlarmType, SlaveAlarm, Specifier, StatusType
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.server.server import ServedSlave
 from dpstack.dpv1.master.orders import AlarmRaised, StatusTold
 from dpstack.errors import AlarmError, SlaveFault, UsageError
 from dpstack.sim.world import World
+from dpstack.slave import ModuleState, SlaveDescription
 from dpstack.trace import Severity
 
 ALL = ("pull_plug", "process", "diagnostic", "manufacturer", "status", "update")

@@ -9,8 +9,9 @@ from far_ends import until
 from process_kit import DRIVERS, UNHURRIED, Driver, unhurried
 
 import dpstack
-from dpstack import AlarmType, DpSlave, SlaveDescription, Specifier, StatusType
+from dpstack import AlarmType, Specifier, StatusType
 from dpstack.dpv1.master.orders import AlarmRaised, StatusTold
+from dpstack.slave import DpSlave, SlaveDescription
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process", "diagnostic"))
 
@@ -20,7 +21,7 @@ async def test_alarms_over_a_pty(driver: Driver) -> None:
     told: list[dpstack.Event] = []
     device = DpSlave(RIG, lambda outputs, elapsed: outputs)
     async with (
-        dpstack.serve_slave(device, port="pty", baud=500_000, address=9) as server,
+        dpstack.slave.serve_slave(device, port="pty", baud=500_000, address=9) as server,
         dpstack.open_bus(
             port=server.port_name,
             baud=500_000,

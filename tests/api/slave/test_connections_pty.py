@@ -8,8 +8,9 @@ import pytest
 from process_kit import ANSWER_S, DRIVERS, UNHURRIED, Driver, unhurried
 
 import dpstack
-from dpstack import AcyclicError, ConnectionEnded, DpSlave, Im0, RecordRefused, ServiceRefused, SlaveDescription
+from dpstack import AcyclicError, ConnectionEnded, Im0, RecordRefused, ServiceRefused
 from dpstack.dpv1.master.orders import ConnectionOver
+from dpstack.slave import DpSlave, SlaveDescription
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
 
@@ -33,7 +34,7 @@ async def test_connections_over_a_pty(driver: Driver) -> None:
         RIG, lambda outputs, elapsed: outputs, on_read=read, on_transport=transport, im=[Im0(order_id="RIG")], ms2=2
     )
     told: list[dpstack.Event] = []
-    async with dpstack.serve_slave(slave, port="pty", baud=500_000, address=9) as server:
+    async with dpstack.slave.serve_slave(slave, port="pty", baud=500_000, address=9) as server:
         async with dpstack.open_bus(
             port=server.port_name,
             baud=500_000,

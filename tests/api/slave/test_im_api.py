@@ -11,13 +11,14 @@ from api_kit import in_virtual_time, mirror, serving
 from support import WorldFactory
 
 import dpstack
-from dpstack import AcyclicError, DpSlave, Im0, Im1, Im2, RecordRefused
+from dpstack import AcyclicError, Im0, Im1, Im2, RecordRefused
 from dpstack.api.control.record_orders import carry_out, parse_order
 from dpstack.dpv1.pdu.im import Im, Im3, build_call, number_of
 from dpstack.dpv1.pdu.read_write import WriteReq
 from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.sim.world import World
+from dpstack.slave import DpSlave
 
 
 @contextlib.asynccontextmanager

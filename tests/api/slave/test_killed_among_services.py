@@ -17,8 +17,9 @@ from far_ends import until
 from process_kit import ANSWER_S, DRIVERS, UNHURRIED, Driver, process_of, unhurried
 
 import dpstack
-from dpstack import BusError, DpError, DpSlave, SlaveAppState, SlaveDescription
+from dpstack import BusError, DpError
 from dpstack.api.server.simulation import Segment
+from dpstack.slave import DpSlave, SlaveAppState, SlaveDescription
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, ms2=2, alarms=("process",))
 
@@ -53,7 +54,7 @@ async def ends(*services: Awaitable[object]) -> list[object]:
 
 async def test_the_bus_process_is_killed() -> None:
     rig = Rig()
-    async with dpstack.serve_slave(rig.slave, port="pty", baud=1_500_000, address=9) as server:
+    async with dpstack.slave.serve_slave(rig.slave, port="pty", baud=1_500_000, address=9) as server:
         bus = dpstack.open_bus(
             port=server.port_name, baud=1_500_000, driver="process", slaves=[unhurried(RIG.table(9))], **UNHURRIED
         )
@@ -89,7 +90,7 @@ async def test_the_bus_process_is_killed() -> None:
 
 SLAVES = """
 import asyncio, dpstack
-from dpstack import DpSlave, SlaveDescription
+from dpstack.slave import DpSlave, SlaveDescription
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, ms2=2, alarms=("process",))
 async def read(slot, index):
     if slot == 2:
@@ -97,7 +98,7 @@ async def read(slot, index):
     return bytes((slot, index))
 async def main():
     slave = DpSlave(RIG, lambda outputs, elapsed: outputs, on_read=read)
-    async with dpstack.serve_slave(slave, port="{path}", baud=1_500_000, address=9) as server:
+    async with dpstack.slave.serve_slave(slave, port="{path}", baud=1_500_000, address=9) as server:
         print("served", flush=True)
         await server.serve_forever()
 asyncio.run(main())

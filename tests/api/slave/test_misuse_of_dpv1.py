@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 from api_kit import HOIST, bus_of, in_virtual_time, serving
 
-from dpstack import ConfigError, DpSlave, Im0, Im1, IoStation, SlaveDescription, UsageError
+from dpstack import ConfigError, Im0, Im1, IoStation, UsageError
 from dpstack.errors import PduError
+from dpstack.slave import DpSlave, SlaveDescription
 
 VALVES = SlaveDescription.simple(0x4711, inputs=2, outputs=1, name="valves", dpv1=True, alarms=("process",))
 

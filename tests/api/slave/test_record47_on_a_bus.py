@@ -41,7 +41,7 @@ def test_the_time_of_1000_parameters(baud: int, described: bool, seconds: float,
 async def mixing(bench: World) -> AsyncIterator[dpstack.Bus]:
     """A bus with the mixer at 9, in data exchange."""
     async with (
-        dpstack.serve_slave(mixer(), world=bench, address=9, baud=1_500_000),
+        dpstack.slave.serve_slave(mixer(), world=bench, address=9, baud=1_500_000),
         dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[MIXER.table(9)], world=bench) as bus,
     ):
         await bus.operate()

@@ -11,7 +11,7 @@ from api_kit import RAW, bus_of, in_virtual_time, mirror, serving
 from support import WorldFactory
 
 import dpstack
-from dpstack import AcyclicError, DpSlave, Im0, Im1, Im3, RecordRefused
+from dpstack import AcyclicError, Im0, Im1, Im3, RecordRefused
 from dpstack.api.config.config import parse_config
 from dpstack.api.server.server import ServedSlave
 from dpstack.dp.pdu.dpv1_status import Dpv1
@@ -19,6 +19,7 @@ from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.dpv1.pdu.im import Im
 from dpstack.errors import ConfigError, SlaveTimeout
 from dpstack.sim.world import World
+from dpstack.slave import DpSlave
 
 
 class Store:

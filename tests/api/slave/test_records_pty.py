@@ -8,7 +8,8 @@ import pytest
 from process_kit import DRIVERS, UNHURRIED, Driver, unhurried
 
 import dpstack
-from dpstack import AcyclicError, DpSlave, Im0, RecordRefused, SlaveDescription
+from dpstack import AcyclicError, Im0, RecordRefused
+from dpstack.slave import DpSlave, SlaveDescription
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
 
@@ -24,7 +25,7 @@ async def read(slot: int, index: int) -> bytes:
 async def test_records_over_a_pty(driver: Driver) -> None:
     slave = DpSlave(RIG, lambda outputs, elapsed: outputs, on_read=read, im=[Im0(order_id="RIG")])
     async with (
-        dpstack.serve_slave(slave, port="pty", baud=500_000, address=9) as server,
+        dpstack.slave.serve_slave(slave, port="pty", baud=500_000, address=9) as server,
         dpstack.open_bus(
             port=server.port_name, baud=500_000, driver=driver, slaves=[unhurried(RIG.table(9))], **UNHURRIED
         ) as bus,

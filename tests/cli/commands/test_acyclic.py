@@ -10,7 +10,7 @@ from api_kit import slave_in
 from cli_kit import Cli
 
 import dpstack
-from dpstack import DpSlave, Im0, Im1, SlaveDescription
+from dpstack import Im0, Im1
 from dpstack.api.config.config import Config
 from dpstack.api.control.commands import Order
 from dpstack.api.control.handlers import control_run
@@ -20,6 +20,7 @@ from dpstack.cli.commands import acyclic
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.errors import AcyclicError, UsageError
+from dpstack.slave import DpSlave, SlaveDescription
 
 Out = pytest.CaptureFixture[str]
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)

@@ -12,7 +12,6 @@ from api_kit import slave_in
 from cli_kit import Cli
 
 import dpstack
-from dpstack import DpSlave, SlaveDescription
 from dpstack.api.config.config import Config
 from dpstack.api.control.commands import Order
 from dpstack.api.control.handlers import control_run
@@ -30,6 +29,7 @@ from dpstack.profile.record47 import (
     TimedRecords,
     Values,
 )
+from dpstack.slave import DpSlave, SlaveDescription
 
 Out = pytest.CaptureFixture[str]
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="pump", dpv1=True)

@@ -8,7 +8,7 @@ import pytest
 from cli_kit import Cli
 
 PROGRAM = """
-from dpstack import DpSlave, SlaveDescription
+from dpstack.slave import DpSlave, SlaveDescription
 
 TYPE = SlaveDescription.simple(0x4711, inputs=2, outputs=1, name="tank", dpv1=True)
 SLAVE = DpSlave(TYPE, lambda outputs, elapsed: bytes(2))

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
-from dpstack import DpSlave, UserDiag, World, channel_block, open_bus, serve_slave
+from dpstack import World, open_bus
 from dpstack.api.gsd_info import write_gsd
 from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule, SlaveParameter
 from dpstack.dpv1.slave.description_from_gsd import slave_description
@@ -21,6 +21,7 @@ from dpstack.gsd.check import check
 from dpstack.gsd.model import ALARM_KEYWORDS, DiagText
 from dpstack.gsd.parser import load_gsd
 from dpstack.gsd.prm import UserPrm
+from dpstack.slave import DpSlave, UserDiag, channel_block, serve_slave
 from dpstack.trace import Severity
 from dpstack.units import BAUD_RATES
 
