@@ -24,6 +24,8 @@ STATES: Final = ROOT / "docs" / "reference" / "states.md"
 RING: Final = ROOT / "docs" / "reference" / "fdl-states.md"
 #: single modules that everything may import
 _BASE: Final = "base"
+#: public namespaces: they only gather names, and nothing of ours imports them
+_NAMESPACES: Final = ("events", "slave")
 _MARK: Final = re.compile(r"(<!-- picture: ([\w-]+) -->\n)(?:```mermaid\n.*?^```\n)?", re.DOTALL | re.MULTILINE)
 
 Graph = dict[str, set[str]]
@@ -46,6 +48,8 @@ def room(module: str, deep: frozenset[str]) -> str | None:
     if parts[0] != "dpstack" or len(parts) < 2:
         return None
     folder = ROOT / "dpstack" / parts[1]
+    if parts[1] in _NAMESPACES:
+        return None
     if not folder.is_dir():
         return _BASE if folder.with_suffix(".py").exists() else None
     if parts[1] in deep and len(parts) > 2 and (folder / parts[2]).is_dir():
