@@ -14,6 +14,7 @@ from octet_class2 import ABORT, ABORT_TIMEOUT, IDLE, RS, SC
 from octet_slave import SC as SC_OCTET
 from order_bus import OrderBus
 from slave_alarm_kit import AlarmBench, prm
+from slave_kit import PRM
 
 from dpstack.dp.acyclic.job import Outcome, RequestEnd, ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService, Provider
@@ -24,7 +25,7 @@ from dpstack.dpv1.master.ms1 import Ms1
 from dpstack.dpv1.master.ms2 import Ms2
 from dpstack.dpv1.master.orders import RecordOrder
 from dpstack.dpv1.master.srd_polling import Polling, Reply
-from dpstack.dpv1.pdu.im import IM_ANSWER, IM_FI, IM_INDEX, IM_LEN, Im0, Im1, build_call, parse_call
+from dpstack.dpv1.pdu.im import IM_ANSWER, IM_FI, IM_INDEX, IM_LEN, Im0, Im1, Im2, build_call, parse_call
 from dpstack.dpv1.pdu.ms2 import Address, InitiateReq, ResourceManagerRes
 from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, WriteReq, parse_request, parse_response
 from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule, SlaveParameter
@@ -236,6 +237,33 @@ def test_texts_that_are_too_long_for_a_gsd_file(what: str, changes: dict[str, An
     assert str(refused.value) == f"{what} '{shown}' has {most + 1} characters; a GSD file allows {most}"
 
 
+def test_diagnosis_texts_of_neighbours_are_kept_apart() -> None:
+    texts = tuple(DiagText("bit", bit, bit, 1, f"bit {bit}", "") for bit in (0, 1, 2))
+    texts += (
+        DiagText("area", 0, 1, 0, "a", ""),
+        DiagText("area", 0, 2, 0, "b", ""),
+        DiagText("area", 1, 2, 0, "c", ""),
+    )
+    said, _ = as_gsd_file(SlaveDescription(ident=1, configs=(b"\x10",), diag_texts=texts[::-1]))
+    assert said.diag_texts == texts
+    again = (DiagText("bit", 0, 0, 1, "another", ""), *texts)
+    assert as_gsd_file(SlaveDescription(ident=1, configs=(b"\x10",), diag_texts=again))[0].diag_texts == texts
+
+
+def test_texts_of_im_in_octets() -> None:
+    for text in ("", "X", "XX X", "x" * 16, " x"):
+        octets = Im2(text).build()
+        assert octets[10:26] == text.encode().ljust(16)
+        assert Im2.parse(octets).date == text
+    for text, error in (("x" * 17, "date = 'xxxxxxxxxxxxxxxxx' has 17 characters, 16 are possible"),
+                        ("\u20ac", "date = '\u20ac' has characters outside ISO 8859-1")):  # fmt: skip
+        with pytest.raises(PduError) as refused:
+            Im2(text).build()
+        assert str(refused.value) == error
+    padded = Im2("x").build()[:11] + b"\0 " + bytes(51)
+    assert Im2.parse(padded).date == "x"
+
+
 @pytest.mark.parametrize(
     ("changes", "well"),
     [
@@ -407,6 +435,12 @@ def test_an_acknowledgement_without_answer_is_repeated_after_100_200_500_and_100
         assert alarms.next_ack(known.not_before) is known
     assert kit.counts.repeated == 5
     assert kit.ends == []
+
+
+def test_without_dpv1_enable_no_alarm_is_agreed() -> None:
+    for octets, limit in (("80 FC 07", 32), ("00 FC 07", 0), ("40 FC 07", 0), ("80 FC", 0), ("", 0)):
+        made = AlarmBench(sequence=32).start(PRM + bytes.fromhex(octets))
+        assert made.alarms.limit == limit
 
 
 def test_acknowledgements_of_the_last_31_alarms_may_come_again() -> None:

@@ -440,6 +440,34 @@ def test_the_diagnosis_is_read_again_when_the_time_is_over() -> None:
     assert steps.read(A, now=at) == [f"{at} raised 2 04020101"]
 
 
+def test_a_slave_that_keeps_its_alarms_in_the_diagnosis_brings_each_once_more_at_most() -> None:
+    steps = Steps()
+    assert steps.read(A, now=1) == ["1 raised 1 04020101"]
+    assert steps.ack(TAKEN, 2) == ["2 done 1"]
+    # nobody asked for this diagnosis, and the time is over: a new alarm, or a habit of the slave
+    assert steps.read(A, now=200 * MS, flagged=False) == [f"{200 * MS} raised 2 04020101"]
+    assert steps.ack(TAKEN, 201 * MS) == [f"{201 * MS} done 2"]
+    assert steps.read(A, now=400 * MS, flagged=False) == []
+    assert steps.read(A, now=600 * MS, flagged=False) == []
+    changed = Steps()
+    changed.read(A, now=1)
+    changed.ack(TAKEN, 2)
+    again = block(2, 1, data="AA")
+    assert changed.read(again, now=200 * MS, flagged=False) == [f"{200 * MS} raised 2 {again.hex()}"]
+    changed.ack(TAKEN, 201 * MS)
+    assert changed.read(again, now=400 * MS, flagged=False) == [f"{400 * MS} raised 3 {again.hex()}"]
+
+
+def test_the_extra_sap_that_is_closed_after_silence() -> None:
+    """It never took an acknowledgement: the slave has not taken this one either."""
+    steps = Steps(Dpv1(alarms=ALL, alarm_mode=0, extra_alarm_sap=True))
+    steps.read(A, now=1)
+    assert steps.ack(SILENT, 2) == ["2 remark does"]
+    assert steps.ack(Outcome(ServiceFailure.REFUSED, "slave 4 x"), 2 + 100 * MS) == [f"{2 + 100 * MS} remark SAP"]
+    assert not steps.alarms.extra_sap
+    assert steps.ack(TAKEN, 2 + 100 * MS) == [f"{2 + 100 * MS} done 1"]
+
+
 def test_a_new_alarm() -> None:
     alarm = parse_block(A)
     made = OpenAlarm(1, alarm, A, Stage.WAITING)  # type: ignore[arg-type]

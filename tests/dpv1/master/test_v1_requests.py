@@ -225,3 +225,12 @@ def test_the_queue_of_a_plugin() -> None:
     queue.submit(ReadReq(1, 2))
     queue.clear()
     assert not queue
+
+
+def test_a_plugin_of_a_slave_without_dpv1_waits() -> None:
+    kit = Ms1Bus(dpv1=None)
+    unit = _Unit()
+    kit.master.handlers[4].image.plugin = unit  # type: ignore[assignment]
+    pending = unit.records.submit(ReadReq(1, 2))
+    kit.run(20)
+    assert (pending.outcome, bool(unit.records), kit.slave.asked) == (None, True, [])
