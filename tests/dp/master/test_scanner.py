@@ -322,6 +322,22 @@ def test_reading_passes(request_: Request) -> None:
     assert reading_only(request_) is None
 
 
+@pytest.mark.parametrize(
+    ("request_", "name"),
+    [
+        (Request(3, Req.SRD_HIGH, b"\x01"), "Data_Exchange"),
+        (Request(3, Req.SRD_LOW, b""), "Data_Exchange"),
+        (Request(3, Req.SDA_LOW, b"\x01"), "SDA_LOW"),
+        (Request(3, Req.SRD_HIGH, b"\x80", 61, 62), "Set_Prm"),
+        (Request(3, Req.SRD_HIGH, b"\x01", 60, 62), "Slave_Diag"),
+        (Request(3, Req.SRD_HIGH, b"", 51, 51), "a service at SAP 51"),
+    ],
+)
+def test_a_request_that_is_refused_is_named(request_: Request, name: str) -> None:
+    text = f"{name} to station 3 was not sent: this bus is read-only; please report it, nothing may try"
+    assert reading_only(request_) == text
+
+
 def test_nothing_else_leaves_a_guarded_station() -> None:
     bus = RingBus()
     user = ListUser(high=[*WRITES, *READS])

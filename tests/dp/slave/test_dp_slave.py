@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 from slave_kit import CFG, CLEAR, FREEZE, MS, OPERATE, PRM, PRM_NO_WD, SYNC, UNLOCK, UNSYNC, Bench
 
+from dpstack.dp.pdu.diag_blocks import NO_DIAG
 from dpstack.dp.slave.application import SlaveAppState
-from dpstack.dp.slave.device import Leave
-from dpstack.dp.slave.events import DeviceFailed
+from dpstack.dp.slave.device import DpV0Device, Leave
+from dpstack.dp.slave.events import DeviceFailed, Report
 from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule
 from dpstack.dpv1.slave.user_slave import DpSlave, OnCycle
 from dpstack.errors import ConfigError
@@ -362,3 +363,10 @@ def test_a_simple_one() -> None:
     with pytest.raises(ConfigError, match="say which configuration"):
         describe(configs=(), modules=MODULES).table(7)
     assert describe(configs=(), modules=MODULES, min_slave_interval_ns=150_000).table(7, b"\x10")["config"] == "10"
+
+
+def test_a_device_that_overrides_nothing_reports_nothing() -> None:
+    device = DpV0Device()
+    assert (device.ext_diag(), device.user_diag()) == (b"", NO_DIAG)
+    assert (device.check_prm(b"\1"), device.exchange(b"", 0)) == (None, b"")
+    assert (device.address_set(3, False, b""), device.services(Report("a", None))) == (False, ())

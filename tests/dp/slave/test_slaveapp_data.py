@@ -5,9 +5,11 @@ from __future__ import annotations
 import pytest
 from slave_kit import CFG, CLEAR, FREEZE, OPERATE, OTHER, PRM, SYNC, UNFREEZE, UNSYNC, Bench, Recorder
 
+from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.slave.application import SlaveAppState
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.interface import RS_REPLY
-from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.fdl.telegram import Kind, Resp, Telegram
 
 #: a step in each line: outputs of a Data_Exchange, or a Global_Control | the calls of the device | its outputs after
 #: that | the modes after that
@@ -207,3 +209,23 @@ def test_inputs_before_the_first_exchange_are_zero() -> None:
     bench = Bench().up(PRM, CFG)
     assert (bench.ask(56).data, bench.ask(57).data) == (b"\0", b"\0")
     assert bench.app.state is SlaveAppState.DATA_EXCH
+
+
+def test_a_diagnosis_behind_that_of_the_device() -> None:
+    """As a fault of a test plant: octets and bits of both (octet 1 bit 3 Ext_Diag, octet 2 bit 1 Stat_Diag)."""
+    bench = Bench().up()
+    bench.recorder.ext = b"\x02\x07"
+    assert bench.diag().hex(" ") == "08 0c 00 02 0a 35 02 07"
+    bench.app.diag.add(UserDiag(b"\x41\x01", stat=True))
+    assert bench.dx().status is Resp.DH
+    assert bench.diag().hex(" ") == "08 0e 00 02 0a 35 02 07 41 01"
+    bench.recorder.ext = b""
+    assert bench.diag().hex(" ") == "00 0e 00 02 0a 35 41 01"
+    bench.app.diag.add(UserDiag(b"\x41\x01", fault=True))
+    assert bench.diag().hex(" ") == "08 0c 00 02 0a 35 41 01"
+    bench.app.diag.add(NO_DIAG)
+    assert bench.diag().hex(" ") == "00 0c 00 02 0a 35"
+    plain = Bench(MirrorDevice(0x0A35, CFG)).up()
+    plain.app.diag.add(UserDiag(b"\x41\x01", fault=True))
+    assert plain.dx().status is Resp.DH
+    assert plain.diag().hex(" ") == "08 0c 00 02 0a 35 41 01"
