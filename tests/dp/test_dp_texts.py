@@ -1,4 +1,4 @@
-"""Texts of the room dp in full, with the octets, tables and defaults beside them, and transcripts of its masters."""
+"""Texts of the room dp in full, with the octets, tables and defaults beside them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ import texts_dp
 from texts_snapshot import lines_of, snapshot_lines
 
 
-@pytest.mark.parametrize("name", texts_dp.GROUPS)
+@pytest.mark.parametrize("name", texts_dp.PLAIN)
 def test_texts(name: str) -> None:
-    assert lines_of({name: texts_dp.GROUPS[name]}) == snapshot_lines(texts_dp.FILE, name)
+    assert lines_of({name: texts_dp.PLAIN[name]}) == snapshot_lines(texts_dp.FILE, name)

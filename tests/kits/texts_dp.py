@@ -427,7 +427,7 @@ def _slave_events() -> Iterator[Case]:
         yield attempt(wrong_inputs, inputs, 3)
 
 
-GROUPS: dict[str, Group] = {
+PLAIN: dict[str, Group] = {
     "slave_events": _slave_events,
     "interface": lambda: interface("dpstack.dp"),
     "pdus": _pdus,
@@ -440,7 +440,10 @@ GROUPS: dict[str, Group] = {
     "slave_params": _slave_params,
     "plans": _plans,
     "tables": _tables,
+}
+TRANSCRIPTS: dict[str, Group] = {
     "bring_ups": texts_transcripts.bring_ups,
     "controls": texts_transcripts.controls,
     "class2_outcomes": texts_transcripts.class2_outcomes,
 }
+GROUPS = PLAIN | TRANSCRIPTS

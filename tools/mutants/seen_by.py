@@ -99,8 +99,8 @@ class SeenBy:
     def of_mutant(self, mutant: Mutant) -> list[int]:
         """The numbers of the tests that can notice ``mutant``: the room's own first, then the quickest first.
 
-        Before them the transcripts of the whole room, in files that end in ``_texts.py`` or ``_stories.py``: they
-        notice most mutants, and at once. A line in a function: the tests that execute it. Elsewhere: the tests that
+        Before them those of the whole room, in files that end in ``_texts.py`` or ``_stories.py``: they notice most
+        mutants, and at once. A line in a function: the tests that execute it. Elsewhere: the tests that
         name what the statement defines, then those that execute a line which names it. Where nobody names it: the tests
         that name a value made of it, then those that execute anything of the file's functions.
         """
@@ -109,10 +109,10 @@ class SeenBy:
         for line in range(place.first, place.last + 1):
             found |= lines.get(line, 0)
         # texts, tables, defaults and transcripts of a whole room, held by tests that name none of them
-        own = re.compile(rf"tests/{mutant.room}/.*_(?:texts|stories)\.py::")
-        whole = _bits(number for number, test in enumerate(self.tests) if own.match(test))
+        texts = self._that_match(rf"tests/{mutant.room}/.*_texts\.py::")
+        stories = self._that_match(rf"tests/{mutant.room}/.*_stories\.py::")
         if place.function_line and found:
-            return self._order(found, found & whole, mutant.room)
+            return self._order((found & (texts | stories), found), mutant.room)
         name_it = 0
         if place.names:
             name = re.compile(rf"\b(?:{'|'.join(map(re.escape, place.names))})\b")
@@ -124,11 +124,15 @@ class SeenBy:
             name_it = self._that_name(place.names)
         if not found | name_it:
             name_it = self._that_name(place.through)
-        name_it |= whole
         if not found:
             for tests in lines.values():
                 found |= tests
-        return self._order(found | name_it, name_it, mutant.room)
+        return self._order((texts, name_it | stories, found), mutant.room)
+
+    def _that_match(self, pattern: str) -> int:
+        """The tests whose ids begin with ``pattern``."""
+        wanted = re.compile(pattern)
+        return _bits(number for number, test in enumerate(self.tests) if wanted.match(test))
 
     def _that_name(self, names: Sequence[str]) -> int:
         """The tests whose functions name one of ``names``."""
@@ -144,13 +148,17 @@ class SeenBy:
         lines = self.imported.get(mutant.path, set())
         return not place.function_line or any(line in lines for line in range(place.body[0], place.body[1] + 1))
 
-    def _order(self, bits: int, first: int, room: str) -> list[int]:
+    def _order(self, groups: Sequence[int], room: str) -> list[int]:
+        """The tests of each group, then those of the next one: the room's own first, then the quickest first."""
         own = f"tests/{room}/"
 
-        def key(number: int) -> tuple[bool, bool, float]:
-            return not first >> number & 1, not self.tests[number].startswith(own), self.seconds[number]
+        def key(number: int) -> tuple[bool, float]:
+            return not self.tests[number].startswith(own), self.seconds[number]
 
-        return sorted(_numbers(bits), key=key)
+        found: dict[int, None] = {}
+        for group in groups:
+            found.update(dict.fromkeys(sorted(_numbers(group), key=key)))
+        return list(found)
 
 
 class _Measuring:
