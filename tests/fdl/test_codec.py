@@ -293,3 +293,21 @@ def test_the_fc_octets_that_a_telegram_may_have() -> None:
             telegram = decode(octets)
             assert (telegram is not None) is (fc in good), octets.hex(" ")
             assert telegram is None or telegram.fc == fc
+
+
+@pytest.mark.parametrize(
+    ("octets", "end", "length"),
+    [
+        ("68", 1, 2),
+        ("68 05", 2, 11),
+        ("68 05 09", 2, 11),  # LEr has not come yet
+        ("68 05 09", 3, 15),
+        ("68 09 05", 3, 15),
+        ("68 05 05", 3, 11),
+        ("68 02 00", 3, 9),
+        ("68 FF 00", 3, 255),
+    ],
+)
+def test_the_longer_of_two_lengths_counts(octets: str, end: int, length: int) -> None:
+    assert claimed(bytes.fromhex(octets), 0, end) == length
+    assert claimed(b"\x00\x68" + bytes.fromhex(octets), 2, 2 + end) == length

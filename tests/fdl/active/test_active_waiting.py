@@ -106,3 +106,11 @@ def test_an_acknowledgement_behind_a_pass_counts_as_stray_and_shows_a_master() -
     station._machine.enter(CHECK_TOKEN_PASS)
     station.telegram(SHORT_ACK, 1_000)
     assert (station.stats.stray, station.state) == (4, ACTIVE_IDLE)
+
+
+def test_another_deadline_does_not_end_a_telegram_that_is_arriving() -> None:
+    station = station_2()
+    station.receive(b"\xdc\x02", 100_000)
+    station.wake(110_000)
+    station.receive(b"\x03", 122_000)
+    assert (station.stats.heard, station.decoder_stats.telegrams) == (1, 1)
