@@ -101,8 +101,11 @@ Shown = Callable[[str, int, int], None]
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Shown]:
-    """A progress bar on stderr, removed at the end; any thread may call the function."""
-    shown = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+    """A progress bar on stderr, removed at the end; nothing where that is no terminal. Any thread may call it."""
+    if not sys.stderr.isatty():  # a disabled Progress of older versions of rich writes an empty line at its end
+        yield lambda what, done, of: None
+        return
+    shown = Progress(console=Console(stderr=True), transient=True)
     task = shown.add_task(_label(title), total=None)
 
     def tell(what: str, done: int, of: int) -> None:
