@@ -182,7 +182,7 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
             "slave 9 refuses Write of slot 1, index 12: write length error (80 B1 00: class access, code 1); "
             "give the record exactly the octets its manual names",
             "slave 9 (mixer): Write of slot 1, index 13 of master 2 refused: its function failed "
-            "(OSError: disk full), in write(), dpv1_slave.py line 35",
+            "(OSError: disk full), in write(), dpv1_slave.py line 36",
         ],
         "two_drives": ["hoist at 25 Hz", "fan at 24 Hz", "fan at -24 Hz"],
         "valves_in_step": [
