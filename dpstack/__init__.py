@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from dpstack.api.slave.class2 import Connection
     from dpstack.api.slave.drive import Drive
     from dpstack.api.slave.slave import Slave
+    from dpstack.api.slave.typed import Bool, Inputs, Int, Octets, Outputs, Scaled, at
     from dpstack.dp.master.commands import Mode
     from dpstack.dp.master.events import SlaveState
     from dpstack.dp.pdu.alarm_blocks import AlarmType, Specifier, StatusType
@@ -81,6 +82,7 @@ __all__ = [
     "AlarmType",
     "BaudError",
     "BaudReport",
+    "Bool",
     "Bus",
     "BusError",
     "Commissioning",
@@ -101,16 +103,21 @@ __all__ = [
     "Im2",
     "Im3",
     "Im4",
+    "Inputs",
+    "Int",
     "IoStation",
     "Mode",
     "NoInputs",
+    "Octets",
     "OrderDropped",
+    "Outputs",
     "ParamError",
     "ParameterError",
     "ParameterPlace",
     "PortBusyError",
     "PortError",
     "RecordRefused",
+    "Scaled",
     "ServiceRefused",
     "Slave",
     "SlaveAlarm",
@@ -124,6 +131,7 @@ __all__ = [
     "UsageError",
     "World",
     "__version__",
+    "at",
     "decode",
     "events",
     "find_baud",
@@ -154,6 +162,7 @@ api.slave.alarms SlaveAlarm
 api.slave.class2 Connection
 api.slave.drive Drive
 api.slave.slave Slave
+api.slave.typed Bool Inputs Int Octets Outputs Scaled at
 dp.master.commands Mode
 dp.master.events SlaveState
 dp.pdu.alarm_blocks AlarmType Specifier StatusType

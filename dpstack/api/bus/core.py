@@ -192,8 +192,7 @@ class BusCore(BusBase):
         if rotations is None:
             await self.until(lambda: False, timeout)
             return
-        with self.rounds.watched(self._waiters.check):
-            await self.until(lambda: self.view.rotations >= rotations, timeout)
+        await self.until_round(lambda: self.view.rotations >= rotations, timeout)
 
     @property
     def seconds_in_ring(self) -> float:

@@ -245,6 +245,11 @@ class BusBase:
 
         await self._waiters.until(condition_or_end, timeout)
 
+    async def until_round(self, condition: Callable[[], bool], timeout: float | None = None) -> None:
+        """As :meth:`until`; ``condition()`` is evaluated after every round of data exchange, too."""
+        with self.rounds.watched(self._waiters.check):
+            await self.until(condition, timeout)
+
     @property
     def seconds(self) -> float:
         """Bus time since the start in seconds."""

@@ -11,4 +11,5 @@
 - ``slave``: ``Slave``: state, diagnosis, process data and records of a slave
 - ``station_report``: Report on one station, read by the class 2 services: diagnosis, configuration, inputs and outputs,
   in words
+- ``typed``: process data as classes: inputs and outputs of a slave with types that a type checker knows
 """

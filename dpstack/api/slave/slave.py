@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping
-from typing import Unpack
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from typing import TypeVar, Unpack
 
 from dpstack.api.config.slave import Changes, SlaveConfig, changed
 from dpstack.api.slave.alarms import AlarmStream
 from dpstack.api.slave.host import Host
 from dpstack.api.slave.records import RecordAccess, RecordWay
+from dpstack.api.slave.typed import Inputs, Outputs
 from dpstack.api.streams import Reader
 from dpstack.argcheck import Sealed
 from dpstack.dp.master import fault_texts
@@ -27,9 +28,13 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import need_dpv1
 from dpstack.drivers.futures import run_through_cancellation
 from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
-from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
+from dpstack.errors import DpError, SlaveFault, SlaveTimeout, UsageError
 from dpstack.text import octets_text
 from dpstack.units import ns_to_s
+
+T = TypeVar("T", bool, int, float, bytes)
+In = TypeVar("In", bound=Inputs)
+Out = TypeVar("Out", bound=Outputs)
 
 
 class Slave(Sealed, RecordAccess):
@@ -295,6 +300,77 @@ class Slave(Sealed, RecordAccess):
             except ValueError as error:
                 raise UsageError(f"{self.who}: {error}") from None
         self.outputs = octets
+
+    def value(self, name: str, kind: type[T]) -> T:
+        """A named input or output as ``kind``: bool, int, float (also of a whole number), bytes.
+
+        Raises UsageError where the field has another type, and as ``slave[name]`` does.
+        """
+        value = self[name]
+        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if type(value) is not kind:
+            raise UsageError(f"{self.who}: {name} is {type(value).__name__}, not {kind.__name__}")
+        return value
+
+    def inputs_as(self, kind: type[In]) -> In:
+        """The last valid inputs as an object of ``kind``, a class of :class:`dpstack.Inputs`; all of one exchange.
+
+        See :attr:`inputs_valid`. Raises UsageError where the class does not fit the configuration.
+        """
+        return kind.taken(self.inputs, self.config.input_fields, self.who)
+
+    def outputs_as(self, kind: type[Out]) -> Out:
+        """The outputs of the next Data_Exchange in Operate as an object of ``kind``, a class of
+        :class:`dpstack.Outputs`. Raises UsageError where the class does not fit the configuration."""
+        return kind.taken(self.outputs, self.config.output_fields, self.who)
+
+    def send(self, outputs: Outputs) -> None:
+        """Change the outputs that ``outputs`` has, and no others: they go out in the same rotation.
+
+        Raises UsageError where the class does not fit the configuration, or a value its field; and as :attr:`outputs`.
+        """
+        self.outputs = outputs.put(self.outputs, self.config.output_fields, self.who)
+
+    async def until(self, condition: Callable[[Mapping[str, Value]], bool], timeout: float | None = None) -> None:
+        """Wait until ``condition(inputs)`` is true: ``await slave.until(lambda v: v["limit"])``. It gets the named
+        inputs of each round while they are valid.
+
+        ``timeout`` in seconds. Raises what ``condition`` raises, SlaveTimeout with the reason, and the reason of the
+        end when the bus ends meanwhile.
+        """
+
+        def holds() -> bool:
+            return self.inputs_valid and condition(self.input_values)
+
+        try:
+            await self._bus.until_round(holds, timeout)
+        except TimeoutError:
+            why = "its inputs are valid, the condition is not true"
+            if not self.inputs_valid:
+                why = self.fault.text if self.fault else f"its inputs are not valid, it is in {self.state.value}"
+            raise SlaveTimeout(self.address, f"{self.who}: not reached in {timeout:g} s: {why}") from None
+
+    async def changes(self, name: str) -> AsyncIterator[Value]:
+        """Each new value of a named input, seen at the ends of rounds while the inputs are valid. A slow reader gets
+        the latest one. Ends with the bus. Raises UsageError for a name that is no input.
+        """
+        field = self.config.input_fields.fields.get(name)
+        if field is None:
+            raise self._unknown(name, "input", tuple(self.config.input_fields))
+        self._bus.check_open()
+        told = field.get(self.inputs)
+
+        def changed() -> bool:
+            return self.inputs_valid and field.get(self.inputs) != told
+
+        while True:
+            try:
+                await self._bus.until_round(changed)
+            except DpError:
+                return
+            told = field.get(self.inputs)
+            yield told
 
     def output_field(self, name: str) -> Field:
         """The declaration of a named output. Raises UsageError naming those there are."""
