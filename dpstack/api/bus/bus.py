@@ -64,10 +64,12 @@ class Bus(Sealed):
         core = self._core
         if core.searching:
             return f"<Bus {core.config.port} searching for its rate>"
+        where = f"{core.config.port} {baud_text(core.params.baud)}"
+        if not core.is_open:
+            return f"<Bus {where} not open>"
         slaves = [slave for slave in core.slaves if not slave.deactivated]
         ready = sum(slave.ready_now for slave in slaves)
-        state = core.mode.name.lower() if core.is_open else "not open"
-        return f"<Bus {core.config.port} {baud_text(core.params.baud)} {state}, {ready} of {len(slaves)} slaves>"
+        return f"<Bus {where} {core.mode.name.lower()}, {ready} of {len(slaves)} slaves>"
 
     # --- from beginning to end ----------------------------------------------------------------------------------
 
