@@ -21,7 +21,7 @@ from dpstack.api.control.scenario import parse_scenario
 from dpstack.cli.main import _COMMANDS, build_parser, main
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
-from tools import make_config_docs, make_pictures, make_reference_docs
+from tools import make_book_docs, make_config_docs, make_pictures, make_reference_docs
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -310,6 +310,11 @@ def test_the_tables_of_keys_are_those_of_the_readers() -> None:
 def test_the_pages_made_from_the_sources_are_up_to_date() -> None:
     wrong = [str(path.relative_to(ROOT)) for path in make_reference_docs.differing()]
     assert wrong == [], "run python -m tools.make_reference_docs"
+
+
+def test_the_page_about_the_book_names_every_outside_link_and_every_command_that_does_not_run() -> None:
+    page = make_book_docs.TARGET.read_text(encoding="utf-8")
+    assert page == make_book_docs.render(page), "run python -m tools.make_book_docs"
 
 
 def test_the_table_of_bus_parameters_is_the_programs() -> None:

@@ -154,14 +154,28 @@ of a slave and the remedy for each:
 # -- api/ --------------------------------------------------------------------------------------------------------------
 
 
+def elsewhere(namespace: str) -> dict[str, str]:
+    """The names of ``namespace`` that stand on the page of a namespace before it, with that one."""
+    own = importlib.import_module(namespace)
+    found: dict[str, str] = {}
+    for other in reversed(NAMESPACES[: NAMESPACES.index(namespace)]):
+        before = importlib.import_module(other)
+        found |= {name: other for name in before.__all__ if getattr(before, name) is getattr(own, name, before)}
+    return dict(sorted(found.items()))
+
+
 def api_page(namespace: str) -> str:
+    others = elsewhere(namespace)
+    links = ", ".join(f"[{name}]({other}.md)" for name, other in others.items())
+    sentence = f"\nOn another page: {links}.\n" if links else ""
+    excluded = f"\n   :exclude-members: {', '.join(others)}" if others else ""
     inherited = f"\n   :inherited-members: {_INHERITING[namespace]}" if namespace in _INHERITING else ""
     return f"""# {namespace}
 
 {_MADE} `make docs` fills this page from the docstrings; on a plain viewer of Markdown it is empty.
-
+{sentence}
 ```{{eval-rst}}
-.. automodule:: {namespace}{inherited}
+.. automodule:: {namespace}{inherited}{excluded}
 ```
 """
 

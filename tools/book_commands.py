@@ -1,0 +1,196 @@
+"""Plugin for pytest: the commands of the book run. `python -m pytest -p tools.book_commands README.md docs`
+
+The ``console`` blocks of a page run in their order, in a folder of the page's own. The folder has examples/, the plant
+of the tutorial, and the configurations that the page gives a file name. A command ends with exit code 0; one that goes
+on until Ctrl-C has to start, and to be there still at the end of the page. /dev/ttyUSB0 is the middle port of a
+simulated segment, /dev/far0 and /dev/far1 are the ports beside it; /tmp/bus is in the folder too.
+
+A comment above a block says more:
+
+- ``<!-- beside: COMMAND; COMMAND -->``: programs that are started before the block
+- ``<!-- parsed: REASON -->``: the commands are parsed (tests/test_docs.py), not run;
+  docs/development/book.md lists them
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from sybil import Example, Sybil
+from sybil.parsers.myst import CodeBlockParser
+
+import dpstack
+from dpstack.api.config.config import load_config
+from dpstack.cli.main import main
+
+ROOT: Final = Path(__file__).resolve().parent.parent
+FIRST_PLANT: Final = ROOT / "docs" / "tutorial" / "first-plant.md"
+_MARK: Final = re.compile(r"<!-- ([a-z]+): ([^>]*?) -->\n$")
+_FILE: Final = re.compile(r"<!-- file: (\S+) -->\n```toml\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_HANG_S: Final = 60.0
+#: commands that go on until Ctrl-C, unless an option limits them
+_ENDLESS: Final = {"segment", "sim", "run", "web", "capture", "monitor"}
+_LIMITS: Final = {"--seconds", "--rotations"}
+
+
+class Program:
+    """A ``dpstack`` that goes on until Ctrl-C."""
+
+    def __init__(self, words: list[str], folder: Path) -> None:
+        self.words = words
+        self._log = folder / f"program{len(list(folder.glob('program*')))}"
+        with self._log.open("wb") as log:
+            command = [sys.executable, "-m", "dpstack.cli.main", *words]
+            self._process = subprocess.Popen(command, cwd=folder, stdout=log, stderr=log)
+
+    def wait_until(self, there: Any) -> None:
+        end = time.monotonic() + _HANG_S
+        while not there():
+            assert self._process.poll() is None, f"{self}: {self.output}"
+            assert time.monotonic() < end, f"{self} did not begin: {self.output}"
+            time.sleep(0.02)
+
+    @property
+    def output(self) -> str:
+        return self._log.read_text(encoding="utf-8", errors="replace")
+
+    def end(self) -> None:
+        assert self._process.poll() is None, f"{self} has ended by itself: {self.output}"
+        self._process.send_signal(signal.SIGINT)
+        assert self._process.wait(_HANG_S) in (0, 130), f"{self}: {self.output}"
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+    def __str__(self) -> str:
+        return shlex.join(["dpstack", *self.words])
+
+
+class Stage:
+    """The folder of a page, and the programs that its commands have started."""
+
+    def __init__(self) -> None:
+        self._temporary = tempfile.TemporaryDirectory(prefix="book")
+        self.folder = Path(self._temporary.name)
+        self._before = Path.cwd(), os.environ.get("XDG_RUNTIME_DIR")
+        self._programs: list[Program] = []
+        sockets = self.folder / "sockets"
+        sockets.mkdir(mode=0o700)
+        os.environ["XDG_RUNTIME_DIR"] = str(sockets)
+        (self.folder / "examples").symlink_to(ROOT / "examples")
+        self.write_files(FIRST_PLANT.read_text(encoding="utf-8"))
+        os.chdir(self.folder)
+
+    def write_files(self, text: str) -> None:
+        for name, content in _FILE.findall(text):
+            (self.folder / name).write_text(content, encoding="utf-8")
+
+    def start(self, words: list[str]) -> None:
+        """A program that goes on; one that holds its port, or a web server, ends before."""
+        program = Program(words, self.folder)
+        self._programs.append(program)
+        if words[0] == "segment":
+            folder = Path(words[words.index("--dir") + 1])
+            program.wait_until(lambda: (folder / "0").exists())
+        elif words[0] in ("run", "sim"):
+            before = self._sockets()
+            program.wait_until(lambda: self._sockets() - before)
+            if words[0] == "run":
+                slaves = len(load_config(words[1]).slaves)
+                program.wait_until(lambda: program.output.count(": data_exchange") >= slaves)
+        else:
+            program.wait_until(lambda: program.output)
+            self._programs.remove(program)
+            program.end()
+
+    def _sockets(self) -> set[Path]:
+        return set((self.folder / "sockets").rglob("*.sock"))
+
+    def line(self, line: str) -> None:
+        """One command of the book or of a mark."""
+        if "/dev/" in line and not (self.folder / "usb").exists():
+            self.start(["segment", "--stations", "3", "--dir", str(self.folder / "usb")])
+        for number, name in enumerate(("far0", "ttyUSB0", "far1")):
+            line = line.replace(f"/dev/{name}", f"{self.folder}/usb/{number}")
+        line = line.replace("/tmp/bus", f"{self.folder}/bus")
+        program, *words = shlex.split(line)
+        assert program == "dpstack", f"{line}: mark the block with <!-- parsed: REASON --> if this cannot run in a test"
+        port = words[words.index("--port") + 1] if "--port" in words else None
+        for other in [one for one in self._programs if port and port in one.words and one.words[0] in ("run", "sim")]:
+            self._programs.remove(other)
+            other.end()
+        if "--web" in words or words[0] == "web":
+            self.start([*words, "--listen", "127.0.0.1:0"])
+        elif words[0] in _ENDLESS and not _LIMITS & set(words):
+            self.start(words)
+        else:
+            with contextlib.nullcontext() if self._programs else _virtual_time():
+                assert main(words) == 0, line
+
+    def close(self) -> None:
+        """Ends everything; the first program that has not gone on fails the page."""
+        try:
+            while self._programs:
+                self._programs[-1].end()
+                self._programs.pop()
+        finally:
+            for program in self._programs:
+                program.kill()
+            os.chdir(self._before[0])
+            os.environ.pop("XDG_RUNTIME_DIR")
+            if self._before[1] is not None:
+                os.environ["XDG_RUNTIME_DIR"] = self._before[1]
+            self._temporary.cleanup()
+
+
+@contextlib.contextmanager
+def _virtual_time() -> Iterator[None]:
+    real = asyncio.run
+    asyncio.run = dpstack.run_virtual  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        asyncio.run = real
+
+
+def run_block(example: Example) -> None:
+    stage: Stage = example.namespace["stage"]
+    stage.write_files(example.document.text)
+    mark = _MARK.search(example.document.text[: example.start])
+    kind, text = (mark[1], mark[2]) if mark else ("", "")
+    if kind == "parsed":
+        return
+    lines = [line.removeprefix("$ ") for line in example.parsed.splitlines()]
+    for line in [*(text.split("; ") if kind == "beside" else []), *lines]:
+        stage.line(line)
+
+
+def _set_up(namespace: dict[str, Any]) -> None:
+    namespace["stage"] = Stage()
+
+
+def _tear_down(namespace: dict[str, Any]) -> None:
+    namespace["stage"].close()
+
+
+pytest_collect_file = Sybil(
+    parsers=[CodeBlockParser(language="console", evaluator=run_block)],
+    pattern="*.md",
+    excludes=["docs/reference/options.md"],  # examples of --help, with files that are not there
+    path=str(ROOT),
+    setup=_set_up,
+    teardown=_tear_down,
+).pytest()

@@ -1,0 +1,91 @@
+"""Writes docs/development/book.md: commands that tests only parse, and links to other sites with their date."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path(__file__).resolve().parent.parent
+TARGET: Final = ROOT / "docs" / "development" / "book.md"
+_PARSED: Final = re.compile(r"<!-- parsed: ([^>]*?) -->\n```console\n(.*?)^```", re.DOTALL | re.MULTILINE)
+#: not the addresses of this computer
+_LINK: Final = re.compile(r"https?://(?!127\.0\.0\.1|localhost)[^\s)>`\"|,]+")
+_ROW: Final = re.compile(r"^\| (\d{4}-\d\d-\d\d) \| <(\S+)> \|", re.MULTILINE)
+_HEAD: Final = """# The book
+
+Made by `python -m tools.make_book_docs`; the text is in that file, do not edit it here.
+
+`make docs` builds the book with Sphinx and serves it on this computer; `make check` builds it with warnings as errors.
+The pages are Markdown for plain viewers too. An index page (`README.md` of a folder) is a list of links, and the tree
+of the book follows from these links: a page that no index names is an error. Pages that are made from the program have
+a tool each: `tools/make_*_docs.py` and `tools/make_pictures.py`. A new public namespace is added to `NAMESPACES` in
+`tools/make_reference_docs.py`.
+
+Tests of the pages, most of them in `tests/test_docs.py`:
+
+- `python` blocks marked `<!-- run -->` run in virtual time, and print what the next block marked `<!-- output -->` says
+- `toml` blocks load, and blocks of telegrams decode as printed; `json` blocks are JSON
+- `console` blocks are parsed by `make test`, and run in `make check`, in order, in a folder of the page's own, with
+  `/dev/ttyUSB0` on a simulated segment (`tools/book_commands.py` tells the marks that a block can have)
+- links inside the book lead to a page and a heading that exist
+"""
+
+
+def pages() -> list[Path]:
+    found = [ROOT / "README.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    return [page for page in found if page != TARGET]
+
+
+def parsed_only() -> Iterator[tuple[str, Path, str]]:
+    """Command, page and reason of the commands that no test runs."""
+    for page in pages():
+        for reason, text in _PARSED.findall(page.read_text(encoding="utf-8")):
+            yield from ((line.removeprefix("$ "), page, reason) for line in text.splitlines())
+
+
+def outside() -> dict[str, list[Path]]:
+    """The links to other sites, each with its pages."""
+    found: dict[str, list[Path]] = {}
+    for page in pages():
+        for link in dict.fromkeys(_LINK.findall(page.read_text(encoding="utf-8"))):
+            found.setdefault(link, []).append(page)
+    return dict(sorted(found.items()))
+
+
+def _page_link(page: Path) -> str:
+    name = page.stem if page.stem != "README" else f"{page.parent.name}/README" if page.parent != ROOT else "README"
+    return f"[{name}]({os.path.relpath(page, TARGET.parent)})"
+
+
+def render(old: str) -> str:
+    """The page; links that are in ``old`` keep their date, new ones get that of today."""
+    since = {link: date for date, link in _ROW.findall(old)}
+    today = datetime.date.today().isoformat()
+    commands = [f"| `{command}` | {_page_link(page)} | {reason} |" for command, page, reason in parsed_only()]
+    links = [
+        f"| {since.get(link, today)} | <{link}> | {', '.join(map(_page_link, where))} |"
+        for link, where in outside().items()
+    ]
+    return "\n".join(
+        [
+            _HEAD,
+            "## Commands that are parsed only\n",
+            "The examples of `--help` in [options](../reference/options.md), because of their files, and these:\n",
+            "| command | page | reason |\n|---|---|---|",
+            *commands,
+            "\n## Links to other sites\n",
+            "The date is the day on which the link came into the book. No test asks these sites.\n",
+            "| since | link | on |\n|---|---|---|",
+            *links,
+            "",
+        ]
+    )
+
+
+if __name__ == "__main__":
+    before = TARGET.read_text(encoding="utf-8") if TARGET.exists() else ""
+    TARGET.write_text(render(before), encoding="utf-8")
