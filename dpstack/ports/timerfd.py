@@ -34,10 +34,10 @@ class Timerfd:
         self._reference = ctypes.byref(self._spec)
         if sys.version_info >= (3, 13):
             self.fd = os.timerfd_create(_CLOCK_MONOTONIC, flags=os.TFD_NONBLOCK | os.TFD_CLOEXEC)
-            return
-        self.fd = int(self._lib.timerfd_create(_CLOCK_MONOTONIC, _TFD_NONBLOCK | _TFD_CLOEXEC))
-        if self.fd < 0:
-            raise OSError(ctypes.get_errno(), "timerfd_create: " + os.strerror(ctypes.get_errno()))
+        else:
+            self.fd = int(self._lib.timerfd_create(_CLOCK_MONOTONIC, _TFD_NONBLOCK | _TFD_CLOEXEC))
+            if self.fd < 0:
+                raise OSError(ctypes.get_errno(), "timerfd_create: " + os.strerror(ctypes.get_errno()))
 
     def set(self, at: int) -> None:
         """Wait for ``at`` (CLOCK_MONOTONIC, ns; one in the past is reached at once)."""
@@ -45,9 +45,9 @@ class Timerfd:
             at = 1  # 0 would disarm it
         if sys.version_info >= (3, 13):
             os.timerfd_settime_ns(self.fd, flags=os.TFD_TIMER_ABSTIME, initial=at)
-            return
-        self._spec[2], self._spec[3] = divmod(at, NS_PER_S)
-        self._lib.timerfd_settime(self.fd, _TFD_TIMER_ABSTIME, self._reference, None)
+        else:
+            self._spec[2], self._spec[3] = divmod(at, NS_PER_S)
+            self._lib.timerfd_settime(self.fd, _TFD_TIMER_ABSTIME, self._reference, None)
 
     def clear(self) -> None:
         """Reset ``fd`` after the deadline; call it when ``fd`` is readable."""
