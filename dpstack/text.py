@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import traceback
 import unicodedata
+from enum import IntEnum
 from typing import Final
 
 _MOST_DIGITS: Final = 9
@@ -17,6 +18,16 @@ _SEPARATORS: Final = (",", ":")
 #: json.dumps makes an encoder a call
 _to_json: Final = json.JSONEncoder(separators=_SEPARATORS, ensure_ascii=False, check_circular=False).encode
 _SHORT: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
+
+
+class NamedInt(IntEnum):
+    """Numbers of a standard with names: as text ``Mode.OPERATE``, in calculations and with ``:02X`` the number."""
+
+    def __str__(self) -> str:
+        return f"{type(self).__name__}.{self.name}"
+
+    def __format__(self, spec: str) -> str:
+        return int.__format__(self, spec) if spec else str(self)
 
 
 def is_plain(letter: str) -> bool:

@@ -43,7 +43,7 @@ MAY: dict[str, set[str]] = {
     "dp": DP,
     "dpv1": DP,
     "record": PURE_BASE | {"dp"},
-    "profile": {"dp", "dpv1", "units", "errors"},
+    "profile": {"dp", "dpv1", "units", "errors", "text"},
     "why": DP,
     "sim": DP | {"machine", "decode"},
     "ports": PURE_BASE | {"phy"},

@@ -5,11 +5,14 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+from enum import IntEnum
 
 import pytest
+from api_kit import in_virtual_time
 from public_names import SNAPSHOT, lines
 
 import dpstack
+from dpstack.slave import DpSlave, SlaveDescription, serve_slave
 from tools.make_reference_docs import NAMESPACES
 
 WRITER = "python tests/kits/public_names.py"
@@ -49,3 +52,31 @@ def test_a_name_that_is_in_a_namespace_says_so() -> None:
         _ = dpstack.Buss  # type: ignore[attr-defined]
     with pytest.raises(AttributeError, match=r"'dpstack\.gsd' has no attribute 'Lexer'$"):
         _ = dpstack.gsd.Lexer  # type: ignore[attr-defined]
+
+
+def test_numbers_with_names_print_their_names() -> None:
+    """Enums whose values are numbers of a standard; in calculations and with a format they are the numbers."""
+    for namespace in NAMESPACES:
+        module = importlib.import_module(namespace)
+        for kind in (getattr(module, name) for name in module.__all__):
+            if isinstance(kind, type) and issubclass(kind, IntEnum):
+                assert [str(member) for member in kind] == [f"{kind.__name__}.{member.name}" for member in kind]
+    assert f"{dpstack.Mode.OPERATE} {dpstack.Mode.OPERATE:02X} {dpstack.Mode.OPERATE + 0}" == "Mode.OPERATE C0 192"
+
+
+@in_virtual_time
+async def test_objects_say_what_they_are() -> None:
+    description = SlaveDescription.simple(0x4711, inputs=1, outputs=1, name="tank")
+    tank = DpSlave(description, lambda outputs, _: outputs)
+    world = dpstack.World()
+    async with (
+        serve_slave(tank, world=world, address=9) as server,
+        dpstack.open_bus(world=world, baud=500_000, slaves=[description.table(9)]) as bus,
+    ):
+        assert repr(bus).startswith("<Bus virtual 500 kbit/s clear, ")
+        await bus.operate()
+        await bus.ready()
+        assert repr(bus) == "<Bus virtual 500 kbit/s operate, 1 of 1 slaves>"
+        assert (repr(bus.slave(9)), repr(tank)) == ("<Slave 9 'tank' data_exchange>", "<DpSlave 'tank' 0x4711>")
+        assert repr(server) == "<SlaveServer 9 'tank' data_exchange>"
+        assert re.fullmatch(r"<World at 0\.\d{6} s, 2 stations>", repr(world))

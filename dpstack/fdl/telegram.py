@@ -5,6 +5,8 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Final, NamedTuple
 
+from dpstack.text import NamedInt
+
 
 class Kind(IntEnum):
     """The kinds of telegram; the value is the start octet (docs/reference/protocol.md#telegrams)."""
@@ -68,7 +70,7 @@ class Resp(IntEnum):
     RDH = 13
 
 
-class StationType(IntEnum):
+class StationType(NamedInt):
     """Station type in a response's FC, bits 5..4."""
 
     SLAVE = 0

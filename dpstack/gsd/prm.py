@@ -151,6 +151,9 @@ class UserPrm:
                 f"{size} octets of user parameters, Max_User_Prm_Data_Len of the device is {limit}; take out modules"
             )
 
+    def __repr__(self) -> str:
+        return f"<UserPrm {self.octets().hex(' ')}>"
+
     def _add(self, prm: PrmBlock, slot: int, place: str, plugged: Module | None) -> None:
         """Append the part of the device or of a module. ``[SlotNumber]`` of a ``plugged`` module is ``slot``."""
         at, parameters = len(self._const), self.device.parameters

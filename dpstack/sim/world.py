@@ -27,7 +27,7 @@ from dpstack.sim.nodes import Node, Nodes
 from dpstack.sim.referee import Referee
 from dpstack.sim.transmission import Heard, Transmission, complete, garbled, receive
 from dpstack.trace import Event, WireEntry, WireLog
-from dpstack.units import NEVER, chars_to_ns
+from dpstack.units import NEVER, chars_to_ns, ns_to_s
 
 Callback = Callable[[Any], None]
 
@@ -342,6 +342,9 @@ class World:
         self._nodes = Nodes()
         self._medium = Medium(self, self._nodes, 2 * seed + 1)
         self._on_timer: Callback = self._run_timer
+
+    def __repr__(self) -> str:
+        return f"<World at {ns_to_s(self.now):.6f} s, {len(list(self._nodes))} stations>"
 
     @property
     def transmissions(self) -> int:

@@ -60,6 +60,9 @@ class Commissioning:
             also=[path for name in named if (path := beside / name).is_file()],
         )
 
+    def __repr__(self) -> str:
+        return f"<Commissioning {self._file}>"
+
     def files(self) -> dict[str, Any]:
         """The GSD files: ``{"folder": PATH, "files": [{"gsd", "ident", "vendor", "model"}], "bad": [{"gsd",
         "reason"}]}``.

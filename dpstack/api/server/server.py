@@ -397,6 +397,10 @@ class SlaveServer(Sealed):
     def _sealed_name(self) -> str:
         return "slave server"
 
+    def __repr__(self) -> str:
+        slaves = ", ".join(f"{slave.address} {slave.name!r} {slave.state.value}" for slave in self.slaves)
+        return f"<SlaveServer {slaves}>"
+
     def _attach(self, runtime: Runtime, *slaves: ServedSlave) -> None:
         self._runtimes.append(runtime)
         for slave in slaves:

@@ -282,6 +282,9 @@ class Connection(Sealed, RecordAccess):
     def _sealed_name(self) -> str:
         return f"connection to slave {self.address}"
 
+    def __repr__(self) -> str:
+        return f"<Connection to {self.address} {self.name!r}, server SAP {self._done.server_sap}>"
+
     @property
     def name(self) -> str:
         """The slave's name on this bus, or "slave" and its address."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import IntEnum
 
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.machine import Order
+from dpstack.text import NamedInt
 
 
-class Mode(IntEnum):
+class Mode(NamedInt):
     """The modes of a class 1 master (values as masters report them)."""
 
     OFFLINE = 0x00  # not in the ring

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import IntFlag
 from typing import Final, NamedTuple
 
 from dpstack.dp.pdu.layouts import MAX_SLOT, OCTET, REST, Layout, bits, flags
 from dpstack.errors import PduError
+from dpstack.text import NamedInt
 
 # Source: AUMA AC 01.2 manual p46 and AC(V) 01.2 manual p48 (table 34), after PNO 2.212. VIPA's IM 253-2DP50 counts
 # Data_Exchange as bit 4 (System 200V manual p3-54), in a status of its own type 0: that one is not read here.
@@ -88,7 +89,7 @@ SEQUENCES: Final = 32
 VENDOR: Final = range(32, 127)
 
 
-class AlarmType(IntEnum):
+class AlarmType(NamedInt):
     """Alarm_Type; 32..126 are the maker's own."""
 
     DIAGNOSIS = 1
@@ -110,7 +111,7 @@ _ENABLED_BY: Final[Mapping[int, str]] = {
 }
 
 
-class StatusType(IntEnum):
+class StatusType(NamedInt):
     """Status_Type, without bit 7; 32..126 are the maker's own."""
 
     MESSAGE = 1
@@ -120,7 +121,7 @@ class StatusType(IntEnum):
     RED_STATE = 31
 
 
-class Specifier(IntEnum):
+class Specifier(NamedInt):
     """Alarm_Specifier, bits 1..0."""
 
     NONE = 0
@@ -142,7 +143,7 @@ _STATUSES: Final[Mapping[int, str]] = {
 }
 
 
-class ModuleState(IntEnum):
+class ModuleState(NamedInt):
     """One module in a module status, two bits."""
 
     OK = 0

@@ -156,6 +156,9 @@ class DpSlave(Sealed, Device):
 
     # --- for the user at any time -------------------------------------------------------------------------------
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.name!r} 0x{self.ident:04X}>"
+
     @property
     def diag(self) -> UserDiag:
         """The diagnosis of the slave; the master fetches a new one at once. TypeError for anything else."""

@@ -30,6 +30,7 @@ from dpstack.profile.channel.stored_writes import StoredWrites
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.param_errors import OPERATING_STATE, PARAMETER_ERRORS
 from dpstack.profile.model.params import ParamSpec, ParamTable
+from dpstack.text import NamedInt
 from dpstack.units import NS_PER_MS
 
 PKW_LEN: Final = 8
@@ -41,7 +42,7 @@ RETRY_NS: Final = 25 * NS_PER_MS
 _MOST: Final = 0x7FF
 
 
-class TaskId(IntEnum):
+class TaskId(NamedInt):
     """Order ids of the master."""
 
     NONE = 0
@@ -54,7 +55,7 @@ class TaskId(IntEnum):
     ELEMENTS = 9
 
 
-class ReplyId(IntEnum):
+class ReplyId(NamedInt):
     """Reply ids of the drive."""
 
     NONE = 0

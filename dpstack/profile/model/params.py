@@ -135,6 +135,9 @@ class ParamTable:
     def __iter__(self) -> Iterator[ParamSpec]:
         return iter(self._by_key.values())
 
+    def __repr__(self) -> str:
+        return f"<ParamTable of {len(self._by_key)} parameters>"
+
     def get(self, number: int, index: int = 0) -> ParamSpec | None:
         """By number and fixed index."""
         return self._by_key.get((number, index))

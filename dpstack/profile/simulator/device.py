@@ -95,6 +95,9 @@ class DriveDevice(Device):
 
     # -- faults and conditions from outside --------------------------------------------------------------------------
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.title}>"
+
     def trip(self, code: str) -> None:
         """Trip with a fault, by its code or name. Raises ValueError with the known ones."""
         self._trip = self.fault_code(code)
