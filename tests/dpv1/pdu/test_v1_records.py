@@ -221,3 +221,13 @@ def test_im_that_does_not_fit() -> None:
                 wrong_text.build()
     with pytest.raises(PduError):
         Im4(bytes(55))
+
+
+def test_texts_of_im_are_filled_up_with_blanks_and_keep_their_last_letter() -> None:
+    """Ten octets of header, 32 characters of the function, 22 of the place."""
+    octets = bytes(10) + b"PUMP X" + b" " * 26 + b"B" * 22
+    assert Im1("PUMP X", "B" * 22).build() == octets
+    assert Im1.parse(octets) == Im1("PUMP X", "B" * 22)
+    assert Im1.parse(bytes(10) + b"PUMP X \0" + bytes(24) + b"B" * 22) == Im1("PUMP X", "B" * 22)
+    with pytest.raises(PduError, match="33 characters, 32 are possible"):
+        Im1("A" * 33).build()
