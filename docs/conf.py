@@ -29,6 +29,8 @@ autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True, "undoc-members": True, "show-inheritance": True}
 autodoc_typehints_format = "short"
 add_module_names = False
+#: ``type[...]`` in an annotation could mean several attributes with the name "type"
+suppress_warnings = ["ref.python"]
 python_maximum_signature_line_length = 100
 
 html_theme = "furo"
