@@ -187,7 +187,7 @@ class Alarm:
     def build(self) -> bytes:
         """The block with its header. Raises PduError where a value does not fit."""
         if not 0 <= self.type < 127:
-            raise PduError(f"{self.type} is no type of an alarm: 1..6, 32..126")
+            raise PduError(f"{self.type:d} is no type of an alarm: 1..6, 32..126")
         return _build(self, self.sequence, self.add_ack)
 
 
@@ -317,7 +317,7 @@ def kind_of(alarm_type: int) -> str:
     if alarm_type in VENDOR:
         return "manufacturer"
     if alarm_type not in _ENABLED_BY:
-        raise PduError(f"there is no alarm of type {alarm_type}: 1..6, {VENDOR.start}..{VENDOR.stop - 1}")
+        raise PduError(f"there is no alarm of type {alarm_type:d}: 1..6, {VENDOR.start}..{VENDOR.stop - 1}")
     return _ENABLED_BY[alarm_type]
 
 

@@ -143,7 +143,7 @@ class AlarmServer:
     def status(self, status: Status) -> None:
         """Send a status once. Raises AlarmError where it cannot go out now, PduError where it cannot be."""
         if status.type not in VENDOR and status.type not in StatusType.__members__.values():
-            raise PduError(f"there is no status of type {status.type}: 1..3, 30, 31, 32..126")
+            raise PduError(f"there is no status of type {status.type:d}: 1..3, 30, 31, 32..126")
         self._check_room(status.build())
         what = f"slave {self._name}: {status.text}"
         self._check_open(what)
@@ -235,7 +235,7 @@ class AlarmServer:
         if raised is None or not raised.offered:
             if key in self._acknowledged:
                 return Acknowledged(ack)
-            what = f"type {ack.type}, slot {ack.slot}, sequence number {ack.sequence}"
+            what = f"type {ack.type:d}, slot {ack.slot}, sequence number {ack.sequence}"
             reason = f"no alarm of {what} is on its way"
             return Acknowledged(Negative(Function.ALARM_ACK, Code.INVALID_PARAMETER), reason=reason)
         del self._on_its_way[key]

@@ -168,7 +168,7 @@ class PkwChannel:
 
     def describe_stray(self, reply: Pkw) -> str:
         """Text for a reply to another order."""
-        return f"parameter {reply.pnu} index {reply.ind} (reply {reply.id})"
+        return f"parameter {reply.pnu} index {reply.ind} (reply {reply.id:d})"
 
     #: the names of order ids and of reply ids, and the reply with an error
     orders: type[IntEnum] = TaskId
@@ -182,7 +182,7 @@ class PkwChannel:
             return {}
         names = self.orders if order else self.replies
         known = pkw.id in names.__members__.values()
-        what = names(pkw.id).name.lower().replace("_", " ") if known else f"{'order' if order else 'reply'} {pkw.id}"
+        what = names(pkw.id).name.lower().replace("_", " ") if known else f"{'order' if order else 'reply'} {pkw.id:d}"
         found: dict[str, object] = {"AK": pkw.id, "what": what, "PNU": pkw.pnu, "IND": pkw.ind}
         found["PWE"] = f"0x{pkw.pwe:08x}"
         spec = find(pkw.pnu, pkw.ind)
@@ -353,7 +353,7 @@ class PkwAccess(PkwChannel, ParameterChannel):
 
     def _exchange(self, order: Pkw, ref: ParamRef, deadline: int) -> Steps[Pkw]:
         if order.id not in self._dialect.answers:
-            raise CommandError("usage", f"{ref.label}: the drive has no order {order.id} in its parameter channel")
+            raise CommandError("usage", f"{ref.label}: the drive has no order {order.id:d} in its parameter channel")
         busy: CommandError | None = None
         while True:
             try:
@@ -374,7 +374,7 @@ class PkwAccess(PkwChannel, ParameterChannel):
         if reply.id == ReplyId.NO_CONTROL:
             raise CommandError("parameter", f"{ref.label}: the bus has no control over the parameters (reply 8)")
         if reply.id not in self._dialect.answers[order.id]:
-            raise CommandError("parameter", f"{ref.label}: reply {reply.id} does not answer order {order.id}")
+            raise CommandError("parameter", f"{ref.label}: reply {reply.id:d} does not answer order {order.id:d}")
         return reply
 
 
